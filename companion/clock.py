@@ -1,0 +1,102 @@
+"""Time: the only module that reads a clock.
+
+Everything runs on an asyncio loop and takes its time from it. On the vehicle that is the monotonic
+clock. In tests and in `companion --sitl --fast` it is `VirtualTimeLoop`: where a real loop would sleep
+until the next timer, the virtual one jumps there, so that a minute's landing takes seconds and gives
+the same result for the same seed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import time
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class NothingScheduled(RuntimeError):  # noqa: N818 - it reads as what happened
+    """The virtual loop has no timer and no ready task: every task waits for something that never comes."""
+
+
+class _JumpingSelector(selectors.SelectSelector):
+    """A selector that moves the loop's clock on instead of waiting."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now_s = 0.0
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        ready = super().select(0)
+        if ready:
+            return ready
+        if timeout is None:
+            raise NothingScheduled("every task waits and no timer is set")
+        self.now_s += max(timeout, 0.0)
+        return []
+
+
+class VirtualTimeLoop(asyncio.SelectorEventLoop):
+    """An event loop whose time() starts at 0 and jumps to the next timer. No real input or output in it."""
+
+    def __init__(self) -> None:
+        self._jumping = _JumpingSelector()
+        super().__init__(self._jumping)
+        # a timer within the clock's resolution counts as due: keep it small, so that none is early
+        self._clock_resolution = 1e-9
+
+    def time(self) -> float:
+        return self._jumping.now_s
+
+
+class Clock:
+    """The running loop's time, and what depends on whether that time is real.
+
+    Make it inside the loop whose time it tells.
+    """
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self.virtual = isinstance(self._loop, VirtualTimeLoop)
+
+    def now_s(self) -> float:
+        """Seconds of the loop's monotonic clock; CLOCK_MONOTONIC on the vehicle, from 0 in virtual time."""
+        return self._loop.time()
+
+    async def sleep_until(self, time_s: float) -> None:
+        """Return at time_s, or at the loop's next turn when that has passed."""
+        await asyncio.sleep(max(0.0, time_s - self.now_s()))
+
+    async def run(self, function: Callable[..., T], *arguments: Any, modelled_s: float) -> T:
+        """Run a heavy pure function off the loop and return its result.
+
+        In real time it takes a worker thread and as long as it takes. In virtual time, where computing
+        takes no time, the result is held back for `modelled_s`, so that its latency is not hidden.
+        """
+        if not self.virtual:
+            return await asyncio.to_thread(function, *arguments)
+        result = function(*arguments)
+        await asyncio.sleep(modelled_s)
+        return result
+
+
+def wall_clock_s() -> float:
+    """Seconds of real time, whatever the loop says: for reporting how fast a simulation ran."""
+    return time.perf_counter()
+
+
+def unix_time_s() -> float:
+    """Seconds since 1970 for file names and log headers; never for estimation or control."""
+    return time.time()
+
+
+def run_in_virtual_time(main: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine to its end on a fresh virtual-time loop.
+
+    Raises:
+        NothingScheduled: all tasks wait for something that nothing will ever bring.
+    """
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
+        return runner.run(main)

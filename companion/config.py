@@ -1,0 +1,294 @@
+"""Settings: one typed tree, read from YAML, with a unit in every name and a bound on every number.
+
+An unknown key, a wrong type or a value out of range stops the start with one line that names the file,
+the key and what was expected.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+CONFIG_FOLDER = Path(__file__).resolve().parent.parent / "configs"
+
+
+class ConfigError(Exception):
+    """Something in a settings file that a user can mend; the text is the one line to show."""
+
+
+class StrictModel(BaseModel):
+    """Base of all settings: unknown keys are refused, values cannot change after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+Vector = tuple[float, float, float]
+
+
+# ---------------------------------------------------------------- reading
+
+
+def find_file(folder: str, name: str | Path) -> Path:
+    """Path of a settings file given by path, or by name within configs/<folder>.
+
+    Raises:
+        ConfigError: no such file; the line lists the names there are.
+    """
+    path = Path(name)
+    if path.suffix in {".yaml", ".yml"} and path.is_file():
+        return path
+    shipped = CONFIG_FOLDER / folder / f"{name}.yaml"
+    if path.suffix == "" and shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in (CONFIG_FOLDER / folder).glob("*.yaml")))
+    raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping.
+
+    Raises:
+        ConfigError: unreadable, not YAML (with line and column), or not a mapping.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not readable"
+        raise ConfigError(f"{path}{where}: broken YAML: {problem}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: expected a mapping of keys to values, found {type(data).__name__}")
+    return data
+
+
+def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:
+    """Build a model from plain data.
+
+    Raises:
+        ConfigError: one line with the source, the key, what was expected and what was found.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(_one_line(error, source)) from error
+
+
+def load_model(model: type[Model], path: Path) -> Model:
+    """Read one settings file into its model.
+
+    Raises:
+        ConfigError: see `read_yaml` and `validate`.
+    """
+    return validate(model, read_yaml(path), str(path))
+
+
+def merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    """Deep merge of two plain trees; lists and scalars of the second replace the first's."""
+    merged = dict(base)
+    for key, value in overrides.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _one_line(error: ValidationError, source: str) -> str:
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"]) or "(top)"
+    if first["type"] == "extra_forbidden":
+        return f"{source}: unknown key '{key}'"
+    text = first["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
+    found = "" if first["type"] in {"missing", "value_error"} else f", found {first['input']!r}"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    return f"{source}: {key}: {text}{found}{more}"
+
+
+# ---------------------------------------------------------------- what sits on the vehicle
+
+
+class CameraConfig(StrictModel):
+    """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3)."""
+
+    name: str
+    width_px: int = Field(ge=160, le=4096)
+    height_px: int = Field(ge=120, le=3072)
+    fx_px: float = Field(gt=50.0, lt=20000.0)
+    fy_px: float = Field(gt=50.0, lt=20000.0)
+    cx_px: float = Field(gt=0.0, lt=4096.0)
+    cy_px: float = Field(gt=0.0, lt=3072.0)
+    distortion: tuple[float, float, float, float, float]
+    rate_hz: float = Field(ge=5.0, le=240.0)
+
+
+class VehicleConfig(StrictModel):
+    """Where things sit on the airframe (FRD from the centre of mass) and how it answers."""
+
+    name: str
+    camera_position_body_m: Vector
+    camera_yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+    camera_tilt_deg: float = Field(default=0.0, ge=-45.0, le=45.0)
+    range_position_body_m: Vector
+    leg_height_m: float = Field(ge=0.02, le=1.0)
+    acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)
+    hover_thrust: float = Field(ge=0.1, le=0.9)
+
+
+# ---------------------------------------------------------------- sense
+
+
+class ImuConfig(StrictModel):
+    """MPU9250: its bus ("i2c:1", or "socket:PATH" for a simulator in another process), ranges and rates."""
+
+    bus: str = "i2c:1"
+    address: int = Field(default=0x68, ge=0x68, le=0x69)
+    rate_hz: int = Field(default=200, ge=50, le=1000)
+    poll_hz: int = Field(default=100, ge=20, le=500)
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = 500
+    accel_range_g: Literal[2, 4, 8, 16] = 8
+    filter_hz: Literal[184, 92, 41, 20] = 92
+    mag_rate_hz: Literal[8, 100] = 100
+    body_from_sensor_deg: Vector = (0.0, 0.0, 0.0)  # roll, pitch, yaw
+
+
+class GpsConfig(StrictModel):
+    """NEO-6M on a serial port."""
+
+    port: str = "/dev/ttyAMA0"
+    baud: Literal[9600, 38400, 57600, 115200] = 9600
+    rate_hz: int = Field(default=5, ge=1, le=5)
+    latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
+    antenna_position_body_m: Vector = (0.0, 0.0, -0.05)
+
+
+class RangeConfig(StrictModel):
+    """Downward ultrasonic on a serial port (JSN-SR04T / US-100 frames)."""
+
+    port: str = "/dev/ttyAMA1"
+    baud: Literal[9600] = 9600
+    minimum_m: float = Field(default=0.03, ge=0.02, le=0.5)
+    maximum_m: float = Field(default=4.5, ge=0.5, le=10.0)
+
+
+class VisionConfig(StrictModel):
+    """Marker detection and pose."""
+
+    source: str = "v4l2:0"
+    maximum_reprojection_error_px: float = Field(default=2.0, gt=0.0, le=10.0)
+    corner_noise_px: float = Field(default=0.35, gt=0.0, le=5.0)
+    region_margin: float = Field(default=1.6, ge=1.0, le=5.0)
+
+
+class SenseConfig(StrictModel):
+    """All sensors."""
+
+    imu: ImuConfig = ImuConfig()
+    gps: GpsConfig = GpsConfig()
+    range: RangeConfig = RangeConfig()
+    vision: VisionConfig = VisionConfig()
+
+
+# ---------------------------------------------------------------- estimate
+
+
+class EstimateConfig(StrictModel):
+    """Orientation filters, the 31-state EKF and the pad filter."""
+
+    madgwick_gain: float = Field(default=0.06, ge=0.0, le=2.0)
+    magnetic_field_ned_ut: Vector = (20.9, 0.6, 42.9)
+    magnetic_declination_deg: float = Field(default=1.7, ge=-180.0, le=180.0)
+
+
+# ---------------------------------------------------------------- plan
+
+
+class MissionConfig(StrictModel):
+    """The flight: where to look for the pad, how to come down, when to give up."""
+
+    take_off_height_m: float = Field(default=7.0, ge=1.0, le=50.0)
+    waypoint_ned_m: tuple[float, float] = (10.0, 0.0)
+    total_timeout_s: float = Field(default=180.0, ge=10.0, le=3600.0)
+
+
+class PlanConfig(StrictModel):
+    """The planner."""
+
+    rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
+    fuzzy: str = "landing"
+    mission: MissionConfig = MissionConfig()
+
+
+# ---------------------------------------------------------------- control
+
+
+class LimitsConfig(StrictModel):
+    """The last gate: nothing beyond these leaves for the autopilot."""
+
+    horizontal_speed_m_s: float = Field(default=6.0, gt=0.0, le=20.0)
+    climb_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
+    descent_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
+    horizontal_acceleration_m_s2: float = Field(default=4.0, gt=0.0, le=10.0)
+    vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
+    tilt_deg: float = Field(default=25.0, gt=0.0, le=45.0)
+    jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
+    heading_rate_deg_s: float = Field(default=45.0, gt=0.0, le=180.0)
+
+
+class ControlConfig(StrictModel):
+    """The MPC and what it sends."""
+
+    setpoint: Literal["velocity", "attitude"] = "velocity"
+    horizon_steps: int = Field(default=20, ge=5, le=100)
+    step_s: float = Field(default=0.1, ge=0.01, le=0.5)
+    limits: LimitsConfig = LimitsConfig()
+
+
+# ---------------------------------------------------------------- link
+
+
+class LinkConfig(StrictModel):
+    """The autopilot's port: serial:PATH:BAUD, udp:HOST:PORT (we call) or udpin:HOST:PORT (we listen)."""
+
+    connection: str = "udpin:127.0.0.1:14540"
+    actions: Literal["mavsdk", "pymavlink"] = "mavsdk"
+    system_id: int = Field(default=1, ge=1, le=255)
+    heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
+
+
+class ComputeConfig(StrictModel):
+    """How long things take on a Raspberry Pi; virtual time holds results back for as long."""
+
+    vision_s: float = Field(default=0.025, ge=0.0, le=0.5)
+    control_s: float = Field(default=0.003, ge=0.0, le=0.1)
+
+
+class CompanionConfig(StrictModel):
+    """The whole tree."""
+
+    pad: str = "moving_1300"
+    camera: str = "sitl_640x480"
+    vehicle: str = "x500"
+    sense: SenseConfig = SenseConfig()
+    estimate: EstimateConfig = EstimateConfig()
+    plan: PlanConfig = PlanConfig()
+    control: ControlConfig = ControlConfig()
+    link: LinkConfig = LinkConfig()
+    compute: ComputeConfig = ComputeConfig()
+
+
+def load_config(path: Path, overrides: dict[str, Any] | None = None) -> CompanionConfig:
+    """Read the app's settings file, with `overrides` laid over it.
+
+    Raises:
+        ConfigError: one line that says what, where and what was expected.
+    """
+    return validate(CompanionConfig, merge(read_yaml(path), overrides or {}), str(path))

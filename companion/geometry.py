@@ -1,0 +1,229 @@
+"""Quaternions, rotations and frames: the one place where an order or a sign is decided.
+
+Frames: world NED (north, east, down); body FRD (forward, right, down); camera as OpenCV has it
+(x right in the image, y down in the image, z along the optical axis); pad FRD-like (x along the
+pad's heading, y to its right, z down into the ground).
+
+Quaternions are Hamilton, (w, x, y, z), and turn body vectors into NED: v_ned = q * v_body * conj(q).
+Everything here works on plain floats: at these sizes a tuple is several times faster than an array.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+Vector3 = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+FloatArray = NDArray[np.float64]
+
+GRAVITY_M_S2: Final = 9.80665
+IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+ZERO3: Final[Vector3] = (0.0, 0.0, 0.0)
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """Return the same angle in (-pi, pi]."""
+    wrapped = math.remainder(angle_rad, math.tau)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def add(a: Vector3, b: Vector3) -> Vector3:
+    """Sum of two vectors."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def subtract(a: Vector3, b: Vector3) -> Vector3:
+    """Difference a - b of two vectors."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(a: Vector3, factor: float) -> Vector3:
+    """Vector times scalar."""
+    return (a[0] * factor, a[1] * factor, a[2] * factor)
+
+
+def dot(a: Vector3, b: Vector3) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector3, b: Vector3) -> Vector3:
+    """Vector product a x b."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def norm(a: Vector3) -> float:
+    """Euclidean length."""
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+def vector3(values: FloatArray | list[float] | tuple[float, ...]) -> Vector3:
+    """Three plain floats from any sequence of three.
+
+    Raises:
+        ValueError: the sequence does not hold exactly three values.
+    """
+    x, y, z = values
+    return (float(x), float(y), float(z))
+
+
+def quat_multiply(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Hamilton product p * q: first q's rotation, then p's."""
+    pw, px, py, pz = p
+    qw, qx, qy, qz = q
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+    )
+
+
+def quat_conjugate(q: Quaternion) -> Quaternion:
+    """The inverse rotation of a unit quaternion."""
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def quat_normalise(q: Quaternion) -> Quaternion:
+    """Scale to unit length.
+
+    Raises:
+        ZeroDivisionError: q is zero.
+    """
+    n = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
+
+
+def quat_rotate(q: Quaternion, v: Vector3) -> Vector3:
+    """Turn v by q: body to NED for an attitude quaternion."""
+    w, x, y, z = q
+    tx = 2.0 * (y * v[2] - z * v[1])
+    ty = 2.0 * (z * v[0] - x * v[2])
+    tz = 2.0 * (x * v[1] - y * v[0])
+    return (
+        v[0] + w * tx + y * tz - z * ty,
+        v[1] + w * ty + z * tx - x * tz,
+        v[2] + w * tz + x * ty - y * tx,
+    )
+
+
+def quat_rotate_inverse(q: Quaternion, v: Vector3) -> Vector3:
+    """Turn v by the inverse of q: NED to body for an attitude quaternion."""
+    return quat_rotate(quat_conjugate(q), v)
+
+
+def quat_from_rotation_vector(rotation: Vector3) -> Quaternion:
+    """Unit quaternion of a rotation by |rotation| rad about its direction."""
+    angle = norm(rotation)
+    if angle < 1e-9:
+        return quat_normalise((1.0, 0.5 * rotation[0], 0.5 * rotation[1], 0.5 * rotation[2]))
+    s = math.sin(0.5 * angle) / angle
+    return (math.cos(0.5 * angle), rotation[0] * s, rotation[1] * s, rotation[2] * s)
+
+
+def rotation_vector_from_quat(q: Quaternion) -> Vector3:
+    """Rotation vector (rad, shortest way) of a unit quaternion."""
+    w, x, y, z = q if q[0] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
+    s = math.sqrt(x * x + y * y + z * z)
+    if s < 1e-12:
+        return (2.0 * x, 2.0 * y, 2.0 * z)
+    k = 2.0 * math.atan2(s, w) / s
+    return (x * k, y * k, z * k)
+
+
+def quat_integrate(q: Quaternion, rate_body_rad_s: Vector3, dt_s: float) -> Quaternion:
+    """Attitude after dt at a constant body rate (the exact solution of q' = q * (0, w) / 2)."""
+    return quat_normalise(quat_multiply(q, quat_from_rotation_vector(scale(rate_body_rad_s, dt_s))))
+
+
+def quat_from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """Attitude from aerospace angles (yaw, then pitch, then roll)."""
+    cr, sr = math.cos(0.5 * roll_rad), math.sin(0.5 * roll_rad)
+    cp, sp = math.cos(0.5 * pitch_rad), math.sin(0.5 * pitch_rad)
+    cy, sy = math.cos(0.5 * yaw_rad), math.sin(0.5 * yaw_rad)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def euler_from_quat(q: Quaternion) -> Vector3:
+    """Roll, pitch, yaw (rad) of an attitude; pitch is clamped to +-pi/2 at gimbal lock."""
+    w, x, y, z = q
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+    return (roll, pitch, yaw_from_quat(q))
+
+
+def yaw_from_quat(q: Quaternion) -> float:
+    """Heading (rad, clockwise from north seen from above) of an attitude."""
+    w, x, y, z = q
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def tilt_from_quat(q: Quaternion) -> float:
+    """Angle (rad) between the body's down axis and the world's."""
+    _, x, y, _ = q
+    return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
+
+
+def rotate_yaw(v: Vector3, yaw_rad: float) -> Vector3:
+    """Turn v about the down axis, clockwise seen from above."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return (c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
+
+
+def matrix_from_quat(q: Quaternion) -> FloatArray:
+    """3x3 rotation matrix R with v_ned = R v_body."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quat_from_matrix(matrix: FloatArray) -> Quaternion:
+    """Unit quaternion (w >= 0) of a 3x3 rotation matrix, by its largest component (Shepperd's method)."""
+    m = [[float(value) for value in row] for row in matrix]
+    trace = m[0][0] + m[1][1] + m[2][2]
+    squares = (trace, m[0][0], m[1][1], m[2][2])
+    largest = squares.index(max(squares))
+    if largest == 0:
+        q = (1.0 + trace, m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1])
+    elif largest == 1:
+        q = (m[2][1] - m[1][2], 1.0 + 2 * m[0][0] - trace, m[0][1] + m[1][0], m[0][2] + m[2][0])
+    elif largest == 2:
+        q = (m[0][2] - m[2][0], m[0][1] + m[1][0], 1.0 + 2 * m[1][1] - trace, m[1][2] + m[2][1])
+    else:
+        q = (m[1][0] - m[0][1], m[0][2] + m[2][0], m[1][2] + m[2][1], 1.0 + 2 * m[2][2] - trace)
+    unit = quat_normalise(q)
+    return unit if unit[0] >= 0.0 else (-unit[0], -unit[1], -unit[2], -unit[3])
+
+
+# A camera that looks straight down with the image's top edge forward: the image's right is the
+# body's right, the image's down is the body's back, the optical axis is the body's down.
+BODY_FROM_DOWNWARD_CAMERA: Final[Quaternion] = quat_from_matrix(
+    np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+)
+
+
+def ned_from_geodetic(
+    latitude_deg: float, longitude_deg: float, altitude_m: float, origin: Vector3
+) -> Vector3:
+    """Position NED (m) relative to the origin (latitude deg, longitude deg, altitude m), on WGS-84."""
+    return vector3(pymap3d.geodetic2ned(latitude_deg, longitude_deg, altitude_m, *origin))
+
+
+def geodetic_from_ned(position_ned_m: Vector3, origin: Vector3) -> Vector3:
+    """Latitude (deg), longitude (deg), altitude (m): the inverse of `ned_from_geodetic`."""
+    return vector3(pymap3d.ned2geodetic(*position_ned_m, *origin))

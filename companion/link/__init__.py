@@ -1,0 +1,1 @@
+"""Link: setpoints, telemetry and actions to and from the autopilot over MAVLink."""

@@ -1,0 +1,1 @@
+"""Sense: bytes and pixels to SI units. Frames to pad sightings, registers and serial bytes to samples."""
