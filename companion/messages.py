@@ -124,7 +124,11 @@ class FrameReport:
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """The vehicle at time_s by the 31-state EKF; position from the first GPS fix."""
+    """The vehicle at time_s by the 31-state EKF.
+
+    `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
+    fix and None before it.
+    """
 
     time_s: float
     attitude: Quaternion
@@ -139,6 +143,7 @@ class VehicleState:
     position_std_m: float
     aligned: bool
     has_gps: bool
+    origin: Vector3 | None = None
 
 
 @dataclass(frozen=True, slots=True)
