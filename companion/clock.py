@@ -81,6 +81,11 @@ class Clock:
         await asyncio.sleep(modelled_s)
         return result
 
+    async def spend(self, modelled_s: float) -> None:
+        """In virtual time let `modelled_s` pass, for what was just computed on the loop; else nothing."""
+        if self.virtual:
+            await asyncio.sleep(modelled_s)
+
 
 def wall_clock_s() -> float:
     """Seconds of real time, whatever the loop says: for reporting how fast a simulation ran."""

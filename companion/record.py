@@ -1,0 +1,224 @@
+"""The flight log: every message that crossed a border, as MCAP for people and as lists for the score.
+
+`FlightLog` keeps the topics that scoring needs in memory; with a folder it also streams every message to
+`flight.mcap` (JSON with a JSON schema for each topic: Foxglove opens it) and the MAVLink traffic to
+`flight.tlog` (the format of MAVProxy and pymavlink: 8 bytes of microseconds since 1970, then the packet).
+A log cut short by a crash or a flat battery still reads up to its last finished chunk.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import struct
+from collections import defaultdict
+from pathlib import Path
+from typing import IO, Any, Final, Literal
+
+import cv2
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from pydantic_core import to_json
+
+from companion.config import ConfigError
+from companion.messages import Frame
+
+# What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
+KEPT_TOPICS: Final = frozenset(
+    {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
+)
+MCAP_CHUNK_BYTES: Final = 64 * 1024
+FRAME_JPEG_QUALITY: Final = 85
+MAVLINK2_MAGIC: Final = 0xFD
+MAVLINK1_MAGIC: Final = 0xFE
+
+
+class FlightLog:
+    """Takes every message with the time it was written; hands back the kept ones by topic."""
+
+    def __init__(self, folder: Path | None, start_unix_s: float, frame_rate_hz: float = 5.0) -> None:
+        """Open the log.
+
+        Args:
+            folder: where to leave flight.mcap and flight.tlog; None keeps nothing on disk.
+            start_unix_s: seconds since 1970 at loop time 0.
+            frame_rate_hz: how many of the camera's frames go to disk a second.
+
+        Raises:
+            ConfigError: the folder cannot be made or written.
+        """
+        self.kept: defaultdict[str, list[Any]] = defaultdict(list)
+        self._start_unix_s = start_unix_s
+        self._frame_period_s = 1.0 / frame_rate_hz
+        self._next_frame_s = float("-inf")
+        self._mcap: _McapFile | None = None
+        self._tlog: _TlogFile | None = None
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                self._mcap = _McapFile(folder / "flight.mcap")
+                self._tlog = _TlogFile(folder / "flight.tlog")
+            except OSError as error:
+                raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
+
+    def write(self, topic: str, message: Any, time_s: float) -> None:
+        """Log one message (a dataclass of companion.messages) under a topic."""
+        if topic in KEPT_TOPICS:
+            self.kept[topic].append(message)
+        if self._mcap is not None:
+            self._mcap.write(topic, message, self._unix_ns(time_s))
+
+    def write_frame(self, frame: Frame, time_s: float) -> None:
+        """Log a camera frame as a compressed image, at the log's own rate."""
+        if self._mcap is None or time_s < self._next_frame_s:
+            return
+        self._next_frame_s = time_s + self._frame_period_s
+        self._mcap.write_image(frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+
+    def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
+        """Log MAVLink bytes as they came or went; a packet cut by a read is joined with its rest."""
+        if self._tlog is not None:
+            self._tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+
+    def close(self) -> None:
+        """Finish the files; the log takes nothing after that."""
+        if self._mcap is not None:
+            self._mcap.close()
+            self._mcap = None
+        if self._tlog is not None:
+            self._tlog.close()
+            self._tlog = None
+
+    def _unix_ns(self, time_s: float) -> int:
+        return int((self._start_unix_s + time_s) * 1e9)
+
+
+class _McapFile:
+    """One MCAP file with a channel for each topic."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=MCAP_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library="companion")
+        self._channels: dict[str, int] = {}
+
+    def write(self, topic: str, message: Any, unix_ns: int) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._register(topic, type(message).__name__, schema_of(type(message)))
+        self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=encode(message))
+
+    def write_image(self, frame: Frame, exposure_unix_ns: int, unix_ns: int) -> None:
+        channel = self._channels.get("camera")
+        if channel is None:
+            channel = self._register("camera", "foxglove.CompressedImage", _IMAGE_SCHEMA)
+        _, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, FRAME_JPEG_QUALITY])
+        seconds, nanoseconds = divmod(exposure_unix_ns, 1_000_000_000)
+        image = {
+            "timestamp": {"sec": seconds, "nsec": nanoseconds},
+            "frame_id": "camera",
+            "data": base64.b64encode(jpeg.tobytes()).decode("ascii"),
+            "format": "jpeg",
+        }
+        data = json.dumps(image).encode()
+        self._writer.add_message(channel, log_time=unix_ns, publish_time=exposure_unix_ns, data=data)
+
+    def close(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.close()
+
+    def _register(self, topic: str, name: str, schema: dict[str, Any]) -> int:
+        schema_id = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+        self._channels[topic] = self._writer.register_channel(f"/{topic}", "json", schema_id)
+        return self._channels[topic]
+
+
+class _TlogFile:
+    """One .tlog file; each direction is cut into packets by itself."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream: IO[bytes] = path.open("wb")
+        self._rest = {"in": b"", "out": b""}
+
+    def write(self, data: bytes, unix_us: int, direction: str) -> None:
+        stamp = struct.pack(">Q", unix_us)
+        packets, self._rest[direction] = split_packets(self._rest[direction] + data)
+        for packet in packets:
+            self._stream.write(stamp + packet)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
+    """Cut a run of MAVLink bytes into whole packets and the unfinished rest; garbage is passed over."""
+    packets: list[bytes] = []
+    at = 0
+    while at < len(data):
+        if data[at] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
+            at += 1
+            continue
+        length = _packet_length(data, at)
+        if length is None or at + length > len(data):
+            break
+        packets.append(data[at : at + length])
+        at += length
+    return packets, data[at:]
+
+
+def _packet_length(data: bytes, at: int) -> int | None:
+    """Bytes of the packet that starts at `at`; None while its header is not all there."""
+    if at + 3 > len(data):
+        return None
+    payload = data[at + 1]
+    if data[at] == MAVLINK1_MAGIC:
+        return payload + 8
+    return payload + 12 + (13 if data[at + 2] & 1 else 0)
+
+
+def encode(message: Any) -> bytes:
+    """JSON of a message dataclass; arrays become lists, NaN and infinity become null."""
+    return to_json(message, inf_nan_mode="null", fallback=_plain)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"cannot log a {type(value).__name__}")
+
+
+def schema_of(kind: type[Any]) -> dict[str, Any]:
+    """A JSON schema of a message dataclass, as much as Foxglove needs to plot its fields."""
+    properties: dict[str, Any] = {}
+    for item in dataclasses.fields(kind):
+        properties[item.name] = _schema_of_annotation(str(item.type))
+    return {"type": "object", "title": kind.__name__, "properties": properties}
+
+
+_SEQUENCES: Final = ("Vector3", "Quaternion", "tuple", "FloatArray", "NDArray", "list")
+_SCALARS: Final = {"float": "number", "int": "integer", "bool": "boolean"}
+
+
+def _schema_of_annotation(annotation: str) -> dict[str, Any]:
+    if annotation.startswith(_SEQUENCES):
+        return {"type": "array", "items": {}}
+    if annotation.startswith("dict"):
+        return {"type": "object"}
+    return {"type": _SCALARS.get(annotation.split(" ", maxsplit=1)[0], "string")}
+
+
+_IMAGE_SCHEMA: Final = {
+    "type": "object",
+    "title": "foxglove.CompressedImage",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+        },
+        "frame_id": {"type": "string"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+        "format": {"type": "string"},
+    },
+}

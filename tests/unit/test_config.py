@@ -1,0 +1,77 @@
+"""Settings: what is wrong is said in one line with the file, the key and what was expected."""
+
+from pathlib import Path
+
+import pytest
+
+from companion.config import (
+    CONFIG_FOLDER,
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    VehicleConfig,
+    find_file,
+    load_config,
+    load_model,
+    merge,
+)
+from companion.pad import load_pad
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "companion.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("pad: [", "broken YAML"),
+        ("- 1\n- 2\n", "expected a mapping"),
+        ("wings: 2\n", "unknown key 'wings'"),
+        ("plan: {rate_hz: 1000}\n", "plan.rate_hz: expected less than or equal to 100, found 1000"),
+        ("plan: {rate_hz: fast}\n", "plan.rate_hz"),
+        ("control: {limits: {tilt_deg: .nan}}\n", "control.limits.tilt_deg"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, expected: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    line = str(caught.value)
+    assert expected in line
+    assert str(path) in line
+    assert "\n" not in line
+
+
+def test_a_missing_file_names_what_there_is() -> None:
+    with pytest.raises(ConfigError, match=r"no 'nowhere'; expected .* moving_1300"):
+        find_file("pads", "nowhere")
+
+
+def test_an_unreadable_file_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(tmp_path / "absent.yaml")
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="not UTF-8"):
+        load_config(binary)
+
+
+def test_overrides_lie_over_the_file_and_leave_the_rest(tmp_path: Path) -> None:
+    path = write(tmp_path, "plan: {rate_hz: 20, fuzzy: landing}\n")
+    config = load_config(path, {"plan": {"rate_hz": 40.0}})
+    assert config.plan.rate_hz == 40.0
+    assert config.plan.fuzzy == "landing"
+    assert merge({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
+
+
+def test_every_shipped_settings_file_loads() -> None:
+    assert isinstance(load_config(CONFIG_FOLDER / "companion.yaml"), CompanionConfig)
+    for path in (CONFIG_FOLDER / "pads").glob("*.yaml"):
+        assert load_pad(path).markers
+    for path in (CONFIG_FOLDER / "cameras").glob("*.yaml"):
+        assert load_model(CameraConfig, path).fx_px > 0
+    for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"):
+        assert load_model(VehicleConfig, path).leg_height_m > 0
