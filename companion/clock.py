@@ -92,9 +92,9 @@ def wall_clock_s() -> float:
     return time.perf_counter()
 
 
-def unix_time_s() -> float:
-    """Seconds since 1970 for file names and log headers; never for estimation or control."""
-    return time.time()
+def start_unix_s(*, virtual: bool) -> float:
+    """Seconds since 1970 at loop time 0, for the stamps in logs; never for estimation or control."""
+    return time.time() if virtual else time.time() - time.monotonic()
 
 
 def run_in_virtual_time(main: Coroutine[Any, Any, T]) -> T:

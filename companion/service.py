@@ -1,0 +1,44 @@
+"""What systemd is told: that the app is ready, that its control loop is alive, and what it does.
+
+The protocol of sd_notify(3): one datagram of KEY=VALUE lines to the socket named in NOTIFY_SOCKET.
+Without that variable (on the desk) nothing is sent.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+
+
+class ServiceNotifier:
+    """Sends states to the service manager, if there is one."""
+
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if address else None
+
+    def ready(self) -> None:
+        """The start is done (Type=notify)."""
+        self._send("READY=1")
+
+    def alive(self) -> None:
+        """The control loop has turned once more (WatchdogSec)."""
+        self._send("WATCHDOG=1")
+
+    def status(self, text: str) -> None:
+        """One line for `systemctl status`."""
+        self._send(f"STATUS={text}")
+
+    def stopping(self) -> None:
+        """The end has begun."""
+        self._send("STOPPING=1")
+
+    def _send(self, line: str) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.sendto(line.encode(), self._address)
+        except OSError:
+            # a manager that went away must not take the vehicle with it
+            self._socket = None

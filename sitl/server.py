@@ -1,0 +1,185 @@
+"""`companion-sitl`: the simulator as a process of its own, in real time.
+
+It serves MAVLink on a UDP port, the GPS and the ultrasonic on ptys, the MPU9250's registers and the
+camera's frames on unix sockets, and tells where by one line of JSON on standard output (the keys are the
+app's settings). Then it flies until standard input says `finish PHASE`, which makes it judge the flight
+and write `report.json` to its folder, or until standard input ends: a simulator whose parent has died
+does not stay behind.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import errno
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+from companion.config import ConfigError
+from companion.messages import Phase
+from sitl.devices.ports import PtyPort
+from sitl.devices.register_server import serve_registers
+from sitl.frame_server import FrameServer
+from sitl.scenario import Scenario, load_scenario
+from sitl.simulation import Simulation, write_report
+
+REPORT_NAME: Final = "report.json"
+USER_ERROR: Final = 2
+SENSOR_BAUD: Final = 9600
+
+
+class UdpLink(asyncio.DatagramProtocol):
+    """The vehicle's end of MAVLink over UDP: listens, and answers whoever spoke last."""
+
+    def __init__(self) -> None:
+        self._inbox: asyncio.Queue[bytes] = asyncio.Queue(maxsize=1000)
+        self._socket: asyncio.DatagramTransport | None = None
+        self._peer: tuple[str, int] | None = None
+
+    async def open(self, host: str, port: int) -> int:
+        """Bind and return the port (a free one for 0).
+
+        Raises:
+            ConfigError: the port is taken or the host is not ours.
+        """
+        try:
+            transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+                lambda: self, local_addr=(host, port)
+            )
+        except OSError as error:
+            reason = "already in use" if error.errno == errno.EADDRINUSE else error.strerror
+            raise ConfigError(f"UDP port {host}:{port}: {reason}; expected a free port") from error
+        self._socket = transport
+        address: tuple[str, int] = transport.get_extra_info("sockname")
+        return address[1]
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """asyncio: a datagram came."""
+        self._peer = addr
+        with contextlib.suppress(asyncio.QueueFull):
+            self._inbox.put_nowait(data)
+
+    def error_received(self, exc: Exception) -> None:
+        """asyncio: the peer is gone; the next one may come."""
+
+    async def read(self) -> bytes:
+        """Wait for a datagram."""
+        return await self._inbox.get()
+
+    def write(self, data: bytes) -> None:
+        """Send to the last peer, if there has been one."""
+        if self._socket is not None and self._peer is not None:
+            self._socket.sendto(data, self._peer)
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self._socket is not None:
+            self._socket.close()
+
+
+async def serve(scenario: Scenario, seed: int, folder: Path, port: int) -> None:
+    """Run a simulation until standard input says so; see the module's docstring.
+
+    Raises:
+        ConfigError: a port is taken, or a settings file that the scenario names is wrong.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        link = UdpLink()
+        udp_port = await link.open("127.0.0.1", port)
+        stack.callback(link.close)
+        gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
+        stack.callback(gps_port.close)
+        stack.callback(range_port.close)
+        frames = FrameServer(folder / "camera")
+        await frames.start()
+        stack.push_async_callback(frames.close)
+        simulation = Simulation(
+            scenario,
+            seed,
+            link=link,
+            gps_port=gps_port,
+            range_port=range_port,
+            deliver_frame=frames.send,
+        )
+        registers = await serve_registers(simulation.imu_bus, folder / "registers")
+        stack.callback(registers.close)
+        _say(_endpoints(udp_port, gps_port.path, range_port.path, folder))
+        await _fly_until_told(simulation, folder)
+
+
+def _endpoints(udp_port: int, gps_path: str, range_path: str, folder: Path) -> dict[str, Any]:
+    """The app's settings that lead here."""
+    return {
+        "link": {"connection": f"udp:127.0.0.1:{udp_port}"},
+        "sense": {
+            "imu": {"bus": f"socket:{folder / 'registers'}"},
+            "gps": {"port": gps_path},
+            "range": {"port": range_path},
+            "vision": {"source": f"socket:{folder / 'camera'}"},
+        },
+    }
+
+
+async def _fly_until_told(simulation: Simulation, folder: Path) -> None:
+    flying = asyncio.create_task(simulation.run())
+    listening = asyncio.create_task(_final_phase())
+    await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
+    if flying.done():
+        listening.cancel()
+        flying.result()
+    phase = listening.result()
+    flying.cancel()
+    await asyncio.wait([flying])
+    if phase is not None:
+        write_report(simulation.report(phase), folder / REPORT_NAME)
+        _say({"report": str(folder / REPORT_NAME)})
+
+
+async def _final_phase() -> Phase | None:
+    """Wait for `finish PHASE` on standard input; None when it ends without."""
+    loop = asyncio.get_running_loop()
+    reader = asyncio.StreamReader()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    while line := (await reader.readline()).decode().split():
+        if line[0] == "finish" and len(line) == 2:
+            return Phase(line[1])
+    return None
+
+
+def _say(message: dict[str, Any]) -> None:
+    print(json.dumps(message), flush=True)
+
+
+def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="companion-sitl", description=__doc__.split("\n")[0])
+    parser.add_argument("--scenario", default="line", help="name in configs/scenarios, or a file")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--port", type=int, default=0, help="UDP port; 0 takes a free one")
+    parser.add_argument("--folder", type=Path, help="where the sockets go; default: a temporary folder")
+    return parser.parse_args(arguments)
+
+
+def main() -> None:
+    """Entry point."""
+    arguments = parse_arguments()
+    try:
+        scenario = load_scenario(arguments.scenario)
+        with contextlib.ExitStack() as stack:
+            folder = arguments.folder or Path(
+                stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-"))
+            )
+            asyncio.run(serve(scenario, arguments.seed, folder, arguments.port))
+    except ConfigError as error:
+        print(f"companion-sitl: {error}", file=sys.stderr)
+        sys.exit(USER_ERROR)
+    except KeyboardInterrupt:
+        pass
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,333 @@
+"""One simulated vehicle put together: world, autopilot, sensors, camera and the ground station.
+
+`Simulation.run` drives them on the running loop. In virtual time the loop jumps from tick to tick; in
+real time a tick that comes late is made up for, so that the physics never loses time. What the app may
+have leaves as registers, serial bytes, frames and MAVLink; the truth leaves in `report`, for scoring alone.
+
+The world counts from 0 at the loop's time `start_s`; stamps that leave it (frames, truth) are loop time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from companion.clock import Clock
+from companion.config import CameraConfig, ImuConfig, VehicleConfig, find_file, load_model
+from companion.geometry import Quaternion, Vector3, add, quat_rotate, quat_rotate_inverse
+from companion.messages import Frame, Phase, Truth
+from companion.pad import load_pad
+from companion.slots import Slot
+from sitl import camera as lens
+from sitl.autopilot import Autopilot
+from sitl.devices.ak8963 import Ak8963Device
+from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.neo6m import Neo6mDevice
+from sitl.devices.ports import DevicePort
+from sitl.devices.ultrasonic import UltrasonicDevice
+from sitl.endpoint import MavlinkEndpoint
+from sitl.ground_station import GroundStation
+from sitl.inertial import ImuErrors, ImuSensor
+from sitl.scenario import Scenario, SensorSettings
+from sitl.score import judge
+from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
+from sitl.world import World
+
+PHYSICS_STEP_S: Final = 1.0 / 400.0
+STEPS_PER_TICK: Final = 2
+TICK_S: Final = PHYSICS_STEP_S * STEPS_PER_TICK
+TRUTH_EVERY_TICKS: Final = 4
+GPS_EVERY_TICKS: Final = 2
+RANGE_EVERY_TICKS: Final = 2
+# latitude (deg), longitude (deg), altitude (m) of the world's origin, and the field there (WMM 2025, rounded)
+HOME: Final[Vector3] = (47.0, 8.0, 400.0)
+MAGNETIC_FIELD_NED_UT: Final[Vector3] = (20.9, 0.6, 42.9)
+GPS_ANTENNA_BODY_M: Final[Vector3] = (0.0, 0.0, -0.05)
+OUT_OF_RANGE_M: Final = 99.0
+
+
+class ByteLink(Protocol):
+    """The vehicle's end of the MAVLink line."""
+
+    async def read(self) -> bytes:
+        """Wait for at least one byte."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting."""
+        ...
+
+
+class MemoryFrames:
+    """The camera of an app in the same process: the newest frame wins."""
+
+    def __init__(self) -> None:
+        self._slot: Slot[Frame] = Slot()
+
+    def deliver(self, frame: Frame) -> None:
+        """A frame has come over."""
+        self._slot.put(frame)
+
+    async def next(self) -> Frame:
+        """Wait for a frame newer than the last."""
+        return await self._slot.next()
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationReport:
+    """How a flight ended by the truth, and the truth itself."""
+
+    outcome: str
+    failures: tuple[str, ...]
+    touchdown: dict[str, float] | None
+    pad_speed_m_s: float
+    duration_s: float
+    truth: tuple[Truth, ...]
+
+
+class Simulation:
+    """A scenario under one seed. Make it inside the running loop, whose time it takes as its start."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        *,
+        link: ByteLink,
+        gps_port: DevicePort,
+        range_port: DevicePort,
+        deliver_frame: Callable[[Frame], None],
+    ) -> None:
+        """Build the world and plug the devices in.
+
+        Raises:
+            ConfigError: a settings file that the scenario names is missing or wrong.
+        """
+        self._scenario = scenario
+        self._clock = Clock()
+        self._start_s = self._clock.now_s()
+        self._link, self._gps_port, self._range_port = link, gps_port, range_port
+        streams = iter(np.random.default_rng(seed).spawn(9))
+        self._world = World(scenario, seed)
+        body = self._world.airframe.body
+        self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
+        self._endpoint = MavlinkEndpoint(self._autopilot)
+        self._ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME)
+        self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
+        self.imu_bus = _imu(scenario.sensors, next(streams), next(streams))
+        self._gps = _gps(scenario.sensors, next(streams))
+        self._range, self._range_beam_rad = _range(scenario.sensors, next(streams))
+        self._camera = _Camera(scenario, self._vehicle, self._world, next(streams), next(streams))
+        self._deliver_frame = deliver_frame
+        self._truth: list[Truth] = []
+        self._ticks = 0
+
+    async def run(self) -> None:
+        """Go on until cancelled."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._receive())
+            while True:
+                self._tick()
+                self._ticks += 1
+                await self._clock.sleep_until(self._start_s + self._ticks * TICK_S)
+
+    def report(self, final_phase: Phase) -> SimulationReport:
+        """Judge the flight as it stands; `final_phase` is the app's last."""
+        world = self._world
+        verdict = judge(
+            world.touchdown,
+            self._scenario.pass_bounds,
+            crashed=world.crashed,
+            at_rest_on_pad=world.at_rest_on_pad,
+            disarmed=not self._autopilot.armed,
+            final_phase=final_phase,
+        )
+        pad_speed = (
+            float(np.linalg.norm(world.pad_state.velocity_ned_m_s))
+            if world.touchdown is None
+            else world.touchdown.pad_speed_m_s
+        )
+        return SimulationReport(
+            outcome=verdict.outcome.value,
+            failures=verdict.failures,
+            touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
+            pad_speed_m_s=pad_speed,
+            duration_s=world.time_s,
+            truth=tuple(self._truth),
+        )
+
+    # ------------------------------------------------------------ one tick
+
+    def _tick(self) -> None:
+        for _ in range(STEPS_PER_TICK):
+            self._step_physics()
+        now_s = self._world.time_s
+        if self._ticks % GPS_EVERY_TICKS == 0:
+            self._sense_gps(now_s)
+        if self._ticks % RANGE_EVERY_TICKS == 0:
+            self._sense_range(now_s)
+        self._expose(now_s)
+        self._talk(now_s)
+        if self._ticks % TRUTH_EVERY_TICKS == 0:
+            self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
+
+    def _step_physics(self) -> None:
+        world = self._world
+        truth = world.truth()
+        motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
+        world.step(motors, PHYSICS_STEP_S)
+        field_body = quat_rotate_inverse(truth.vehicle_attitude, MAGNETIC_FIELD_NED_UT)
+        throttle = 0.25 * sum(motors)
+        self.imu_bus.step(
+            world.time_s, world.specific_force_body_m_s2, world.rate_body_rad_s, field_body, throttle
+        )
+
+    def _sense_gps(self, now_s: float) -> None:
+        state = self._world.state
+        antenna = add(state.position_ned_m, quat_rotate(state.attitude, GPS_ANTENNA_BODY_M))
+        self._gps.receive(self._gps_port.receive())
+        self._gps_port.send(self._gps.step(now_s, antenna, state.velocity_ned_m_s))
+
+    def _sense_range(self, now_s: float) -> None:
+        distance = self._world.range_to_surface_m(self._vehicle.range_position_body_m, self._range_beam_rad)
+        height = OUT_OF_RANGE_M if distance is None else distance
+        self._range_port.send(self._range.step(now_s, height))
+
+    def _expose(self, now_s: float) -> None:
+        """Render what has been exposed; it arrives after the scenario's latency."""
+        taken = self._camera.step(now_s)
+        if taken is None:
+            return
+        frame, delivery_s = taken
+        frame = replace(frame, time_s=self._start_s + frame.time_s)
+
+        def deliver() -> None:
+            self._deliver_frame(replace(frame, received_s=self._clock.now_s()))
+
+        asyncio.get_running_loop().call_at(self._start_s + max(delivery_s, now_s), deliver)
+
+    def _talk(self, now_s: float) -> None:
+        pad = self._world.pad_state
+        data = self._endpoint.transmit(now_s) + self._ground_station.transmit(
+            now_s, pad.position_ned_m, pad.velocity_ned_m_s
+        )
+        if data:
+            self._link.write(data)
+
+    async def _receive(self) -> None:
+        while True:
+            data = await self._link.read()
+            self._endpoint.receive(data, self._world.time_s)
+            self._ground_station.receive(data, self._world.time_s)
+
+
+# ---------------------------------------------------------------- reports between processes
+
+
+def write_report(report: SimulationReport, path: Path) -> None:
+    """Write a report as JSON."""
+    path.write_bytes(TypeAdapter(SimulationReport).dump_json(report))
+
+
+def read_report(path: Path) -> SimulationReport:
+    """Read what `write_report` wrote.
+
+    Raises:
+        OSError: the file cannot be read.
+        pydantic.ValidationError: it is something else.
+    """
+    return TypeAdapter(SimulationReport).validate_json(path.read_bytes())
+
+
+# ---------------------------------------------------------------- parts
+
+
+class _Camera:
+    """Exposes at the camera's rate and renders when the last row has been read."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle: VehicleConfig,
+        world: World,
+        noise_rng: np.random.Generator,
+        latency_rng: np.random.Generator,
+    ) -> None:
+        settings = scenario.camera
+        config = load_model(CameraConfig, find_file("cameras", settings.config))
+        develop = lens.CameraSettings(
+            exposure_s=settings.exposure_s, readout_s=settings.readout_s, noise_grey=settings.noise_grey
+        )
+        self._model = lens.CameraModel(config, vehicle, load_pad(scenario.pad.name), develop, noise_rng)
+        self._world = world
+        self._settings = settings
+        self._rng = latency_rng
+        self._period_s = 1.0 / config.rate_hz
+        self._sequence = 0
+        self._next_s = self._period_s
+
+    def step(self, now_s: float) -> tuple[Frame, float] | None:
+        """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
+        if now_s < self._next_s + 0.5 * self._model.span_s:
+            return None
+        time_s = self._next_s
+        self._next_s += self._period_s
+        image = self._model.render(time_s, self._scene_at)
+        late = self._settings.latency_s + self._settings.latency_jitter_s * float(self._rng.uniform(-1.0, 1.0))
+        frame = Frame(time_s=time_s, received_s=time_s, sequence=self._sequence, image=image)
+        self._sequence += 1
+        return frame, time_s + late
+
+    def _scene_at(self, time_s: float) -> lens.ScenePose:
+        truth = self._world.truth_at(time_s)
+        return lens.ScenePose(
+            vehicle_position_ned_m=truth.vehicle_position_ned_m,
+            vehicle_attitude=truth.vehicle_attitude,
+            pad_position_ned_m=truth.pad_position_ned_m,
+            pad_heading_rad=truth.pad_heading_rad,
+        )
+
+
+def _imu(
+    settings: SensorSettings, imu_rng: np.random.Generator, mag_rng: np.random.Generator
+) -> Mpu9250Device:
+    mounting: Quaternion = ImuConfig().body_from_sensor()
+    k, m = settings.imu_noise_factor, settings.mag_noise_factor
+    plain, plain_mag = ImuErrors(), MagErrors()
+    errors = replace(
+        plain,
+        gyro_noise_rad_s_rthz=plain.gyro_noise_rad_s_rthz * k,
+        accel_noise_m_s2_rthz=plain.accel_noise_m_s2_rthz * k,
+        vibration_m_s2=plain.vibration_m_s2 * k,
+        vibration_rad_s=plain.vibration_rad_s * k,
+    )
+    magnetometer = MagSensor(replace(plain_mag, noise_ut=plain_mag.noise_ut * m), mag_rng, mounting)
+    return Mpu9250Device(ImuSensor(errors, imu_rng, PHYSICS_STEP_S, mounting), Ak8963Device(magnetometer))
+
+
+def _gps(settings: SensorSettings, rng: np.random.Generator) -> Neo6mDevice:
+    k, plain = settings.gps_noise_factor, GpsErrors()
+    errors = replace(
+        plain,
+        noise_m=plain.noise_m * k,
+        wander_horizontal_m=plain.wander_horizontal_m * k,
+        wander_vertical_m=plain.wander_vertical_m * k,
+        speed_noise_m_s=plain.speed_noise_m_s * k,
+        climb_noise_m_s=plain.climb_noise_m_s * k,
+    )
+    return Neo6mDevice(GpsSensor(errors, rng, HOME), settings.gps_delay_s)
+
+
+def _range(settings: SensorSettings, rng: np.random.Generator) -> tuple[UltrasonicDevice, float]:
+    k, plain = settings.range_noise_factor, RangeErrors()
+    errors = replace(plain, noise_m=plain.noise_m * k, noise_share=plain.noise_share * k)
+    return UltrasonicDevice(RangeSensor(errors, rng)), errors.half_beam_rad
