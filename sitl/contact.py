@@ -100,7 +100,7 @@ class Contact:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
         if state.position_ned_m[2] + self._reach_m < min(0.0, pad.position_ned_m[2]) - 0.05:
-            self._release()
+            self.release()
             return NO_CONTACT
         soon = pad._replace(
             position_ned_m=add(pad.position_ned_m, scale(pad.velocity_ned_m_s, half)),
@@ -118,7 +118,8 @@ class Contact:
             return NO_CONTACT
         return ContactLoad(force, torque, touched["board"], touched["ground"])
 
-    def _release(self) -> None:
+    def release(self) -> None:
+        """Forget what was touched."""
         for point in self._points:
             point.surface = None
 

@@ -12,10 +12,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import Quaternion, Vector3, quat_rotate
+from companion.geometry import Vector3, quat_rotate
 from companion.pad import Pad
 from sitl.pad_motion import PadTruth
-from sitl.quadrotor import NO_RATIO, Four
+from sitl.quadrotor import NO_RATIO, Four, QuadrotorState
 
 # The formula is a mirrored source and holds for z / R > 0.5 (their own limit); nearer it is frozen.
 LOWEST_HEIGHT_IN_RADII: Final = 0.5
@@ -67,21 +67,21 @@ def thrust_ratio(height_m: float, radius_m: float) -> float:
 
 
 def rotor_ratios(
-    position_ned_m: Vector3,
-    attitude: Quaternion,
+    state: QuadrotorState,
     rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
     radius_m: float,
     board: Board,
     pad: PadTruth,
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""
+    position = state.position_ned_m
     highest_surface = min(0.0, pad.position_ned_m[2])
-    if highest_surface - position_ned_m[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
+    if highest_surface - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
         return NO_RATIO
     ratios = []
     for rotor in rotors_body_m:
-        arm = quat_rotate(attitude, rotor)
-        north, east = position_ned_m[0] + arm[0], position_ned_m[1] + arm[1]
-        height = board.surface_down_m(pad, north, east) - position_ned_m[2] - arm[2]
+        arm = quat_rotate(state.attitude, rotor)
+        north, east = position[0] + arm[0], position[1] + arm[1]
+        height = board.surface_down_m(pad, north, east) - position[2] - arm[2]
         ratios.append(thrust_ratio(height, radius_m))
     return (ratios[0], ratios[1], ratios[2], ratios[3])

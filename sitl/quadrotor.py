@@ -35,7 +35,7 @@ NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
 
 # position NED, velocity NED, quaternion w x y z, body rate
 _Rigid = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
-# what stays the same within a step: see Quadrotor._held
+# what stays the same within a step: wind, drags, accelerations and coupling, see Quadrotor.step
 _Held = tuple[float, ...]
 
 
@@ -126,8 +126,23 @@ class Quadrotor:
             torque_body_n_m: further torque.
         """
         share, mean = self._spin(state.thrust_share, commands, dt_s)
-        held = self._held(
-            state.thrust_share, share, mean, thrust_ratio, wind_ned_m_s, force_ned_n, torque_body_n_m, dt_s
+        speeds, thrust, spin, torque = self._rotors(state.thrust_share, share, mean, thrust_ratio, dt_s)
+        ix, iy, iz = self._inertia
+        held: _Held = (
+            *wind_ned_m_s,
+            self._plane_drag * speeds,
+            self._axial_drag * speeds,
+            self._body_drag,
+            thrust / self.mass_kg,
+            force_ned_n[0] / self.mass_kg,
+            force_ned_n[1] / self.mass_kg,
+            force_ned_n[2] / self.mass_kg + GRAVITY_M_S2,
+            spin / ix,
+            spin / iy,
+            (torque[0] + torque_body_n_m[0]) / ix,
+            (torque[1] + torque_body_n_m[1]) / iy,
+            (torque[2] + torque_body_n_m[2]) / iz,
+            *self._coupling,
         )
         x = state.position_ned_m + state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
         return _packed(state, _rk4(x, held, dt_s), share, dt_s)
@@ -150,50 +165,23 @@ class Quadrotor:
         gap = share - target
         return target + gap * end, target + gap * mean
 
-    def _held(
-        self,
-        old: Four,
-        new: Four,
-        mean: Four,
-        ratio: Four,
-        wind: Vector3,
-        force: Vector3,
-        torque: Vector3,
-        dt_s: float,
-    ) -> _Held:
-        """Eq. (5) in FRD, with what else stays the same within a step, divided by mass and inertia."""
+    def _rotors(
+        self, old: Four, new: Four, mean: Four, ratio: Four, dt_s: float
+    ) -> tuple[float, float, float, Vector3]:
+        """Eq. (5) in FRD over a step: sum of speeds over the full one, thrust (N), rotor momentum, torque."""
         p = self.parameters
-        ix, iy, iz = self._inertia
-        t1, t2, t3, t4 = (
-            mean[0] * ratio[0] * p.max_thrust_n,
-            mean[1] * ratio[1] * p.max_thrust_n,
-            mean[2] * ratio[2] * p.max_thrust_n,
-            mean[3] * ratio[3] * p.max_thrust_n,
-        )
-        # rotor speed goes with the root of thrust; ground effect changes thrust, not drag torque
+        t1 = mean[0] * ratio[0] * p.max_thrust_n
+        t2 = mean[1] * ratio[1] * p.max_thrust_n
+        t3 = mean[2] * ratio[2] * p.max_thrust_n
+        t4 = mean[3] * ratio[3] * p.max_thrust_n
+        # speed goes with the root of thrust; the ground changes a rotor's thrust, not its reaction torque
         w1, w2, w3, w4 = math.sqrt(new[0]), math.sqrt(new[1]), math.sqrt(new[2]), math.sqrt(new[3])
         spin = self._momentum * (w2 + w4 - w1 - w3)
-        before = self._momentum * (
-            math.sqrt(old[1]) + math.sqrt(old[3]) - math.sqrt(old[0]) - math.sqrt(old[2])
-        )
-        yaw = p.torque_to_thrust_m * p.max_thrust_n * (mean[0] - mean[1] + mean[2] - mean[3])
-        speeds = w1 + w2 + w3 + w4
-        return (
-            *wind,
-            self._plane_drag * speeds,
-            self._axial_drag * speeds,
-            self._body_drag,
-            (t1 + t2 + t3 + t4) / self.mass_kg,
-            force[0] / self.mass_kg,
-            force[1] / self.mass_kg,
-            force[2] / self.mass_kg + GRAVITY_M_S2,
-            spin / ix,
-            spin / iy,
-            (torque[0] + p.arm_length_m * (t4 - t2)) / ix,
-            (torque[1] + p.arm_length_m * (t1 - t3)) / iy,
-            (torque[2] + yaw - (spin - before) / dt_s) / iz,
-            *self._coupling,
-        )
+        before = math.sqrt(old[1]) + math.sqrt(old[3]) - math.sqrt(old[0]) - math.sqrt(old[2])
+        spinning_up = (spin - self._momentum * before) / dt_s
+        reaction = p.torque_to_thrust_m * p.max_thrust_n * (mean[0] - mean[1] + mean[2] - mean[3])
+        torque = (p.arm_length_m * (t4 - t2), p.arm_length_m * (t1 - t3), reaction - spinning_up)
+        return w1 + w2 + w3 + w4, t1 + t2 + t3 + t4, spin, torque
 
 
 def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
