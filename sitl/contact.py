@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from companion.config import StrictModel, Vector
+from companion.config import StrictModel
 from companion.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -34,6 +34,8 @@ from sitl.ground import Board
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import QuadrotorState
 
+Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
+Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
 Surface = Literal["board", "ground"]
 # A point that is this deep under the board's top did not come from above: it is beside or beneath it.
 DEEPEST_ENTRY_M: Final = 0.02
@@ -42,7 +44,7 @@ DEEPEST_ENTRY_M: Final = 0.02
 class ContactParameters(StrictModel):
     """The legs; feet are where they are when the vehicle stands, the springs being loaded."""
 
-    feet_body_m: tuple[Vector, Vector, Vector, Vector]
+    feet_body_m: tuple[Place, Place, Place, Place]
     stiffness_n_m: float = Field(ge=100.0, le=20000.0)
     damping_n_s_m: float = Field(ge=0.0, le=200.0)
     friction: float = Field(ge=0.0, le=2.0)

@@ -10,16 +10,20 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable
-from typing import Final, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.special import ellipj
 
 from companion.config import StrictModel
 from companion.geometry import ZERO3, Vector3, add, rotate_yaw, subtract, wrap_angle
 
-Angle = float | Literal["random"]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Angle = Degrees | Literal["random"]
+Heading = Degrees | Literal["along", "random"]
+Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+Seconds = Annotated[float, Field(ge=0.5, le=60.0)]
 WAVES: Final = 6
 TURNS_FOR_S: Final = 1000.0
 CLEAR_OF_HOME_M: Final = 3.0
@@ -56,7 +60,7 @@ Path = Callable[[float], _Place]
 class Meeting(StrictModel):
     """Where and when the pad can be met."""
 
-    point_ned_m: tuple[float, float] = (10.0, 0.0)
+    point_ned_m: tuple[Metres, Metres] = (10.0, 0.0)
     time_s: float = Field(default=22.0, ge=0.0, le=600.0)
     spread_m: float = Field(default=3.0, ge=0.0, le=30.0)
 
@@ -121,7 +125,7 @@ class FigureEightMotion(StrictModel):
     speed_m_s: float = Field(gt=0.0, le=10.0)
     half_length_m: float = Field(gt=0.5, le=100.0)
     axis_deg: Angle = "random"
-    phase: float | Literal["random"] = "random"  # share of a lap
+    phase: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["random"] = "random"  # share of a lap
     meet: Meeting = Meeting()
 
     def path(self, rng: np.random.Generator) -> Path:
@@ -185,10 +189,16 @@ class RandomTurnsMotion(StrictModel):
     kind: Literal["random_turns"]
     speed_m_s: float = Field(gt=0.0, le=10.0)
     max_turn_rate_deg_s: float = Field(default=20.0, gt=0.0, le=90.0)
-    arc_s: tuple[float, float] = (2.0, 5.0)
+    arc_s: tuple[Seconds, Seconds] = (2.0, 5.0)  # shortest and longest
     radius_m: float = Field(default=12.0, ge=2.0, le=200.0)
     course_deg: Angle = "random"
     meet: Meeting = Meeting()
+
+    @model_validator(mode="after")
+    def _shortest_first(self) -> RandomTurnsMotion:
+        if self.arc_s[0] > self.arc_s[1]:
+            raise ValueError(f"arc_s is {list(self.arc_s)}; expected the shortest first, then the longest")
+        return self
 
     def path(self, rng: np.random.Generator) -> Path:
         """Arcs from the origin at time 0."""
@@ -243,11 +253,11 @@ def _arc(arc: _Arc, speed: float, t: float) -> _Place:
 def _lemniscate(arc_m: float, a: float, speed: float, axis_rad: float) -> _Place:
     """The point arc_m along r^4 = a^2 (x^2 - y^2), x along the axis.
 
-    With u the arc over a, r / a = sl(u) = sd(u sqrt 2 | 1/2) / sqrt 2 and y / x = cl(u) = cd(u sqrt 2 | 1/2);
+    With u the arc over a, r / a = sl(u) = sd(u sqrt 2 | 1/2) / sqrt 2 and y / x = cl(u) = cn(u sqrt 2 | 1/2);
     the curvature is 3 r / a^2.
     """
-    sn, cn, dn, _ = (float(value) for value in ellipj(math.sqrt(2.0) * arc_m / a, 0.5))
-    r, cl = sn / dn / math.sqrt(2.0), cn / dn
+    sn, cl, dn, _ = (float(value) for value in ellipj(math.sqrt(2.0) * arc_m / a, 0.5))
+    r = sn / dn / math.sqrt(2.0)
     stretch = math.sqrt(0.5 * (1.0 + r * r))
     x = r * stretch
     tx = cl * stretch * (1.0 + 2.0 * r * r)
@@ -318,7 +328,7 @@ class PadMotion:
 def build_pad_motion(
     settings: Motion,
     surface_height_m: float,
-    heading_deg: float | Literal["along", "random"],
+    heading_deg: Heading,
     rng: np.random.Generator,
 ) -> PadMotion:
     """Draw a motion that can be met where the settings say.

@@ -15,10 +15,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 from pydantic import Field
 
-from companion.config import StrictModel, Vector
+from companion.config import StrictModel
 from companion.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
@@ -26,9 +27,11 @@ from companion.geometry import (
     Quaternion,
     Vector3,
     quat_from_euler,
+    quat_normalise,
     quat_rotate_inverse,
 )
 
+Positive = Annotated[float, Field(gt=1e-5, le=10.0)]
 Four = tuple[float, float, float, float]
 AIR_DENSITY_KG_M3 = 1.225
 NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
@@ -43,7 +46,7 @@ class QuadrotorParameters(StrictModel):
     """The plant's numbers; where they come from stands in configs/airframes/x500.yaml."""
 
     mass_kg: float = Field(gt=0.1, le=20.0)
-    inertia_kg_m2: Vector
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
     arm_length_m: float = Field(gt=0.03, le=1.0)
     rotor_height_m: float = Field(ge=-0.2, le=0.3)
     rotor_radius_m: float = Field(gt=0.02, le=0.5)
@@ -249,12 +252,9 @@ def _packed(old: QuadrotorState, x: _Rigid, share: Four, dt_s: float) -> Quadrot
     rate = 1.0 / dt_s
     v0, w0, q0 = old.velocity_ned_m_s, old.rate_body_rad_s, old.attitude
     force_ned = ((vn - v0[0]) * rate, (ve - v0[1]) * rate, (vd - v0[2]) * rate - GRAVITY_M_S2)
-    # the chord's middle stands for the attitude half-way: (rate dt)^2 / 8 short of a unit
-    middle = (
-        0.5 * (q0[0] + attitude[0]),
-        0.5 * (q0[1] + attitude[1]),
-        0.5 * (q0[2] + attitude[2]),
-        0.5 * (q0[3] + attitude[3]),
+    # the two unit quaternions' mean stands half-way; they are too close to need a sign check
+    halfway = quat_normalise(
+        (q0[0] + attitude[0], q0[1] + attitude[1], q0[2] + attitude[2], q0[3] + attitude[3])
     )
     return QuadrotorState(
         (pn, pe, pd),
@@ -262,6 +262,6 @@ def _packed(old: QuadrotorState, x: _Rigid, share: Four, dt_s: float) -> Quadrot
         attitude,
         (p, q, r),
         share,
-        quat_rotate_inverse(middle, force_ned),
+        quat_rotate_inverse(halfway, force_ned),
         ((p - w0[0]) * rate, (q - w0[1]) * rate, (r - w0[2]) * rate),
     )

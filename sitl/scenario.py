@@ -7,14 +7,14 @@ would set in the app: overrides of its settings. All else stays in the simulator
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, model_validator
 
 from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.contact import ContactParameters
-from sitl.pad_motion import HeaveMotion, Motion, StaticMotion
+from sitl.pad_motion import Angle, Heading, HeaveMotion, Motion, StaticMotion
 from sitl.quadrotor import QuadrotorParameters
 from sitl.wind import WindSettings
 
@@ -32,7 +32,7 @@ class PadSettings(StrictModel):
 
     name: str = "moving_1300"
     surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
-    heading: float | Literal["along", "random"] = "along"
+    heading: Heading = "along"
     motion: Annotated[Motion, Field(discriminator="kind")] = StaticMotion(kind="static")
 
     @model_validator(mode="after")
@@ -99,7 +99,7 @@ class Scenario(StrictModel):
     autopilot: Manner = "px4"
     airframe: str = "x500"
     mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
-    start_heading_deg: float | Literal["random"] = "random"
+    start_heading_deg: Angle = "random"
     pad: PadSettings = PadSettings()
     wind: WindSettings = WindSettings()
     camera: CameraSettings = CameraSettings()

@@ -12,7 +12,7 @@ cannot go through it: w fades linearly below 10 ft, where the standard ends.
 from __future__ import annotations
 
 import math
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field
@@ -43,7 +43,7 @@ class WindSettings(StrictModel):
     """What blows; `from_deg` is where the wind comes from."""
 
     mean_m_s: float = Field(default=0.0, ge=0.0, le=20.0)
-    from_deg: float | Literal["random"] = Field(default="random")
+    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["random"] = "random"
     turbulence: Literal["none", "light", "moderate"] = "none"
     gusts: GustSettings | None = None
 
