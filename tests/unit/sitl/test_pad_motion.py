@@ -141,7 +141,11 @@ def test_the_sea_has_its_significant_height_and_period() -> None:
 
 def test_random_turns_stay_about_their_middle_and_turn_within_the_limit() -> None:
     motion = RandomTurnsMotion(
-        kind="random_turns", speed_m_s=1.5, max_turn_rate_deg_s=25.0, radius_m=10.0, meet=Meeting(spread_m=0.0)
+        kind="random_turns",
+        speed_m_s=1.5,
+        max_turn_rate_deg_s=25.0,
+        radius_m=10.0,
+        meet=Meeting(spread_m=0.0),
     )
     for seed in range(5):
         pad = built(motion, seed)

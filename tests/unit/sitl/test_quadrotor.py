@@ -41,7 +41,7 @@ def hovering(**values: Any) -> QuadrotorState:
 
 
 def test_hovers_at_half_throttle() -> None:
-    assert HOVER == pytest.approx(0.5, abs=0.01)
+    assert X500.hover_share() == pytest.approx(0.5, abs=0.01)
     state = hovering()
     for _ in range(400):
         state = Quadrotor(X500).step(state, ALL_HOVER, DT)

@@ -23,7 +23,8 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 
 @pytest.mark.parametrize(
-    ("from_deg", "towards"), [(0.0, (-4.0, 0.0)), (90.0, (0.0, -4.0)), (180.0, (4.0, 0.0)), (270.0, (0.0, 4.0))]
+    ("from_deg", "towards"),
+    [(0.0, (-4.0, 0.0)), (90.0, (0.0, -4.0)), (180.0, (4.0, 0.0)), (270.0, (0.0, 4.0))],
 )
 def test_blows_from_where_it_is_said_to(from_deg: float, towards: tuple[float, float]) -> None:
     wind = Wind(WindSettings(mean_m_s=4.0, from_deg=from_deg), rng())
