@@ -9,15 +9,23 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable
 from typing import Annotated, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.special import ellipj
 
 from companion.config import StrictModel
 from companion.geometry import ZERO3, Vector3, add, rotate_yaw, subtract, wrap_angle
+from sitl.curves import (
+    LEMNISCATE_LAP,
+    Arc,
+    Path,
+    Place,
+    arc_place,
+    lemniscate_place,
+    sum_of_waves,
+    wave_frequency,
+)
 
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 Angle = Degrees | Literal["random"]
@@ -41,20 +49,13 @@ class PadTruth(NamedTuple):
     heading_rate_rad_s: float
 
 
-class _Place(NamedTuple):
-    """A path's point: place, velocity, acceleration, course and course rate."""
-
-    position: Vector3
-    velocity: Vector3
-    acceleration: Vector3
-    course_rad: float
-    course_rate_rad_s: float
-
-
-Path = Callable[[float], _Place]
-
-
 # ---------------------------------------------------------------- settings
+
+
+def _drawn(angle: Angle, rng: np.random.Generator) -> float:
+    """A fixed angle in radians, or one drawn; draws in either case, so that later draws stay the same."""
+    drawn = float(rng.uniform(-math.pi, math.pi))
+    return drawn if angle == "random" else math.radians(angle)
 
 
 class Meeting(StrictModel):
@@ -73,7 +74,7 @@ class StaticMotion(StrictModel):
 
     def path(self, rng: np.random.Generator) -> Path:
         """A point with a drawn course, which "along" turns into a heading."""
-        place = _Place(ZERO3, ZERO3, ZERO3, _drawn("random", rng), 0.0)
+        place = Place(ZERO3, ZERO3, ZERO3, _drawn("random", rng), 0.0)
         return lambda _time_s: place
 
 
@@ -89,7 +90,7 @@ class LineMotion(StrictModel):
         """A straight line through the origin at time 0."""
         course = _drawn(self.course_deg, rng)
         velocity = rotate_yaw((self.speed_m_s, 0.0, 0.0), course)
-        return lambda t: _Place((velocity[0] * t, velocity[1] * t, 0.0), velocity, ZERO3, course, 0.0)
+        return lambda t: Place((velocity[0] * t, velocity[1] * t, 0.0), velocity, ZERO3, course, 0.0)
 
 
 class CircleMotion(StrictModel):
@@ -109,11 +110,11 @@ class CircleMotion(StrictModel):
         sign = {"clockwise": 1.0, "anticlockwise": -1.0, "random": coin}[self.direction]
         r, w = self.radius_m, sign * self.speed_m_s / self.radius_m
 
-        def at(t: float) -> _Place:
+        def at(t: float) -> Place:
             c, s = math.cos(phase0 + w * t), math.sin(phase0 + w * t)
             position, velocity = (r * c, r * s, 0.0), (-r * w * s, r * w * c, 0.0)
             acceleration = (-r * w * w * c, -r * w * w * s, 0.0)
-            return _Place(position, velocity, acceleration, math.atan2(velocity[1], velocity[0]), w)
+            return Place(position, velocity, acceleration, math.atan2(velocity[1], velocity[0]), w)
 
         return at
 
@@ -131,12 +132,12 @@ class FigureEightMotion(StrictModel):
     def path(self, rng: np.random.Generator) -> Path:
         """A lemniscate about the origin."""
         axis = _drawn(self.axis_deg, rng)
-        lap_m = 5.244115108584239 * self.half_length_m  # twice the lemniscate constant
+        lap_m = LEMNISCATE_LAP * self.half_length_m
         drawn = float(rng.uniform())
         start_m = lap_m * (drawn if self.phase == "random" else self.phase)
 
-        def at(t: float) -> _Place:
-            return _lemniscate(start_m + self.speed_m_s * t, self.half_length_m, self.speed_m_s, axis)
+        def at(t: float) -> Place:
+            return lemniscate_place(start_m + self.speed_m_s * t, self.half_length_m, self.speed_m_s, axis)
 
         return at
 
@@ -165,17 +166,17 @@ class HeaveMotion(StrictModel):
         course = _drawn(self.surge_course_deg, rng)
         amplitude = self.largest_excursion_m() / WAVES
         waves = tuple(
-            (amplitude, _wave_frequency(i, self.peak_period_s), phase)
+            (amplitude, wave_frequency((i + 0.5) / WAVES, self.peak_period_s), phase)
             for i, phase in enumerate(rng.uniform(0.0, math.tau, WAVES).tolist())
         )
         c, s = math.cos(course), math.sin(course)
 
-        def at(t: float) -> _Place:
-            z, vz, az = _sum_of_waves(waves, t, 0.0)
+        def at(t: float) -> Place:
+            z, vz, az = sum_of_waves(waves, t, 0.0)
             # on deep water surge follows heave by a quarter of a period
-            x, vx, ax = (self.surge_share * value for value in _sum_of_waves(waves, t, -0.5 * math.pi))
+            x, vx, ax = (self.surge_share * value for value in sum_of_waves(waves, t, -0.5 * math.pi))
             x, vx = x + self.drift_speed_m_s * t, vx + self.drift_speed_m_s
-            return _Place((x * c, x * s, z), (vx * c, vx * s, vz), (ax * c, ax * s, az), course, 0.0)
+            return Place((x * c, x * s, z), (vx * c, vx * s, vz), (ax * c, ax * s, az), course, 0.0)
 
         return at
 
@@ -204,13 +205,13 @@ class RandomTurnsMotion(StrictModel):
         """Arcs from the origin at time 0."""
         starts, arcs = self._arcs(rng)
 
-        def at(t: float) -> _Place:
+        def at(t: float) -> Place:
             i = max(0, bisect_right(starts, t) - 1)
-            return _arc(arcs[i], self.speed_m_s, t - starts[i])
+            return arc_place(arcs[i], self.speed_m_s, t - starts[i])
 
         return at
 
-    def _arcs(self, rng: np.random.Generator) -> tuple[list[float], list[_Arc]]:
+    def _arcs(self, rng: np.random.Generator) -> tuple[list[float], list[Arc]]:
         limit = math.radians(self.max_turn_rate_deg_s)
         starts, arcs = [], []
         t, position, course = 0.0, ZERO3, _drawn(self.course_deg, rng)
@@ -220,83 +221,15 @@ class RandomTurnsMotion(StrictModel):
                 home = math.atan2(-position[1], -position[0])
                 turn = math.copysign(limit, wrap_angle(home - course))
                 length_s = abs(wrap_angle(home - course)) / limit + 1.0
-            arc = _Arc(position, course, turn)
+            arc = Arc(position, course, turn)
             starts.append(t)
             arcs.append(arc)
-            end = _arc(arc, self.speed_m_s, length_s)
-            t, position, course = t + length_s, end.position, end.course_rad
+            end = arc_place(arc, self.speed_m_s, length_s)
+            t, position, course = t + length_s, end.position_ned_m, end.course_rad
         return starts, arcs
 
 
 Motion = StaticMotion | LineMotion | CircleMotion | FigureEightMotion | HeaveMotion | RandomTurnsMotion
-
-
-# ---------------------------------------------------------------- closed forms
-
-
-class _Arc(NamedTuple):
-    position: Vector3
-    course_rad: float
-    turn_rad_s: float
-
-
-def _arc(arc: _Arc, speed: float, t: float) -> _Place:
-    half = 0.5 * arc.turn_rad_s * t
-    chord = speed * t * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-    middle, course = arc.course_rad + half, arc.course_rad + 2.0 * half
-    c, s, w = math.cos(course), math.sin(course), arc.turn_rad_s
-    position = add(arc.position, (chord * math.cos(middle), chord * math.sin(middle), 0.0))
-    velocity = (speed * c, speed * s, 0.0)
-    return _Place(position, velocity, (-w * velocity[1], w * velocity[0], 0.0), course, w)
-
-
-def _lemniscate(arc_m: float, a: float, speed: float, axis_rad: float) -> _Place:
-    """The point arc_m along r^4 = a^2 (x^2 - y^2), x along the axis.
-
-    With u the arc over a, r / a = sl(u) = sd(u sqrt 2 | 1/2) / sqrt 2 and y / x = cl(u) = cn(u sqrt 2 | 1/2);
-    the curvature is 3 r / a^2.
-    """
-    sn, cl, dn, _ = (float(value) for value in ellipj(math.sqrt(2.0) * arc_m / a, 0.5))
-    r = sn / dn / math.sqrt(2.0)
-    stretch = math.sqrt(0.5 * (1.0 + r * r))
-    x = r * stretch
-    tx = cl * stretch * (1.0 + 2.0 * r * r)
-    ty = tx * cl - x * r * (1.0 + cl * cl)
-    rate = -3.0 * r / a * speed
-    velocity = rotate_yaw((speed * tx, speed * ty, 0.0), axis_rad)
-    return _Place(
-        rotate_yaw((a * x, a * x * cl, 0.0), axis_rad),
-        velocity,
-        (-rate * velocity[1], rate * velocity[0], 0.0),
-        math.atan2(velocity[1], velocity[0]),
-        rate,
-    )
-
-
-def _wave_frequency(index: int, peak_period_s: float) -> float:
-    """Frequency (rad/s) under which lies (index + 1/2) / N of a Pierson-Moskowitz spectrum's energy.
-
-    Its cumulative energy is exp(-1.25 (w_p / w)^4).
-    """
-    share = (index + 0.5) / WAVES
-    return math.tau / peak_period_s * float((1.25 / -math.log(share)) ** 0.25)
-
-
-def _sum_of_waves(
-    waves: tuple[tuple[float, float, float], ...], t: float, shift_rad: float
-) -> tuple[float, float, float]:
-    x = v = a = 0.0
-    for amplitude, w, phase in waves:
-        angle = w * t + phase + shift_rad
-        s, c = amplitude * math.sin(angle), amplitude * math.cos(angle)
-        x, v, a = x + s, v + w * c, a - w * w * s
-    return x, v, a
-
-
-def _drawn(angle: Angle, rng: np.random.Generator) -> float:
-    """A fixed angle in radians, or one drawn; draws in either case, so that later draws stay the same."""
-    drawn = float(rng.uniform(-math.pi, math.pi))
-    return drawn if angle == "random" else math.radians(angle)
 
 
 # ---------------------------------------------------------------- the pad
@@ -317,9 +250,9 @@ class PadMotion:
         fixed = self._heading_rad
         return PadTruth(
             time_s,
-            add(place.position, self._shift),
-            place.velocity,
-            place.acceleration,
+            add(place.position_ned_m, self._shift),
+            place.velocity_ned_m_s,
+            place.acceleration_ned_m_s2,
             wrap_angle(place.course_rad) if fixed is None else fixed,
             place.course_rate_rad_s if fixed is None else 0.0,
         )
@@ -352,7 +285,7 @@ def _placed(settings: Motion, surface_height_m: float, rng: np.random.Generator)
     away = meet.spread_m * math.sqrt(float(rng.uniform()))
     bearing = float(rng.uniform(-math.pi, math.pi))
     point = (meet.point_ned_m[0] + away * math.cos(bearing), meet.point_ned_m[1] + away * math.sin(bearing))
-    shift = subtract((point[0], point[1], 0.0), path(meet.time_s).position)
+    shift = subtract((point[0], point[1], 0.0), path(meet.time_s).position_ned_m)
     return path, (shift[0], shift[1], -surface_height_m)
 
 

@@ -95,7 +95,8 @@ class TouchdownWatch:
 
 
 def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> Touchdown:
-    carried = board_velocity_ned_m_s(pad, state.position_ned_m)
+    # a turning board moves at the touched place with it; beside the board there is only the pad's own way
+    carried = board_velocity_ned_m_s(pad, state.position_ned_m) if on_pad else pad.velocity_ned_m_s
     relative = subtract(state.velocity_ned_m_s, carried)
     away = subtract(state.position_ned_m, pad.position_ned_m)
     return Touchdown(
