@@ -1,0 +1,180 @@
+"""Legs on ground or board: spring-dampers with Coulomb friction, at points fixed to the airframe.
+
+NED for places and forces, FRD for points on the body and the torque; SI.
+
+Each point in contact pushes up with a spring and a damper, never pulls, and is held sideways by a second
+spring from where it first stood (its anchor, which rides and turns with the board) up to the friction
+cone, beyond which it slides and takes the anchor along. So a landed vehicle rides along without creeping.
+The forces are taken where the points will be half a step later: a spring so stepped neither gains nor loses
+energy of itself (the leapfrog), so the legs' own damping decides, at 400 Hz with room to spare.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from companion.config import StrictModel
+from companion.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Vector3,
+    add,
+    cross,
+    norm,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotate_yaw,
+    scale,
+)
+from sitl.ground import Board
+from sitl.pad_motion import PadTruth
+from sitl.quadrotor import QuadrotorState
+
+Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
+Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
+Surface = Literal["board", "ground"]
+# A point that is this deep under the board's top did not come from above: it is beside or beneath it.
+DEEPEST_ENTRY_M: Final = 0.02
+
+
+class ContactParameters(StrictModel):
+    """The legs; feet are where they are when the vehicle stands, the springs being loaded."""
+
+    feet_body_m: tuple[Place, Place, Place, Place]
+    stiffness_n_m: float = Field(ge=100.0, le=20000.0)
+    damping_n_s_m: float = Field(ge=0.0, le=200.0)
+    friction: float = Field(ge=0.0, le=2.0)
+    sideways_stiffness_n_m: float = Field(ge=100.0, le=20000.0)
+    sideways_damping_n_s_m: float = Field(ge=0.0, le=200.0)
+
+    def standing_height_m(self) -> float:
+        """Height of the reference point over the surface when the vehicle stands."""
+        return self.feet_body_m[0][2]
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLoad:
+    """What the surfaces do to the body, and how many points touch which."""
+
+    force_ned_n: Vector3 = ZERO3
+    torque_body_n_m: Vector3 = ZERO3
+    on_board: int = 0
+    on_ground: int = 0
+
+    @property
+    def touching(self) -> bool:
+        """Whether anything touches."""
+        return self.on_board + self.on_ground > 0
+
+
+NO_CONTACT: Final = ContactLoad()
+
+
+@dataclass(slots=True)
+class _Point:
+    """A point of the body that can touch, what it touches, and its anchor in that surface's axes."""
+
+    body_m: Vector3
+    surface: Surface | None = None
+    anchor_m: tuple[float, float] = field(default=(0.0, 0.0))
+
+
+class Contact:
+    """The legs' memory: which foot stands where."""
+
+    def __init__(
+        self, parameters: ContactParameters, mass_kg: float, board: Board, hull_body_m: tuple[Vector3, ...]
+    ) -> None:
+        """`mass_kg` is the mass under which the feet stand as the parameters say; `hull_body_m` are further
+        points (the rotors' hubs) that touch when the vehicle lies on its side or back."""
+        sag = mass_kg * GRAVITY_M_S2 / (4.0 * parameters.stiffness_n_m)
+        feet = ((x, y, z + sag) for x, y, z in parameters.feet_body_m)
+        self._p = parameters
+        self._board = board
+        self._points = [_Point(point) for point in (*feet, *hull_body_m)]
+        self._reach_m = max(norm(point.body_m) for point in self._points)
+
+    def step(self, state: QuadrotorState, pad: PadTruth, dt_s: float) -> ContactLoad:
+        """The load for the coming step of dt."""
+        half = 0.5 * dt_s
+        if state.position_ned_m[2] + self._reach_m < min(0.0, pad.position_ned_m[2]) - 0.05:
+            self.release()
+            return NO_CONTACT
+        soon = pad._replace(
+            position_ned_m=add(pad.position_ned_m, scale(pad.velocity_ned_m_s, half)),
+            heading_rad=pad.heading_rad + pad.heading_rate_rad_s * half,
+        )
+        force, torque, touched = ZERO3, ZERO3, {"board": 0, "ground": 0}
+        for point in self._points:
+            push = self._push(point, state, soon, half)
+            if point.surface is not None:
+                touched[point.surface] += 1
+                force = add(force, push)
+                arm = quat_rotate_inverse(state.attitude, push)
+                torque = add(torque, cross(point.body_m, arm))
+        if not touched["board"] + touched["ground"]:
+            return NO_CONTACT
+        return ContactLoad(force, torque, touched["board"], touched["ground"])
+
+    def release(self) -> None:
+        """Forget what was touched."""
+        for point in self._points:
+            point.surface = None
+
+    def _push(self, point: _Point, state: QuadrotorState, pad: PadTruth, ahead_s: float) -> Vector3:
+        """Force NED on one point; notes what it touches."""
+        arm = quat_rotate(state.attitude, point.body_m)
+        velocity = add(
+            state.velocity_ned_m_s, quat_rotate(state.attitude, cross(state.rate_body_rad_s, point.body_m))
+        )
+        place = add(add(state.position_ned_m, arm), scale(velocity, ahead_s))
+        if self._stands_on_board(point, place, pad):
+            return self._on_board(point, place, velocity, pad)
+        if place[2] > 0.0:
+            return self._pressed(point, "ground", (place[0], place[1]), place[2], velocity)
+        point.surface = None
+        return ZERO3
+
+    def _stands_on_board(self, point: _Point, place: Vector3, pad: PadTruth) -> bool:
+        depth = place[2] - pad.position_ned_m[2]
+        if depth <= 0.0 or (point.surface != "board" and depth > DEEPEST_ENTRY_M):
+            return False
+        return self._board.holds(pad, place[0], place[1])
+
+    def _on_board(self, point: _Point, place: Vector3, velocity: Vector3, pad: PadTruth) -> Vector3:
+        """The same in the board's own axes, in which it neither moves nor turns."""
+        carried = board_velocity_ned_m_s(pad, place)
+        relative = rotate_yaw(
+            (velocity[0] - carried[0], velocity[1] - carried[1], velocity[2] - carried[2]), -pad.heading_rad
+        )
+        local = self._board.local(pad, place[0], place[1])
+        force = self._pressed(point, "board", local, place[2] - pad.position_ned_m[2], relative)
+        return rotate_yaw(force, pad.heading_rad)
+
+    def _pressed(
+        self, point: _Point, surface: Surface, place: tuple[float, float], depth: float, velocity: Vector3
+    ) -> Vector3:
+        """Force in the surface's axes on a point at `place`, `depth` under it; moves the anchor."""
+        p = self._p
+        if point.surface != surface:
+            point.surface, point.anchor_m = surface, place
+        normal = max(0.0, p.stiffness_n_m * depth + p.damping_n_s_m * velocity[2])
+        k, c = p.sideways_stiffness_n_m, p.sideways_damping_n_s_m
+        x = -k * (place[0] - point.anchor_m[0]) - c * velocity[0]
+        y = -k * (place[1] - point.anchor_m[1]) - c * velocity[1]
+        pull, held = math.hypot(x, y), p.friction * normal
+        if pull > held:
+            x, y = x * held / pull, y * held / pull
+            point.anchor_m = (place[0] + x / k, place[1] + y / k)
+        return (x, y, -normal)
+
+
+def board_velocity_ned_m_s(pad: PadTruth, place_ned_m: Vector3) -> Vector3:
+    """Velocity of the board at a place on it: the pad's, and its turning."""
+    dn, de = place_ned_m[0] - pad.position_ned_m[0], place_ned_m[1] - pad.position_ned_m[1]
+    turning = (-pad.heading_rate_rad_s * de, pad.heading_rate_rad_s * dn, 0.0)
+    return add(pad.velocity_ned_m_s, turning)

@@ -1,0 +1,87 @@
+"""What lies under the vehicle: ground, the pad's board, and their effect on the rotors.
+
+NED, metres; the ground is the plane z = 0, the board a level rectangle above it.
+
+Ground effect after Cheeseman and Bennett (ARC R&M 3021, 1955): a rotor of radius R at height z over a plane
+gives, at the same power, 1 / (1 - (R / 4z)^2) times its thrust in free air.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from companion.geometry import Vector3, quat_rotate
+from companion.pad import Pad
+from sitl.pad_motion import PadTruth
+from sitl.quadrotor import NO_RATIO, Four, QuadrotorState
+
+# The formula is a mirrored source and holds for z / R > 0.5 (their own limit); nearer it is frozen.
+LOWEST_HEIGHT_IN_RADII: Final = 0.5
+# beyond ten radii the thrust gained is below one thousandth
+NEGLIGIBLE_HEIGHT_IN_RADII: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """The pad's rectangle: half its length along the heading, half its width across."""
+
+    half_length_m: float
+    half_width_m: float
+
+    @classmethod
+    def of(cls, pad: Pad) -> Board:
+        """The board of a pad's layout."""
+        return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
+
+    def local(self, pad: PadTruth, north_m: float, east_m: float) -> tuple[float, float]:
+        """Coordinates forward and right of the pad's centre, along its heading."""
+        c, s = math.cos(pad.heading_rad), math.sin(pad.heading_rad)
+        dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]
+        return c * dn + s * de, c * de - s * dn
+
+    def holds(self, pad: PadTruth, north_m: float, east_m: float) -> bool:
+        """Whether a point is over the board."""
+        forward, right = self.local(pad, north_m, east_m)
+        return abs(forward) <= self.half_length_m and abs(right) <= self.half_width_m
+
+    def surface_down_m(self, pad: PadTruth, north_m: float, east_m: float) -> float:
+        """Down coordinate of what lies under a point: the board's top or the ground."""
+        return pad.position_ned_m[2] if self.holds(pad, north_m, east_m) else 0.0
+
+    def distance_m(self, pad: PadTruth, point_ned_m: Vector3) -> tuple[float, float]:
+        """Sideways distance to the board's nearest point, and height over its surface (m)."""
+        forward, right = self.local(pad, point_ned_m[0], point_ned_m[1])
+        beyond = math.hypot(
+            max(0.0, abs(forward) - self.half_length_m), max(0.0, abs(right) - self.half_width_m)
+        )
+        return beyond, pad.position_ned_m[2] - point_ned_m[2]
+
+
+def thrust_ratio(height_m: float, radius_m: float) -> float:
+    """Thrust near a plane over thrust in free air; from 1 up to 4/3 at half a radius and below."""
+    height = max(height_m, LOWEST_HEIGHT_IN_RADII * radius_m)
+    share = radius_m / (4.0 * height)
+    return 1.0 / (1.0 - share * share)
+
+
+def rotor_ratios(
+    state: QuadrotorState,
+    rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
+    radius_m: float,
+    board: Board,
+    pad: PadTruth,
+) -> Four:
+    """Ground effect of each rotor over what lies under its own hub."""
+    position = state.position_ned_m
+    highest_surface = min(0.0, pad.position_ned_m[2])
+    if highest_surface - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
+        return NO_RATIO
+    ratios = []
+    for rotor in rotors_body_m:
+        arm = quat_rotate(state.attitude, rotor)
+        north, east = position[0] + arm[0], position[1] + arm[1]
+        height = board.surface_down_m(pad, north, east) - position[2] - arm[2]
+        ratios.append(thrust_ratio(height, radius_m))
+    return (ratios[0], ratios[1], ratios[2], ratios[3])

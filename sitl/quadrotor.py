@@ -1,0 +1,267 @@
+"""The airframe: a rigid body with four lagging rotors, drag and rotor gyroscopics (paper eqs. 5-8).
+
+Frames: NED and FRD. "+" layout, rotors in order front, right, rear, left; front and rear turn
+anticlockwise seen from above, right and left clockwise. Units are SI; a motor command is 0..1 of full thrust.
+
+The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are in vector form,
+    I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
+whose gyroscopic part is (-q h, +p h, 0): roll and pitch have opposite signs, which the paper's text misses.
+
+Thrust, contact and wind are held over a step; within it drag and rotation are integrated by RK4. It all
+runs on plain floats, because arrays of three cost ten times as much.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from companion.config import StrictModel
+from companion.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    quat_from_euler,
+    quat_normalise,
+    quat_rotate_inverse,
+)
+
+Positive = Annotated[float, Field(gt=1e-5, le=10.0)]
+Four = tuple[float, float, float, float]
+AIR_DENSITY_KG_M3 = 1.225
+NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
+
+# position NED, velocity NED, quaternion w x y z, body rate
+_Rigid = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
+# what stays the same within a step: wind, drags, accelerations and coupling, see Quadrotor.step
+_Held = tuple[float, ...]
+
+
+class QuadrotorParameters(StrictModel):
+    """The plant's numbers; where they come from stands in configs/airframes/x500.yaml."""
+
+    mass_kg: float = Field(gt=0.1, le=20.0)
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    arm_length_m: float = Field(gt=0.03, le=1.0)
+    rotor_height_m: float = Field(ge=-0.2, le=0.3)
+    rotor_radius_m: float = Field(gt=0.02, le=0.5)
+    max_thrust_n: float = Field(gt=0.1, le=200.0)
+    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)
+    torque_to_thrust_m: float = Field(gt=0.0, le=0.1)
+    motor_rise_s: float = Field(gt=0.001, le=0.5)
+    motor_fall_s: float = Field(gt=0.001, le=0.5)
+    rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)
+    rotor_drag_plane_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
+    rotor_drag_axial_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
+    body_drag_area_m2: float = Field(ge=0.0, le=1.0)
+
+    def hover_share(self) -> float:
+        """Share of full thrust that carries the weight."""
+        return self.mass_kg * GRAVITY_M_S2 / (4.0 * self.max_thrust_n)
+
+
+@dataclass(slots=True)
+class QuadrotorState:
+    """The body at one time.
+
+    `specific_force_body_m_s2` is what an ideal accelerometer at the centre of mass makes of the step just
+    taken: the mean of all forces but gravity, contact included, over the mass. `angular_acceleration_body`
+    is that step's mean too; with both, sensors can sit off-centre.
+    """
+
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3 = ZERO3
+    attitude: Quaternion = IDENTITY
+    rate_body_rad_s: Vector3 = ZERO3
+    thrust_share: Four = (0.0, 0.0, 0.0, 0.0)
+    specific_force_body_m_s2: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
+    angular_acceleration_body_rad_s2: Vector3 = ZERO3
+
+
+def resting_state(position_ned_m: Vector3, heading_rad: float) -> QuadrotorState:
+    """A level vehicle with stopped motors."""
+    return QuadrotorState(position_ned_m=position_ned_m, attitude=quat_from_euler(0.0, 0.0, heading_rad))
+
+
+class Quadrotor:
+    """One airframe: turns a state, commands and loads into the state a step later. Holds no state itself."""
+
+    def __init__(self, parameters: QuadrotorParameters, mass_factor: float = 1.0) -> None:
+        """`mass_factor` scales mass and inertia: a load that nobody told the autopilot of."""
+        self.parameters = parameters
+        self.mass_kg = parameters.mass_kg * mass_factor
+        ix, iy, iz = (mass_factor * value for value in parameters.inertia_kg_m2)
+        self._inertia = (ix, iy, iz)
+        self._coupling = ((iy - iz) / ix, (iz - ix) / iy, (ix - iy) / iz)
+        self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * parameters.body_drag_area_m2 / self.mass_kg
+        speed = parameters.max_rotor_speed_rad_s
+        self._plane_drag = parameters.rotor_drag_plane_n_s2_m_rad * speed / self.mass_kg
+        self._axial_drag = parameters.rotor_drag_axial_n_s2_m_rad * speed / self.mass_kg
+        self._momentum = parameters.rotor_inertia_kg_m2 * speed
+        self._lag_dt_s = 0.0
+        self._rise = self._fall = (0.0, 0.0)
+
+    def step(
+        self,
+        state: QuadrotorState,
+        commands: Four,
+        dt_s: float,
+        *,
+        wind_ned_m_s: Vector3 = ZERO3,
+        thrust_ratio: Four = NO_RATIO,
+        force_ned_n: Vector3 = ZERO3,
+        torque_body_n_m: Vector3 = ZERO3,
+    ) -> QuadrotorState:
+        """The state dt later.
+
+        Args:
+            state: the state now.
+            commands: share of full thrust asked of each motor; clipped to 0..1.
+            dt_s: step (s), a few milliseconds.
+            wind_ned_m_s: motion of the air.
+            thrust_ratio: each rotor's thrust over that in free air (ground effect).
+            force_ned_n: further force at the centre of mass (contact).
+            torque_body_n_m: further torque.
+        """
+        share, mean = self._spin(state.thrust_share, commands, dt_s)
+        speeds, thrust, spin, torque = self._rotors(state.thrust_share, share, mean, thrust_ratio, dt_s)
+        ix, iy, iz = self._inertia
+        held: _Held = (
+            *wind_ned_m_s,
+            self._plane_drag * speeds,
+            self._axial_drag * speeds,
+            self._body_drag,
+            thrust / self.mass_kg,
+            force_ned_n[0] / self.mass_kg,
+            force_ned_n[1] / self.mass_kg,
+            force_ned_n[2] / self.mass_kg + GRAVITY_M_S2,
+            spin / ix,
+            spin / iy,
+            (torque[0] + torque_body_n_m[0]) / ix,
+            (torque[1] + torque_body_n_m[1]) / iy,
+            (torque[2] + torque_body_n_m[2]) / iz,
+            *self._coupling,
+        )
+        x = state.position_ned_m + state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
+        return _packed(state, _rk4(x, held, dt_s), share, dt_s)
+
+    def _spin(self, share: Four, commands: Four, dt_s: float) -> tuple[Four, Four]:
+        """Thrust shares after dt, and their means over it, of a first-order lag solved exactly."""
+        if dt_s != self._lag_dt_s:
+            self._lag_dt_s = dt_s
+            self._rise = _lag(self.parameters.motor_rise_s, dt_s)
+            self._fall = _lag(self.parameters.motor_fall_s, dt_s)
+        s1, m1 = self._spin_one(share[0], commands[0])
+        s2, m2 = self._spin_one(share[1], commands[1])
+        s3, m3 = self._spin_one(share[2], commands[2])
+        s4, m4 = self._spin_one(share[3], commands[3])
+        return (s1, s2, s3, s4), (m1, m2, m3, m4)
+
+    def _spin_one(self, share: float, command: float) -> tuple[float, float]:
+        target = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
+        end, mean = self._rise if target > share else self._fall
+        gap = share - target
+        return target + gap * end, target + gap * mean
+
+    def _rotors(
+        self, old: Four, new: Four, mean: Four, ratio: Four, dt_s: float
+    ) -> tuple[float, float, float, Vector3]:
+        """Eq. (5) in FRD over a step: sum of speeds over the full one, thrust (N), rotor momentum, torque."""
+        p = self.parameters
+        t1 = mean[0] * ratio[0] * p.max_thrust_n
+        t2 = mean[1] * ratio[1] * p.max_thrust_n
+        t3 = mean[2] * ratio[2] * p.max_thrust_n
+        t4 = mean[3] * ratio[3] * p.max_thrust_n
+        # speed goes with the root of thrust; the ground changes a rotor's thrust, not its reaction torque
+        w1, w2, w3, w4 = math.sqrt(new[0]), math.sqrt(new[1]), math.sqrt(new[2]), math.sqrt(new[3])
+        spin = self._momentum * (w2 + w4 - w1 - w3)
+        before = math.sqrt(old[1]) + math.sqrt(old[3]) - math.sqrt(old[0]) - math.sqrt(old[2])
+        spinning_up = (spin - self._momentum * before) / dt_s
+        reaction = p.torque_to_thrust_m * p.max_thrust_n * (mean[0] - mean[1] + mean[2] - mean[3])
+        torque = (p.arm_length_m * (t4 - t2), p.arm_length_m * (t1 - t3), reaction - spinning_up)
+        return w1 + w2 + w3 + w4, t1 + t2 + t3 + t4, spin, torque
+
+
+def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
+    """What is left of a gap at the end of a step, and on the mean over it."""
+    end = math.exp(-dt_s / time_constant_s)
+    return end, (1.0 - end) * time_constant_s / dt_s
+
+
+def _derivative(x: _Rigid, held: _Held) -> _Rigid:
+    """Eqs. (6)-(8): the rate of change of the rigid body, by Newton, Euler and q' = q * (0, w) / 2."""
+    _, _, _, vn, ve, vd, w, a, b, c, p, q, r = x
+    wn, we, wd, plane, axial, body, thrust, fn, fe, fd, hx, hy, tx, ty, tz, jx, jy, jz = held
+    r00, r01, r02 = 1.0 - 2.0 * (b * b + c * c), 2.0 * (a * b - w * c), 2.0 * (a * c + w * b)
+    r10, r11, r12 = 2.0 * (a * b + w * c), 1.0 - 2.0 * (a * a + c * c), 2.0 * (b * c - w * a)
+    r20, r21, r22 = 2.0 * (a * c - w * b), 2.0 * (b * c + w * a), 1.0 - 2.0 * (a * a + b * b)
+    an, ae, ad = vn - wn, ve - we, vd - wd
+    quadratic = body * math.sqrt(an * an + ae * ae + ad * ad)
+    fx = -(plane + quadratic) * (r00 * an + r10 * ae + r20 * ad)
+    fy = -(plane + quadratic) * (r01 * an + r11 * ae + r21 * ad)
+    fz = -(axial + quadratic) * (r02 * an + r12 * ae + r22 * ad) - thrust
+    return (
+        vn,
+        ve,
+        vd,
+        r00 * fx + r01 * fy + r02 * fz + fn,
+        r10 * fx + r11 * fy + r12 * fz + fe,
+        r20 * fx + r21 * fy + r22 * fz + fd,
+        -0.5 * (a * p + b * q + c * r),
+        0.5 * (w * p + b * r - c * q),
+        0.5 * (w * q + c * p - a * r),
+        0.5 * (w * r + a * q - b * p),
+        tx + jx * q * r - hx * q,
+        ty + jy * r * p + hy * p,
+        tz + jz * p * q,
+    )
+
+
+def _moved(x: _Rigid, k: _Rigid, h: float) -> _Rigid:
+    """x + h k."""
+    x0, x1, x2, x3, x4, x5, x6, x7, x8, x9, xa, xb, xc = x
+    k0, k1, k2, k3, k4, k5, k6, k7, k8, k9, ka, kb, kc = k
+    return (
+        x0 + h * k0, x1 + h * k1, x2 + h * k2,
+        x3 + h * k3, x4 + h * k4, x5 + h * k5,
+        x6 + h * k6, x7 + h * k7, x8 + h * k8, x9 + h * k9,
+        xa + h * ka, xb + h * kb, xc + h * kc,
+    )  # fmt: skip
+
+
+def _rk4(x: _Rigid, held: _Held, dt_s: float) -> _Rigid:
+    """One classical Runge-Kutta step."""
+    k1 = _derivative(x, held)
+    k2 = _derivative(_moved(x, k1, 0.5 * dt_s), held)
+    k3 = _derivative(_moved(x, k2, 0.5 * dt_s), held)
+    k4 = _derivative(_moved(x, k3, dt_s), held)
+    h = dt_s / 6.0
+    return _moved(_moved(_moved(_moved(x, k1, h), k2, 2.0 * h), k3, 2.0 * h), k4, h)
+
+
+def _packed(old: QuadrotorState, x: _Rigid, share: Four, dt_s: float) -> QuadrotorState:
+    """The new state with a unit quaternion, and what its sensors felt on the way."""
+    pn, pe, pd, vn, ve, vd, w, a, b, c, p, q, r = x
+    n = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
+    attitude = (w * n, a * n, b * n, c * n)
+    rate = 1.0 / dt_s
+    v0, w0, q0 = old.velocity_ned_m_s, old.rate_body_rad_s, old.attitude
+    force_ned = ((vn - v0[0]) * rate, (ve - v0[1]) * rate, (vd - v0[2]) * rate - GRAVITY_M_S2)
+    # the two unit quaternions' mean stands half-way; they are too close to need a sign check
+    halfway = quat_normalise(
+        (q0[0] + attitude[0], q0[1] + attitude[1], q0[2] + attitude[2], q0[3] + attitude[3])
+    )
+    return QuadrotorState(
+        (pn, pe, pd),
+        (vn, ve, vd),
+        attitude,
+        (p, q, r),
+        share,
+        quat_rotate_inverse(halfway, force_ned),
+        ((p - w0[0]) * rate, (q - w0[1]) * rate, (r - w0[2]) * rate),
+    )

@@ -1,0 +1,127 @@
+"""Named scenarios: the pad's motion, the weather, the sensors' quality and what counts as a landing.
+
+A scenario with a seed is one flight, repeatable to the bit. `companion` holds what the operator knows and
+would set in the app: overrides of its settings. All else stays in the simulator.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, model_validator
+
+from companion.config import StrictModel, find_file, load_model
+from companion.messages import Manner
+from sitl.contact import ContactParameters
+from sitl.pad_motion import Angle, Heading, HeaveMotion, Motion, StaticMotion
+from sitl.quadrotor import QuadrotorParameters
+from sitl.wind import WindSettings
+
+
+class Airframe(StrictModel):
+    """The plant's parameters (configs/airframes)."""
+
+    name: str
+    body: QuadrotorParameters
+    legs: ContactParameters
+
+
+class PadSettings(StrictModel):
+    """Which pad, how high its surface is over the ground, how it moves and where it points."""
+
+    name: str = "moving_1300"
+    surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
+    heading: Heading = "along"
+    motion: Annotated[Motion, Field(discriminator="kind")] = StaticMotion(kind="static")
+
+    @model_validator(mode="after")
+    def _over_the_ground(self) -> PadSettings:
+        if isinstance(self.motion, HeaveMotion):
+            needed = self.motion.largest_excursion_m()
+            if needed > self.surface_height_m:
+                raise ValueError(
+                    f"surface_height_m is {self.surface_height_m:g}; expected at least {needed:.2f}, "
+                    "or the waves' troughs take the pad underground"
+                )
+        return self
+
+
+class CameraSettings(StrictModel):
+    """The simulated camera: its optics (configs/cameras) and its faults."""
+
+    config: str = "sitl_640x480"
+    latency_s: float = Field(default=0.045, ge=0.0, le=0.25)
+    latency_jitter_s: float = Field(default=0.005, ge=0.0, le=0.05)
+    exposure_s: float = Field(default=0.003, gt=0.0, le=0.03)
+    readout_s: float = Field(default=0.015, ge=0.0, le=0.03)
+    noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
+    blur: bool = True
+
+
+class SensorSettings(StrictModel):
+    """Factors on each sensor's data-sheet noise, and GPS delay."""
+
+    imu_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    gps_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    range_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0)
+
+
+class BeaconSettings(StrictModel):
+    """The pad's own GPS, which the ground station sends on."""
+
+    available: bool = True
+    position_std_m: float = Field(default=1.5, ge=0.0, le=50.0)
+    velocity_std_m_s: float = Field(default=0.2, ge=0.0, le=5.0)
+    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0)
+    delay_s: float = Field(default=0.3, ge=0.0, le=5.0)
+
+
+class PassBounds(StrictModel):
+    """What a landing has to keep at touchdown, relative to the pad."""
+
+    lateral_error_m: float = Field(default=0.15, gt=0.0, le=5.0)
+    vertical_speed_m_s: float = Field(default=0.4, gt=0.0, le=5.0)
+    horizontal_speed_m_s: float = Field(default=0.3, gt=0.0, le=5.0)
+    tilt_deg: float = Field(default=10.0, gt=0.0, le=90.0)
+
+
+class Scenario(StrictModel):
+    """One named flight."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    name: str = Field(min_length=1)
+    description: str = Field(min_length=1)
+    time_limit_s: float = Field(default=120.0, ge=5.0, le=900.0)
+    autopilot: Manner = "px4"
+    airframe: str = "x500"
+    mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
+    start_heading_deg: Angle = "random"
+    pad: PadSettings = PadSettings()
+    wind: WindSettings = WindSettings()
+    camera: CameraSettings = CameraSettings()
+    sensors: SensorSettings = SensorSettings()
+    beacon: BeaconSettings = BeaconSettings()
+    pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
+    companion: dict[str, Any] = Field(default_factory=dict)
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """Read a scenario by name (from configs/scenarios) or path.
+
+    Raises:
+        ConfigError: the file is missing, not YAML, or breaks a rule.
+    """
+    return load_model(Scenario, find_file("scenarios", name))
+
+
+def load_airframe(name: str | Path) -> Airframe:
+    """Read an airframe by name (from configs/airframes) or path.
+
+    Raises:
+        ConfigError: the file is missing, not YAML, or breaks a rule.
+    """
+    return load_model(Airframe, find_file("airframes", name))

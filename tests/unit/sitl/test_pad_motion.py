@@ -1,0 +1,157 @@
+"""The pad's motions: each against its own finite differences, and against what its settings promise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.geometry import wrap_angle
+from sitl.pad_motion import (
+    CircleMotion,
+    FigureEightMotion,
+    Heading,
+    HeaveMotion,
+    LineMotion,
+    Meeting,
+    Motion,
+    PadMotion,
+    RandomTurnsMotion,
+    StaticMotion,
+    build_pad_motion,
+)
+
+MOTIONS: dict[str, Motion] = {
+    "static": StaticMotion(kind="static"),
+    "line": LineMotion(kind="line", speed_m_s=1.0),
+    "circle": CircleMotion(kind="circle", speed_m_s=1.5, radius_m=5.0),
+    "anticlockwise": CircleMotion(kind="circle", speed_m_s=1.5, radius_m=5.0, direction="anticlockwise"),
+    "figure_8": FigureEightMotion(kind="figure_8", speed_m_s=2.0, half_length_m=12.0),
+    "heave": HeaveMotion(kind="heave", significant_height_m=0.5, peak_period_s=5.0, drift_speed_m_s=0.2),
+    "random_turns": RandomTurnsMotion(kind="random_turns", speed_m_s=1.2),
+}
+CONSTANT_SPEED = {"line": 1.0, "circle": 1.5, "anticlockwise": 1.5, "figure_8": 2.0, "random_turns": 1.2}
+
+
+def built(motion: Motion, seed: int = 0, heading: Heading = "along", height: float = 1.0) -> PadMotion:
+    return build_pad_motion(motion, height, heading, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_velocity_is_the_places_derivative_and_acceleration_the_velocitys(name: str, seed: int) -> None:
+    pad, h = built(MOTIONS[name], seed), 1e-4
+    # odd times, which no joint of random_turns falls on
+    for t in np.arange(0.137, 60.0, 2.713).tolist():
+        before, now, after = pad.at(t - h), pad.at(t), pad.at(t + h)
+        for axis in range(3):
+            slope = (after.position_ned_m[axis] - before.position_ned_m[axis]) / (2 * h)
+            bend = (after.velocity_ned_m_s[axis] - before.velocity_ned_m_s[axis]) / (2 * h)
+            assert now.velocity_ned_m_s[axis] == pytest.approx(slope, abs=1e-6)
+            assert now.acceleration_ned_m_s2[axis] == pytest.approx(bend, abs=1e-6)
+        turn = wrap_angle(after.heading_rad - before.heading_rad) / (2 * h)
+        assert now.heading_rate_rad_s == pytest.approx(turn, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", CONSTANT_SPEED)
+def test_the_speed_is_the_one_given_all_the_way(name: str) -> None:
+    pad = built(MOTIONS[name])
+    speeds = [math.hypot(*pad.at(0.1 * i).velocity_ned_m_s[:2]) for i in range(900)]
+    assert min(speeds) == pytest.approx(CONSTANT_SPEED[name], abs=1e-9)
+    assert max(speeds) == pytest.approx(CONSTANT_SPEED[name], abs=1e-9)
+
+
+@pytest.mark.parametrize("name", CONSTANT_SPEED)
+def test_along_means_pointing_where_it_goes(name: str) -> None:
+    pad = built(MOTIONS[name], seed=3)
+    for i in range(50):
+        now = pad.at(1.1 * i)
+        course = math.atan2(now.velocity_ned_m_s[1], now.velocity_ned_m_s[0])
+        assert wrap_angle(now.heading_rad - course) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_fixed_heading_stays(name: str) -> None:
+    pad = built(MOTIONS[name], heading=30.0)
+    assert pad.at(7.0).heading_rad == pytest.approx(math.radians(30.0))
+    assert pad.at(7.0).heading_rate_rad_s == 0.0
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_it_is_met_where_and_when_the_settings_say(name: str) -> None:
+    meet = Meeting(point_ned_m=(12.0, -3.0), time_s=17.0, spread_m=2.0)
+    motion = MOTIONS[name].model_copy(update={"meet": meet})
+    places = np.array([built(motion, seed, height=0.6).at(17.0).position_ned_m for seed in range(20)])
+    away = np.hypot(places[:, 0] - 12.0, places[:, 1] + 3.0)
+    assert away.max() <= 2.0 + 1e-9
+    assert away.max() > 0.5
+    if name != "heave":
+        np.testing.assert_allclose(places[:, 2], -0.6)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_it_keeps_clear_of_home_until_it_is_met(name: str) -> None:
+    for seed in range(10):
+        pad = built(MOTIONS[name], seed)
+        assert min(math.hypot(*pad.at(0.25 * i).position_ned_m[:2]) for i in range(88)) > 3.0
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_a_seed_gives_one_motion_and_another_seed_another(name: str) -> None:
+    assert built(MOTIONS[name], 4).at(33.3) == built(MOTIONS[name], 4).at(33.3)
+    assert built(MOTIONS[name], 4).at(33.3) != built(MOTIONS[name], 5).at(33.3)
+
+
+def test_the_circle_is_round_and_its_direction_is_seen_from_above() -> None:
+    for direction, sign in (("clockwise", 1.0), ("anticlockwise", -1.0)):
+        motion = CircleMotion(kind="circle", speed_m_s=1.0, radius_m=4.0, direction=direction)  # type: ignore[arg-type]
+        pad = built(motion)
+        assert pad.at(0.0).heading_rate_rad_s == pytest.approx(sign * 0.25)
+        lap = math.tau * 4.0
+        assert pad.at(lap).position_ned_m == pytest.approx(pad.at(0.0).position_ned_m, abs=1e-9)
+        half = np.subtract(pad.at(0.5 * lap).position_ned_m, pad.at(0.0).position_ned_m)
+        assert float(np.linalg.norm(half)) == pytest.approx(8.0)
+
+
+def test_the_figure_of_eight_closes_crosses_itself_and_turns_both_ways() -> None:
+    motion = FigureEightMotion(kind="figure_8", speed_m_s=2.0, half_length_m=10.0, axis_deg=0.0, phase=0.0)
+    pad = built(motion)
+    lap_s = 5.244115108584239 * 10.0 / 2.0
+    start = pad.at(0.0)
+    assert pad.at(lap_s).position_ned_m == pytest.approx(start.position_ned_m, abs=1e-6)
+    assert pad.at(lap_s / 2).position_ned_m == pytest.approx(start.position_ned_m, abs=1e-6)
+    ends = np.subtract(pad.at(lap_s / 4).position_ned_m, pad.at(3 * lap_s / 4).position_ned_m)
+    assert ends == pytest.approx((20.0, 0.0, 0.0), abs=1e-6)
+    rates = [pad.at(0.05 * lap_s * i).heading_rate_rad_s for i in range(20)]
+    assert max(rates) == pytest.approx(3.0 * 2.0 / 10.0)
+    assert min(rates) == pytest.approx(-3.0 * 2.0 / 10.0)
+
+
+def test_the_sea_has_its_significant_height_and_period() -> None:
+    motion = HeaveMotion(kind="heave", significant_height_m=0.8, peak_period_s=6.0)
+    pad = built(motion, height=2.0)
+    z = np.array([pad.at(0.25 * i).position_ned_m[2] for i in range(20000)])
+    assert 4.0 * z.std() == pytest.approx(0.8, rel=0.03)
+    assert np.abs(z + 2.0).max() <= motion.largest_excursion_m() + 1e-9
+    upward = np.sum((z[1:] > -2.0) & (z[:-1] <= -2.0))
+    mean_period_s = 5000.0 / upward
+    assert 3.5 < mean_period_s < 6.0  # a spectrum's mean crossing period is some 0.7 of its peak's
+
+
+def test_random_turns_stay_about_their_middle_and_turn_within_the_limit() -> None:
+    motion = RandomTurnsMotion(
+        kind="random_turns",
+        speed_m_s=1.5,
+        max_turn_rate_deg_s=25.0,
+        radius_m=10.0,
+        meet=Meeting(spread_m=0.0),
+    )
+    for seed in range(5):
+        pad = built(motion, seed)
+        track = [pad.at(0.5 * i) for i in range(600)]
+        extent = np.ptp([p.position_ned_m[:2] for p in track], axis=0)
+        assert max(extent) < 50.0
+        assert max(abs(p.heading_rate_rad_s) for p in track) <= math.radians(25.0) + 1e-9
+        steps = np.diff([p.position_ned_m for p in track], axis=0)
+        assert np.linalg.norm(steps, axis=1).max() <= 1.5 * 0.5 + 1e-9

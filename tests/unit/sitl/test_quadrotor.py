@@ -1,0 +1,240 @@
+"""The airframe against what Newton and Euler say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.geometry import (
+    GRAVITY_M_S2,
+    Vector3,
+    matrix_from_quat,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate,
+    rotate_yaw,
+    tilt_from_quat,
+)
+from sitl.quadrotor import Four, Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
+from sitl.scenario import load_airframe
+
+DT = 0.0025
+X500 = load_airframe("x500").body
+HOVER = X500.hover_share()
+ALL_HOVER: Four = (HOVER, HOVER, HOVER, HOVER)
+OFF: Four = (0.0, 0.0, 0.0, 0.0)
+
+
+def changed(**values: Any) -> QuadrotorParameters:
+    return X500.model_copy(update=values)
+
+
+def without_drag() -> QuadrotorParameters:
+    return changed(rotor_drag_plane_n_s2_m_rad=0.0, rotor_drag_axial_n_s2_m_rad=0.0, body_drag_area_m2=0.0)
+
+
+def hovering(**values: Any) -> QuadrotorState:
+    return QuadrotorState(**{"position_ned_m": (0.0, 0.0, -10.0), "thrust_share": ALL_HOVER, **values})
+
+
+def test_hovers_at_half_throttle() -> None:
+    assert X500.hover_share() == pytest.approx(0.5, abs=0.01)
+    state = hovering()
+    for _ in range(400):
+        state = Quadrotor(X500).step(state, ALL_HOVER, DT)
+    assert state.position_ned_m == pytest.approx((0.0, 0.0, -10.0), abs=1e-9)
+    assert state.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -GRAVITY_M_S2), abs=1e-9)
+
+
+def test_free_fall_is_weightless_and_follows_half_g_t_squared() -> None:
+    vehicle = Quadrotor(without_drag())
+    state = resting_state((0.0, 0.0, -100.0), 0.7)
+    for _ in range(400):
+        state = vehicle.step(state, OFF, DT)
+    assert state.position_ned_m[2] == pytest.approx(-100.0 + 0.5 * GRAVITY_M_S2, abs=1e-9)
+    assert state.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("more", "axis", "sign"),
+    [
+        ((3,), 0, 1.0),  # left: rolls right
+        ((1,), 0, -1.0),
+        ((0,), 1, 1.0),  # front: nose up
+        ((2,), 1, -1.0),
+        ((0, 2), 2, 1.0),  # front and rear turn anticlockwise, their reaction is clockwise
+        ((1, 3), 2, -1.0),
+    ],
+)
+def test_each_motor_turns_the_body_its_way(more: tuple[int, ...], axis: int, sign: float) -> None:
+    one, two, three, four = (HOVER + (0.1 if i in more else -0.1 / 3) for i in range(4))
+    state = hovering()
+    for _ in range(20):
+        state = Quadrotor(X500).step(state, (one, two, three, four), DT)
+    assert sign * state.rate_body_rad_s[axis] > 0.01
+
+
+def test_torques_have_the_agreed_arms() -> None:
+    share: Four = (0.5, 0.4, 0.42, 0.6)
+    accelerations = (
+        Quadrotor(X500).step(hovering(thrust_share=share), share, 1e-5).angular_acceleration_body_rad_s2
+    )
+    thrust = [value * X500.max_thrust_n for value in share]
+    arm, k = X500.arm_length_m, X500.torque_to_thrust_m
+    torque = (
+        arm * (thrust[3] - thrust[1]),
+        arm * (thrust[0] - thrust[2]),
+        k * (thrust[0] - thrust[1] + thrust[2] - thrust[3]),
+    )
+    expected = [t / i for t, i in zip(torque, X500.inertia_kg_m2, strict=True)]
+    assert accelerations == pytest.approx(expected, rel=1e-3)
+
+
+def test_gyroscopics_equal_the_vector_form_with_opposite_signs_in_roll_and_pitch() -> None:
+    parameters = changed(inertia_kg_m2=(0.015, 0.02, 0.03), rotor_inertia_kg_m2=2e-3)
+    share: Four = (0.2, 0.6, 0.2, 0.6)
+    rate = (0.8, -1.1, 0.5)
+    state = hovering(thrust_share=share, rate_body_rad_s=rate)
+    got = Quadrotor(parameters).step(state, share, 1e-6).angular_acceleration_body_rad_s2
+    speeds = [parameters.max_rotor_speed_rad_s * math.sqrt(value) for value in share]
+    momentum = np.array(
+        [0.0, 0.0, parameters.rotor_inertia_kg_m2 * (speeds[1] + speeds[3] - speeds[0] - speeds[2])]
+    )
+    inertia = np.array(parameters.inertia_kg_m2)
+    w = np.array(rate)
+    reaction = parameters.torque_to_thrust_m * parameters.max_thrust_n * (0.2 - 0.6 + 0.2 - 0.6)
+    torque = np.array([0.0, 0.0, reaction])
+    expected = (torque - np.cross(w, inertia * w + momentum)) / inertia
+    np.testing.assert_allclose(got, expected, rtol=1e-4)
+    # eq. (6): the same rate in roll and pitch gives torques of opposite sign
+    gyroscopic = -np.cross(np.array([1.0, 1.0, 0.0]), momentum)
+    assert gyroscopic[0] == pytest.approx(-gyroscopic[1])
+    assert gyroscopic[0] != 0.0
+
+
+def test_spinning_a_rotor_up_turns_the_body_against_it() -> None:
+    parameters = changed(torque_to_thrust_m=1e-9, rotor_inertia_kg_m2=1e-3)
+    up: Four = (1.0, HOVER, 1.0, HOVER)
+    state = Quadrotor(parameters).step(hovering(), up, DT)
+    # front and rear turn anticlockwise: speeding up pushes the body clockwise
+    assert state.rate_body_rad_s[2] > 0.0
+
+
+def test_motors_lag_by_their_time_constants() -> None:
+    vehicle = Quadrotor(changed(motor_rise_s=0.05, motor_fall_s=0.1))
+    state = hovering(thrust_share=(0.5, 0.5, 0.5, 0.5))
+    for _ in range(20):
+        state = vehicle.step(state, (1.0, 1.0, 0.0, 7.0), DT)
+    rise, fall = 1.0 - 0.5 * math.exp(-1.0), 0.5 * math.exp(-0.5)
+    assert state.thrust_share == pytest.approx((rise, rise, fall, rise), rel=1e-9)
+
+
+def test_a_step_of_another_length_has_the_same_lag() -> None:
+    vehicle = Quadrotor(X500)
+    coarse = vehicle.step(hovering(), (0.9, 0.9, 0.9, 0.9), 0.01)
+    fine = hovering()
+    for _ in range(10):
+        fine = vehicle.step(fine, (0.9, 0.9, 0.9, 0.9), 0.001)
+    assert coarse.thrust_share == pytest.approx(fine.thrust_share, rel=1e-12)
+
+
+def test_integration_is_of_fourth_order() -> None:
+    vehicle = Quadrotor(X500)
+    share: Four = (0.45, 0.55, 0.47, 0.5)
+
+    def flown(dt: float) -> np.ndarray[Any, Any]:
+        state = hovering(
+            thrust_share=share,
+            velocity_ned_m_s=(6.0, -3.0, 1.0),
+            attitude=quat_from_euler(0.3, -0.2, 1.0),
+            rate_body_rad_s=(2.0, -1.5, 1.0),
+        )
+        for _ in range(round(0.16 / dt)):
+            state = vehicle.step(state, share, dt, wind_ned_m_s=(3.0, 1.0, 0.5))
+        return np.array(state.position_ned_m + state.velocity_ned_m_s + state.rate_body_rad_s)
+
+    exact = flown(0.00125)
+    coarse = np.linalg.norm(flown(0.04) - exact)
+    fine = np.linalg.norm(flown(0.02) - exact)
+    assert 12.0 < coarse / fine < 20.0
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])
+def test_motion_does_not_depend_on_where_north_is(yaw_deg: int) -> None:
+    yaw = math.radians(yaw_deg)
+    vehicle = Quadrotor(X500)
+    share: Four = (0.52, 0.5, 0.48, 0.53)
+    tilted = quat_from_euler(0.3, -0.25, 0.4)
+
+    def flown(turn: float) -> QuadrotorState:
+        state = hovering(
+            velocity_ned_m_s=rotate_yaw((3.0, 1.0, -0.5), turn),
+            attitude=quat_multiply(quat_from_euler(0.0, 0.0, turn), tilted),
+        )
+        for _ in range(100):
+            state = vehicle.step(state, share, DT, wind_ned_m_s=rotate_yaw((-4.0, 2.0, 0.3), turn))
+        return state
+
+    north, turned = flown(0.0), flown(yaw)
+    assert turned.velocity_ned_m_s == pytest.approx(rotate_yaw(north.velocity_ned_m_s, yaw), abs=1e-9)
+    assert turned.rate_body_rad_s == pytest.approx(north.rate_body_rad_s, abs=1e-9)
+    assert turned.specific_force_body_m_s2 == pytest.approx(north.specific_force_body_m_s2, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "way"),
+    [(0.1, 0.0, (0.0, 1.0, 0.0)), (0.0, 0.1, (-1.0, 0.0, 0.0)), (0.0, -0.1, (1.0, 0.0, 0.0))],
+)
+def test_leaning_accelerates_where_it_leans(roll: float, pitch: float, way: Vector3) -> None:
+    state = Quadrotor(X500).step(hovering(attitude=quat_from_euler(roll, pitch, 0.0)), ALL_HOVER, DT)
+    along = sum(v * w for v, w in zip(state.velocity_ned_m_s, way, strict=True)) / DT
+    assert along == pytest.approx(GRAVITY_M_S2 * math.sin(0.1), rel=0.01)
+
+
+def test_drifts_with_the_wind_in_the_end() -> None:
+    vehicle, state = Quadrotor(X500), hovering()
+    for _ in range(20000):
+        state = vehicle.step(state, ALL_HOVER, DT, wind_ned_m_s=(4.0, -2.0, 0.0))
+    assert state.velocity_ned_m_s == pytest.approx((4.0, -2.0, 0.0), abs=0.05)
+
+
+def test_five_metres_of_wind_take_about_seven_degrees_of_lean() -> None:
+    force = Quadrotor(X500).step(hovering(), ALL_HOVER, DT, wind_ned_m_s=(5.0, 0.0, 0.0))
+    lean = math.degrees(math.atan2(force.specific_force_body_m_s2[0], GRAVITY_M_S2))
+    assert 5.0 < lean < 9.0
+
+
+def test_climbing_costs_thrust() -> None:
+    state = Quadrotor(X500).step(hovering(velocity_ned_m_s=(0.0, 0.0, -2.0)), ALL_HOVER, DT)
+    assert -GRAVITY_M_S2 < state.specific_force_body_m_s2[2] < -GRAVITY_M_S2 + 4.0
+
+
+def test_an_unknown_load_makes_it_sink() -> None:
+    state = Quadrotor(X500, mass_factor=1.1).step(hovering(), ALL_HOVER, DT)
+    assert state.velocity_ned_m_s[2] / DT == pytest.approx(GRAVITY_M_S2 * (1.0 - 1.0 / 1.1), rel=1e-3)
+
+
+def test_an_outer_force_is_felt_by_the_accelerometer_and_gravity_is_not() -> None:
+    tilted = quat_from_euler(0.2, -0.1, 2.0)
+    state = Quadrotor(without_drag()).step(
+        resting_state((0.0, 0.0, -5.0), 0.0), OFF, DT, force_ned_n=(1.5, 0.0, 0.0)
+    )
+    assert state.specific_force_body_m_s2 == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
+    state = Quadrotor(without_drag()).step(
+        QuadrotorState((0.0, 0.0, -5.0), attitude=tilted), OFF, DT, force_ned_n=(1.5, 0.0, 0.0)
+    )
+    expected = matrix_from_quat(tilted).T @ np.array([1.0, 0.0, 0.0])
+    np.testing.assert_allclose(state.specific_force_body_m_s2, expected, atol=1e-9)
+
+
+def test_the_rates_it_reports_are_those_it_turns_by() -> None:
+    """GIVEN a constant rate WHEN it flies for a second THEN its axis has gone round by that much."""
+    vehicle = Quadrotor(changed(inertia_kg_m2=(0.02, 0.02, 0.02), rotor_inertia_kg_m2=0.0))
+    state = QuadrotorState((0.0, 0.0, 0.0), rate_body_rad_s=(1.0, 0.0, 0.0))
+    for _ in range(400):
+        state = vehicle.step(state, OFF, DT)
+    assert tilt_from_quat(state.attitude) == pytest.approx(1.0, abs=1e-6)
+    assert quat_rotate(state.attitude, (0.0, 1.0, 0.0))[2] > 0.0  # right side down

@@ -1,0 +1,119 @@
+"""Wind: directions, the standard's variances and spectra, gusts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sitl.wind import (
+    FADE_HEIGHT_M,
+    TURBULENCE_STEP_S,
+    W20_M_S,
+    DrydenTurbulence,
+    GustSettings,
+    Wind,
+    WindSettings,
+)
+
+
+def rng(seed: int = 1) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+@pytest.mark.parametrize(
+    ("from_deg", "towards"),
+    [(0.0, (-4.0, 0.0)), (90.0, (0.0, -4.0)), (180.0, (4.0, 0.0)), (270.0, (0.0, 4.0))],
+)
+def test_blows_from_where_it_is_said_to(from_deg: float, towards: tuple[float, float]) -> None:
+    wind = Wind(WindSettings(mean_m_s=4.0, from_deg=from_deg), rng())
+    assert wind.at(3.0, 5.0) == pytest.approx((*towards, 0.0), abs=1e-9)
+
+
+def ensemble(steps: tuple[int, ...], count: int = 3000) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Samples (count, len(steps), 3) of independent fields after so many steps each."""
+    generator = rng(7)
+    rows = []
+    for _ in range(count):
+        field = DrydenTurbulence(10.0, 8.0, generator)
+        walk = [field.step() for _ in range(max(steps))]
+        rows.append([walk[step - 1] for step in steps])
+    return np.array(rows)
+
+
+def test_turbulence_has_the_standards_variance_from_the_first_sample_on() -> None:
+    field = DrydenTurbulence(10.0, 8.0, rng())
+    expected = (field.std_horizontal_m_s, field.std_horizontal_m_s, field.std_vertical_m_s)
+    assert field.std_vertical_m_s == pytest.approx(1.0)
+    assert field.std_horizontal_m_s == pytest.approx(1.93, abs=0.01)  # 0.1935 ** -0.4
+    std = ensemble((1, 40)).std(axis=0)
+    # the estimate's own deviation is 1.3 %
+    np.testing.assert_allclose(std, np.array([expected, expected]), rtol=0.05)
+
+
+def test_turbulence_has_the_drydens_memory() -> None:
+    """Correlation after tau: exp(-tau / T) along the wind; exp(-tau / T) (1 - tau / 2T) across it."""
+    field = DrydenTurbulence(10.0, 8.0, rng())
+    lag = 40
+    samples = ensemble((1, 1 + lag))
+    correlation = [np.corrcoef(samples[:, 0, i], samples[:, 1, i])[0, 1] for i in range(3)]
+    tau = lag * TURBULENCE_STEP_S
+    along = math.exp(-tau / field.time_horizontal_s)
+    across = along * (1.0 - 0.5 * tau / field.time_horizontal_s)
+    vertical = math.exp(-tau / field.time_vertical_s) * (1.0 - 0.5 * tau / field.time_vertical_s)
+    np.testing.assert_allclose(correlation, [along, across, vertical], atol=0.05)
+    assert field.time_horizontal_s * 8.0 == pytest.approx(43.7, abs=0.3)
+    assert field.time_vertical_s * 8.0 == pytest.approx(6.1, abs=0.05)
+
+
+def test_severity_follows_the_wind_at_twenty_feet() -> None:
+    assert W20_M_S["light"] == pytest.approx(7.72, abs=0.01)
+    assert W20_M_S["moderate"] == pytest.approx(15.43, abs=0.01)
+
+
+def test_turbulence_is_continuous_between_its_samples() -> None:
+    wind = Wind(WindSettings(mean_m_s=5.0, turbulence="moderate"), rng())
+    series = np.array([wind.at(0.0025 * i, 10.0) for i in range(4000)])
+    assert np.abs(np.diff(series, axis=0)).max() < 0.15
+    assert series.std(axis=0).min() > 0.2
+
+
+def test_no_vertical_wind_goes_through_the_surface() -> None:
+    wind = Wind(WindSettings(mean_m_s=5.0, turbulence="moderate"), rng())
+    low = [wind.at(0.02 * i, 0.0)[2] for i in range(200)]
+    assert max(map(abs, low)) == 0.0
+    assert abs(wind.at(4.0, FADE_HEIGHT_M)[2]) > 0.0
+
+
+def test_gusts_reach_their_amplitude_smoothly_and_leave_calm_between() -> None:
+    settings = WindSettings(
+        from_deg=180.0, gusts=GustSettings(amplitude_m_s=4.0, duration_s=2.0, interval_s=5.0, spread_deg=0.0)
+    )
+    wind = Wind(settings, rng())
+    north = np.array([wind.at(0.01 * i, 5.0)[0] for i in range(6000)])
+    assert north.max() == pytest.approx(4.0, abs=0.01)
+    assert north.min() >= 0.0
+    assert np.abs(np.diff(north)).max() < 4.0 * math.pi / 2.0 * 0.01 * 1.01
+    assert 0.5 < (north == 0.0).mean() < 0.9
+
+
+def test_gusts_blow_within_their_spread() -> None:
+    settings = WindSettings(from_deg=180.0, gusts=GustSettings(amplitude_m_s=4.0, spread_deg=30.0))
+    wind = Wind(settings, rng(3))
+    blown = [wind.at(0.1 * i, 5.0) for i in range(3000)]
+    bearings = [math.degrees(math.atan2(e, n)) for n, e, _ in blown if math.hypot(n, e) > 0.1]
+    assert max(map(abs, bearings)) <= 30.0
+    assert max(bearings) > 10.0
+    assert min(bearings) < -10.0
+
+
+def test_a_seed_gives_one_wind_and_another_seed_another() -> None:
+    settings = WindSettings(mean_m_s=3.0, turbulence="light", gusts=GustSettings(amplitude_m_s=3.0))
+
+    def blown(seed: int) -> list[tuple[float, float, float]]:
+        wind = Wind(settings, rng(seed))
+        return [wind.at(0.02 * i, 5.0) for i in range(500)]
+
+    assert blown(5) == blown(5)
+    assert blown(5) != blown(6)

@@ -1,0 +1,254 @@
+"""The world: its parts together, what its sensors see and what it remembers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from companion.config import validate
+from companion.geometry import (
+    GRAVITY_M_S2,
+    euler_from_quat,
+    quat_from_euler,
+    quat_rotate_inverse,
+    wrap_angle,
+    yaw_from_quat,
+)
+from sitl.quadrotor import Four, QuadrotorState
+from sitl.scenario import Scenario
+from sitl.world import World
+
+DT = 0.0025
+OFF: Four = (0.0, 0.0, 0.0, 0.0)
+STAND = 0.18
+
+
+def scenario(**values: Any) -> Scenario:
+    return validate(Scenario, {"name": "test", "description": "a test", **values}, "test")
+
+
+def pad_at(north: float, east: float, height: float = 0.3, **motion: Any) -> dict[str, Any]:
+    meet = {"point_ned_m": [north, east], "time_s": 0.0, "spread_m": 0.0}
+    return {"surface_height_m": height, "motion": {"kind": "static", "meet": meet, **motion}, "heading": 0.0}
+
+
+def run(world: World, seconds: float, commands: Four = OFF) -> World:
+    for _ in range(round(seconds / DT)):
+        world.step(commands, DT)
+    return world
+
+
+def put(world: World, height: float, sideways: float = 0.0, **values: Any) -> World:
+    """Over the pad, `height` between feet and surface."""
+    n, e, d = world.pad_state.position_ned_m
+    world.place(QuadrotorState(position_ned_m=(n, e + sideways, d - STAND - height), **values))
+    return world
+
+
+def test_starts_standing_at_home_with_a_drawn_heading() -> None:
+    worlds = [World(scenario(), seed) for seed in range(4)]
+    for world in worlds:
+        assert run(world, 1.0).truth().vehicle_position_ned_m == pytest.approx((0.0, 0.0, -STAND), abs=1e-6)
+        assert world.in_contact
+        assert world.touchdown is None
+        assert not world.crashed
+        assert world.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -GRAVITY_M_S2), abs=1e-3)
+    headings = {round(yaw_from_quat(world.truth().vehicle_attitude), 3) for world in worlds}
+    assert len(headings) == 4
+
+
+def test_starts_on_the_pad_when_the_pad_is_at_home() -> None:
+    world = run(World(scenario(pad=pad_at(0.0, 0.0, 0.3)), 0), 0.5)
+    assert world.truth().vehicle_position_ned_m[2] == pytest.approx(-0.3 - STAND, abs=1e-4)
+    assert world.at_rest_on_pad
+
+
+def test_a_fixed_start_heading_is_kept() -> None:
+    truth = World(scenario(start_heading_deg=90.0), 3).truth()
+    assert yaw_from_quat(truth.vehicle_attitude) == pytest.approx(math.pi / 2)
+
+
+def test_the_same_seed_gives_the_same_flight_to_the_bit_and_another_seed_another() -> None:
+    windy = scenario(
+        wind={"mean_m_s": 5.0, "turbulence": "light", "gusts": {"amplitude_m_s": 3.0}},
+        pad={"motion": {"kind": "random_turns", "speed_m_s": 1.0}},
+    )
+
+    def flown(seed: int) -> Any:
+        return run(World(windy, seed), 2.0, (0.6, 0.6, 0.6, 0.6)).truth()
+
+    assert flown(7) == flown(7)
+    assert flown(7) != flown(8)
+
+
+def test_a_heading_drawn_or_fixed_leaves_the_wind_as_it_is() -> None:
+    wind = {"mean_m_s": 5.0, "turbulence": "light"}
+    one = run(World(scenario(wind=wind), 5), 0.1)
+    other = run(World(scenario(wind=wind, start_heading_deg=10.0), 5), 0.1)
+    assert one.wind_ned_m_s == pytest.approx(other.wind_ned_m_s, abs=1e-6)
+
+
+def test_a_touchdown_is_measured_just_before_contact_and_relative_to_the_pad() -> None:
+    pad = pad_at(20.0, 0.0, kind="line", speed_m_s=2.0, course_deg=90.0)
+    pad["heading"] = 30.0
+    world = World(scenario(pad=pad), 0)
+    put(
+        world,
+        0.05,
+        sideways=0.06,
+        velocity_ned_m_s=(0.1, 2.0, 0.2),
+        attitude=quat_from_euler(0.05, 0.0, 0.8),
+    )
+    world._watch.airborne(2.0)  # as if it had come down from there
+    fall_to = math.hypot(0.2, math.sqrt(2 * GRAVITY_M_S2 * 0.05))
+    while world.touchdown is None:
+        world.step(OFF, DT)
+    touchdown = world.touchdown
+    assert touchdown.on_pad
+    assert touchdown.lateral_error_m == pytest.approx(0.06, abs=0.02)
+    assert touchdown.vertical_speed_m_s == pytest.approx(fall_to, abs=0.12)
+    assert touchdown.horizontal_speed_m_s == pytest.approx(0.1, abs=0.03)
+    assert touchdown.tilt_deg == pytest.approx(math.degrees(0.05), abs=0.1)
+    assert touchdown.yaw_error_deg == pytest.approx(math.degrees(0.8) - 30.0, abs=0.1)
+    assert touchdown.pad_speed_m_s == pytest.approx(2.0)
+    assert not world.crashed
+    # what came after contact did not change it
+    assert run(world, 2.0).touchdown == touchdown
+    assert world.at_rest_on_pad
+
+
+def test_a_hop_below_a_metre_is_no_flight_and_a_later_flight_replaces_the_touchdown() -> None:
+    world = put(World(scenario(pad=pad_at(20.0, 0.0)), 0), 0.1)
+    assert run(world, 1.0).touchdown is None
+    full: Four = (0.9, 0.9, 0.9, 0.9)
+    while world.height_m < 1.5:
+        world.step(full, DT)
+    run(world, 3.0, (0.46, 0.46, 0.46, 0.46))
+    run(world, 3.0)
+    assert world.touchdown is not None
+    first = world.touchdown.time_s
+    while world.height_m < 1.5:
+        world.step(full, DT)
+    run(world, 6.0)
+    assert world.touchdown is not None
+    assert world.touchdown.time_s > first
+
+
+def test_touching_the_ground_beside_the_pad_is_not_on_the_pad() -> None:
+    world = World(scenario(pad=pad_at(20.0, 0.0)), 0)
+    world.place(QuadrotorState((17.0, 0.0, -1.3)))
+    run(world, 1.0)
+    assert world.touchdown is not None
+    assert not world.touchdown.on_pad
+    assert world.touchdown.lateral_error_m == pytest.approx(3.0, abs=0.05)
+    assert not world.at_rest_on_pad
+
+
+def test_a_fall_from_two_metres_is_a_crash() -> None:
+    world = run(put(World(scenario(pad=pad_at(20.0, 0.0)), 0), 2.0), 2.0)
+    assert world.crashed
+    assert world.touchdown is not None
+    assert world.touchdown.impact_speed_m_s > 2.0
+
+
+def test_lying_on_its_side_or_back_is_a_crash() -> None:
+    world = World(scenario(), 0)
+    for roll_deg in (70.0, 180.0):
+        attitude = quat_from_euler(math.radians(roll_deg), 0.0, 0.0)
+        world.place(QuadrotorState((0.0, 0.0, -0.2), attitude=attitude))
+        assert run(world, 0.5).crashed
+    # leaning that far in the air is only bad style
+    world.place(QuadrotorState((0.0, 0.0, -20.0), attitude=quat_from_euler(math.radians(70.0), 0.0, 0.0)))
+    assert not run(world, 0.1).crashed
+
+
+def test_hovering_low_over_the_pad_takes_less_thrust() -> None:
+    world = World(scenario(pad=pad_at(20.0, 0.0)), 0)
+    share = world.airframe.body.hover_share()
+    hover: Four = (share, share, share, share)
+    gained = []
+    for height in (5.0, 0.05):
+        put(world, height, thrust_share=hover)
+        world.step(hover, DT)
+        gained.append(-world.specific_force_body_m_s2[2] / GRAVITY_M_S2)
+    assert gained[0] == pytest.approx(1.0, abs=1e-6)
+    assert 1.01 < gained[1] < 1.05
+
+
+def test_wind_leans_on_the_vehicle() -> None:
+    world = World(scenario(wind={"mean_m_s": 8.0, "from_deg": 0.0}, start_heading_deg=0.0), 0)
+    share = world.airframe.body.hover_share()
+    world.place(QuadrotorState((0.0, 0.0, -20.0), thrust_share=(share, share, share, share)))
+    run(world, 0.5, (share, share, share, share))
+    assert world.truth().vehicle_velocity_ned_m_s[0] < -0.5
+    assert world.truth().wind_ned_m_s == pytest.approx((-8.0, 0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
+def test_the_range_is_the_plumb_distance_within_the_cone(heading_deg: int) -> None:
+    world = World(scenario(pad=pad_at(20.0, 0.0, 0.5)), 0)
+    cone = math.radians(15.0)
+    sensor = (-0.03, 0.0, 0.08)
+    heading = math.radians(heading_deg)
+    put(world, 2.0, attitude=quat_from_euler(0.0, 0.0, heading))
+    assert world.range_to_surface_m(sensor, cone) == pytest.approx(2.0 + STAND - 0.08)
+    put(world, 2.0, attitude=quat_from_euler(0.2, 0.0, heading))
+    assert world.range_to_surface_m(sensor, cone) == pytest.approx(2.18 - 0.08 * math.cos(0.2), abs=1e-9)
+    put(world, 2.0, attitude=quat_from_euler(0.3, 0.0, heading))
+    assert world.range_to_surface_m(sensor, cone) is None
+
+
+def test_the_range_beside_the_pad_is_to_the_ground_or_to_the_boards_edge_whichever_answers_first() -> None:
+    world = World(scenario(pad=pad_at(20.0, 0.0, 0.5)), 0)
+    sensor = (0.0, 0.0, 0.08)
+    put(world, 2.0, sideways=0.65 + 0.3)
+    wide, narrow = math.radians(20.0), math.radians(5.0)
+    assert world.range_to_surface_m(sensor, wide) == pytest.approx(math.hypot(2.1, 0.3))
+    assert world.range_to_surface_m(sensor, narrow) == pytest.approx(2.6)
+
+
+def test_truth_a_moment_ago_lies_between_the_steps() -> None:
+    pad = {"motion": {"kind": "circle", "speed_m_s": 1.5, "radius_m": 5.0}}
+    world = World(scenario(pad=pad), 2)
+    world.place(QuadrotorState((0.0, 0.0, -50.0), rate_body_rad_s=(0.0, 0.0, 1.0)))
+    told = {}
+    for i in range(200):
+        world.step((0.5, 0.5, 0.5, 0.5), DT)
+        told[i + 1] = world.truth()
+    at_step = world.truth_at(160 * DT)
+    assert at_step.vehicle_position_ned_m == pytest.approx(told[160].vehicle_position_ned_m, abs=1e-9)
+    between = world.truth_at(160.5 * DT)
+    assert between.time_s == pytest.approx(160.5 * DT)
+    middle = 0.5 * (told[160].vehicle_position_ned_m[2] + told[161].vehicle_position_ned_m[2])
+    assert between.vehicle_position_ned_m[2] == pytest.approx(middle, abs=1e-9)
+    yaw = [euler_from_quat(t.vehicle_attitude)[2] for t in (told[160], between, told[161])]
+    assert wrap_angle(yaw[1] - 0.5 * (yaw[0] + yaw[2])) == pytest.approx(0.0, abs=1e-7)
+    assert between.pad_position_ned_m == pytest.approx(
+        world._pad_motion.at(160.5 * DT).position_ned_m, abs=1e-5
+    )
+
+
+def test_truth_is_kept_for_three_tenths_of_a_second_and_not_foretold() -> None:
+    world = run(World(scenario(), 0), 1.0)
+    world.truth_at(world.time_s)
+    world.truth_at(world.time_s - 0.3)
+    with pytest.raises(ValueError, match="no truth"):
+        world.truth_at(world.time_s - 0.5)
+    with pytest.raises(ValueError, match="no truth"):
+        world.truth_at(world.time_s + 0.01)
+    assert World(scenario(), 0).truth_at(-0.05).vehicle_position_ned_m[2] == pytest.approx(-STAND)
+
+
+def test_an_off_centre_accelerometer_can_be_built_from_what_it_tells() -> None:
+    """a = f + w' x r + w x (w x r): the foot of a vehicle that turns about its heading feels the pull."""
+    world = World(scenario(), 0)
+    world.place(QuadrotorState((0.0, 0.0, -50.0), rate_body_rad_s=(0.0, 0.0, 2.0)))
+    world.step(OFF, DT)
+    p, q, r = world.rate_body_rad_s
+    assert (p, q) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert r == pytest.approx(2.0, abs=0.01)
+    assert world.angular_acceleration_body_rad_s2[2] == pytest.approx(0.0, abs=1e-6)
+    down = quat_rotate_inverse(world.truth().vehicle_attitude, (0.0, 0.0, 1.0))
+    assert down == pytest.approx((0.0, 0.0, 1.0), abs=1e-9)
