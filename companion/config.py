@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 CONFIG_FOLDER = Path(__file__).resolve().parent.parent / "configs"
 
@@ -147,7 +147,11 @@ class VehicleConfig(StrictModel):
 
 
 class ImuConfig(StrictModel):
-    """MPU9250: its bus ("i2c:1", or "socket:PATH" for a simulator in another process), ranges and rates."""
+    """MPU9250: its bus ("i2c:1", or "socket:PATH" for a simulator in another process), ranges and rates.
+
+    `body_from_sensor_deg` (roll, pitch, yaw) turns sensor axes into body FRD. The default is a chip that
+    lies face up with its x axis forward: z up and y left become z down and y right.
+    """
 
     bus: str = "i2c:1"
     address: int = Field(default=0x68, ge=0x68, le=0x69)
@@ -157,11 +161,25 @@ class ImuConfig(StrictModel):
     accel_range_g: Literal[2, 4, 8, 16] = 8
     filter_hz: Literal[184, 92, 41, 20] = 92
     mag_rate_hz: Literal[8, 100] = 100
-    body_from_sensor_deg: Vector = (0.0, 0.0, 0.0)  # roll, pitch, yaw
+    body_from_sensor_deg: Vector = (180.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _rates_fit_the_chip(self) -> ImuConfig:
+        if 1000 % self.rate_hz:
+            raise ValueError(f"rate_hz {self.rate_hz}: expected a divisor of 1000")
+        # the FIFO holds 36 samples: let one poll be skipped without a loss
+        if 2 * self.rate_hz > 36 * self.poll_hz:
+            raise ValueError(
+                f"poll_hz {self.poll_hz}: expected at least {-(-self.rate_hz // 18)} for rate_hz"
+            )
+        return self
 
 
 class GpsConfig(StrictModel):
-    """NEO-6M on a serial port."""
+    """NEO-6M on a serial port.
+
+    `latency_s` is from the instant a fix is valid to the first bit of its first message, at the quickest.
+    """
 
     port: str = "/dev/ttyAMA0"
     baud: Literal[9600, 38400, 57600, 115200] = 9600
@@ -171,7 +189,7 @@ class GpsConfig(StrictModel):
 
 
 class RangeConfig(StrictModel):
-    """Downward ultrasonic on a serial port (JSN-SR04T / US-100 frames)."""
+    """Downward ultrasonic on a serial port: JSN-SR04T in serial mode, A02YYUW or alike (4-byte frames)."""
 
     port: str = "/dev/ttyAMA1"
     baud: Literal[9600] = 9600

@@ -1,0 +1,278 @@
+"""The MPU9250's driver: registers to rates, specific forces and magnetic field in body axes.
+
+Accelerometer, temperature and gyroscope come through the FIFO, so that no sample is lost between polls;
+the magnetometer through EXT_SENS_DATA (see `ak8963`). Registers: RM-MPU-9250A-00 rev. 1.6; scales:
+PS-MPU-9250A-01 rev. 1.1. Sensor axes: right-handed, z out of the chip's top, turned into FRD by
+`ImuConfig.body_from_sensor_deg`. The driver reads no clock and never sleeps: waits of the bring-up pass
+between polls.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Final
+
+from companion.config import ImuConfig
+from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler
+from companion.messages import ImuSample, MagSample
+from companion.sense.ak8963 import BLOCK_BYTES, Ak8963, Waits
+from companion.sense.i2c import RegisterBus, SensorError
+from companion.sense.sample_clock import SampleClock
+
+FIFO_BYTES: Final = 512
+FRAME_BYTES: Final = 14  # accelerometer, temperature, gyroscope: seven big-endian 16-bit words
+IDENTITIES: Final = {0x71: "MPU9250", 0x73: "MPU9255"}
+
+# filter_hz -> DLPF_CFG and the gyroscope's delay (s), register map table of CONFIG. The accelerometer's
+# delay differs from it by about 1 ms, less than matters to one time stamp for both.
+_FILTER: Final = {184: (1, 0.0029), 92: (2, 0.0039), 41: (3, 0.0059), 20: (4, 0.0099)}
+_GYRO_RANGE: Final = {250: 0, 500: 1, 1000: 2, 2000: 3}
+_ACCEL_RANGE: Final = {2: 0, 4: 1, 8: 2, 16: 3}
+
+_SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
+_FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG, _EXT_SENS_DATA = 0x23, 0x24, 0x37, 0x49
+_USER_CTRL, _PWR_MGMT_1, _PWR_MGMT_2 = 0x6A, 0x6B, 0x6C
+_FIFO_COUNT, _FIFO_R_W, _WHO_AM_I = 0x72, 0x74, 0x75
+
+_RESET: Final = 0x80
+_CLOCK_PLL: Final = 0x01
+_FIFO_STOPS_WHEN_FULL: Final = 0x40
+_FIFO_ACCEL_TEMP_GYRO: Final = 0xF8
+_USER_FIFO: Final = 0x40
+_USER_MASTER: Final = 0x20
+_USER_FIFO_RESET: Final = 0x04
+_MASTER_400_KHZ: Final = 0x5D  # wait for the external data, stop between reads, 400 kHz
+
+_BURST_BYTES: Final = 28  # two frames: what an SMBus adapter reads at once
+_SILENT_S: Final = 0.25
+_STUCK_S: Final = 1.0
+_MAG_SILENT_S: Final = 1.0
+# centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
+_MAG_MEASUREMENT_S: Final = 0.0036
+
+Rows = tuple[float, float, float, float, float, float, float, float, float]
+
+
+class FifoOverflowError(SensorError):
+    """The FIFO was polled too late: samples are lost, the sensor is well."""
+
+
+class Mpu9250:
+    """One MPU9250 on a register bus. Poll it at `config.poll_hz`."""
+
+    def __init__(self, bus: RegisterBus, config: ImuConfig) -> None:
+        self._bus = bus
+        self._address = config.address
+        self._name = f"MPU9250 at 0x{config.address:02x}"
+        self._config = config
+        self._mag = Ak8963(bus, config.address)
+        self._clock = SampleClock(1.0 / config.rate_hz)
+        self._delay_s = _FILTER[config.filter_hz][1]
+        self._accel = _rows(config, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
+        self._gyro = _rows(config, math.radians(config.gyro_range_deg_s) / 32768.0)
+        self._field = _rows(config, 1.0)
+        self._bring_up: Waits | None = None
+        self._ready = False
+        self._resume_s = -math.inf
+        self._last_sample_s = -math.inf
+        self._last_mag_s = -math.inf
+        self._last_frame = b""
+        self._same_frames = 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether the bring-up is through and samples flow."""
+        return self._ready
+
+    def configure(self) -> None:
+        """Check the chip's identity and have the polls that follow set it up from a reset.
+
+        Raises:
+            SensorError: no answer, or another chip.
+        """
+        try:
+            self._check_identity()
+        except (OSError, SensorError) as error:
+            raise self._failed(error) from error
+        self._begin_bring_up()
+
+    def poll(self, now_s: float) -> tuple[list[ImuSample], list[MagSample]]:
+        """All samples since the last poll, oldest first, stamped with when they were measured.
+
+        Empty while the chip is being set up (about 0.4 s after `configure` or a fault).
+
+        Raises:
+            FifoOverflowError: the FIFO was full and has been reset; sampling goes on.
+            SensorError: bus fault, silence or stuck data; the next poll begins to set the chip up anew.
+        """
+        try:
+            if self._ready:
+                return self._drain(now_s)
+            self._continue_bring_up(now_s)
+        except FifoOverflowError:
+            raise
+        except (OSError, SensorError) as error:
+            raise self._failed(error) from error
+        return [], []
+
+    # ------------------------------------------------------------ bring-up
+
+    def _begin_bring_up(self) -> None:
+        self._bring_up = self._steps()
+        self._resume_s = -math.inf
+        self._ready = False
+
+    def _failed(self, error: Exception) -> SensorError:
+        self._bring_up = None
+        self._ready = False
+        reason = error.strerror or str(error) if isinstance(error, OSError) else str(error)
+        return SensorError(f"{self._name}: {reason}")
+
+    def _continue_bring_up(self, now_s: float) -> None:
+        if self._bring_up is None:
+            self._begin_bring_up()
+        if now_s < self._resume_s:
+            return
+        assert self._bring_up is not None
+        wait_s = next(self._bring_up, None)
+        if wait_s is not None:
+            self._resume_s = now_s + wait_s
+            return
+        self._ready = True
+        self._last_sample_s = self._last_mag_s = now_s
+
+    def _check_identity(self) -> None:
+        identity = self._read(_WHO_AM_I, 1)[0]
+        if identity not in IDENTITIES:
+            raise SensorError(f"identity 0x{identity:02x}, expected 0x71 (MPU9250) or 0x73 (MPU9255)")
+
+    def _steps(self) -> Waits:
+        self._check_identity()
+        self._write(_PWR_MGMT_1, _RESET)
+        yield 0.1
+        self._write(_PWR_MGMT_1, _CLOCK_PLL)
+        self._write(_PWR_MGMT_2, 0x00)
+        yield 0.05
+        self._write_settings()
+        self._write(_INT_PIN_CFG, 0x00)
+        self._write(_I2C_MST_CTRL, _MASTER_400_KHZ)
+        self._write(_USER_CTRL, _USER_MASTER)
+        yield from self._mag.bring_up(self._config.mag_rate_hz)
+        self._write(_FIFO_EN, _FIFO_ACCEL_TEMP_GYRO)
+        self._reset_fifo()
+
+    def _write_settings(self) -> None:
+        config = self._config
+        dlpf = _FILTER[config.filter_hz][0]
+        settings = bytes(
+            (
+                1000 // config.rate_hz - 1,
+                _FIFO_STOPS_WHEN_FULL | dlpf,
+                _GYRO_RANGE[config.gyro_range_deg_s] << 3,
+                _ACCEL_RANGE[config.accel_range_g] << 3,
+                dlpf,
+            )
+        )
+        for offset, value in enumerate(settings):
+            self._write(_SMPLRT_DIV + offset, value)
+        taken = self._read(_SMPLRT_DIV, len(settings))
+        if taken != settings:
+            raise SensorError(f"settings not taken: wrote {settings.hex()}, read {taken.hex()}")
+
+    def _reset_fifo(self) -> None:
+        self._write(_USER_CTRL, _USER_MASTER | _USER_FIFO_RESET)
+        self._write(_USER_CTRL, _USER_MASTER | _USER_FIFO)
+        self._clock.restart()
+
+    # ------------------------------------------------------------ samples
+
+    def _drain(self, now_s: float) -> tuple[list[ImuSample], list[MagSample]]:
+        count = self._fifo_count()
+        if count > FIFO_BYTES - FRAME_BYTES:
+            self._reset_fifo()
+            self._last_sample_s = now_s
+            raise FifoOverflowError(f"{self._name}: FIFO overflow, samples lost")
+        return self._read_imu(now_s, count // FRAME_BYTES), self._read_mag(now_s)
+
+    def _fifo_count(self) -> int:
+        high, low = self._read(_FIFO_COUNT, 2)
+        count = (high & 0x1F) << 8 | low
+        if count > FIFO_BYTES:
+            raise SensorError(f"FIFO count {count} of {FIFO_BYTES}: the bus reads all ones")
+        return count
+
+    def _read_imu(self, now_s: float, frames: int) -> list[ImuSample]:
+        if frames == 0:
+            if now_s - self._last_sample_s > _SILENT_S:
+                raise SensorError(f"no sample for {now_s - self._last_sample_s:.2f} s")
+            return []
+        data = self._read_fifo(frames * FRAME_BYTES)
+        self._check_alive(data, frames)
+        self._last_sample_s = now_s
+        words = struct.unpack(f">{7 * frames}h", data)
+        times = self._clock.stamp(now_s, frames)
+        return [self._sample(time_s, words, 7 * k) for k, time_s in enumerate(times)]
+
+    def _read_fifo(self, length: int) -> bytes:
+        if length <= _BURST_BYTES:
+            return self._read(_FIFO_R_W, length)
+        starts = range(0, length, _BURST_BYTES)
+        return b"".join(self._read(_FIFO_R_W, min(_BURST_BYTES, length - start)) for start in starts)
+
+    def _check_alive(self, data: bytes, frames: int) -> None:
+        newest = data[-FRAME_BYTES:]
+        if newest == b"\xff" * FRAME_BYTES:
+            raise SensorError("the FIFO reads all ones")
+        # a live sensor's noise spans many steps: the same 14 bytes again and again are a dead one's
+        if newest != self._last_frame or data != newest * frames:
+            self._same_frames = 0
+            self._last_frame = newest
+            return
+        self._same_frames += frames
+        if self._same_frames > _STUCK_S * self._config.rate_hz:
+            self._same_frames = 0
+            raise SensorError(f"stuck: the same sample for {_STUCK_S:.0f} s")
+
+    def _sample(self, time_s: float, words: tuple[int, ...], at: int) -> ImuSample:
+        ax, ay, az, temperature, gx, gy, gz = words[at : at + 7]
+        return ImuSample(
+            time_s - self._delay_s,
+            _turn(self._gyro, gx, gy, gz),
+            _turn(self._accel, ax, ay, az),
+            temperature / 333.87 + 21.0,
+        )
+
+    def _read_mag(self, now_s: float) -> list[MagSample]:
+        decoded = self._mag.decode(self._read(_EXT_SENS_DATA, BLOCK_BYTES))
+        if decoded is None:
+            if now_s - self._last_mag_s > _MAG_SILENT_S:
+                raise SensorError(f"AK8963: nothing new for {now_s - self._last_mag_s:.1f} s")
+            return []
+        self._last_mag_s = now_s
+        field, newest = decoded
+        # copied at the newest sample, or at the one before; measured up to one sample earlier than that
+        copies_ago = 1.0 if newest else 2.0
+        time_s = now_s - copies_ago * self._clock.period_s - _MAG_MEASUREMENT_S
+        return [MagSample(time_s, _turn(self._field, *field))]
+
+    # ------------------------------------------------------------ bus
+
+    def _read(self, register: int, length: int) -> bytes:
+        return self._bus.read(self._address, register, length)
+
+    def _write(self, register: int, value: int) -> None:
+        self._bus.write(self._address, register, value)
+
+
+def _rows(config: ImuConfig, factor: float) -> Rows:
+    """The rotation from sensor to body axes times `factor`, row by row."""
+    roll, pitch, yaw = (math.radians(angle) for angle in config.body_from_sensor_deg)
+    matrix = matrix_from_quat(quat_from_euler(roll, pitch, yaw)) * factor
+    a, b, c, d, e, f, g, h, i = (float(value) for value in matrix.flat)
+    return (a, b, c, d, e, f, g, h, i)
+
+
+def _turn(rows: Rows, x: float, y: float, z: float) -> Vector3:
+    a, b, c, d, e, f, g, h, i = rows
+    return (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)

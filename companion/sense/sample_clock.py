@@ -1,0 +1,67 @@
+"""When the samples of a FIFO were taken, from nothing but the times at which it was read.
+
+The sensor runs on its own oscillator (MPU9250: +-1 %), the reader is woken late now and then, and no
+sample carries a time. What is known: sample k was taken at t0 + k T, and at a read the newest sample is
+between 0 and T old, T/2 in the mean. So t0 and T are tracked by a second-order loop on
+`read time - T/2 - predicted time`, quick at first and slow later, whose error is clamped to one period:
+a late wake-up neither bends the time scale nor shifts it.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+FIRST_GAIN: Final = 0.1
+LAST_GAIN: Final = 0.006
+OSCILLATOR_TOLERANCE: Final = 0.03
+LOST_PERIODS: Final = 6.0
+LOST_READS: Final = 10
+
+
+class SampleClock:
+    """Gives every sample of a FIFO its time. Restart it whenever the FIFO was emptied or reset."""
+
+    def __init__(self, period_s: float) -> None:
+        self._nominal_s = period_s
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the time scale; the next read starts a new one."""
+        self._period_s = self._nominal_s
+        self._newest_s: float | None = None
+        self._gain = FIRST_GAIN
+        self._far_reads = 0
+
+    @property
+    def period_s(self) -> float:
+        """The sensor's sample period (s) as learnt so far."""
+        return self._period_s
+
+    def stamp(self, read_s: float, count: int) -> list[float]:
+        """Times (s, rising) of `count` >= 1 samples that were read at `read_s`, oldest first."""
+        expected_s = read_s - 0.5 * self._period_s
+        if self._newest_s is None:
+            newest_s = expected_s
+        else:
+            newest_s = self._newest_s + count * self._period_s
+            newest_s += self._correction(expected_s - newest_s, count)
+        oldest_s = newest_s - (count - 1) * self._period_s
+        self._newest_s = newest_s
+        return [oldest_s + k * self._period_s for k in range(count)]
+
+    def _correction(self, error_s: float, count: int) -> float:
+        period = self._period_s
+        self._far_reads = self._far_reads + 1 if abs(error_s) > LOST_PERIODS * period else 0
+        if self._far_reads >= LOST_READS and error_s > 0.0:
+            # samples were lost without a trace: start again from here
+            self._far_reads = 0
+            self._gain = FIRST_GAIN
+            return error_s
+        clamped_s = max(-period, min(period, error_s))
+        correction_s = self._gain * clamped_s
+        # a quarter of the gain squared: critically damped
+        learnt_s = period + 0.25 * self._gain * correction_s / count
+        low, high = 1.0 - OSCILLATOR_TOLERANCE, 1.0 + OSCILLATOR_TOLERANCE
+        self._period_s = max(low * self._nominal_s, min(high * self._nominal_s, learnt_s))
+        self._gain = max(LAST_GAIN, self._gain / (1.0 + 0.25 * self._gain))
+        return correction_s

@@ -1,0 +1,221 @@
+"""The MPU9250 as registers: what the driver sees on the I2C bus, down to a FIFO that overflows.
+
+After RM-MPU-9250A-00 rev. 1.6: power-on values, reset, sleep, sample-rate divider, ranges (quantised and
+clipped), FIFO with both full modes, the inner I2C master's slaves 0 and 4, INT_STATUS. It keeps its own
+time: the oscillator is off by `clock_error`, within the data sheet's ±1 %.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import struct
+from typing import Final, Literal
+
+from companion.geometry import GRAVITY_M_S2, Vector3
+from sitl.devices import ak8963
+from sitl.devices.ak8963 import Ak8963Device
+from sitl.inertial import ImuSensor
+
+FIFO_BYTES: Final = 512
+Fault = Literal["none", "nack", "ones", "stuck"]
+
+_SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _FIFO_EN = 0x19, 0x1A, 0x1B, 0x1C, 0x23
+_SLV0_ADDR, _SLV0_REG, _SLV0_CTRL = 0x25, 0x26, 0x27
+_SLV4_ADDR, _SLV4_REG, _SLV4_DO, _SLV4_CTRL, _SLV4_DI, _MST_STATUS = 0x31, 0x32, 0x33, 0x34, 0x35, 0x36
+_INT_STATUS, _ACCEL_OUT, _EXT_SENS_DATA = 0x3A, 0x3B, 0x49
+_USER_CTRL, _PWR_MGMT_1, _FIFO_COUNT, _FIFO_R_W, _WHO_AM_I = 0x6A, 0x6B, 0x72, 0x74, 0x75
+
+# FIFO_EN bit -> its share of the 14 bytes accelerometer, temperature, gyroscope, in register order
+_FIFO_PARTS: Final = ((0x08, 0, 6), (0x80, 6, 8), (0x40, 8, 10), (0x20, 10, 12), (0x10, 12, 14))
+_FIFO_ALL: Final = 0xF8
+_WORDS: Final = struct.Struct(">7h")
+
+
+class Mpu9250Device:
+    """A register bus with one MPU9250 on it. Step it at the physics' rate, read and write it any time."""
+
+    def __init__(
+        self,
+        imu: ImuSensor,
+        magnetometer: Ak8963Device,
+        *,
+        address: int = 0x68,
+        identity: int = 0x71,
+        clock_error: float = 0.003,
+        temperature_c: float = 38.0,
+    ) -> None:
+        self._imu = imu
+        self._mag = magnetometer
+        self._address = address
+        self._identity = identity
+        self._clock = 1.0 + clock_error
+        self.temperature_c = temperature_c
+        self.fault: Fault = "none"
+        self._previous: tuple[float, Vector3, Vector3] | None = None
+        self._next_s = -math.inf
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Everything as after power-on; the driver's settings are gone."""
+        self._registers = bytearray(0x80)
+        self._registers[_PWR_MGMT_1] = 0x01
+        self._registers[_WHO_AM_I] = self._identity
+        self._fifo = bytearray()
+        self._mag.reset()
+        self._apply_settings()
+
+    # ------------------------------------------------------------ the world's side
+
+    def step(
+        self,
+        now_s: float,
+        specific_force_body_m_s2: Vector3,
+        rate_body_rad_s: Vector3,
+        field_body_ut: Vector3,
+        throttle: float,
+    ) -> None:
+        """Feel the truth of one physics step; sample when the chip's own time has come."""
+        force, rate = self._imu.sample(specific_force_body_m_s2, rate_body_rad_s, throttle)
+        self._mag.step(now_s, field_body_ut, throttle)
+        if self._previous is None:
+            self._next_s = now_s
+            self._previous = (now_s, force, rate)
+        before_s, before_force, before_rate = self._previous
+        self._previous = (now_s, force, rate)
+        while self._next_s <= now_s:
+            # the chip samples between two steps of the physics
+            share = (now_s - self._next_s) / (now_s - before_s) if now_s > before_s else 0.0
+            self.push_sample(_blend(force, before_force, share), _blend(rate, before_rate, share))
+            self._next_s += self._period_s
+
+    def push_sample(self, specific_force_m_s2: Vector3, rate_rad_s: Vector3) -> None:
+        """One sample, in sensor axes, into the output registers, the FIFO and the inner bus."""
+        registers = self._registers
+        if self.fault == "stuck" or registers[_PWR_MGMT_1] & 0x40:
+            return
+        ka, kg = self._accel_per_m_s2, self._gyro_per_rad_s
+        ax, ay, az = specific_force_m_s2
+        gx, gy, gz = rate_rad_s
+        words = [round(ax * ka), round(ay * ka), round(az * ka), self._temperature_counts()]
+        words += (round(gx * kg), round(gy * kg), round(gz * kg))
+        if max(words) > 32767 or min(words) < -32768:
+            words = [max(-32768, min(32767, word)) for word in words]
+        data = _WORDS.pack(*words)
+        registers[_ACCEL_OUT : _ACCEL_OUT + 14] = data
+        registers[_INT_STATUS] |= 0x01
+        if registers[_USER_CTRL] & 0x20:
+            self._read_slave_0()
+        if registers[_USER_CTRL] & 0x40:
+            self._fill_fifo(data)
+
+    def _temperature_counts(self) -> int:
+        return round((self.temperature_c - 21.0) * 333.87)
+
+    def _fill_fifo(self, data: bytes) -> None:
+        enabled = self._registers[_FIFO_EN] & _FIFO_ALL
+        if enabled != _FIFO_ALL:
+            data = b"".join(data[start:end] for bit, start, end in _FIFO_PARTS if enabled & bit)
+        self._fifo += data
+        if len(self._fifo) > FIFO_BYTES:
+            self._registers[_INT_STATUS] |= 0x10
+            if self._registers[_CONFIG] & 0x40:
+                del self._fifo[FIFO_BYTES:]
+            else:
+                del self._fifo[: len(self._fifo) - FIFO_BYTES]
+
+    def _read_slave_0(self) -> None:
+        registers = self._registers
+        control = registers[_SLV0_CTRL]
+        if control & 0x80 and registers[_SLV0_ADDR] == 0x80 | ak8963.ADDRESS:
+            length = control & 0x0F
+            data = self._mag.read(registers[_SLV0_REG], length)
+            registers[_EXT_SENS_DATA : _EXT_SENS_DATA + length] = data
+
+    # ------------------------------------------------------------ the bus's side
+
+    def read(self, address: int, register: int, length: int) -> bytes:
+        """Read registers; FIFO_R_W takes from the FIFO instead of stepping on.
+
+        Raises:
+            OSError: no device at the address, or the fault "nack".
+        """
+        self._check(address)
+        if self.fault == "ones":
+            return b"\xff" * length
+        if register == _FIFO_R_W:
+            data = bytes(self._fifo[:length])
+            del self._fifo[:length]
+            return data.ljust(length, b"\0")
+        if register <= _FIFO_COUNT + 1 < register + length or register == _FIFO_COUNT:
+            struct.pack_into(">H", self._registers, _FIFO_COUNT, len(self._fifo))
+        data = bytes(self._registers[register : register + length]).ljust(length, b"\0")
+        if register <= _INT_STATUS < register + length:
+            self._registers[_INT_STATUS] = 0
+        if register <= _MST_STATUS < register + length:
+            self._registers[_MST_STATUS] = 0
+        return data
+
+    def write(self, address: int, register: int, value: int) -> None:
+        """Write one register.
+
+        Raises:
+            OSError: no device at the address, or the fault "nack".
+        """
+        self._check(address)
+        if self.fault == "ones":
+            return
+        if register == _PWR_MGMT_1 and value & 0x80:
+            self.power_cycle()
+            return
+        if register in (_WHO_AM_I, _INT_STATUS, _MST_STATUS, _FIFO_COUNT, _FIFO_COUNT + 1):
+            return
+        self._registers[register] = value
+        if register == _USER_CTRL:
+            # the reset bits clear themselves
+            if value & 0x04:
+                self._fifo.clear()
+            self._registers[_USER_CTRL] = value & ~0x07 & 0xFF
+        elif register == _SLV4_CTRL and value & 0x80:
+            self._transact_slave_4()
+        elif register <= _ACCEL_CONFIG:
+            self._apply_settings()
+
+    def _check(self, address: int) -> None:
+        if address != self._address or self.fault == "nack":
+            raise OSError(errno.EREMOTEIO, "Remote I/O error")
+
+    def _transact_slave_4(self) -> None:
+        registers = self._registers
+        if not registers[_USER_CTRL] & 0x20:
+            return
+        registers[_SLV4_CTRL] &= 0x7F
+        slave = registers[_SLV4_ADDR]
+        if slave & 0x7F != ak8963.ADDRESS:
+            registers[_MST_STATUS] |= 0x50
+            return
+        if slave & 0x80:
+            registers[_SLV4_DI] = self._mag.read(registers[_SLV4_REG], 1)[0]
+        else:
+            self._mag.write(registers[_SLV4_REG], registers[_SLV4_DO])
+        registers[_MST_STATUS] |= 0x40
+
+    def _apply_settings(self) -> None:
+        registers = self._registers
+        dlpf = registers[_CONFIG] & 0x07
+        base_hz = 1000.0 if 1 <= dlpf <= 6 else 8000.0
+        self._period_s = (1 + registers[_SMPLRT_DIV]) / base_hz * self._clock
+        gyro_range = math.radians(250.0) * (1 << (registers[_GYRO_CONFIG] >> 3 & 3))
+        accel_range = 2.0 * GRAVITY_M_S2 * (1 << (registers[_ACCEL_CONFIG] >> 3 & 3))
+        self._gyro_per_rad_s = 32768.0 / gyro_range
+        self._accel_per_m_s2 = 32768.0 / accel_range
+        self._imu.set_filter(dlpf)
+
+
+def _blend(new: Vector3, old: Vector3, share_of_old: float) -> Vector3:
+    keep = 1.0 - share_of_old
+    return (
+        keep * new[0] + share_of_old * old[0],
+        keep * new[1] + share_of_old * old[1],
+        keep * new[2] + share_of_old * old[2],
+    )

@@ -1,0 +1,60 @@
+"""Serves a register bus to an app in another process: `companion.bus_format` on a unix socket."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+from pathlib import Path
+from typing import Protocol
+
+from companion.bus_format import (
+    REQUEST_BYTES,
+    BusFormatError,
+    ReadRequest,
+    decode_request,
+    encode_reply,
+)
+
+
+class RegisterDevice(Protocol):
+    """What answers on the bus. OSError is a bus fault."""
+
+    def read(self, address: int, register: int, length: int) -> bytes:
+        """Read registers."""
+        ...
+
+    def write(self, address: int, register: int, value: int) -> None:
+        """Write one register."""
+        ...
+
+
+def answer(device: RegisterDevice, request: bytes) -> bytes:
+    """The reply to one request.
+
+    Raises:
+        BusFormatError: not a request.
+    """
+    asked = decode_request(request)
+    try:
+        if isinstance(asked, ReadRequest):
+            return encode_reply(0, device.read(asked.address, asked.register, asked.length))
+        device.write(asked.address, asked.register, asked.value)
+    except OSError as error:
+        return encode_reply((error.errno or errno.EIO) & 0xFF)
+    return encode_reply(0)
+
+
+async def serve_registers(device: RegisterDevice, path: Path) -> asyncio.Server:
+    """Start serving `device` at the socket `path`, replacing a stale one; close the server to end."""
+
+    async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while True:
+                writer.write(answer(device, await reader.readexactly(REQUEST_BYTES)))
+                await writer.drain()
+        except (asyncio.IncompleteReadError, ConnectionError, BusFormatError):
+            pass  # the app went away, or speaks something else: either way the conversation is over
+        finally:
+            writer.close()
+
+    return await asyncio.start_unix_server(converse, path)
