@@ -128,6 +128,8 @@ class CameraConfig(StrictModel):
     cy_px: float = Field(gt=0.0, lt=3072.0)
     distortion: tuple[float, float, float, float, float]
     rate_hz: float = Field(ge=5.0, le=240.0)
+    exposure_s: float = Field(default=0.004, ge=0.00002, le=0.05)  # short and fixed: see what moves sharply
+    readout_s: float = Field(default=0.0, ge=0.0, le=0.05)  # first to last row of a rolling shutter; 0: global
 
 
 class VehicleConfig(StrictModel):
