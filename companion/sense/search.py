@@ -1,0 +1,121 @@
+"""Where in a frame to look for which markers, from where the pad is expected to be.
+
+Far markers (F) are read from afar, medium (M) and close ones (C) as they grow; a group that is seen
+whole, with cells of a few pixels after shrinking the image, is enough. The next smaller group is the
+second look, so that there is no height at which the eyes depend on a single group.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from companion.config import VisionConfig
+from companion.geometry import FloatArray
+from companion.messages import MarkerGroup
+from companion.pad import Pad
+from companion.sense.aruco import GROUPS, SearchPass, cells_across
+from companion.sense.lens import Lens
+
+# pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
+CELL_PX: Final = 4.0
+SHRINKINGS: Final = (8, 4, 2, 1)
+# markers of the preferred group that should be whole in the image, and how many to look for at most
+ENOUGH_MARKERS: Final = 2
+MOST_MARKERS: Final = 20
+# a pad expected with a standard deviation above this share of its distance is searched for everywhere
+VAGUE: Final = 0.25
+EDGE_PX: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """One group of markers as it is expected in the image."""
+
+    group: MarkerGroup
+    whole: FloatArray  # (k, 4, 2) corners of the markers that should be whole in the image
+    side_px: float
+    cell_px: float
+
+
+class SearchPlanner:
+    """Knows the pad's corners and the lens, and says where they should appear."""
+
+    def __init__(self, pad: Pad, lens: Lens, config: VisionConfig) -> None:
+        self._lens = lens
+        self._config = config
+        self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
+        self._members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
+        self._cells = {
+            g: max((cells_across(m) for m in pad.markers if m.group == g), default=1) for g in GROUPS
+        }
+
+    def whole_frame(self) -> tuple[SearchPass, ...]:
+        """Looks over the whole frame when nothing is known: shrunk for what is near, in full for what is far.
+
+        The close markers are left out of the last, dear one: where they are that small the medium ones
+        are in view.
+        """
+        return (self._whole(4, GROUPS), self._whole(2, GROUPS), self._whole(1, ("F", "M")))
+
+    def widened(self, look: SearchPass) -> SearchPass:
+        """The same look over the whole frame."""
+        return self._whole(look.shrink, look.groups)
+
+    def _whole(self, shrink: int, groups: tuple[MarkerGroup, ...]) -> SearchPass:
+        width, height = self._lens.size_px
+        return SearchPass(0, 0, width, height, shrink, groups)
+
+    def expected(
+        self, camera_from_pad: FloatArray, pad_position_camera_m: FloatArray, position_std_m: float
+    ) -> tuple[SearchPass, ...]:
+        """At most two looks at where the pad should be; none when it should be out of view or is vague.
+
+        Args:
+            camera_from_pad: rotation (3, 3).
+            pad_position_camera_m: (3,) of the pad's centre.
+            position_std_m: standard deviation of that position, each axis.
+        """
+        distance = float(np.linalg.norm(pad_position_camera_m))
+        if position_std_m > VAGUE * distance:
+            return ()
+        points = self._corners.reshape(-1, 3) @ camera_from_pad.T + pad_position_camera_m
+        pixels, depth = self._lens.project(points)
+        views = [v for v in (self._view(g, pixels.reshape(-1, 4, 2)) for g in GROUPS) if v is not None]
+        good = [v for v in views if len(v.whole) >= ENOUGH_MARKERS]
+        first = good[0] if good else (views[0] if views else None)
+        if first is None:
+            return ()
+        later = [v for v in views if GROUPS.index(v.group) > GROUPS.index(first.group)]
+        nearest = max(float(depth.min()), 0.05)
+        margin = self._config.region_margin_sigma * position_std_m * self._lens.focal_px / nearest
+        return tuple(self._pass(v, margin + self._config.region_margin_px) for v in [first, *later[:1]])
+
+    def _view(self, group: MarkerGroup, pixels: FloatArray) -> _View | None:
+        """The group's readable markers: whole in the image and large enough."""
+        corners = pixels[self._members[group]]
+        low, high = np.array([EDGE_PX, EDGE_PX]), np.array(self._lens.size_px) - EDGE_PX
+        with np.errstate(invalid="ignore"):
+            inside = ((corners > low) & (corners < high)).all(axis=(1, 2))
+        whole = corners[inside]
+        if len(whole) == 0:
+            return None
+        side = float(np.median(np.linalg.norm(whole[:, 1] - whole[:, 0], axis=1)))
+        if side < self._config.minimum_side_px:
+            return None
+        return _View(group, whole, side, side / self._cells[group])
+
+    def _pass(self, view: _View, margin_px: float) -> SearchPass:
+        """The rectangle about the group's markers nearest to the image's middle."""
+        middle = 0.5 * np.array(self._lens.size_px)
+        away = np.sum((view.whole.mean(axis=1) - middle) ** 2, axis=1)
+        near = view.whole[np.argsort(away, kind="stable")[:MOST_MARKERS]].reshape(-1, 2)
+        margin = margin_px + 0.2 * view.side_px
+        low = np.floor(near.min(axis=0) - margin).astype(int).clip(0)
+        high = np.ceil(near.max(axis=0) + margin).astype(int) + 1
+        width, height = self._lens.size_px
+        shrink = next((s for s in SHRINKINGS if view.cell_px >= CELL_PX * s), 1)
+        right, bottom = min(int(high[0]), width), min(int(high[1]), height)
+        return SearchPass(int(low[0]), int(low[1]), right, bottom, shrink, (view.group,))

@@ -1,0 +1,116 @@
+"""The eyes' step: one frame in, one sighting of the pad out, in body axes.
+
+The camera sits on the airframe at `camera_position_body_m`, turned by `camera_yaw_deg` (clockwise seen
+from above; 0: the image's top edge is forward) after being tilted by `camera_tilt_deg` (positive: it
+looks towards the image's top edge).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.config import CameraConfig, VehicleConfig, VisionConfig
+from companion.geometry import (
+    BODY_FROM_DOWNWARD_CAMERA,
+    FloatArray,
+    Vector3,
+    matrix_from_quat,
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_matrix,
+    quat_multiply,
+    quat_rotate,
+    vector3,
+)
+from companion.messages import Frame, MarkerGroup, PadPrior, PadSighting
+from companion.pad import Marker, Pad
+from companion.sense.aruco import GROUPS, Detection, PadDetector, SearchPass
+from companion.sense.lens import Lens
+from companion.sense.pose import PadPose, estimate_pose
+from companion.sense.search import SearchPlanner
+
+
+@dataclass(frozen=True, slots=True)
+class VisionResult:
+    """What one frame gave: the sighting if the pad was recognised, and what a frame's report needs."""
+
+    sighting: PadSighting | None
+    marker_count: dict[MarkerGroup, int]
+    searched_whole_frame: bool
+
+
+class Vision:
+    """Detection and pose for one pad, camera and airframe. Stateless between frames."""
+
+    def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:
+        self._config = config
+        self._camera = camera
+        self._lens = Lens(camera)
+        self._planner = SearchPlanner(pad, self._lens, config)
+        self._detector = PadDetector(pad, config)
+        yaw, tilt = math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
+        self._body_from_camera = quat_multiply(quat_from_euler(0.0, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
+        self._rotation = matrix_from_quat(self._body_from_camera)
+        self._mount = np.array(vehicle.camera_position_body_m)
+
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+        """Look where the pad is expected, then for the same everywhere; for anything when nothing is expected.
+
+        Raises:
+            ValueError: the image is not of the calibrated camera's size.
+        """
+        height, width = frame.image.shape
+        if (width, height) != self._lens.size_px:
+            expected = "x".join(str(n) for n in self._lens.size_px)
+            raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
+        down = None if prior is None else self._to_camera(prior.down_body)
+        looks = self._expected(prior)
+        wide = (self._planner.widened(looks[0]),) if looks else self._planner.whole_frame()
+        read: dict[Marker, Detection] = {}
+        for number, look in enumerate((*looks, *wide)):
+            found = self._detector.detect(frame.image, look)
+            pose = estimate_pose(found, self._lens, self._config, down) if found else None
+            if pose is not None:
+                return VisionResult(self._sighting(frame, pose), _count(pose.used), number >= len(looks))
+            read |= {d.marker: d for d in found}
+        return VisionResult(None, _count(tuple(read.values())), True)
+
+    def _to_camera(self, v_body: Vector3) -> Vector3:
+        return quat_rotate(quat_conjugate(self._body_from_camera), v_body)
+
+    def _expected(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
+        if prior is None or prior.pad_position_body_m is None or prior.body_from_pad is None:
+            return ()
+        position = self._rotation.T @ (np.array(prior.pad_position_body_m) - self._mount)
+        camera_from_pad = self._rotation.T @ matrix_from_quat(prior.body_from_pad)
+        return self._planner.expected(camera_from_pad, position, prior.position_std_m)
+
+    def _sighting(self, frame: Frame, pose: PadPose) -> PadSighting:
+        """Into body axes, at the time at which the rows that show the markers were exposed."""
+        row_time_s = ((pose.row_px + 0.5) / self._camera.height_px - 0.5) * self._camera.readout_s
+        count = _count(pose.used)
+        return PadSighting(
+            time_s=frame.time_s + row_time_s,
+            sequence=frame.sequence,
+            pad_position_body_m=vector3(self._rotation @ pose.position_camera_m + self._mount),
+            body_from_pad=quat_from_matrix(self._rotation @ pose.camera_from_pad),
+            covariance=_turn_covariance(pose.covariance, self._rotation),
+            group=max(GROUPS, key=lambda group: count[group]),
+            marker_ids=tuple(d.marker.id for d in pose.used),
+            marker_count=count,
+            reprojection_error_px=pose.reprojection_error_px,
+        )
+
+
+def _turn_covariance(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+    """A 6x6 covariance of position and small rotation in other axes."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = rotation
+    return both @ covariance @ both.T
+
+
+def _count(detections: tuple[Detection, ...]) -> dict[MarkerGroup, int]:
+    return {group: sum(d.marker.group == group for d in detections) for group in GROUPS}
