@@ -108,11 +108,9 @@ class OrientationFilter:
         """Attitude after one magnetometer sample, dt_s after the last: turns the heading, never the tilt."""
         north, east, down = quat_rotate(self.attitude, field_body_ut)
         size = norm(field_body_ut)
-        self.mag_trusted = (
-            abs(size - self._field_ut) < self._config.mag_gate * self._field_ut
-            and abs(math.asin(max(-1.0, min(1.0, down / size))) - self._dip_rad)
-            < math.radians(self._config.dip_gate_deg)
-        )
+        self.mag_trusted = abs(size - self._field_ut) < self._config.mag_gate * self._field_ut and abs(
+            math.asin(max(-1.0, min(1.0, down / size))) - self._dip_rad
+        ) < math.radians(self._config.dip_gate_deg)
         if self.mag_trusted:
             half = 0.5 * math.remainder(self._declination_rad - math.atan2(east, north), math.tau)
             turn = (math.cos(half), 0.0, 0.0, math.sin(half))

@@ -14,18 +14,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from companion.config import EkfConfig
 from companion.estimate import ekf_model as model
+from companion.estimate.ekf_start import (
+    TINY_VARIANCE,
+    InitialState,
+    initial_covariance,
+    initial_state,
+    noise_density,
+)
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.geometry import FloatArray, Quaternion, Vector3, euler_from_quat, quat_normalise, quat_rotate
-
-# keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
-# functions of other states (1e-5 rad)
-_TINY: Final = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,33 +73,20 @@ class EkfSnapshot(NamedTuple):
     gps_time_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class InitialState:
-    """What standing still before the flight has told."""
-
-    time_s: float
-    attitude: Quaternion
-    gyro_bias_rad_s: Vector3
-    field_ned_ut: Vector3
-    tilt_std_rad: float
-    heading_std_rad: float
-    gyro_bias_std_rad_s: float
-
-
 class VehicleEkf:
     """x, P and the inputs' gates; see the module's text for the state's order."""
 
     def __init__(self, config: EkfConfig, antenna_body_m: Vector3, start: InitialState) -> None:
         self._config = config
         self._antenna_body_m = antenna_body_m
-        self._half_noise = 0.5 * _noise_density(config)
+        self._half_noise = 0.5 * noise_density(config)
         self._imu_noise = np.diag([config.gyro_noise_rad_s**2] * 3 + [config.accel_noise_m_s2**2] * 3)
         self._mag_noise = config.mag_noise_ut**2 * np.eye(3)
         self._still_noise = np.diag([0.002**2] * 3)
         self._rest_noise = np.diag([0.05**2] * 3)
         self.time_s = start.time_s
-        self.x = _initial_state(start)
-        self.P = _initial_covariance(config, start)
+        self.x = initial_state(start)
+        self.P = initial_covariance(config, start)
         self.gates: dict[str, Gate] = {}
         self.has_position = False
         self.gps_time_s = -math.inf
@@ -181,7 +171,7 @@ class VehicleEkf:
         P[:n] = A @ P[:n]
         P[:, :n] = P[:, :n] @ A.T
         diagonal += noise
-        diagonal[:7] += _TINY
+        diagonal[:7] += TINY_VARIANCE
         self.P = P
         self.time_s = time_s
 
@@ -203,7 +193,7 @@ class VehicleEkf:
         P = L @ P @ L.T + K @ R @ K.T
         P += P.T
         P *= 0.5
-        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += _TINY
+        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
         self.x, self.P = x, P
         return True
 
@@ -279,48 +269,7 @@ class VehicleEkf:
         P[states, states] = np.diag(np.square(fix.position_std_m + fix.velocity_std_m_s))
         self.x, self.P = x, P
         self.has_position, self.gps_time_s = True, self.time_s
-        fresh = {kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")}
+        fresh = {
+            kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")
+        }
         self.gates = {**self.gates, **fresh}
-
-
-def _noise_density(config: EkfConfig) -> FloatArray:
-    """Diagonal (31,) of the white process noise per second."""
-    density = np.zeros(model.STATES)
-    # a Markov process of standard deviation s and time constant T is driven by noise of density 2 s²/T
-    density[model.RATE] = 2.0 * config.rate_std_rad_s**2 / config.rate_time_constant_s
-    density[model.ACCELERATION] = 2.0 * config.acceleration_std_m_s2**2 / config.acceleration_time_constant_s
-    density[model.ACCEL_BIAS] = config.accel_bias_walk_m_s2_rts**2
-    density[model.GYRO_BIAS] = config.gyro_bias_walk_rad_s_rts**2
-    density[model.FIELD] = config.field_walk_ut_rts**2
-    density[model.MAG_BIAS] = config.mag_bias_walk_ut_rts**2
-    return density
-
-
-def _initial_state(start: InitialState) -> FloatArray:
-    x = np.zeros(model.STATES)
-    x[model.QUATERNION] = start.attitude
-    x[model.EULER] = euler_from_quat(start.attitude)
-    x[model.GYRO_BIAS] = start.gyro_bias_rad_s
-    x[model.FIELD] = start.field_ned_ut
-    return x
-
-
-def _initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
-    P = np.zeros((model.STATES, model.STATES))
-    rotation = np.diag([start.tilt_std_rad**2, start.tilt_std_rad**2, start.heading_std_rad**2])
-    P[model.QUATERNION, model.QUATERNION] = model.attitude_covariance(start.attitude, rotation)
-    J = model.euler_jacobian(start.attitude)
-    P[model.EULER, model.QUATERNION] = J @ P[model.QUATERNION, model.QUATERNION]
-    P[model.QUATERNION, model.EULER] = P[model.EULER, model.QUATERNION].T
-    P[model.EULER, model.EULER] = P[model.EULER, model.QUATERNION] @ J.T
-    diagonal = P.reshape(-1)[:: model.STATES + 1]
-    diagonal[:7] += _TINY
-    diagonal[model.RATE] = config.rate_std_rad_s**2
-    diagonal[model.POSITION] = 1.0
-    diagonal[model.VELOCITY] = 0.1**2
-    diagonal[model.ACCELERATION] = 0.5**2
-    diagonal[model.ACCEL_BIAS] = config.accel_bias_std_m_s2**2
-    diagonal[model.GYRO_BIAS] = start.gyro_bias_std_rad_s**2
-    diagonal[model.FIELD] = config.field_std_ut**2
-    diagonal[model.MAG_BIAS] = config.mag_bias_std_ut**2
-    return P

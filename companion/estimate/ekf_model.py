@@ -136,7 +136,9 @@ def turn_and_jacobian(rotation: Vector3) -> tuple[Quaternion, FloatArray]:
     return (cosine, s * a, s * b, s * c), jacobian
 
 
-def transition(x: FloatArray, dt_s: float, rate_tau_s: float, accel_tau_s: float) -> tuple[FloatArray, FloatArray]:
+def transition(
+    x: FloatArray, dt_s: float, rate_tau_s: float, accel_tau_s: float
+) -> tuple[FloatArray, FloatArray]:
     """State (31,) after dt_s, and A (19, 19): the Jacobian of its first 19 rows; the others stay (eq. 17).
 
     The Markov processes fade during the step, so attitude and velocity grow by their integral, which is a

@@ -75,17 +75,20 @@ def field_gradient(q: Quaternion, direction_body: Vector3, declination_rad: floa
     ex, ey, ez = ex - direction_body[0], ey - direction_body[1], ez - direction_body[2]
     return (
         2 * ((by * z - down * y) * ex + (down * x - bx * z) * ey + (bx * y - by * x) * ez),
-        2 * (
+        2
+        * (
             (by * y + down * z) * ex
             + (bx * y - 2 * by * x + down * w) * ey
             + (bx * z - by * w - 2 * down * x) * ez
         ),
-        2 * (
+        2
+        * (
             (-2 * bx * y + by * x - down * w) * ex
             + (bx * x + down * z) * ey
             + (bx * w + by * z - 2 * down * y) * ez
         ),
-        2 * (
+        2
+        * (
             (-2 * bx * z + by * w + down * x) * ex
             + (-bx * w - 2 * by * z + down * y) * ey
             + (bx * x + by * y) * ez
@@ -107,6 +110,7 @@ class MadgwickFilter:
     """Orientation from gyroscope, accelerometer and, when there is one, magnetometer.
 
     `gain` is Madgwick's beta: the length of the quaternion rate (1/s) that pulls against the gyro's error.
+    The attitude is all its state: a filter made with another's attitude goes on exactly there.
     """
 
     def __init__(self, gain: float, declination_rad: float, attitude: Quaternion) -> None:
@@ -134,7 +138,3 @@ class MadgwickFilter:
             gradient = field_gradient(self.attitude, (mx * k, my * k, mz * k), self._declination_rad)
             self.attitude = descend(self.attitude, gradient, self._gain * dt_s)
         return self.attitude
-
-    def state_dict(self) -> dict[str, list[float]]:
-        """All that changes in flight, as plain numbers."""
-        return {"attitude": list(self.attitude)}
