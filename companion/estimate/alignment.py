@@ -85,7 +85,9 @@ class StaticAligner:
     def __init__(self, config: AlignmentConfig) -> None:
         self._config = config
         self._start_s: float | None = None
-        self._restart()
+        self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
+        self._count = self._blocks = self._fields = 0
+        self._all_still = True
 
     def add_field(self, field_body_ut: Vector3) -> None:
         """Take one magnetometer sample."""

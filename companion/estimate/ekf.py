@@ -259,7 +259,7 @@ class VehicleEkf:
             self._start_from(fix)
 
     def _start_from(self, fix: GpsStep) -> None:
-        """Take position and velocity from the fix alone: the first one, or after the old ones proved wrong."""
+        """Take position and velocity from the fix alone: at first, or when the old ones proved wrong."""
         q, x = self.attitude, self.x.copy()
         x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
         x[model.VELOCITY] = fix.velocity_ned_m_s

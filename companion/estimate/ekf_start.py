@@ -32,9 +32,8 @@ class InitialState:
 def noise_density(config: EkfConfig) -> FloatArray:
     """Diagonal (31,) of the white process noise per second."""
     density = np.zeros(model.STATES)
-    # a Markov process of standard deviation s and time constant T is driven by noise of density 2 s²/T
-    density[model.RATE] = 2.0 * config.rate_std_rad_s**2 / config.rate_time_constant_s
-    density[model.ACCELERATION] = 2.0 * config.acceleration_std_m_s2**2 / config.acceleration_time_constant_s
+    density[model.RATE] = config.angular_acceleration_rad_s2_rthz**2
+    density[model.ACCELERATION] = config.jerk_m_s3_rthz**2
     density[model.ACCEL_BIAS] = config.accel_bias_walk_m_s2_rts**2
     density[model.GYRO_BIAS] = config.gyro_bias_walk_rad_s_rts**2
     density[model.FIELD] = config.field_walk_ut_rts**2
@@ -63,7 +62,7 @@ def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
     P[model.EULER, model.EULER] = P[model.EULER, model.QUATERNION] @ J.T
     diagonal = P.reshape(-1)[:: model.STATES + 1]
     diagonal[:7] += TINY_VARIANCE
-    diagonal[model.RATE] = config.rate_std_rad_s**2
+    diagonal[model.RATE] = 0.5 * config.rate_time_constant_s * config.angular_acceleration_rad_s2_rthz**2
     diagonal[model.POSITION] = 1.0
     diagonal[model.VELOCITY] = 0.1**2
     diagonal[model.ACCELERATION] = 0.5**2

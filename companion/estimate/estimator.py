@@ -157,7 +157,7 @@ class Estimator:
 
     @property
     def refused(self) -> dict[str, int]:
-        """Measurements not used so far, by kind: not finite or of a wrong time, and innovation tests failed."""
+        """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
         counts = {f"{kind}_unusable": count for kind, count in self._unusable.items()}
         counts.update({f"{kind}_gate": gate.refused for kind, gate in self._pad.gates.items()})
         counts.update({f"{kind}_gate": count for kind, count in self._vehicle.gates.items()})

@@ -76,7 +76,7 @@ class MotionHistory:
         return quat_normalise(quat_multiply(before, quat_from_rotation_vector(scale(turn, share))))
 
     def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3]:
-        """Change of position (m) beyond that at constant velocity, and of velocity (m/s), between two times."""
+        """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times."""
         (vx, vy, vz), (px, py, pz) = self._at(start_s)
         (wx, wy, wz), (qx, qy, qz) = self._at(end_s)
         dt = end_s - start_s

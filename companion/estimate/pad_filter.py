@@ -60,7 +60,7 @@ class PadSnapshot(NamedTuple):
     x: FloatArray | None
     P: FloatArray
     heading: FloatArray
-    heading_P: FloatArray
+    heading_covariance: FloatArray
     gates: dict[str, Gate]
     seen_time_s: float
 
@@ -73,7 +73,7 @@ class PadEstimate:
     P: FloatArray
     heading_rad: float
     heading_rate_rad_s: float
-    heading_P: FloatArray
+    heading_covariance: FloatArray
     seen_time_s: float = field(default=-math.inf)
 
     @property
@@ -141,7 +141,7 @@ class PadFilter:
             P=F @ snapshot.P @ F.T + Q,
             heading_rad=wrap_angle(float(heading[0, 0])),
             heading_rate_rad_s=float(heading[1, 0]),
-            heading_P=G @ snapshot.heading_P @ G.T + W,
+            heading_covariance=G @ snapshot.heading_covariance @ G.T + W,
             seen_time_s=snapshot.seen_time_s,
         )
 

@@ -172,7 +172,7 @@ class VehicleEstimator:
         return None if self._ekf is None else self._ekf.rotation_covariance()
 
     def velocity(self, time_s: float) -> Vector3:
-        """Velocity NED (m/s) at a time not long before or after the newest sample; zero before the alignment."""
+        """Velocity NED (m/s) at a time near the newest sample's; zero before the alignment."""
         if self._ekf is None:
             return ZERO3
         return add(vector3(self._ekf.x[model.VELOCITY]), self.motion.moved(self._ekf.time_s, time_s)[1])
@@ -289,7 +289,7 @@ class VehicleEstimator:
         self._attitude = quat_integrate(self._ekf.attitude, self._rate, self.newest_s - self._ekf.time_s)
 
     def _field_at(self, time_s: float) -> Vector3 | None:
-        """The mean field since the last time, turned to time_s by the gyroscope; None when it is not its turn."""
+        """The mean field since the last time, turned to time_s by the gyroscope; None out of turn."""
         due = time_s - self._field_step_s >= 1.0 / self._config.ekf.mag_rate_hz - 1e-6
         if not (self._fields.count and due):
             return None
@@ -303,7 +303,7 @@ class VehicleEstimator:
         return quat_integrate(self._orientation.attitude, self._rate, time_s - self.newest_s)
 
     def _tilt_noise_rad(self) -> float:
-        """In flight the accelerometer measures thrust and drag, not gravity: doubt it when there is acceleration."""
+        """In flight the accelerometer measures thrust and drag, not gravity: doubt it as both differ."""
         base = math.radians(self._config.ekf.orientation_tilt_noise_deg)
         gravity_error = getattr(self._orientation, "gravity_error_m_s2", 0.0)
         return base + 3.0 * (self._disturbance_m_s2 + gravity_error) / GRAVITY_M_S2
