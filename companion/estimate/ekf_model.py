@@ -1,0 +1,246 @@
+"""Process and measurement models of the 31-state EKF (Table 5), with analytic Jacobians.
+
+State, NED and FRD, SI units except µT:
+quaternion 0:4, Euler angles 4:7 (rad), angular velocity 7:10 (body, rad/s), position 10:13 (m),
+velocity 13:16, acceleration 16:19, accelerometer bias 19:22 (m/s²), gyroscope bias 22:25 (rad/s),
+geomagnetic field 25:28 (NED, µT), magnetometer bias 28:31 (body, µT). (The table counts from 1.)
+
+Angular velocity and acceleration are first-order Markov processes and the IMU is a measurement of them.
+The Euler angles are a function of the quaternion: in the transition their rows are the quaternion's rows
+times d(Euler)/d(quaternion), so that state and covariance stay consistent.
+Every function returns plain values and Jacobians; none changes its arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.geometry import (
+    GRAVITY_M_S2,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    cross,
+    euler_from_quat,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    quat_rotate_inverse,
+    vector3,
+)
+
+STATES: Final = 31
+MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
+QUATERNION: Final = slice(0, 4)
+EULER: Final = slice(4, 7)
+RATE: Final = slice(7, 10)
+POSITION: Final = slice(10, 13)
+VELOCITY: Final = slice(13, 16)
+ACCELERATION: Final = slice(16, 19)
+ACCEL_BIAS: Final = slice(19, 22)
+GYRO_BIAS: Final = slice(22, 25)
+FIELD: Final = slice(25, 28)
+MAG_BIAS: Final = slice(28, 31)
+
+_EYE3: Final = np.eye(3)
+
+
+def quaternion_of(x: FloatArray) -> Quaternion:
+    """The attitude in a state vector as plain floats."""
+    w, i, j, k = x[QUATERNION].tolist()
+    return (w, i, j, k)
+
+
+def rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
+    """d(R(q) v)/dq, (3, 4), with R(q) v = v + 2w r×v + 2 r×(r×v) as geometry.quat_rotate has it."""
+    w, x, y, z = q
+    a, b, c = v
+    d = x * a + y * b + z * c
+    return 2.0 * np.array(
+        [
+            [y * c - z * b, d - x * a, w * c + x * b - 2 * y * a, -w * b + x * c - 2 * z * a],
+            [z * a - x * c, -w * c + y * a - 2 * x * b, d - y * b, w * a + y * c - 2 * z * b],
+            [x * b - y * a, w * b + z * a - 2 * x * c, -w * a + z * b - 2 * y * c, d - z * c],
+        ]
+    )
+
+
+def inverse_rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
+    """d(R(q)ᵀ v)/dq, (3, 4): the rotation by the conjugate, whose vector part has the other sign."""
+    jacobian = rotation_jacobian((q[0], -q[1], -q[2], -q[3]), v)
+    jacobian[:, 1:] *= -1.0
+    return jacobian
+
+
+def euler_jacobian(q: Quaternion) -> FloatArray:
+    """d(roll, pitch, yaw)/dq, (3, 4), of a unit quaternion; bounded at gimbal lock, where it has no value."""
+    w, x, y, z = q
+    n_roll, d_roll = 2 * (w * x + y * z), 1 - 2 * (x * x + y * y)
+    n_yaw, d_yaw = 2 * (w * z + x * y), 1 - 2 * (y * y + z * z)
+    sine = 2 * (w * y - z * x)
+    i = 1.0 / max(n_roll * n_roll + d_roll * d_roll, 1e-4)
+    k = 1.0 / max(n_yaw * n_yaw + d_yaw * d_yaw, 1e-4)
+    j = 2.0 / math.sqrt(max(1.0 - sine * sine, 1e-4))
+    return np.array(
+        [
+            [
+                2 * i * d_roll * x,
+                i * (2 * d_roll * w + 4 * n_roll * x),
+                i * (2 * d_roll * z + 4 * n_roll * y),
+                2 * i * d_roll * y,
+            ],
+            [j * y, -j * z, j * w, -j * x],
+            [
+                2 * k * d_yaw * z,
+                2 * k * d_yaw * y,
+                k * (2 * d_yaw * x + 4 * n_yaw * y),
+                k * (2 * d_yaw * w + 4 * n_yaw * z),
+            ],
+        ]
+    )
+
+
+def left_matrix(q: Quaternion) -> FloatArray:
+    """L(q), (4, 4), with q * p = L(q) p."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def right_matrix(q: Quaternion) -> FloatArray:
+    """M(q), (4, 4), with p * q = M(q) p."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+
+
+def turn_and_jacobian(rotation: Vector3) -> tuple[Quaternion, FloatArray]:
+    """Quaternion of a rotation vector (rad) and its derivative (4, 3)."""
+    a, b, c = rotation
+    angle = math.sqrt(a * a + b * b + c * c)
+    if angle > 1e-3:
+        cosine, s = math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
+        curve = (0.5 * cosine - s) / (angle * angle)
+    else:
+        # series: below this the closed form loses its digits
+        cosine, s, curve = 1.0 - angle * angle / 8.0, 0.5 - angle * angle / 48.0, -1.0 / 24.0
+    jacobian = np.array(
+        [
+            [-0.5 * s * a, -0.5 * s * b, -0.5 * s * c],
+            [s + curve * a * a, curve * a * b, curve * a * c],
+            [curve * a * b, s + curve * b * b, curve * b * c],
+            [curve * a * c, curve * b * c, s + curve * c * c],
+        ]
+    )
+    return (cosine, s * a, s * b, s * c), jacobian
+
+
+def transition(
+    x: FloatArray, dt_s: float, rate_tau_s: float, accel_tau_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """State (31,) after dt_s, and A (19, 19): the Jacobian of its first 19 rows; the others stay (eq. 17).
+
+    The Markov processes fade during the step, so attitude and velocity grow by their integral, which is a
+    little less than rate * dt; the gyroscope's update, correlated with the attitude, puts the rest back.
+    """
+    rate_fade, accel_fade = math.exp(-dt_s / rate_tau_s), math.exp(-dt_s / accel_tau_s)
+    rate_dt, accel_dt = rate_tau_s * (1 - rate_fade), accel_tau_s * (1 - accel_fade)
+    accel_dt2 = accel_tau_s * (dt_s - accel_dt)
+    q, rate = quaternion_of(x), x[RATE].tolist()
+    turn, d_turn = turn_and_jacobian((rate[0] * rate_dt, rate[1] * rate_dt, rate[2] * rate_dt))
+    q_after = quat_normalise(quat_multiply(q, turn))
+    after = x.copy()
+    after[QUATERNION] = q_after
+    after[EULER] = euler_from_quat(q_after)
+    after[RATE] *= rate_fade
+    after[POSITION] += dt_s * x[VELOCITY] + accel_dt2 * x[ACCELERATION]
+    after[VELOCITY] += accel_dt * x[ACCELERATION]
+    after[ACCELERATION] *= accel_fade
+    A = np.zeros((MOVING, MOVING))
+    A[QUATERNION, QUATERNION] = right_matrix(turn)
+    A[QUATERNION, RATE] = left_matrix(q) @ d_turn * rate_dt
+    A[EULER] = euler_jacobian(q_after) @ A[QUATERNION]
+    for axis in range(3):
+        A[7 + axis, 7 + axis] = rate_fade
+        A[10 + axis, 10 + axis] = A[13 + axis, 13 + axis] = 1.0
+        A[10 + axis, 13 + axis], A[10 + axis, 16 + axis] = dt_s, accel_dt2
+        A[13 + axis, 16 + axis], A[16 + axis, 16 + axis] = accel_dt, accel_fade
+    return after, A
+
+
+def imu_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gyroscope ω + b_g and accelerometer Rᵀ(a - g) + b_a: values (6,) and Jacobian (6, 31)."""
+    q = quaternion_of(x)
+    an, ae, ad = x[ACCELERATION].tolist()
+    force_ned = (an, ae, ad - GRAVITY_M_S2)
+    C = np.zeros((6, STATES))
+    C[0:3, RATE] = C[0:3, GYRO_BIAS] = C[3:6, ACCEL_BIAS] = _EYE3
+    C[3:6, QUATERNION] = inverse_rotation_jacobian(q, force_ned)
+    C[3:6, ACCELERATION] = _inverse_rotation(q)
+    expected = np.empty(6)
+    expected[0:3] = x[RATE] + x[GYRO_BIAS]
+    expected[3:6] = x[ACCEL_BIAS] + quat_rotate_inverse(q, force_ned)
+    return expected, C
+
+
+def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Magnetometer RᵀB + b_m: values (3,) in µT and Jacobian (3, 31)."""
+    q, field = quaternion_of(x), vector3(x[FIELD])
+    C = np.zeros((3, STATES))
+    C[:, QUATERNION] = inverse_rotation_jacobian(q, field)
+    C[:, FIELD] = _inverse_rotation(q)
+    C[:, MAG_BIAS] = _EYE3
+    return x[MAG_BIAS] + quat_rotate_inverse(q, field), C
+
+
+def gps_position_model(x: FloatArray, antenna_body_m: Vector3) -> tuple[FloatArray, FloatArray]:
+    """Antenna's position p + R l: values (3,) NED in m and Jacobian (3, 31)."""
+    q = quaternion_of(x)
+    C = np.zeros((3, STATES))
+    C[:, POSITION] = _EYE3
+    C[:, QUATERNION] = rotation_jacobian(q, antenna_body_m)
+    return x[POSITION] + quat_rotate(q, antenna_body_m), C
+
+
+def gps_velocity_model(x: FloatArray, antenna_body_m: Vector3) -> tuple[FloatArray, FloatArray]:
+    """Antenna's velocity v + R (ω × l): values (3,) NED in m/s and Jacobian (3, 31)."""
+    q, lever = quaternion_of(x), cross(vector3(x[RATE]), antenna_body_m)
+    lx, ly, lz = antenna_body_m
+    C = np.zeros((3, STATES))
+    C[:, VELOCITY] = _EYE3
+    C[:, QUATERNION] = rotation_jacobian(q, lever)
+    C[:, RATE] = _inverse_rotation(q).T @ np.array([[0.0, lz, -ly], [-lz, 0.0, lx], [ly, -lx, 0.0]])
+    return x[VELOCITY] + quat_rotate(q, lever), C
+
+
+def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The orientation filter's quaternion (Fig. 6): values (4,) and Jacobian (4, 31)."""
+    C = np.zeros((4, STATES))
+    C[:, QUATERNION] = np.eye(4)
+    return x[QUATERNION].copy(), C
+
+
+def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> FloatArray:
+    """Covariance (4, 4) of a quaternion from that of a small rotation (3, 3) about NED axes (rad²)."""
+    G = 0.5 * right_matrix(q)[:, 1:]
+    covariance: FloatArray = G @ rotation_ned_covariance @ G.T
+    return covariance
+
+
+def rotation_covariance(q: Quaternion, quaternion_covariance: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of the small rotation about NED axes (rad²): the inverse of `attitude_covariance`."""
+    G = 2.0 * right_matrix(q)[:, 1:]
+    covariance: FloatArray = G.T @ quaternion_covariance @ G
+    return covariance
+
+
+def _inverse_rotation(q: Quaternion) -> FloatArray:
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,216 @@
+"""The estimate stage's step: sensors in, the vehicle's and the pad's state out.
+
+Fixes, sightings and echoes are fused at the time they were measured, however late they come. No clock, no
+I/O: every sample carries its time, every question names one. NED and FRD, SI units, µT; the vehicle's
+reference point is its centre of mass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from companion.config import EstimateConfig, VehicleConfig
+from companion.estimate.gating import Timeline
+from companion.estimate.motion import MotionHistory
+from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
+from companion.estimate.vehicle_estimator import VehicleEstimator
+from companion.geometry import (
+    FloatArray,
+    Quaternion,
+    Vector3,
+    add,
+    matrix_from_quat,
+    quat_conjugate,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    tilt_from_quat,
+    vector3,
+    yaw_from_quat,
+)
+from companion.messages import (
+    GpsFix,
+    ImuSample,
+    MagSample,
+    PadPrior,
+    PadSighting,
+    PadState,
+    RangeSample,
+    VehicleState,
+)
+
+FUTURE_S = 0.1  # a measurement stamped further ahead of the IMU has a wrong time
+
+
+class Estimator:
+    """Both halves: the vehicle by the 31-state EKF, the pad by the relative-motion filter.
+
+    A sample that is not finite, or whose time cannot be right, is refused: `add_*` then returns False.
+    """
+
+    def __init__(
+        self,
+        config: EstimateConfig,
+        vehicle: VehicleConfig,
+        antenna_position_body_m: Vector3,
+        board_half_width_m: float,
+    ) -> None:
+        self._config = config
+        self._range_position_body_m = vehicle.range_position_body_m
+        self._motion = MotionHistory(config.pad.forget_s + 1.0)
+        self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion)
+        self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
+        self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.pad.remember_s)
+        self._unusable: dict[str, int] = {}
+
+    # ------------------------------------------------------------ inputs
+
+    def add_imu(self, sample: ImuSample) -> bool:
+        """Take one sample; they must come in order of time."""
+        values = (sample.time_s, *sample.rate_body_rad_s, *sample.specific_force_body_m_s2)
+        return self._count("imu", _finite(values) and self._vehicle.add_imu(sample))
+
+    def add_mag(self, sample: MagSample) -> bool:
+        """Take one calibrated sample."""
+        usable = self._usable(sample.time_s, sample.field_body_ut)
+        return self._count("mag", usable and self._vehicle.add_mag(sample))
+
+    def add_gps(self, fix: GpsFix) -> bool:
+        """Take one fix, at its own time; refused before the alignment."""
+        place = (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+        accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
+        usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy))
+        return self._count("gps", usable and self._vehicle.add_gps(fix))
+
+    def add_range(self, sample: RangeSample) -> bool:
+        """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
+        attitude = self._motion.attitude(sample.time_s)
+        if attitude is None or not self._usable(sample.time_s, (sample.distance_m,)):
+            return self._count("range", False)
+        tilt_rad = tilt_from_quat(attitude)
+        if tilt_rad > math.radians(self._config.pad.range_maximum_tilt_deg):
+            return self._count("range", False)
+        # a wide beam hears the nearest point, a narrow one the point on its axis: believe the height
+        # under the axis, and doubt it by the difference
+        height_m = sample.distance_m * math.cos(tilt_rad)
+        noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
+        fix = HeightFix(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
+        return self._count("range", self._timeline.add(sample.time_s, fix))
+
+    def add_sighting(self, sighting: PadSighting) -> bool:
+        """Take one sighting, fused at its exposure; refused before the alignment."""
+        values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
+        attitude = self._motion.attitude(sighting.time_s)
+        if attitude is None or not self._usable(sighting.time_s, values):
+            return self._count("sighting", False)
+        fix = self._fix(sighting, attitude)
+        return self._count("sighting", self._timeline.add(sighting.time_s, fix))
+
+    # ------------------------------------------------------------ outputs
+
+    def vehicle(self, now_s: float) -> VehicleState | None:
+        """The vehicle, predicted to now_s; None before the alignment and when the IMU has gone silent."""
+        return self._vehicle.state(now_s)
+
+    def pad(self, now_s: float) -> PadState | None:
+        """The pad, predicted to now_s; None before the first sighting and when unseen for too long."""
+        estimate = self._pad_at(now_s)
+        if estimate is None:
+            return None
+        position = vector3(estimate.x[0:3])
+        relative_velocity = vector3(estimate.x[3:6])
+        return PadState(
+            time_s=now_s,
+            relative_position_ned_m=position,
+            relative_velocity_ned_m_s=relative_velocity,
+            velocity_ned_m_s=add(relative_velocity, self._vehicle.velocity(now_s)),
+            acceleration_ned_m_s2=vector3(estimate.x[6:9]),
+            heading_rad=estimate.heading_rad,
+            heading_rate_rad_s=estimate.heading_rate_rad_s,
+            position_std_m=math.hypot(estimate.position_std_m, self._tilt_share_m(position)),
+            velocity_std_m_s=estimate.velocity_std_m_s,
+            seen_time_s=estimate.seen_time_s,
+        )
+
+    def pad_prior(self, time_s: float) -> PadPrior | None:
+        """What to expect in a frame exposed at time_s; None before the alignment."""
+        attitude = self._motion.attitude(time_s)
+        if attitude is None:
+            return None
+        down = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))
+        estimate = self._pad_at(time_s)
+        if estimate is None:
+            return PadPrior(time_s, down)
+        position = vector3(estimate.x[0:3])
+        level_pad = quat_from_euler(0.0, 0.0, estimate.heading_rad)
+        return PadPrior(
+            time_s=time_s,
+            down_body=down,
+            pad_position_body_m=quat_rotate_inverse(attitude, position),
+            body_from_pad=quat_multiply(quat_conjugate(attitude), level_pad),
+            position_std_m=estimate.position_std_m,
+        )
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Measurements not used so far, by kind: not finite or of a wrong time; innovation test failed."""
+        counts = {f"{kind}_unusable": count for kind, count in self._unusable.items()}
+        counts.update({f"{kind}_gate": gate.refused for kind, gate in self._pad.gates.items()})
+        counts.update({f"{kind}_gate": count for kind, count in self._vehicle.gates.items()})
+        return counts
+
+    # ------------------------------------------------------------ the pad
+
+    def _pad_at(self, time_s: float) -> PadEstimate | None:
+        snapshot = self._timeline.as_of(time_s)
+        if snapshot is None or time_s - snapshot.seen_time_s > self._config.pad.forget_s:
+            return None
+        return self._pad.predicted(snapshot, time_s)
+
+    def _fix(self, sighting: PadSighting, attitude: Quaternion) -> PadFix:
+        """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
+
+        The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
+        filter down and gain nothing.
+        """
+        rotation = matrix_from_quat(attitude)
+        position = quat_rotate(attitude, sighting.pad_position_body_m)
+        jitter = math.radians(self._config.pad.attitude_jitter_deg) ** 2
+        x, y, z = position
+        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
+        turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
+        return PadFix(
+            position_ned_m=position,
+            covariance_ned_m2=covariance + jitter * (lever @ lever.T),
+            heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
+            heading_std_rad=math.sqrt(max(turn_variance, 0.0) + jitter),
+            vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
+        )
+
+    def _tilt_share_m(self, position: Vector3) -> float:
+        """What the attitude's error makes of the relative position in NED (m)."""
+        covariance = self._vehicle.rotation_covariance()
+        if covariance is None:
+            return 0.0
+        x, y, z = position
+        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        return math.sqrt(max(float(np.trace(lever @ covariance @ lever.T)), 0.0))
+
+    # ------------------------------------------------------------ what may come in
+
+    def _usable(self, time_s: float, values: Iterable[float]) -> bool:
+        return _finite((time_s, *values)) and time_s <= self._vehicle.newest_s + FUTURE_S
+
+    def _count(self, kind: str, taken: bool) -> bool:
+        if not taken:
+            self._unusable[kind] = self._unusable.get(kind, 0) + 1
+        return taken
+
+
+def _finite(values: Iterable[float]) -> bool:
+    return all(map(math.isfinite, values))

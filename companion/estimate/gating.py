@@ -1,0 +1,115 @@
+"""Innovation tests, and measurements that arrive late or out of order.
+
+A measurement is believed when its normalised innovation squared stays below a chi-square bound.
+A late one is fused at its own time: the filter goes back to how it stood before that time, takes the
+measurement, and everything newer once more. So a late measurement gives exactly the result that the
+same measurement would have given on time.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from companion.geometry import FloatArray
+
+# 99.9 % points of the chi-square distribution by degrees of freedom (any statistics table)
+CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467, 6: 22.458}
+
+
+def normalised_innovation_squared(innovation: FloatArray, covariance: FloatArray) -> float:
+    """y' S^-1 y of an innovation (m,) with covariance (m, m).
+
+    Raises:
+        numpy.linalg.LinAlgError: the covariance is singular.
+    """
+    return float(innovation @ np.linalg.solve(covariance, innovation))
+
+
+class Gate(NamedTuple):
+    """How one kind of measurement has fared; immutable, so that a snapshot may hold it."""
+
+    accepted: int = 0
+    refused: int = 0
+    refused_in_a_row: int = 0
+    refused_since_s: float = 0.0
+
+    def after(self, passed: bool, time_s: float) -> Gate:
+        """The record with one more measurement in it."""
+        if passed:
+            return Gate(self.accepted + 1, self.refused)
+        since_s = self.refused_since_s if self.refused_in_a_row else time_s
+        return Gate(self.accepted, self.refused + 1, self.refused_in_a_row + 1, since_s)
+
+    def shut_out(self, time_s: float, patience_s: float, at_least: int = 3) -> bool:
+        """Whether all measurements have been refused for so long that the filter must be the one in error."""
+        return self.refused_in_a_row >= at_least and time_s - self.refused_since_s >= patience_s
+
+
+S = TypeVar("S")
+I_contra = TypeVar("I_contra", contravariant=True)
+Item = TypeVar("Item")
+
+
+class Replayable(Protocol[S, I_contra]):
+    """A filter whose state can be put back. What `snapshot` returns must never change afterwards."""
+
+    def snapshot(self) -> S:
+        """The whole state, counters included."""
+        ...
+
+    def restore(self, snapshot: S) -> None:
+        """Go back to a snapshot."""
+        ...
+
+    def apply(self, time_s: float, item: I_contra) -> None:
+        """Predict to time_s and take the item in."""
+        ...
+
+
+class Timeline(Generic[S, Item]):
+    """The last `span_s` of a filter's inputs with the state after each: late ones are put in their place."""
+
+    def __init__(self, target: Replayable[S, Item], span_s: float) -> None:
+        self._target = target
+        self._span_s = span_s
+        self._times_s: list[float] = []
+        self._items: list[Item] = []
+        self._after: list[S] = []
+
+    @property
+    def newest_s(self) -> float | None:
+        """Time of the newest input, or None before the first."""
+        return self._times_s[-1] if self._times_s else None
+
+    def add(self, time_s: float, item: Item) -> bool:
+        """Take an input at its own time; False when it is older than everything remembered.
+
+        Inputs of the same time are taken in the order of their arrival.
+        """
+        place = bisect_right(self._times_s, time_s)
+        if self._times_s and place == 0:
+            return False
+        if place < len(self._times_s):
+            self._target.restore(self._after[place - 1])
+        self._times_s.insert(place, time_s)
+        self._items.insert(place, item)
+        del self._after[place:]
+        for when_s, past in zip(self._times_s[place:], self._items[place:], strict=True):
+            self._target.apply(when_s, past)
+            self._after.append(self._target.snapshot())
+        self._forget()
+        return True
+
+    def as_of(self, time_s: float) -> S | None:
+        """The state after the last input not newer than time_s; None when nothing that old is remembered."""
+        place = bisect_right(self._times_s, time_s)
+        return self._after[place - 1] if place else None
+
+    def _forget(self) -> None:
+        # the newest entry before the span stays: it is the base for a measurement at the span's start
+        old = bisect_right(self._times_s, self._times_s[-1] - self._span_s) - 1
+        if old > 0:
+            del self._times_s[:old], self._items[:old], self._after[:old]

@@ -1,0 +1,109 @@
+"""How the vehicle has moved in the last seconds: attitude and acceleration at the IMU's rate.
+
+The pad filter asks for the attitude at a frame's exposure, and for the vehicle's motion between two frames
+as two pre-integrated vectors. Velocity and position are running integrals of acceleration alone, from an
+arbitrary start: only differences of them mean anything. NED, SI units, plain floats.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+from companion.geometry import (
+    ZERO3,
+    Quaternion,
+    Vector3,
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_normalise,
+    rotation_vector_from_quat,
+    scale,
+)
+
+
+class MotionHistory:
+    """Attitudes and acceleration integrals of the last `span_s` to `2 span_s`."""
+
+    def __init__(self, span_s: float) -> None:
+        self._span_s = span_s
+        self._times_s: list[float] = []
+        self._attitudes: list[Quaternion] = []
+        self._speeds: list[Vector3] = []
+        self._places: list[Vector3] = []
+        self._acceleration: Vector3 = ZERO3
+
+    @property
+    def newest_s(self) -> float | None:
+        """Time of the newest sample, or None before the first."""
+        return self._times_s[-1] if self._times_s else None
+
+    def add(self, time_s: float, attitude: Quaternion, acceleration_ned_m_s2: Vector3) -> None:
+        """Append one sample, newer than the last; between samples the acceleration is linear."""
+        if not self._times_s:
+            self._append(time_s, attitude, ZERO3, ZERO3)
+        else:
+            dt = time_s - self._times_s[-1]
+            (vx, vy, vz), (px, py, pz) = self._speeds[-1], self._places[-1]
+            (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
+            h, k = 0.5 * dt, dt * dt / 6.0
+            place = (
+                px + vx * dt + k * (2 * ax + bx),
+                py + vy * dt + k * (2 * ay + by),
+                pz + vz * dt + k * (2 * az + bz),
+            )
+            self._append(
+                time_s, attitude, (vx + h * (ax + bx), vy + h * (ay + by), vz + h * (az + bz)), place
+            )
+        self._acceleration = acceleration_ned_m_s2
+        if time_s - self._times_s[0] > 2.0 * self._span_s:
+            self._forget(time_s - self._span_s)
+
+    def attitude(self, time_s: float) -> Quaternion | None:
+        """Attitude at a time, interpolated along the shortest turn; the nearest one outside the history.
+
+        None before the first sample.
+        """
+        if not self._times_s:
+            return None
+        place = bisect_right(self._times_s, time_s)
+        if place == 0 or place == len(self._times_s):
+            return self._attitudes[max(place - 1, 0)]
+        before, after = self._attitudes[place - 1], self._attitudes[place]
+        start_s = self._times_s[place - 1]
+        share = (time_s - start_s) / (self._times_s[place] - start_s)
+        turn = rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
+        return quat_normalise(quat_multiply(before, quat_from_rotation_vector(scale(turn, share))))
+
+    def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3]:
+        """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times."""
+        (vx, vy, vz), (px, py, pz) = self._at(start_s)
+        (wx, wy, wz), (qx, qy, qz) = self._at(end_s)
+        dt = end_s - start_s
+        return (qx - px - vx * dt, qy - py - vy * dt, qz - pz - vz * dt), (wx - vx, wy - vy, wz - vz)
+
+    def _at(self, time_s: float) -> tuple[Vector3, Vector3]:
+        """Velocity and position integrals at a time; beyond the newest sample its acceleration goes on."""
+        if not self._times_s:
+            return ZERO3, ZERO3
+        place = max(bisect_right(self._times_s, time_s) - 1, 0)
+        dt = time_s - self._times_s[place]
+        (vx, vy, vz), (px, py, pz) = self._speeds[place], self._places[place]
+        ax, ay, az = self._acceleration
+        if place + 1 < len(self._times_s):
+            k = 1.0 / (self._times_s[place + 1] - self._times_s[place])
+            wx, wy, wz = self._speeds[place + 1]
+            ax, ay, az = (wx - vx) * k, (wy - vy) * k, (wz - vz) * k
+        h = 0.5 * dt * dt
+        speed = (vx + ax * dt, vy + ay * dt, vz + az * dt)
+        return speed, (px + vx * dt + h * ax, py + vy * dt + h * ay, pz + vz * dt + h * az)
+
+    def _append(self, time_s: float, attitude: Quaternion, speed: Vector3, place: Vector3) -> None:
+        self._times_s.append(time_s)
+        self._attitudes.append(attitude)
+        self._speeds.append(speed)
+        self._places.append(place)
+
+    def _forget(self, before_s: float) -> None:
+        old = bisect_right(self._times_s, before_s)
+        del self._times_s[:old], self._attitudes[:old], self._speeds[:old], self._places[:old]

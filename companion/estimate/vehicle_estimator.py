@@ -1,0 +1,313 @@
+"""The vehicle's half of the estimate stage: IMU, magnetometer and GPS in, attitude and motion out.
+
+Every IMU sample at once turns the attitude on and gives an acceleration (`motion`, for the pad filter and
+for predictions to now). The mean of every few goes to the EKF, together with the magnetometer and the
+orientation pre-filter's quaternion when their turn has come. A fix is fused at its own time.
+NED and FRD, SI units, µT.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from companion.config import EstimateConfig
+from companion.estimate import ekf_model as model
+from companion.estimate.alignment import Alignment, Block, StaticAligner, StillnessDetector
+from companion.estimate.complementary import OrientationFilter
+from companion.estimate.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.ekf_start import InitialState
+from companion.estimate.gating import Timeline
+from companion.estimate.madgwick import MadgwickFilter, align
+from companion.estimate.motion import MotionHistory
+from companion.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    add,
+    cross,
+    ned_from_geodetic,
+    norm,
+    quat_integrate,
+    quat_rotate,
+    scale,
+    subtract,
+    vector3,
+)
+from companion.messages import GpsFix, ImuSample, MagSample, VehicleState
+
+IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
+MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
+LONGEST_STEP_S = 0.1  # a gap in the IMU's stream is integrated up to here
+
+
+class Orientation(Protocol):
+    """What the two pre-filters have in common."""
+
+    attitude: Quaternion
+
+    def update_imu(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> Quaternion:
+        """One IMU sample."""
+        ...
+
+    def update_mag(self, field_body_ut: Vector3, dt_s: float) -> Quaternion:
+        """One magnetometer sample."""
+        ...
+
+
+class _Mean:
+    """The mean of vectors and of their times since it was last taken."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._sum: Vector3 = ZERO3
+        self._first_s = 0.0
+        self._ages_s = 0.0
+
+    def add(self, time_s: float, value: Vector3) -> None:
+        if not self.count:
+            self._first_s = time_s
+        self._sum = add(self._sum, value)
+        self._ages_s += time_s - self._first_s
+        self.count += 1
+
+    def take(self) -> tuple[float, Vector3]:
+        k = 1.0 / self.count
+        result = (self._first_s + self._ages_s * k, scale(self._sum, k))
+        self.count, self._sum, self._ages_s = 0, ZERO3, 0.0
+        return result
+
+
+class VehicleEstimator:
+    """Alignment, then orientation pre-filter and EKF. `motion` is what the pad filter reads."""
+
+    def __init__(self, config: EstimateConfig, antenna_body_m: Vector3, motion: MotionHistory) -> None:
+        self._config = config
+        self._antenna_body_m = antenna_body_m
+        self.motion = motion
+        self._detector = StillnessDetector(config.alignment)
+        self._aligner = StaticAligner(config.alignment)
+        self._orientation: Orientation | None = None
+        self._ekf: VehicleEkf | None = None
+        self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
+        self.origin: Vector3 | None = None
+        self.newest_s = -math.inf
+        self._rates, self._forces, self._fields = _Mean(), _Mean(), _Mean()
+        self._rate: Vector3 = ZERO3
+        self._gyro_bias: Vector3 = ZERO3
+        self._accel_bias: Vector3 = ZERO3
+        self._attitude: Quaternion = (1.0, 0.0, 0.0, 0.0)
+        self._acceleration: Vector3 = ZERO3
+        self._disturbance_m_s2 = 0.0
+        self._resting = False
+        self._still_block = False
+        self._mag_s = self._field_step_s = self._orientation_step_s = self._mag_trusted_s = -math.inf
+
+    # ------------------------------------------------------------ inputs
+
+    def add_imu(self, sample: ImuSample) -> bool:
+        """Take one sample; False when it is not newer than the last."""
+        dt_s = sample.time_s - self.newest_s
+        if dt_s <= 0.0:
+            return False
+        self.newest_s = sample.time_s
+        block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
+        if self._ekf is not None:
+            if block is not None:
+                self._still_block = block.still
+                self._resting &= block.still
+            self._move(sample, min(dt_s, LONGEST_STEP_S))
+            self._collect(sample)
+        elif block is not None:
+            self._try_to_align(sample.time_s, block)
+        return True
+
+    def add_mag(self, sample: MagSample) -> bool:
+        """Take one sample; False when it is not newer than the last."""
+        if sample.time_s <= self._mag_s:
+            return False
+        dt_s = min(sample.time_s - self._mag_s, LONGEST_STEP_S)
+        self._mag_s = sample.time_s
+        if self._orientation is None:
+            self._aligner.add_field(sample.field_body_ut)
+            return True
+        self._orientation.update_mag(sample.field_body_ut, dt_s)
+        if getattr(self._orientation, "mag_trusted", True):
+            self._mag_trusted_s = sample.time_s
+        self._fields.add(sample.time_s, sample.field_body_ut)
+        return True
+
+    def add_gps(self, fix: GpsFix) -> bool:
+        """Take one fix; False before the alignment, or when it is older than anything remembered."""
+        if self._timeline is None:
+            return False
+        place = (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+        origin = self.origin or place
+        config = self._config.ekf
+        across = max(fix.horizontal_accuracy_m, config.gps_position_noise_m)
+        along = max(fix.vertical_accuracy_m, 1.5 * config.gps_position_noise_m)
+        speed = max(fix.speed_accuracy_m_s, config.gps_velocity_noise_m_s)
+        step = GpsStep(
+            position_ned_m=ned_from_geodetic(*place, origin),
+            velocity_ned_m_s=fix.velocity_ned_m_s,
+            position_std_m=(across, across, along),
+            velocity_std_m_s=(speed, speed, 1.5 * speed),
+        )
+        if not self._timeline.add(fix.time_s, step):
+            return False
+        self.origin = origin
+        return True
+
+    # ------------------------------------------------------------ outputs
+
+    @property
+    def gates(self) -> dict[str, int]:
+        """How many measurements of each kind have failed their innovation test."""
+        return {} if self._ekf is None else {kind: gate.refused for kind, gate in self._ekf.gates.items()}
+
+    def rotation_covariance(self) -> FloatArray | None:
+        """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
+        return None if self._ekf is None else self._ekf.rotation_covariance()
+
+    def velocity(self, time_s: float) -> Vector3:
+        """Velocity NED (m/s) at a time near the newest sample's; zero before the alignment."""
+        if self._ekf is None:
+            return ZERO3
+        return add(vector3(self._ekf.x[model.VELOCITY]), self.motion.moved(self._ekf.time_s, time_s)[1])
+
+    def state(self, now_s: float) -> VehicleState | None:
+        """The vehicle at now_s; None before the alignment and when the IMU has gone silent."""
+        ekf = self._ekf
+        if ekf is None or now_s - self.newest_s > IMU_TIMEOUT_S:
+            return None
+        place, speed = self.motion.moved(ekf.time_s, now_s)
+        velocity = vector3(ekf.x[model.VELOCITY])
+        position = add(vector3(ekf.x[model.POSITION]), scale(velocity, now_s - ekf.time_s))
+        variance = ekf.P.diagonal()
+        return VehicleState(
+            time_s=now_s,
+            attitude=quat_integrate(self._attitude, self._rate, max(now_s - self.newest_s, 0.0)),
+            rate_body_rad_s=self._rate,
+            position_ned_m=add(position, place),
+            velocity_ned_m_s=add(velocity, speed),
+            acceleration_ned_m_s2=self._acceleration,
+            gyro_bias_rad_s=self._gyro_bias,
+            accel_bias_m_s2=self._accel_bias,
+            attitude_std_rad=2.0 * math.sqrt(float(variance[model.QUATERNION].sum())),
+            velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
+            position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
+            aligned=True,
+            has_gps=now_s - ekf.gps_time_s < self._config.ekf.gps_timeout_s,
+            origin=self.origin,
+        )
+
+    # ------------------------------------------------------------ alignment
+
+    def _try_to_align(self, time_s: float, block: Block) -> None:
+        found = self._aligner.add_block(time_s, block)
+        if found is None:
+            return
+        field = self._config.magnetic_field_ned_ut
+        declination_rad = math.atan2(field[1], field[0])
+        try:
+            attitude = align(found.specific_force_body_m_s2, found.field_body_ut, declination_rad)
+        except ValueError:
+            return  # a dead sensor: go on collecting
+        self._start(time_s, found, attitude, declination_rad)
+
+    def _start(self, time_s: float, found: Alignment, attitude: Quaternion, declination_rad: float) -> None:
+        config, field = self._config, self._config.magnetic_field_ned_ut
+        self._gyro_bias = found.rate_body_rad_s if found.still else ZERO3
+        gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
+        start = InitialState(
+            time_s=time_s,
+            attitude=attitude,
+            gyro_bias_rad_s=self._gyro_bias,
+            field_ned_ut=field,
+            tilt_std_rad=math.radians(2.0 if found.still else 10.0),
+            heading_std_rad=math.radians(4.0 if found.still else 15.0),
+            gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
+        )
+        self._orientation = (
+            OrientationFilter(config.orientation, field, attitude)
+            if config.orientation.kind == "complementary"
+            else MadgwickFilter(config.madgwick_gain, declination_rad, attitude)
+        )
+        self._ekf = VehicleEkf(config.ekf, self._antenna_body_m, start)
+        self._timeline = Timeline(self._ekf, config.ekf.remember_s)
+        self._attitude = attitude
+        self._resting = found.still
+        self._mag_trusted_s = time_s
+
+    # ------------------------------------------------------------ IMU
+
+    def _move(self, sample: ImuSample, dt_s: float) -> None:
+        """Attitude and acceleration at the sample's time."""
+        assert self._orientation is not None
+        rate = subtract(sample.rate_body_rad_s, self._gyro_bias)
+        force = subtract(sample.specific_force_body_m_s2, self._accel_bias)
+        self._rate = rate
+        self._attitude = quat_integrate(self._attitude, rate, dt_s)
+        self._orientation.update_imu(rate, force, dt_s)
+        fn, fe, fd = quat_rotate(self._attitude, force)
+        acceleration = (fn, fe, fd + GRAVITY_M_S2)
+        self.motion.add(sample.time_s, self._attitude, acceleration)
+        k = dt_s / (self._config.acceleration_filter_s + dt_s)
+        self._acceleration = add(self._acceleration, scale(subtract(acceleration, self._acceleration), k))
+        # the pre-filter remembers an acceleration for as long as it averages
+        fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
+        self._disturbance_m_s2 = max(norm(self._acceleration), self._disturbance_m_s2 * fade)
+
+    def _collect(self, sample: ImuSample) -> None:
+        """Give the EKF a step when enough samples have come."""
+        self._rates.add(sample.time_s, sample.rate_body_rad_s)
+        self._forces.add(sample.time_s, sample.specific_force_body_m_s2)
+        samples = self._rates.count
+        if samples < self._config.ekf.imu_samples_per_step:
+            return
+        assert self._timeline is not None
+        assert self._ekf is not None
+        (time_s, rate), (_, force) = self._rates.take(), self._forces.take()
+        with_attitude = time_s - self._orientation_step_s >= 1.0 / self._config.ekf.orientation_rate_hz
+        step = ImuStep(
+            rate_body_rad_s=rate,
+            specific_force_body_m_s2=force,
+            samples=samples,
+            field_body_ut=self._field_at(time_s),
+            attitude=self._orientation_at(time_s) if with_attitude else None,
+            tilt_noise_rad=self._tilt_noise_rad(),
+            heading_noise_rad=self._heading_noise_rad(time_s),
+            still=self._resting and self._still_block,
+            at_rest=self._resting and self._still_block and not self._ekf.has_position,
+        )
+        self._still_block = False
+        self._timeline.add(time_s, step)
+        self._gyro_bias = vector3(self._ekf.x[model.GYRO_BIAS])
+        self._accel_bias = vector3(self._ekf.x[model.ACCEL_BIAS])
+        self._attitude = quat_integrate(self._ekf.attitude, self._rate, self.newest_s - self._ekf.time_s)
+
+    def _field_at(self, time_s: float) -> Vector3 | None:
+        """The mean field since the last time, turned to time_s by the gyroscope; None out of turn."""
+        due = time_s - self._field_step_s >= 1.0 / self._config.ekf.mag_rate_hz - 1e-6
+        if not (self._fields.count and due):
+            return None
+        self._field_step_s = time_s
+        measured_s, field = self._fields.take()
+        return add(field, scale(cross(field, self._rate), time_s - measured_s))
+
+    def _orientation_at(self, time_s: float) -> Quaternion:
+        assert self._orientation is not None
+        self._orientation_step_s = time_s
+        return quat_integrate(self._orientation.attitude, self._rate, time_s - self.newest_s)
+
+    def _tilt_noise_rad(self) -> float:
+        """In flight the accelerometer measures thrust and drag, not gravity: doubt it as both differ."""
+        base = math.radians(self._config.ekf.orientation_tilt_noise_deg)
+        gravity_error = getattr(self._orientation, "gravity_error_m_s2", 0.0)
+        return base + 3.0 * (self._disturbance_m_s2 + gravity_error) / GRAVITY_M_S2
+
+    def _heading_noise_rad(self, time_s: float) -> float:
+        base = math.radians(self._config.ekf.orientation_heading_noise_deg)
+        return base if time_s - self._mag_trusted_s < MAG_TIMEOUT_S else base + 3.0
