@@ -1,0 +1,194 @@
+"""The reference: one minimum-jerk trajectory in one frame, replanned every cycle from its own state.
+
+Replanning starts where the previous reference is now, not where the vehicle is: position, velocity and
+acceleration stay continuous and noise of the estimate never enters them. Only when the vehicle has strayed
+too far is the reference put onto the estimate again.
+
+T = |Δ| / V + T_min (eq. 37) with V from the fuzzy controller; T grows further until the way keeps its
+limits of speed and acceleration. Planning happens in the frame that moves with the target, where the end is
+at rest (eqs. 29, 30). Frames: "pad" is vehicle minus pad in NED axes, "local" the EKF's NED. m, s, rad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+from companion.config import GuidanceConfig
+from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
+from companion.messages import Reference
+from companion.plan.min_jerk import Motion, Trajectory, brake, plan
+
+Origin = Literal["pad", "local"]
+SpeedLaw = Callable[[float, float, float], float]
+
+_CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+_MOST_STRETCHES = 4
+
+
+class Guide:
+    """Holds the reference and moves it on. Before `start` there is none."""
+
+    def __init__(self, config: GuidanceConfig, law: SpeedLaw, horizon_steps: int, step_s: float) -> None:
+        self._config, self._law = config, law
+        self._count, self._step_s = horizon_steps + 1, step_s
+        self.origin: Origin = "local"
+        self._trajectory: Trajectory | None = None
+        self.heading_rad = 0.0
+        self._turned_s: float | None = None
+        self.speed_m_s = 0.0
+        self.time_to_go_s = 0.0
+
+    @property
+    def active(self) -> bool:
+        """Whether there is a reference."""
+        return self._trajectory is not None
+
+    def at(self, now_s: float) -> Motion:
+        """The reference's own state now.
+
+        Raises:
+            RuntimeError: there is no reference.
+        """
+        if self._trajectory is None:
+            raise RuntimeError("no reference yet: start one first")
+        return self._trajectory.at(now_s)
+
+    def start(self, origin: Origin, motion: Motion, now_s: float) -> None:
+        """Begin afresh at a state, coming to rest in the frame."""
+        self.origin = origin
+        self.rest(motion, now_s)
+
+    def rest(self, motion: Motion, now_s: float) -> None:
+        """Come to rest in the present frame from a state."""
+        self._follow(brake(motion, now_s, self._config.horizontal_acceleration_m_s2), now_s)
+
+    def stop(self) -> None:
+        """Give the reference up: no setpoint leaves any more."""
+        self._trajectory = None
+        self.speed_m_s = self.time_to_go_s = 0.0
+
+    def change_frame(self, origin: Origin, pad: Motion, now_s: float) -> None:
+        """Go on in the other frame with the same motion in space; `pad` is the pad in the EKF's NED."""
+        if self.origin == origin:
+            return
+        combine = subtract if origin == "pad" else add
+        now = self.at(now_s)
+        motion = Motion(
+            combine(now.position_m, pad.position_m),
+            combine(now.velocity_m_s, pad.velocity_m_s),
+            combine(now.acceleration_m_s2, pad.acceleration_m_s2),
+        )
+        self.start(origin, motion, now_s)
+
+    def strayed(self, actual: Motion, now_s: float) -> float:
+        """Distance (m) from the reference to the estimate when beyond the bound, else 0."""
+        distance = norm(subtract(self.at(now_s).position_m, actual.position_m))
+        return distance if distance > self._config.stray_m else 0.0
+
+    def take_up(self, actual: Motion, now_s: float) -> None:
+        """Put the reference onto the estimate; its acceleration goes on."""
+        kept = self.at(now_s).acceleration_m_s2
+        self.rest(Motion(actual.position_m, actual.velocity_m_s, kept), now_s)
+
+    def fly_to(self, target: Motion, now_s: float) -> None:
+        """Replan towards a point that moves on at its velocity, by eqs. 37 and 29."""
+        start = self.at(now_s)
+        offset = subtract(target.position_m, start.position_m)
+        closing = subtract(start.velocity_m_s, target.velocity_m_s)
+        distance = norm(offset)
+        unit = scale(offset, 1.0 / distance) if distance > 1e-6 else (0.0, 0.0, 0.0)
+        speed = self._law(distance, dot(closing, unit), dot(start.acceleration_m_s2, unit))
+        moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
+        relative = self._within_limits(moving, distance / speed + self._config.minimum_time_s, now_s)
+        self._trajectory = _carried(relative, target)
+        self.speed_m_s, self.time_to_go_s = speed, relative.duration_s
+
+    def sink(self, speed_m_s: float, blend_s: float, now_s: float) -> float:
+        """From here straight down to a constant speed that goes on; returns how far (m) the blend takes."""
+        start = self.at(now_s)
+        depth_m = 0.5 * (start.velocity_m_s[2] + speed_m_s) * blend_s
+        final = Motion((0.0, 0.0, start.position_m[2] + depth_m), (0.0, 0.0, speed_m_s))
+        self._follow(plan(start, final, now_s, blend_s), now_s)
+        self.speed_m_s = speed_m_s
+        return depth_m
+
+    def turn(self, heading_rad: float | None, now_s: float) -> None:
+        """Slew the heading towards one, or keep it."""
+        if heading_rad is not None and self._turned_s is not None:
+            most = math.radians(self._config.heading_rate_deg_s) * max(0.0, now_s - self._turned_s)
+            error = wrap_angle(heading_rad - self.heading_rad)
+            self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
+        self._turned_s = now_s
+
+    def reference(self, now_s: float, minimum_height_m: float | None) -> Reference | None:
+        """The rows over the horizon, (horizon_steps + 1, 3) each."""
+        if self._trajectory is None:
+            return None
+        position, velocity, acceleration = self._trajectory.rows(now_s, self._count, self._step_s)
+        return Reference(
+            now_s,
+            self.origin,
+            self._step_s,
+            position,
+            velocity,
+            acceleration,
+            self.heading_rad,
+            minimum_height_m,
+        )
+
+    def _follow(self, trajectory: Trajectory, now_s: float) -> None:
+        self._trajectory = trajectory
+        self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
+
+    def _within_limits(self, moving: Motion, duration_s: float, now_s: float) -> Trajectory:
+        """The way to the origin at rest, longer than asked where speed or acceleration would be too much."""
+        trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
+        for _ in range(_MOST_STRETCHES):
+            stretch = self._stretch(trajectory, moving)
+            if stretch <= 1.001:
+                break
+            duration_s *= min(stretch, 1.5)
+            trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
+        return trajectory
+
+    def _stretch(self, trajectory: Trajectory, start: Motion) -> float:
+        """By what factor the duration should grow; what the start already exceeds cannot be mended."""
+        c = self._config
+        flat, steep = _flat(start.velocity_m_s), abs(start.velocity_m_s[2])
+        push, lift = _flat(start.acceleration_m_s2), abs(start.acceleration_m_s2[2])
+        speed = acceleration = 1.0
+        for tau in _CHECKED_AT:
+            motion = trajectory.at(trajectory.start_s + tau * trajectory.duration_s)
+            v, a = motion.velocity_m_s, motion.acceleration_m_s2
+            speed = max(
+                speed,
+                _flat(v) / max(c.horizontal_speed_m_s, flat),
+                abs(v[2]) / max(c.vertical_speed_m_s, steep),
+            )
+            acceleration = max(
+                acceleration,
+                _flat(a) / max(c.horizontal_acceleration_m_s2, push),
+                abs(a[2]) / max(c.vertical_acceleration_m_s2, lift),
+            )
+        return max(speed, math.sqrt(acceleration))
+
+
+def _flat(v: Vector3) -> float:
+    return math.hypot(v[0], v[1])
+
+
+def _carried(relative: Trajectory, target: Motion) -> Trajectory:
+    """A trajectory in the target's frame, seen from the frame the target moves in."""
+    p, v = target.position_m, scale(target.velocity_m_s, relative.duration_s)
+    x, y, z = relative.axes
+    return Trajectory(
+        relative.start_s,
+        relative.duration_s,
+        (
+            (x[0] + p[0], x[1] + v[0], *x[2:]),
+            (y[0] + p[1], y[1] + v[1], *y[2:]),
+            (z[0] + p[2], z[1] + v[2], *z[2:]),
+        ),
+    )

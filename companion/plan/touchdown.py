@@ -1,0 +1,209 @@
+"""The last third of a metre: wait for the moment, commit, sink at a constant speed, know the contact.
+
+Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
+Relative to the pad, NED axes, m and s.
+
+Why a moment is gentle when the pad's acceleration is small: the vehicle follows an acceleration with a lag
+(about 0.2 s), so that its speed relative to the pad is off by acceleration x lag, whatever the pad's speed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.config import TouchdownConfig, VehicleConfig
+from companion.messages import LandedState, RangeSample
+from companion.plan.guidance import Guide
+from companion.plan.min_jerk import Motion
+from companion.plan.mission import Event
+from companion.plan.sight import Sight
+
+_HEIGHT_TOLERANCE_M = 0.10
+_SINK_TOLERANCE_M_S = 0.15
+_FRESH_S = 0.3
+_STALLED_M_S = 0.06
+_STALLED_BELOW_M = 0.08
+_AWAY_M = 0.25
+_AWAY_S = 0.3
+_SIGNS_NEEDED = 2
+
+Finding = tuple[Event, str] | None
+
+
+class Held:
+    """Whether a condition has held without a break for a time."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def for_s(self, condition: bool, now_s: float) -> float:
+        """How long (s) the condition has held; negative when it does not."""
+        if not condition:
+            self._since_s = None
+            return -1.0
+        if self._since_s is None:
+            self._since_s = now_s
+        return now_s - self._since_s
+
+
+def gentle(sight: Sight, config: TouchdownConfig) -> bool:
+    """Whether the pad accelerates little enough for a soft contact."""
+    a = sight.pad_acceleration_ned_m_s2
+    return (
+        math.hypot(a[0], a[1]) <= config.gentle_horizontal_m_s2 and abs(a[2]) <= config.gentle_vertical_m_s2
+    )
+
+
+def aligned(sight: Sight, wait_height_m: float, slack: float, config: TouchdownConfig) -> bool:
+    """Whether the vehicle stands over the pad's centre closely and quietly enough to commit."""
+    return (
+        sight.age_s <= _FRESH_S
+        and sight.lateral_m <= config.lateral_m * slack
+        and sight.lateral_speed_m_s <= config.lateral_speed_m_s * slack
+        and abs(sight.height_m - wait_height_m) <= _HEIGHT_TOLERANCE_M * slack
+        and abs(sight.velocity_m_s[2]) <= _SINK_TOLERANCE_M_S * slack
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ContactSigns:
+    """What speaks for standing on the pad."""
+
+    low: bool
+    stalled: bool
+    short_echo: bool
+    landed: bool
+
+    @property
+    def count(self) -> int:
+        """How many agree."""
+        return self.low + self.stalled + self.short_echo + self.landed
+
+
+def contact_signs(
+    sight: Sight | None,
+    reference: Motion,
+    echo: RangeSample | None,
+    landed: LandedState,
+    now_s: float,
+    config: TouchdownConfig,
+    vehicle: VehicleConfig,
+) -> ContactSigns:
+    """Read the signs; `reference` is vehicle minus pad, as `sight` is."""
+    feet_m = vehicle.leg_height_m + config.contact_margin_m
+    low = sight is not None and sight.height_m <= feet_m
+    # the reference goes on down and the vehicle does not
+    stalled = (
+        sight is not None
+        and reference.velocity_m_s[2] >= 0.5 * config.contact_speed_m_s
+        and reference.position_m[2] - sight.position_m[2] >= _STALLED_BELOW_M
+        and abs(sight.velocity_m_s[2]) <= _STALLED_M_S
+    )
+    short_echo = (
+        echo is not None
+        and now_s - echo.time_s <= _FRESH_S
+        and echo.distance_m <= feet_m - vehicle.range_position_body_m[2]
+    )
+    return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
+
+
+class Touchdown:
+    """One attempt after another; `begin` at each. Steers the guide in the pad's frame."""
+
+    def __init__(
+        self, config: TouchdownConfig, vehicle: VehicleConfig, wait_height_m: float, guide: Guide
+    ) -> None:
+        self._config, self._vehicle, self._guide = config, vehicle, guide
+        self._wait_height_m = vehicle.leg_height_m + wait_height_m
+        self.begin(0.0, slack=1.0)
+
+    def begin(self, now_s: float, slack: float) -> None:
+        """Start waiting for the moment; `slack` widens what counts as aligned."""
+        self._since_s, self._slack = now_s, slack
+        self._contact_due_s: float | None = None
+        self.contact_s: float | None = None
+        self._settled, self._touching, self._away = Held(), Held(), Held()
+
+    @property
+    def committed(self) -> bool:
+        """Whether the vehicle is on its last way down."""
+        return self._contact_due_s is not None
+
+    @property
+    def on_pad(self) -> bool:
+        """Whether the feet stand on the pad."""
+        return self.contact_s is not None
+
+    def step(
+        self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
+    ) -> Finding:
+        """Move on by one cycle; returns what happened, with words for it."""
+        if self.on_pad:
+            return self._stand(sight, now_s)
+        if self.committed:
+            return self._sink(sight, echo, landed, now_s)
+        return self._wait(sight, now_s)
+
+    def _wait(self, sight: Sight | None, now_s: float) -> Finding:
+        c = self._config
+        waited_s = now_s - self._since_s
+        self._guide.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
+        if sight is None or sight.age_s > c.blind_s:
+            return Event.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above it"
+        impatience = waited_s / c.patience_s
+        slack = self._slack * (1.0 if impatience < 2.0 else 1.5)
+        ready = aligned(sight, self._wait_height_m, slack, c) and (impatience >= 1.0 or gentle(sight, c))
+        if self._settled.for_s(ready, now_s) >= c.settled_s:
+            self._commit(now_s)
+        elif impatience >= 3.0:
+            return (
+                Event.MISALIGNED,
+                f"{100.0 * sight.lateral_m:.0f} cm aside after {waited_s:.0f} s of waiting",
+            )
+        return None
+
+    def _commit(self, now_s: float) -> None:
+        c = self._config
+        blended_m = self._guide.sink(c.contact_speed_m_s, c.blend_s, now_s)
+        left_m = self._guide.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
+        self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / c.contact_speed_m_s
+
+    def _sink(
+        self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
+    ) -> Finding:
+        c, v = self._config, self._vehicle
+        assert self._contact_due_s is not None
+        signs = contact_signs(sight, self._guide.at(now_s), echo, landed, now_s, c, v)
+        if self._touching.for_s(signs.count >= _SIGNS_NEEDED, now_s) >= c.contact_s:
+            self.contact_s = now_s
+            self._stay_down(now_s)
+            names = [name for name in ("low", "stalled", "short_echo", "landed") if getattr(signs, name)]
+            return Event.CONTACT, ", ".join(names).replace("_", " ")
+        if signs.count >= _SIGNS_NEEDED:
+            return None
+        if sight is None or sight.age_s > c.blind_s:
+            return Event.PAD_LOST, f"not seen for {c.blind_s:.1f} s on the last way down"
+        if now_s > self._contact_due_s + c.overdue_s:
+            return Event.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
+        # with the feet nearly down, climbing away would drag them over the pad
+        high = sight.height_m > v.leg_height_m + 2.0 * c.contact_margin_m
+        if high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
+            return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
+        return None
+
+    def _stay_down(self, now_s: float) -> None:
+        self._guide.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)
+
+    def _stand(self, sight: Sight | None, now_s: float) -> Finding:
+        """Standing; unless the pad is seen to be well below after all."""
+        self._stay_down(now_s)
+        away = (
+            sight is not None
+            and sight.age_s <= _FRESH_S
+            and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
+        )
+        if sight is not None and self._away.for_s(away, now_s) >= _AWAY_S:
+            self._guide.start("pad", sight.motion, now_s)
+            return Event.MISALIGNED, "off the pad again"
+        return None

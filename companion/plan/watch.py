@@ -1,0 +1,98 @@
+"""What can befall a mission in any phase: stop, pilot, link, estimate, disarming, time.
+
+Control is ours from the moment the autopilot granted it and says that it obeys setpoints. When it then
+leaves that mode and we did not ask for it, a pilot (or a failsafe of the autopilot) has taken over, and
+that is final. Before that, a change into one of a pilot's modes means the same.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from companion.config import MissionConfig
+from companion.messages import AutopilotState, Manner, Phase, VehicleState
+from companion.plan.mission import FINAL, OUR_CONTROL, Event
+from companion.plan.touchdown import Finding
+
+_STALE_ESTIMATE_S = 0.5
+# The modes that we never ask for while we fly, by the autopilots' own names without their prefixes.
+_PILOT_MODES: Final[dict[Manner, frozenset[str]]] = {
+    "px4": frozenset(
+        {"MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED", "RATTITUDE", "RTL", "RTGS", "LAND", "POSITION"}
+    ),
+    "ardupilot": frozenset(
+        {"STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "POSHOLD", "SPORT", "DRIFT", "FLIP", "RTL", "SMART_RTL"}
+        | {"BRAKE", "LAND", "THROW", "AUTO", "CIRCLE", "FLOWHOLD"}
+    ),
+}
+
+
+def is_pilots(mode: str, manner: Manner | None) -> bool:
+    """Whether a mode is one that a pilot or a failsafe chooses, never we in flight."""
+    name = mode.upper().rsplit(".", 1)[-1].replace(" ", "_")
+    return manner is not None and name in _PILOT_MODES[manner]
+
+
+class Watch:
+    """Looks at every cycle's inputs before the phase does."""
+
+    def __init__(self, config: MissionConfig) -> None:
+        self._config = config
+        self.in_control = False
+        self.released = False
+        self._pilots_mode = False
+        self._started_s: float | None = None
+
+    def note(self, autopilot: AutopilotState, control_granted: bool) -> bool:
+        """Take in the mode; returns whether a pilot took over with this."""
+        pilots = is_pilots(autopilot.mode, autopilot.manner)
+        entered = pilots and not self._pilots_mode
+        self._pilots_mode = pilots
+        if control_granted and autopilot.offboard:
+            self.in_control = True
+        if self.released:
+            return False
+        return not autopilot.offboard if self.in_control else entered
+
+    def let_go(self) -> None:
+        """The vehicle is handed back for good: modes may change, and no setpoint matters any more."""
+        self.released = True
+
+    def event(
+        self,
+        phase: Phase,
+        phase_since_s: float,
+        autopilot: AutopilotState,
+        vehicle: VehicleState | None,
+        taken_over: bool,
+        on_pad: bool,
+        now_s: float,
+    ) -> Finding:
+        """The gravest thing that happened, if any; nothing any more once the mission has ended."""
+        if self._started_s is None:
+            self._started_s = now_s
+        if phase in FINAL:
+            return None
+        flying = phase not in {Phase.CONNECT, Phase.ARM}
+        if autopilot.connected and flying and not autopilot.armed:
+            return Event.DISARMED, "the autopilot says so"
+        if taken_over and autopilot.connected and phase is not Phase.CONNECT:
+            return Event.PILOT_TOOK_OVER, f"mode {autopilot.mode or 'unknown'} was not asked for"
+        if flying and phase is not Phase.HOLD and not autopilot.connected and not on_pad:
+            return Event.LINK_LOST, "nothing heard from the autopilot"
+        if phase in OUR_CONTROL and not on_pad and not _usable(vehicle, now_s):
+            return Event.ESTIMATE_LOST, "the vehicle's own estimate is gone"
+        return self._time(phase, phase_since_s, now_s)
+
+    def _time(self, phase: Phase, since_s: float, now_s: float) -> Finding:
+        assert self._started_s is not None
+        if now_s - self._started_s > self._config.total_timeout_s:
+            return Event.OVERTIME, f"{self._config.total_timeout_s:.0f} s since the start"
+        limit_s: float = getattr(self._config.phases, f"{phase.value}_s")
+        if now_s - since_s > limit_s:
+            return Event.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"
+        return None
+
+
+def _usable(vehicle: VehicleState | None, now_s: float) -> bool:
+    return vehicle is not None and vehicle.aligned and now_s - vehicle.time_s <= _STALE_ESTIMATE_S

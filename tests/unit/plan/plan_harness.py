@@ -1,0 +1,422 @@
+"""A closed loop for the planner alone: a lagging double integrator, a fake autopilot and a pad that moves.
+
+The vehicle follows the reference rows by feed-forward and PD with an acceleration lag of 0.2 s; the
+autopilot flies take-off, waypoint, hold and land by itself and answers actions. The EKF's origin is put
+aside and above home, so that whoever mixes frames misses the pad by metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.config import PlanConfig, VehicleConfig
+from companion.geometry import ZERO3, Vector3, geodetic_from_ned, ned_from_geodetic, quat_from_euler
+from companion.messages import (
+    Action,
+    ActionKind,
+    ActionResult,
+    AutopilotState,
+    LandedState,
+    Notice,
+    PadBeacon,
+    PadState,
+    Phase,
+    PlanStep,
+    RangeSample,
+    VehicleState,
+)
+from companion.plan.fuzzy_velocity import load_table
+from companion.plan.planner import PlanInputs, Planner
+
+HOME = (47.0, 8.0, 400.0)
+ORIGIN_NED_M = (0.8, -1.1, -2.3)  # the EKF's origin from home
+ORIGIN = geodetic_from_ned(ORIGIN_NED_M, HOME)
+LEG_M = 0.18
+LAG_S = 0.2
+STEP_S = 1.0 / 30.0
+SUBSTEPS = 4
+TABLE = load_table("landing")[0]
+VEHICLE = VehicleConfig(
+    name="test",
+    camera_position_body_m=(0.03, 0.0, 0.08),
+    range_position_body_m=(-0.03, 0.0, 0.08),
+    leg_height_m=LEG_M,
+    acceleration_time_constant_s=LAG_S,
+    hover_thrust=0.5,
+)
+
+Path = Callable[[float], Vector3]
+Heading = Callable[[float], float]
+
+
+# ---------------------------------------------------------------- pads
+
+
+def still(north: float = 10.6, east: float = 0.8) -> Path:
+    return lambda _t: (north, east, -0.3)
+
+
+def line(speed: float = 1.0, start: float = -15.0) -> Path:
+    return lambda t: (10.0, start + speed * t, -0.3)
+
+
+def circle(speed: float = 1.5, radius: float = 5.0) -> Path:
+    def at(t: float) -> Vector3:
+        angle = speed / radius * t
+        return (10.0 - radius + radius * math.cos(angle), radius * math.sin(angle), -0.3)
+
+    return at
+
+
+def figure_eight(speed: float = 2.0, size: float = 8.0) -> Path:
+    # the fastest point is the crossing: speed = size * w * sqrt(2)
+    w = speed / (size * math.sqrt(2.0))
+
+    def at(t: float) -> Vector3:
+        return (10.0 + size * math.sin(w * t), 0.5 * size * math.sin(2.0 * w * t), -0.3)
+
+    return at
+
+
+def heave(amplitude: float = 0.25, period: float = 6.0) -> Path:
+    return lambda t: (10.5, 0.5, -0.8 + amplitude * math.sin(math.tau / period * t))
+
+
+def derivative(path: Path, t: float) -> tuple[Vector3, Vector3]:
+    """Velocity and acceleration of a path by central differences."""
+    h = 1e-3
+    a, b, c = path(t - h), path(t), path(t + h)
+    velocity = tuple((z - x) / (2.0 * h) for x, z in zip(a, c, strict=True))
+    acceleration = tuple((x - 2.0 * y + z) / (h * h) for x, y, z in zip(a, b, c, strict=True))
+    return (velocity[0], velocity[1], velocity[2]), (acceleration[0], acceleration[1], acceleration[2])
+
+
+# ---------------------------------------------------------------- the autopilot
+
+
+@dataclass
+class FakeAutopilot:
+    """Answers actions; flies the modes that are its own."""
+
+    manner: str = "px4"
+    armed: bool = False
+    mode: str = "HOLD"
+    refuse: dict[ActionKind, int] = field(default_factory=dict)
+    silent: set[ActionKind] = field(default_factory=set)
+    target_ned_m: Vector3 = ZERO3
+    landed: LandedState = LandedState.ON_GROUND
+    connected: bool = True
+    heard: list[tuple[float, ActionKind]] = field(default_factory=list)
+    ready_from_s: float = 2.0
+
+    def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
+        kind = action.kind
+        self.heard.append((now_s, kind))
+        if kind in self.silent or kind is ActionKind.REQUEST_PAD_POSITION:
+            return None
+        if self.refuse.get(kind, 0) > 0:
+            self.refuse[kind] -= 1
+            return ActionResult(now_s, kind, False, "Denied: not now")
+        return ActionResult(now_s, kind, self._obey(action, position), "")
+
+    def _obey(self, action: Action, position: Vector3) -> bool:
+        kind = action.kind
+        if kind is ActionKind.ARM:
+            self.armed = True
+        elif kind is ActionKind.DISARM:
+            if self.landed is not LandedState.ON_GROUND:
+                return False
+            self.armed = False
+        elif kind is ActionKind.TAKE_OFF:
+            self.mode, self.target_ned_m = "TAKEOFF", (position[0], position[1], -action.height_m)
+        elif kind is ActionKind.GO_TO:
+            assert action.position is not None
+            latitude, longitude, height = action.position
+            north, east, _ = ned_from_geodetic(latitude, longitude, HOME[2], HOME)
+            self.mode, self.target_ned_m = "LOITER", (north, east, -height)
+        elif kind is ActionKind.TAKE_CONTROL:
+            self.mode = "OFFBOARD"
+        elif kind is ActionKind.HOLD:
+            self.mode, self.target_ned_m = "LOITER", position
+        elif kind is ActionKind.LAND:
+            self.mode, self.target_ned_m = "LAND", (position[0], position[1], 5.0)
+        return True
+
+
+# ---------------------------------------------------------------- the loop
+
+
+@dataclass
+class Flight:
+    """What a run brought."""
+
+    phases: list[tuple[float, Phase]] = field(default_factory=list)
+    notices: list[Notice] = field(default_factory=list)
+    steps: list[PlanStep] = field(default_factory=list)
+    heights_m: list[float] = field(default_factory=list)
+    touch_s: float | None = None
+    touch_lateral_m: float = math.nan
+    touch_down_m_s: float = math.nan
+    touch_across_m_s: float = math.nan
+    end_s: float = 0.0
+
+    @property
+    def phase(self) -> Phase:
+        return self.phases[-1][1]
+
+    def entered(self, phase: Phase) -> float:
+        return next(t for t, p in self.phases if p is phase)
+
+    def told(self, kind: str) -> list[str]:
+        return [n.text for n in self.notices if n.kind == kind]
+
+
+class World:
+    """Vehicle, pad, eyes and autopilot; `fly` runs the planner against them."""
+
+    def __init__(self, pad: Path, heading: Heading = lambda _t: 0.4, config: PlanConfig | None = None) -> None:
+        self.pad, self.heading = pad, heading
+        self.autopilot = FakeAutopilot()
+        self.planner = Planner(config or PlanConfig(), VEHICLE, 20, 0.1, TABLE)
+        self.now_s = 0.0
+        self.position: Vector3 = (0.0, 0.0, -LEG_M)
+        self.velocity: Vector3 = ZERO3
+        self.acceleration: Vector3 = ZERO3
+        self.blind: Callable[[float, float], bool] = lambda _t, _height: False
+        self.noise_m = 0.0
+        self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
+        self.beacon_after_s: float | None = None
+        self.vehicle_known = True
+        self.stop = False
+        self.flight = Flight()
+        self.rng = np.random.default_rng(0)
+        self._drift = np.zeros(3)
+        self._pad_state: PadState | None = None
+        self._seen_s = -math.inf
+        self._results: list[ActionResult] = []
+        self._beacon: PadBeacon | None = None
+        self._asked_s: float | None = None
+        self._contact_s: float | None = None
+        self.each: Callable[[World, PlanStep], None] = lambda _w, _s: None
+
+    def fly(self, seconds: float, until: Callable[[World], bool] = lambda w: w.ended) -> Flight:
+        end_s = self.now_s + seconds
+        while self.now_s < end_s and not until(self):
+            self.cycle()
+        self.flight.end_s = self.now_s
+        return self.flight
+
+    @property
+    def ended(self) -> bool:
+        return bool(self.flight.phases) and self.flight.phase in {Phase.LANDED, Phase.ABORT}
+
+    def cycle(self) -> PlanStep:
+        self._sense()
+        inputs = self.inputs()
+        self._results = []
+        step = self.planner.step(inputs, self.now_s)
+        flight = self.flight
+        if not flight.phases or flight.phase is not step.phase:
+            flight.phases.append((self.now_s, step.phase))
+        flight.steps.append(step)
+        flight.notices += step.notices
+        flight.heights_m.append(self.pad(self.now_s)[2] - self.position[2])
+        for action in step.actions:
+            if action.kind is ActionKind.REQUEST_PAD_POSITION:
+                self._asked_s = self.now_s
+            result = self.autopilot.answer(action, self.position, self.now_s)
+            if result is not None:
+                self._results.append(result)
+        self.each(self, step)
+        for _ in range(SUBSTEPS):
+            self._move(step, STEP_S / SUBSTEPS)
+        return step
+
+    def inputs(self) -> PlanInputs:
+        return PlanInputs(
+            vehicle=self._vehicle() if self.vehicle_known else None,
+            pad=self._pad_state,
+            autopilot=self._autopilot(),
+            beacon=self._beacon,
+            range=self._echo(),
+            results=tuple(self._results),
+            stop_requested=self.stop,
+        )
+
+    # ------------------------------------------------------------ what the planner is told
+
+    def _vehicle(self) -> VehicleState:
+        p = self.position
+        return VehicleState(
+            time_s=self.now_s,
+            attitude=quat_from_euler(0.0, 0.0, 1.2),
+            rate_body_rad_s=ZERO3,
+            position_ned_m=(p[0] - ORIGIN_NED_M[0], p[1] - ORIGIN_NED_M[1], p[2] - ORIGIN_NED_M[2]),
+            velocity_ned_m_s=self.velocity,
+            acceleration_ned_m_s2=self.acceleration,
+            gyro_bias_rad_s=ZERO3,
+            accel_bias_m_s2=ZERO3,
+            attitude_std_rad=0.01,
+            velocity_std_m_s=0.05,
+            position_std_m=0.5,
+            aligned=self.now_s > 1.0,
+            has_gps=self.now_s > 1.0,
+            origin=ORIGIN,
+        )
+
+    def _autopilot(self) -> AutopilotState:
+        a = self.autopilot
+        return AutopilotState(
+            time_s=self.now_s,
+            connected=a.connected,
+            manner="px4" if a.manner == "px4" else "ardupilot",
+            armed=a.armed,
+            mode=a.mode,
+            offboard=a.mode in {"OFFBOARD", "GUIDED"},
+            ready_to_arm=self.now_s > a.ready_from_s,
+            landed=a.landed,
+            global_position=geodetic_from_ned(self.position, HOME),
+            home=HOME,
+        )
+
+    def _sense(self) -> None:
+        pad = self.pad(self.now_s)
+        velocity, acceleration = derivative(self.pad, self.now_s)
+        height = pad[2] - self.position[2]
+        aside = math.hypot(pad[0] - self.position[0], pad[1] - self.position[1])
+        if height < 12.0 and aside < 0.1 + 0.44 * height and not self.blind(self.now_s, height):
+            self._seen_s = self.now_s
+            self._drift += 0.2 * (self.noise_m * self.rng.standard_normal(3) - self._drift)
+            self._last = (self.now_s, pad, velocity, acceleration)
+        if math.isfinite(self._seen_s):
+            self._pad_state = self._believed(*self._last)
+        if self._asked_s is not None and self.beacon_after_s is not None:
+            if self.now_s - self._asked_s >= self.beacon_after_s:
+                latitude, longitude, altitude = geodetic_from_ned(pad, HOME)
+                self._beacon = PadBeacon(self.now_s, latitude, longitude, altitude, velocity, 1.5)
+                self._asked_s = None
+
+    def _believed(self, then_s: float, pad: Vector3, velocity: Vector3, acceleration: Vector3) -> PadState:
+        """The pad as last seen, led on at its velocity, with the filter's noise."""
+        lead_s = self.now_s - then_s
+        relative = [p + v * lead_s - q for p, v, q in zip(pad, velocity, self.position, strict=True)]
+        noisy = [r + n * (1.0 + 0.4 * abs(relative[2])) for r, n in zip(relative, self._drift, strict=True)]
+        relative_velocity = [a - b for a, b in zip(velocity, self.velocity, strict=True)]
+        return PadState(
+            time_s=self.now_s,
+            relative_position_ned_m=(float(noisy[0]), float(noisy[1]), float(noisy[2])),
+            relative_velocity_ned_m_s=(relative_velocity[0], relative_velocity[1], relative_velocity[2]),
+            velocity_ned_m_s=velocity,
+            acceleration_ned_m_s2=acceleration,
+            heading_rad=self.heading(self.now_s),
+            heading_rate_rad_s=0.0,
+            position_std_m=0.02,
+            velocity_std_m_s=0.02,
+            seen_time_s=self._seen_s,
+        )
+
+    def _echo(self) -> RangeSample | None:
+        height = self.pad(self.now_s)[2] - self.position[2]
+        return RangeSample(self.now_s, height - 0.08) if height < 4.0 else None
+
+    # ------------------------------------------------------------ what flies
+
+    def _move(self, step: PlanStep, dt: float) -> None:
+        wanted = self._wanted(step)
+        gust = self.gust(self.now_s)
+        k = dt / LAG_S
+        self.acceleration = _mix(self.acceleration, wanted, k)
+        total = _plus(self.acceleration, gust)
+        self.velocity = _plus(self.velocity, total, dt)
+        self.position = _plus(self.position, self.velocity, dt)
+        self.now_s += dt
+        self._meet_ground(step)
+
+    def _wanted(self, step: PlanStep) -> Vector3:
+        mode = self.autopilot.mode
+        if not self.autopilot.armed or mode == "HOLD":
+            return (0.0, 0.0, 2.0)
+        if mode in {"OFFBOARD", "GUIDED"} and step.reference is not None:
+            return self._tracked(step)
+        if mode == "POSCTL":
+            return _toward(self.position, self.velocity, self.position, 2.0)
+        return _toward(self.position, self.velocity, self.autopilot.target_ned_m, 4.0)
+
+    def _tracked(self, step: PlanStep) -> Vector3:
+        reference = step.reference
+        assert reference is not None
+        if step.on_ground:
+            return (0.0, 0.0, 3.0)
+        if reference.origin == "pad":
+            assert self._pad_state is not None
+            p = self._pad_state
+            position = tuple(-x for x in p.relative_position_ned_m)
+            velocity = tuple(-x for x in p.relative_velocity_ned_m_s)
+            ahead: tuple[float, ...] = p.acceleration_ned_m_s2
+        else:
+            v = self._vehicle()
+            position, velocity, ahead = v.position_ned_m, v.velocity_ned_m_s, ZERO3
+        row = 2  # the acceleration asked for now is flown a lag later
+        out = [
+            float(reference.acceleration_m_s2[row, i])
+            + ahead[i]
+            + 3.0 * (float(reference.position_m[0, i]) - position[i])
+            + 3.0 * (float(reference.velocity_m_s[0, i]) - velocity[i])
+            for i in range(3)
+        ]
+        limit = 4.0
+        return (max(-limit, min(limit, out[0])), max(-limit, min(limit, out[1])), max(-3.0, min(3.0, out[2])))
+
+    def _meet_ground(self, step: PlanStep) -> None:
+        pad = self.pad(self.now_s)
+        aside = math.hypot(self.position[0] - pad[0], self.position[1] - pad[1])
+        over = aside < 0.65
+        surface = pad[2] if over else 0.0
+        if self.position[2] >= surface - LEG_M:
+            self._stand(step, pad if over else None, surface)
+        else:
+            self._contact_s = None
+            self.autopilot.landed = LandedState.IN_AIR if self.autopilot.armed else LandedState.ON_GROUND
+
+    def _stand(self, step: PlanStep, pad: Vector3 | None, surface: float) -> None:
+        velocity = derivative(self.pad, self.now_s)[0] if pad is not None else ZERO3
+        if self._contact_s is None:
+            self._contact_s = self.now_s
+            if pad is not None and self.flight.touch_s is None:
+                self._score(pad, velocity)
+        if self.velocity[2] >= velocity[2]:
+            self.position = (self.position[0], self.position[1], surface - LEG_M)
+            self.velocity = velocity
+        if not self.autopilot.armed or (step.on_ground or self.autopilot.mode == "LAND"):
+            if self.now_s - self._contact_s > 1.0:
+                self.autopilot.landed = LandedState.ON_GROUND
+                if self.autopilot.mode == "LAND":
+                    self.autopilot.armed = False
+
+    def _score(self, pad: Vector3, velocity: Vector3) -> None:
+        f, v = self.flight, self.velocity
+        f.touch_s = self.now_s
+        f.touch_lateral_m = math.hypot(self.position[0] - pad[0], self.position[1] - pad[1])
+        f.touch_down_m_s = v[2] - velocity[2]
+        f.touch_across_m_s = math.hypot(v[0] - velocity[0], v[1] - velocity[1])
+
+
+def _plus(a: Vector3, b: Vector3, factor: float = 1.0) -> Vector3:
+    return (a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2])
+
+
+def _mix(a: Vector3, b: Vector3, k: float) -> Vector3:
+    return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
+
+
+def _toward(position: Vector3, velocity: Vector3, target: Vector3, fastest: float) -> Vector3:
+    """A cascade of P on position and P on velocity, as an autopilot's own navigation."""
+    out = []
+    for axis, most in enumerate((fastest, fastest, 1.5)):
+        speed = max(-most, min(most, 0.9 * (target[axis] - position[axis])))
+        out.append(max(-3.0, min(3.0, 2.0 * (speed - velocity[axis]))))
+    return (out[0], out[1], out[2])
