@@ -1,0 +1,167 @@
+"""The control stage's step: the plan and the states to one setpoint (the paper's Algorithm 2).
+
+Everything is brought into one frame for the MPC: NED axes that do not accelerate, with the origin where the
+pad was estimated (the EKF's, for local references). The pad's own motion becomes part of the reference.
+SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from companion.config import ControlConfig, VehicleConfig
+from companion.control.flight_model import Motion
+from companion.control.limits import LimitsGate
+from companion.control.mpc import Mpc, Solution
+from companion.control.pad_motion import PadPath, predict_pad, resting_path
+from companion.control.plant import Plant
+from companion.control.setpoints import (
+    Heading,
+    attitude_setpoint,
+    ground_setpoint,
+    stop_setpoint,
+    velocity_setpoint,
+)
+from companion.control.target import HeadingReference, make_target, stop_reference
+from companion.geometry import scale, subtract, vector3, yaw_from_quat
+from companion.messages import ControlReport, PadState, PlanStep, Reference, Setpoint, VehicleState
+
+# a pause after which what was commanded before no longer says anything
+RESTART_AFTER_S = 0.5
+# states are to be fresh; older ones are carried on for no longer than this
+LONGEST_PREDICTION_S = 0.4
+# after so many solves in a row without a solution the old plan is worth nothing
+FAILURES_TO_STOP = 10
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """Where the MPC begins: the motion when the next command takes effect, and the path of its origin."""
+
+    time_s: float
+    motion: Motion
+    path: PadPath
+
+
+class Controller:
+    """Tracks the plan's reference. `stopwatch`, when given, times the solves for the report (s)."""
+
+    def __init__(
+        self, config: ControlConfig, vehicle: VehicleConfig, stopwatch: Callable[[], float] | None = None
+    ) -> None:
+        self._config = config
+        self._tau_s = vehicle.acceleration_time_constant_s
+        self._stopwatch = stopwatch or (lambda: 0.0)
+        self._mpc = Mpc(config, self._tau_s)
+        self._plant = Plant(config, vehicle)
+        self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
+        self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
+        self._nodes_s = np.arange(config.horizon_steps + 1) * config.step_s
+        self._stepped_s: float | None = None
+        self._flying = False
+        self._failures = FAILURES_TO_STOP
+
+    def step(
+        self, plan: PlanStep, vehicle: VehicleState, pad: PadState | None, now_s: float
+    ) -> tuple[Setpoint, ControlReport] | None:
+        """The setpoint that leaves at `now_s`; None when the plan has no reference.
+
+        `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a pad
+        is answered by a stop.
+        """
+        if plan.reference is None:
+            self._stepped_s = None
+            return None
+        elapsed_s = self._elapsed(vehicle, now_s)
+        self._heading.step(plan.reference.heading_rad, elapsed_s)
+        if plan.on_ground:
+            return self._rest(plan.reference, pad, now_s)
+        if self._flying:
+            self._plant.observe(vehicle, elapsed_s)
+        else:
+            self._begin(vehicle)
+        return self._fly(plan.reference, vehicle, pad, now_s)
+
+    def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
+        """Time (s) since the last step; 0 after a pause, from which all begins anew."""
+        last_s, self._stepped_s = self._stepped_s, now_s
+        if last_s is not None and 0.0 <= now_s - last_s < RESTART_AFTER_S:
+            return now_s - last_s
+        self._heading.reset(yaw_from_quat(vehicle.attitude))
+        self._gate.reset()
+        self._flying = False
+        return 0.0
+
+    def _begin(self, vehicle: VehicleState) -> None:
+        self._plant.begin(vehicle)
+        self._mpc.reset()
+        self._failures = FAILURES_TO_STOP
+        self._flying = True
+
+    def _rest(
+        self, reference: Reference, pad: PadState | None, now_s: float
+    ) -> tuple[Setpoint, ControlReport]:
+        self._flying = False
+        setpoint = ground_setpoint(now_s, self._config, pad, self._look())
+        setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
+        return setpoint, ControlReport(now_s, solved=True, iterations=0, solve_s=0.0, limited=limited)
+
+    def _fly(
+        self, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
+    ) -> tuple[Setpoint, ControlReport]:
+        if reference.origin == "pad" and pad is None:
+            reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
+        start = self._start(vehicle, pad if reference.origin == "pad" else None, now_s)
+        target = make_target(reference, start.time_s + self._nodes_s, start.path)
+        disturbance = self._plant.disturbance_ned_m_s2
+        began_s = self._stopwatch()
+        solution = self._mpc.solve(start.motion, target, disturbance, self._plant.last_input(start.motion))
+        solve_s = self._stopwatch() - began_s
+        self._failures = 0 if solution.solved else self._failures + 1
+        setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
+        setpoint, limited = self._gate.apply(setpoint, now_s)
+        self._plant.remember(setpoint)
+        predicted = solution.states[:, :3] - start.path.displacement_m[1:]
+        return setpoint, ControlReport(
+            now_s, solution.solved, solution.iterations, solve_s, limited, disturbance, predicted
+        )
+
+    def _start(self, vehicle: VehicleState, pad: PadState | None, now_s: float) -> _Start:
+        """The motion when the next command takes effect, from the newest estimate and what is under way."""
+        effect_s = now_s + self._config.command_delay_s
+        times_s = effect_s + self._nodes_s
+        acceleration = self._plant.acceleration_ned_m_s2
+        if pad is None:
+            from_s, path = vehicle.time_s, resting_path(len(times_s))
+            motion = Motion(vehicle.position_ned_m, vehicle.velocity_ned_m_s, acceleration)
+        else:
+            from_s, path = pad.time_s, predict_pad(pad, times_s, self._config.pad_acceleration_decay_s)
+            velocity = subtract(pad.velocity_ned_m_s, pad.relative_velocity_ned_m_s)
+            motion = Motion(scale(pad.relative_position_ned_m, -1.0), velocity, acceleration)
+        from_s = max(from_s, now_s - LONGEST_PREDICTION_S)
+        return _Start(effect_s, self._plant.carry(motion, from_s, effect_s), path)
+
+    def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
+        plant, look = self._plant, self._look()
+        if self._failures >= FAILURES_TO_STOP:
+            return stop_setpoint(now_s, self._config, plant.hover_thrust, look)
+        u = vector3(solution.inputs_m_s2[0].tolist())
+        if self._config.setpoint == "attitude":
+            return attitude_setpoint(now_s, motion.velocity_m_s, u, plant.hover_thrust, look)
+        return velocity_setpoint(
+            now_s, self._config, motion, u, plant.disturbance_ned_m_s2, self._tau_s, look
+        )
+
+    def _look(self) -> Heading:
+        return Heading(self._heading.heading_rad, self._heading.rate_rad_s)
+
+
+def _seen(setpoint: Setpoint, reference: Reference, pad: PadState | None) -> Setpoint:
+    """Tell by which exposure the setpoint goes, when it goes by the pad."""
+    if reference.origin != "pad" or pad is None:
+        return setpoint
+    return replace(setpoint, exposure_time_s=pad.seen_time_s)

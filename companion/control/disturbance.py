@@ -1,0 +1,150 @@
+"""What pushes the vehicle besides the command: an observer per axis, for tracking without a lasting offset.
+
+State per axis: velocity v, flown acceleration a, disturbance d and the measured acceleration's bias b, with
+v' = a, a' = (u + d - a)/tau, d and b slow random walks; measured are v and a + b (eq. 38 with w = d).
+A stationary Kalman gain, the same on all axes (eq. 17 at its limit). The bias is there because the measured
+acceleration carries the attitude's error times g: without it that error would pass for a disturbance.
+
+NED axes, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.linalg
+
+from companion.control.flight_model import advance_axis, discretise
+from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
+
+VELOCITY_NOISE_M_S = 0.03
+ACCELERATION_NOISE_M_S2 = 0.4
+# random walks per square root of a second: how fast gusts come, how fast the bias wanders; and the model's own
+DISTURBANCE_WALK = 0.8
+BIAS_WALK = 0.03
+MODEL_ACCELERATION_WALK = 0.3
+MODEL_VELOCITY_WALK = 0.01
+MAXIMUM_BIAS_M_S2 = 0.5
+
+
+def stationary_gain(period_s: float, tau_s: float) -> FloatArray:
+    """Kalman gain (4, 2) from the innovations of v and a to v, a, d, b."""
+    A, B = discretise(period_s, tau_s)
+    F = np.eye(4)
+    F[:2, :2] = A[1:, 1:]
+    F[:2, 2] = B[1:]
+    H = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
+    walks = np.array([MODEL_VELOCITY_WALK, MODEL_ACCELERATION_WALK, DISTURBANCE_WALK, BIAS_WALK])
+    Q = np.diag(walks**2 * period_s)
+    R = np.diag([VELOCITY_NOISE_M_S**2, ACCELERATION_NOISE_M_S2**2])
+    P = scipy.linalg.solve_discrete_are(F.T, H.T, Q, R)
+    gain: FloatArray = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    return gain
+
+
+class _Axis:
+    """The observer of one axis."""
+
+    def __init__(self) -> None:
+        self.velocity = 0.0
+        self.acceleration = 0.0
+        self.disturbance = 0.0
+        self.bias = 0.0
+
+    def predict(self, command_m_s2: float, duration_s: float, tau_s: float) -> None:
+        _, self.velocity, self.acceleration = advance_axis(
+            (0.0, self.velocity, self.acceleration), command_m_s2 + self.disturbance, duration_s, tau_s
+        )
+
+    def correct(
+        self, velocity: float, acceleration: float, gain: tuple[tuple[float, float], ...], bound: float
+    ) -> None:
+        dv = velocity - self.velocity
+        da = acceleration - self.acceleration - self.bias
+        self.velocity += gain[0][0] * dv + gain[0][1] * da
+        self.acceleration += gain[1][0] * dv + gain[1][1] * da
+        self.disturbance = _clamp(self.disturbance + gain[2][0] * dv + gain[2][1] * da, bound)
+        self.bias = _clamp(self.bias + gain[3][0] * dv + gain[3][1] * da, MAXIMUM_BIAS_M_S2)
+
+
+class DisturbanceObserver:
+    """Velocity, flown acceleration and disturbance of the vehicle, from what was commanded and measured."""
+
+    def __init__(self, period_s: float, tau_s: float, maximum_m_s2: float) -> None:
+        gain = stationary_gain(period_s, tau_s)
+        self._gain = tuple((float(row[0]), float(row[1])) for row in gain)
+        self._tau_s = tau_s
+        self._maximum_m_s2 = maximum_m_s2
+        self._axes = (_Axis(), _Axis(), _Axis())
+
+    @property
+    def velocity_ned_m_s(self) -> Vector3:
+        """Velocity (m/s, NED) as the observer has it."""
+        x, y, z = self._axes
+        return (x.velocity, y.velocity, z.velocity)
+
+    @property
+    def acceleration_ned_m_s2(self) -> Vector3:
+        """Flown acceleration (m/s2, NED), freed of the measurement's bias."""
+        x, y, z = self._axes
+        return (x.acceleration, y.acceleration, z.acceleration)
+
+    @property
+    def disturbance_ned_m_s2(self) -> Vector3:
+        """Disturbance (m/s2, NED), each axis within the bound."""
+        x, y, z = self._axes
+        return (x.disturbance, y.disturbance, z.disturbance)
+
+    def start(
+        self, velocity_ned_m_s: Vector3, acceleration_ned_m_s2: Vector3, disturbance_ned_m_s2: Vector3 = ZERO3
+    ) -> None:
+        """Begin anew from measurements and a first guess of the disturbance."""
+        for axis, v, a, d in zip(
+            self._axes, velocity_ned_m_s, acceleration_ned_m_s2, disturbance_ned_m_s2, strict=True
+        ):
+            axis.velocity, axis.acceleration, axis.bias = v, a, 0.0
+            axis.disturbance = _clamp(d, self._maximum_m_s2)
+
+    def predict(self, command_ned_m_s2: Vector3, duration_s: float) -> None:
+        """Carry the state on under a constant command."""
+        for axis, command in zip(self._axes, command_ned_m_s2, strict=True):
+            axis.predict(command, duration_s, self._tau_s)
+
+    def correct(self, velocity_ned_m_s: Vector3, acceleration_ned_m_s2: Vector3) -> None:
+        """Take in measured velocity and acceleration; a measurement that is not finite is passed over."""
+        if not all(map(math.isfinite, (*velocity_ned_m_s, *acceleration_ned_m_s2))):
+            return
+        for axis, v, a in zip(self._axes, velocity_ned_m_s, acceleration_ned_m_s2, strict=True):
+            axis.correct(v, a, self._gain, self._maximum_m_s2)
+
+    def relieve_vertical(self, covered_m_s2: float) -> None:
+        """Take off the vertical disturbance what the thrust scale covers from now on."""
+        self._axes[2].disturbance -= covered_m_s2
+
+
+class ThrustScale:
+    """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
+
+    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a constant
+    disturbance does not describe; hence the lasting part of the vertical one moves over into the factor.
+    """
+
+    LEARNING_TIME_S = 2.0
+    BOUNDS = (0.7, 1.4)
+
+    def __init__(self) -> None:
+        self.factor = 1.0
+
+    def learn(self, disturbance_down_m_s2: float, elapsed_s: float) -> float:
+        """Take in a part of the disturbance; the return (m/s2) is how much of it the factor now covers."""
+        moved = disturbance_down_m_s2 * min(1.0, elapsed_s / self.LEARNING_TIME_S)
+        low, high = self.BOUNDS
+        factor = max(low, min(high, self.factor * (1.0 + moved / GRAVITY_M_S2)))
+        covered = (factor / self.factor - 1.0) * GRAVITY_M_S2
+        self.factor = factor
+        return covered
+
+
+def _clamp(value: float, bound: float) -> float:
+    return max(-bound, min(bound, value))

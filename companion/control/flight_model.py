@@ -1,0 +1,56 @@
+"""How a multirotor under an autopilot answers an acceleration command: per axis p' = v, v' = a,
+a' = (u + d - a) / tau (eq. 38 with w = d).
+
+u is the commanded acceleration, d a disturbance (wind, a thrust scale that is off) as the acceleration it
+adds, tau the lag of attitude and motors. Frames: any that does not turn or accelerate, NED axes; SI units.
+Discretised exactly under a zero-order hold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.geometry import FloatArray, Vector3
+
+AxisState = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Position (m), velocity (m/s) and flown acceleration (m/s2) of the vehicle, NED axes."""
+
+    position_m: Vector3
+    velocity_m_s: Vector3
+    acceleration_m_s2: Vector3
+
+
+def advance_axis(state: AxisState, input_m_s2: float, duration_s: float, tau_s: float) -> AxisState:
+    """(p, v, a) of one axis after `duration_s` under a constant u + d."""
+    p, v, a = state
+    t = duration_s
+    transient = a - input_m_s2
+    lag = tau_s * -math.expm1(-t / tau_s)
+    return (
+        p + v * t + 0.5 * input_m_s2 * t * t + transient * tau_s * (t - lag),
+        v + input_m_s2 * t + transient * lag,
+        input_m_s2 + transient * math.exp(-t / tau_s),
+    )
+
+
+def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, tau_s: float) -> Motion:
+    """All three axes after `duration_s` under a constant u + d."""
+    p, v, a = motion.position_m, motion.velocity_m_s, motion.acceleration_m_s2
+    x = advance_axis((p[0], v[0], a[0]), input_m_s2[0], duration_s, tau_s)
+    y = advance_axis((p[1], v[1], a[1]), input_m_s2[1], duration_s, tau_s)
+    z = advance_axis((p[2], v[2], a[2]), input_m_s2[2], duration_s, tau_s)
+    return Motion((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
+
+
+def discretise(step_s: float, tau_s: float) -> tuple[FloatArray, FloatArray]:
+    """A (3, 3) and B (3,) of one axis over one step: its columns are the answers to unit states and input."""
+    units = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    columns = [advance_axis(unit, 0.0, step_s, tau_s) for unit in units]
+    return np.array(columns).T, np.array(advance_axis((0.0, 0.0, 0.0), 1.0, step_s, tau_s))

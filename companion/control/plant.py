@@ -1,0 +1,93 @@
+"""The vehicle under its autopilot, as far as control knows it: what was commanded, what pushes, what thrust is
+worth. Joins the command history, the disturbance observer and the thrust scale. NED and FRD, SI units.
+"""
+
+from __future__ import annotations
+
+from companion.config import ControlConfig, VehicleConfig
+from companion.control.attitude import level_acceleration
+from companion.control.disturbance import DisturbanceObserver, ThrustScale
+from companion.control.flight_model import Motion
+from companion.control.history import Command, CommandHistory
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
+from companion.messages import Setpoint, VehicleState
+
+
+class Plant:
+    """Learns from each estimate how the vehicle answers, and carries motions forward through that answer."""
+
+    def __init__(self, config: ControlConfig, vehicle: VehicleConfig) -> None:
+        self._by_attitude = config.setpoint == "attitude"
+        self._tau_s = vehicle.acceleration_time_constant_s
+        self._nominal_hover_thrust = vehicle.hover_thrust
+        self._history = CommandHistory(config.command_delay_s, config.autopilot_velocity_gain_1_s)
+        self._observer = DisturbanceObserver(
+            1.0 / config.rate_hz, self._tau_s, config.maximum_disturbance_m_s2
+        )
+        self._thrust_scale = ThrustScale()
+        self._observed_s = 0.0
+
+    @property
+    def disturbance_ned_m_s2(self) -> Vector3:
+        """What pushes besides the command (m/s2, NED)."""
+        return self._observer.disturbance_ned_m_s2
+
+    @property
+    def acceleration_ned_m_s2(self) -> Vector3:
+        """Flown acceleration (m/s2, NED)."""
+        return self._observer.acceleration_ned_m_s2
+
+    @property
+    def hover_thrust(self) -> float:
+        """Share of full thrust that carries the weight, as learnt."""
+        return self._nominal_hover_thrust * self._thrust_scale.factor
+
+    def begin(self, vehicle: VehicleState) -> None:
+        """Begin anew, with nothing commanded. A leaning vehicle that does not accelerate leans against wind."""
+        disturbance = ZERO3
+        acceleration = vehicle.acceleration_ned_m_s2
+        if self._by_attitude:
+            lean = level_acceleration(vehicle.attitude)
+            disturbance = (acceleration[0] - lean[0], acceleration[1] - lean[1], 0.0)
+        self._observer.start(vehicle.velocity_ned_m_s, acceleration, disturbance)
+        self._observed_s = vehicle.time_s
+        self._history.clear()
+
+    def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
+        """Compare what the vehicle does with what was commanded. `elapsed_s` is the time since the last call."""
+        for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
+            self._observer.predict(self._wanted(command, duration_s), duration_s)
+        self._observed_s = max(self._observed_s, vehicle.time_s)
+        self._observer.correct(vehicle.velocity_ned_m_s, vehicle.acceleration_ned_m_s2)
+        if self._by_attitude:
+            down = self._observer.disturbance_ned_m_s2[2]
+            self._observer.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
+
+    def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
+        """The motion at `to_s` from that at `from_s`, under what is under way to the autopilot."""
+        return self._history.carry(motion, from_s, to_s, self.disturbance_ned_m_s2, self._tau_s)
+
+    def last_input(self, motion: Motion) -> Vector3:
+        """The input (m/s2) that is in effect; before the first command, what explains the motion."""
+        effect = self._history.last_effect(motion.velocity_m_s)
+        if effect is not None:
+            return effect
+        return subtract(motion.acceleration_m_s2, self.disturbance_ned_m_s2)
+
+    def remember(self, setpoint: Setpoint) -> None:
+        """Take note of what left, after all limits."""
+        if setpoint.attitude is None or setpoint.thrust is None:
+            command = Command(setpoint.time_s, setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s)
+        else:
+            push = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
+            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -push))
+            command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)), None)
+        self._history.add(command)
+
+    def _wanted(self, command: Command | None, duration_s: float) -> Vector3:
+        """What the autopilot wants in a piece of time; before the first command, what the vehicle does."""
+        acceleration = self._observer.acceleration_ned_m_s2
+        if command is None:
+            return subtract(acceleration, self._observer.disturbance_ned_m_s2)
+        halfway = add(self._observer.velocity_ned_m_s, scale(acceleration, 0.5 * duration_s))
+        return self._history.effect(command, halfway)

@@ -1,0 +1,161 @@
+"""The MPC as a sparse quadratic programme (eq. 39): its matrices, built once.
+
+Variables, in this order, for N steps: states x_1..x_N (9 each: position, velocity, acceleration, NED), inputs
+u_0..u_{N-1} (3 each), velocity slacks (3 each) and floor slacks (1 each). The slacks are free and dear, so that
+a vehicle that already breaks a bound on its state still has a solution.
+
+Rows, in this order: dynamics (9N, equalities), tilt octagon (4N), vertical input (N), input change (3N), speed
+octagon (4N), vertical speed (N), floor (N).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
+
+from companion.config import ControlConfig, TrackingConfig
+from companion.control.flight_model import discretise
+from companion.geometry import FloatArray
+
+# normals of four directions 45 degrees apart: with both signs, an octagon
+OCTAGON = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(4)])
+# an octagon with this share of a circle's radius to its sides lies within the circle
+OCTAGON_WITHIN_CIRCLE = math.cos(math.pi / 8)
+VELOCITY_SLACK_WEIGHT = 400.0
+FLOOR_SLACK_WEIGHT = 4000.0
+
+
+@dataclass(frozen=True)
+class AxisCost:
+    """Weights of one axis: Q on (p, v, a), R on the input, S on its change, and the terminal (4, 4) on
+    (p, v, a, last input), which is the cost of going on for ever without constraints (eq. 42)."""
+
+    Q: FloatArray
+    R: float
+    S: float
+    terminal: FloatArray
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things stand among the variables and rows, for N steps."""
+
+    steps: int
+
+    @property
+    def states(self) -> slice:
+        return slice(0, 9 * self.steps)
+
+    @property
+    def inputs(self) -> slice:
+        return slice(9 * self.steps, 12 * self.steps)
+
+    @property
+    def velocity_slacks(self) -> slice:
+        return slice(12 * self.steps, 15 * self.steps)
+
+    @property
+    def floor_slacks(self) -> slice:
+        return slice(15 * self.steps, 16 * self.steps)
+
+    @property
+    def variables(self) -> int:
+        return 16 * self.steps
+
+    def rows(self) -> dict[str, slice]:
+        """Slices of the constraint rows by name."""
+        slices, start = {}, 0
+        for name, each in (
+            ("dynamics", 9),
+            ("tilt", 4),
+            ("vertical_input", 1),
+            ("change", 3),
+            ("speed", 4),
+            ("vertical_speed", 1),
+            ("floor", 1),
+        ):
+            slices[name] = slice(start, start + each * self.steps)
+            start += each * self.steps
+        return slices
+
+
+def axis_cost(weights: TrackingConfig, step_s: float, tau_s: float) -> AxisCost:
+    """Weights of one axis and the terminal cost that makes the horizon as good as endless."""
+    Q = np.diag([weights.position_m**-2, weights.velocity_m_s**-2, weights.acceleration_m_s2**-2])
+    R, S = weights.effort_m_s2**-2, weights.effort_change_m_s2**-2
+    A, B = discretise(step_s, tau_s)
+    # the last input joins the state, so that the price of changing it has a memory
+    F = scipy.linalg.block_diag(A, 0.0)
+    G = np.append(B, 1.0)[:, None]
+    cost = scipy.linalg.block_diag(Q, S)
+    cross = np.array([[0.0], [0.0], [0.0], [-S]])
+    terminal = scipy.linalg.solve_discrete_are(F, G, cost, np.array([[R + S]]), s=cross)
+    return AxisCost(Q, R, S, 0.5 * (terminal + terminal.T))
+
+
+def axis_costs(config: ControlConfig, tau_s: float) -> tuple[AxisCost, AxisCost, AxisCost]:
+    """Costs along north, east and down."""
+    horizontal = axis_cost(config.horizontal, config.step_s, tau_s)
+    return horizontal, horizontal, axis_cost(config.vertical, config.step_s, tau_s)
+
+
+def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> sparse.csc_matrix:
+    """P, upper triangle, of 1/2 z'Pz + q'z.
+
+    The terminal cost covers the last change's memory: it stands on x_N and u_{N-1} and replaces no stage's.
+    """
+    layout = Layout(steps)
+    P = sparse.lil_matrix((layout.variables, layout.variables))
+    for axis, cost in enumerate(costs):
+        for k in range(steps):
+            x = [9 * k + axis, 9 * k + 3 + axis, 9 * k + 6 + axis]
+            u = layout.inputs.start + 3 * k + axis
+            P[u, u] += cost.R + cost.S
+            if k + 1 < steps:
+                P[np.ix_(x, x)] += cost.Q
+                P[u, u] += cost.S
+                P[u, u + 3] += -cost.S
+            else:
+                last = [*x, u]
+                P[np.ix_(last, last)] += cost.terminal
+    for slacks, weight in (
+        (layout.velocity_slacks, VELOCITY_SLACK_WEIGHT),
+        (layout.floor_slacks, FLOOR_SLACK_WEIGHT),
+    ):
+        for i in range(slacks.start, slacks.stop):
+            P[i, i] = weight
+    return sparse.csc_matrix(sparse.triu(P, format="csc"))
+
+
+def constraint_matrix(step_s: float, tau_s: float, steps: int) -> sparse.csc_matrix:
+    """The rows' matrix, in the order of the module's docstring."""
+    A, B = discretise(step_s, tau_s)
+    eye, previous = sparse.identity(steps), sparse.eye(steps, k=-1)
+    three = sparse.identity(3)
+    state = sparse.kron(eye, sparse.identity(9)) - sparse.kron(previous, sparse.kron(A, three))
+    drive = -sparse.kron(eye, sparse.kron(B[:, None], three))
+    octagon = np.hstack([OCTAGON, np.zeros((4, 1))])
+    down = np.array([[0.0, 0.0, 1.0]])
+
+    def on_inputs(rows: FloatArray) -> sparse.spmatrix:
+        return sparse.kron(eye, rows)
+
+    def on_states(rows: FloatArray, offset: int) -> sparse.spmatrix:
+        return sparse.kron(
+            eye, np.hstack([np.zeros((rows.shape[0], offset)), rows, np.zeros((rows.shape[0], 6 - offset))])
+        )
+
+    blocks = [
+        [state, drive, None, None],
+        [None, on_inputs(octagon), None, None],
+        [None, on_inputs(down), None, None],
+        [None, sparse.kron(eye - previous, three), None, None],
+        [on_states(octagon, 3), None, on_inputs(octagon), None],
+        [on_states(down, 3), None, on_inputs(down), None],
+        [on_states(down, 0), None, None, eye],
+    ]
+    return sparse.csc_matrix(sparse.bmat(blocks, format="csc"))

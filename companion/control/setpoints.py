@@ -1,0 +1,99 @@
+"""The MPC's answer as what the autopilot takes: velocity with acceleration, or attitude with thrust.
+
+Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integral, with the lag tau. We send
+the predicted velocity for the moment at which the setpoint takes effect, so that its loop adds nothing while
+the prediction holds and damps what the prediction did not know, and the MPC's acceleration as a_ff. The
+estimated disturbance is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly causes
+it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset of a_ff
+would wind up for ever.
+
+NED and FRD, SI units.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.config import ControlConfig
+from companion.control.attitude import attitude_from_acceleration, thrust_from_acceleration
+from companion.control.flight_model import Motion, advance
+from companion.geometry import ZERO3, Vector3, add, scale, subtract
+from companion.messages import PadState, Setpoint
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """Where to look (rad) and how fast that turns (rad/s)."""
+
+    heading_rad: float
+    rate_rad_s: float = 0.0
+
+
+def velocity_setpoint(
+    now_s: float,
+    config: ControlConfig,
+    motion: Motion,
+    input_ned_m_s2: Vector3,
+    disturbance_ned_m_s2: Vector3,
+    tau_s: float,
+    heading: Heading,
+) -> Setpoint:
+    """Velocity and acceleration under which the autopilot wants `input_ned_m_s2` at `motion`."""
+    push = add(input_ned_m_s2, disturbance_ned_m_s2)
+    ahead = advance(motion, push, config.velocity_lookahead_s, tau_s).velocity_m_s
+    gain, most = config.autopilot_velocity_gain_1_s, config.maximum_velocity_correction_m_s
+    x, y, z = scale(disturbance_ned_m_s2, -1.0 / gain)
+    correction = (_clamp(x, most), _clamp(y, most), _clamp(z, most))
+    return Setpoint(
+        time_s=now_s,
+        velocity_ned_m_s=add(ahead, correction),
+        acceleration_ned_m_s2=subtract(input_ned_m_s2, scale(correction, gain)),
+        heading_rad=heading.heading_rad,
+        heading_rate_rad_s=heading.rate_rad_s,
+    )
+
+
+def attitude_setpoint(
+    now_s: float, velocity_ned_m_s: Vector3, input_ned_m_s2: Vector3, hover_thrust: float, heading: Heading
+) -> Setpoint:
+    """Attitude and thrust that make `input_ned_m_s2`; the velocity goes along for the log."""
+    return Setpoint(
+        time_s=now_s,
+        velocity_ned_m_s=velocity_ned_m_s,
+        acceleration_ned_m_s2=input_ned_m_s2,
+        heading_rad=heading.heading_rad,
+        heading_rate_rad_s=heading.rate_rad_s,
+        attitude=attitude_from_acceleration(input_ned_m_s2, heading.heading_rad),
+        thrust=thrust_from_acceleration(input_ned_m_s2, hover_thrust),
+    )
+
+
+def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, heading: Heading) -> Setpoint:
+    """Rest on the pad: go along with it and press down, so that the autopilot takes the thrust away."""
+    along = pad.velocity_ned_m_s if pad else ZERO3
+    if config.setpoint == "attitude":
+        return Setpoint(
+            time_s=now_s,
+            velocity_ned_m_s=along,
+            heading_rad=heading.heading_rad,
+            attitude=attitude_from_acceleration(ZERO3, heading.heading_rad),
+            thrust=config.ground_thrust,
+        )
+    return Setpoint(
+        time_s=now_s,
+        velocity_ned_m_s=(along[0], along[1], config.ground_descent_m_s),
+        acceleration_ned_m_s2=(0.0, 0.0, config.ground_acceleration_m_s2),
+        heading_rad=heading.heading_rad,
+    )
+
+
+def stop_setpoint(now_s: float, config: ControlConfig, hover_thrust: float, heading: Heading) -> Setpoint:
+    """Stand still, for when there is no plan that holds: no velocity, or level at hover thrust."""
+    level = attitude_setpoint(now_s, ZERO3, ZERO3, hover_thrust, heading)
+    if config.setpoint == "attitude":
+        return level
+    return Setpoint(time_s=now_s, heading_rad=heading.heading_rad)
+
+
+def _clamp(value: float, bound: float) -> float:
+    return max(-bound, min(bound, value))
