@@ -1,4 +1,4 @@
-"""What a mission asks of the autopilot besides setpoints: the interface, and our own session's way of doing it.
+"""What a mission asks of the autopilot besides setpoints: the interface, and how our own session does it.
 
 PX4 and ArduPilot differ in nearly every one. Heights are over home; both autopilots get altitudes over the
 sea where they go somewhere. Nothing here sends setpoints: they come from the control loop alone, so that they
@@ -64,8 +64,8 @@ class PymavlinkActions:
             ActionKind.TAKE_OFF: self._take_off,
             ActionKind.GO_TO: self._go_to,
             ActionKind.TAKE_CONTROL: self.take_control,
-            ActionKind.HOLD: self._hold,
-            ActionKind.LAND: self._land,
+            ActionKind.HOLD: self.hold,
+            ActionKind.LAND: self.land,
             ActionKind.DISARM: self.disarm,
             ActionKind.REQUEST_PAD_POSITION: self.request_pad_position,
         }
@@ -115,10 +115,12 @@ class PymavlinkActions:
         await self.set_mode(CONTROL_MODE[self.manner()])
         await self.confirm(lambda: self._session.state.offboard, CONTROL_MODE[self.manner()])
 
-    async def _hold(self, action: Action) -> None:
+    async def hold(self, action: Action) -> None:
+        """Stop and stay, by the autopilot's own mode."""
         await self.set_mode(HOLD_MODE[self.manner()])
 
-    async def _land(self, action: Action) -> None:
+    async def land(self, action: Action) -> None:
+        """Come down where it is, by the autopilot's own mode."""
         await self.set_mode(LAND_MODE[self.manner()])
 
     async def disarm(self, action: Action) -> None:

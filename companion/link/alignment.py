@@ -29,7 +29,7 @@ from companion.messages import Setpoint
 
 @dataclass(frozen=True, slots=True)
 class AlignmentSettings:
-    """How fast the offset follows, and when it jumps: `jump_samples` in a row, each off by over `jump_rad`."""
+    """How it follows, and when it jumps: `jump_samples` in a row, all off by over `jump_rad`."""
 
     time_constant_s: float = 2.0
     jump_rad: float = math.radians(6.0)

@@ -1,17 +1,19 @@
 """Actions by MAVSDK (4.1: a C++ library in this process, no server), over the port that we own.
 
-MAVSDK has no socket: through its `raw://` connection it gets every byte that we receive, and what it wants sent
-goes out through our transport. It speaks as a component of its own beside ours (`link.mavsdk_component_id`),
-with its own sequence numbers, so that neither the autopilot's answers nor its loss count mix the two up.
+MAVSDK has no socket: through its `raw://` connection it gets every byte that we receive, and what it wants
+sent goes out through our transport. It speaks as a component of its own beside ours
+(`link.mavsdk_component_id`), with its own sequence numbers, so that neither the autopilot's answers nor its
+loss count mix the two up.
 
-It is never given a setpoint, and control is taken by our own mode command: once its offboard plugin runs, its
-thread repeats the last setpoint at 20 Hz though the program that made it has stopped. No telemetry is subscribed
-to either: its queues are unbounded, and the session hears everything already.
+It is never given a setpoint, and control is taken by our own mode command: once its offboard plugin runs,
+its thread repeats the last setpoint at 20 Hz though the program that made it has stopped. No telemetry is
+subscribed to either: its queues are unbounded, and the session hears everything already.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 from collections.abc import Awaitable, Callable, Coroutine
@@ -81,7 +83,8 @@ class MavsdkActions:
         loop = asyncio.get_running_loop()
 
         def send_from_its_thread(data: bytes) -> None:
-            loop.call_soon_threadsafe(self._pass_out, data)
+            with contextlib.suppress(RuntimeError):  # the loop has ended before we were closed
+                loop.call_soon_threadsafe(self._pass_out, data)
 
         # the raw bytes are the plain wrapper's business: the asyncio one does not pass them through
         self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
@@ -98,16 +101,17 @@ class MavsdkActions:
 
     async def close(self) -> None:
         """Wait for the calls under way (MAVSDK gives up by itself), then end its threads."""
-        if self._mavsdk is None:
-            return
-        if self._calls:
+        while self._calls:
             await asyncio.wait(self._calls)
-        for plugin in (self._action, self._param):
+        mavsdk, plugins = self._mavsdk, (self._action, self._param)
+        # from here on nothing may reach it: bytes handed to an instance under destruction crash the process
+        self._mavsdk = self._action = self._param = None
+        for plugin in plugins:
             if plugin is not None:
                 plugin.destroy()
-        # it joins threads of its own that may be calling us just now
-        await asyncio.to_thread(self._mavsdk.destroy)
-        self._mavsdk = self._action = self._param = None
+        if mavsdk is not None:
+            # it joins threads of its own that may be calling us just now
+            await asyncio.to_thread(mavsdk.destroy)
 
     # ------------------------------------------------------------ parameters
 
@@ -161,17 +165,25 @@ class MavsdkActions:
         await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
 
     async def _hold(self, action: Action) -> None:
-        await self._connect()
-        await self._try(self._action.hold())
+        """By MAVSDK; should it fail, by ours: stopping must not hang on one library."""
+        try:
+            await self._connect()
+            await self._try(self._action.hold())
+        except Refused:
+            await self._own.hold(action)
 
     async def _land(self, action: Action) -> None:
-        await self._connect()
-        await self._try(self._action.land())
+        """As `_hold`."""
+        try:
+            await self._connect()
+            await self._try(self._action.land())
+        except Refused:
+            await self._own.land(action)
 
     async def _disarm(self, action: Action) -> None:
         """By MAVSDK, which refuses in the air; then by ours, which may force it where settings allow."""
-        await self._connect()
         try:
+            await self._connect()
             await self._try(self._action.disarm())
         except Refused:
             await self._own.disarm(action)
@@ -185,11 +197,11 @@ class MavsdkActions:
         self._own.manner()
         if self._action is not None:
             return
-        system = await self._mavsdk.first_autopilot(_DISCOVERY_S)
-        if system is None:
+        system = await self._call(self._mavsdk.first_autopilot(_DISCOVERY_S))
+        if system is None or self._mavsdk is None:
             raise Refused("MAVSDK has found no autopilot")
-        self._action = ActionAsync(system)
-        self._param = ParamAsync(system)
+        if self._action is None:
+            self._action, self._param = ActionAsync(system), ParamAsync(system)
 
     async def _try(self, call: Coroutine[Any, Any, T]) -> T:
         """The outcome of a call; MAVSDK's error as a refusal."""

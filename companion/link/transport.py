@@ -126,16 +126,11 @@ class UdpTransport(asyncio.DatagramProtocol):
         """
         self._calls = not listen
         address = (host, port)
-        await asyncio.get_running_loop().create_datagram_endpoint(
+        self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
             lambda: self,
             local_addr=address if listen else None,
             remote_addr=None if listen else address,
         )
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """asyncio: the socket is there."""
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._socket = transport
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """asyncio: a datagram came."""
