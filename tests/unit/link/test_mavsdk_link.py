@@ -1,4 +1,4 @@
-"""Actions by MAVSDK against the fake autopilot, over an in-memory pair, in real time: it has its own clock."""
+"""Actions by MAVSDK against the fake autopilot over an in-memory pair, in real time: it has its own clock."""
 
 from __future__ import annotations
 
