@@ -7,6 +7,7 @@ the key and what was expected.
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -479,13 +480,49 @@ class ControlConfig(StrictModel):
 # ---------------------------------------------------------------- link
 
 
+CONNECTION_FORM = re.compile(
+    r"(?P<kind>udp|udpin):(?P<host>[^:\s]+):(?P<port>\d{1,5})|serial:(?P<path>/\S+):(?P<baud>\d{4,7})"
+)
+
+
 class LinkConfig(StrictModel):
-    """The autopilot's port: serial:PATH:BAUD, udp:HOST:PORT (we call) or udpin:HOST:PORT (we listen)."""
+    """The autopilot's port, who we are on it, and how patient we are.
+
+    `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call) or udpin:HOST:PORT (we listen). `system_id` is
+    the vehicle's and so ours; 0 takes the first autopilot heard. `component_id` is ours; MAVSDK, which speaks
+    beside us, is another component. `force_disarm` disarms after a touchdown that the mission is sure of even
+    when the autopilot's land detector is not: on a pad that moves it never is.
+    """
 
     connection: str = "udpin:127.0.0.1:14540"
     actions: Literal["mavsdk", "pymavlink"] = "mavsdk"
-    system_id: int = Field(default=1, ge=1, le=255)
+    system_id: int = Field(default=1, ge=0, le=255)
+    component_id: int = Field(default=191, ge=2, le=255)
+    mavsdk_component_id: int = Field(default=192, ge=2, le=255)
+    ground_system_id: int = Field(default=255, ge=1, le=255)
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
+    command_patience_s: float = Field(default=0.5, ge=0.1, le=5.0)
+    command_tries: int = Field(default=4, ge=1, le=10)
+    force_disarm: bool = True
+
+    @field_validator("connection")
+    @classmethod
+    def _has_a_known_form(cls, value: str) -> str:
+        form = CONNECTION_FORM.fullmatch(value)
+        if form is None or not 1 <= int(form["port"] or 1) <= 65535:
+            raise ValueError(
+                "expected serial:PATH:BAUD, udp:HOST:PORT or udpin:HOST:PORT with a port of 1..65535, "
+                f"found '{value}'"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _has_a_component_for_each(self) -> LinkConfig:
+        if self.component_id == self.mavsdk_component_id:
+            raise ValueError(
+                f"expected mavsdk_component_id to differ from component_id, found {self.component_id} twice"
+            )
+        return self
 
 
 class ComputeConfig(StrictModel):

@@ -1,0 +1,288 @@
+"""MAVLink 2 bytes <-> messages: framing, the messages we build. Pure; alone knows pymavlink.
+
+Both sides of the link use it: the app and the bundled simulator. The dialect is `common`; it is
+untyped, so it gets its names here once: `mavlink`, and `Message` for what it makes. Frames and units are
+MAVLink's: local NED in m, angles in rad, quaternions (w, x, y, z), latitude and longitude in 1e-7 deg.
+
+Framing is our own and pymavlink decodes whole frames only: its parser drops everything a false start byte
+claims, where this one goes back to the next byte, so that garbage never costs a good message.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from pymavlink.dialects.v20 import common
+
+from companion.geometry import IDENTITY, ZERO3, Vector3, vector3
+from companion.messages import PadBeacon, Setpoint
+
+mavlink: Any = common
+Message = Any
+
+COMPANION_COMPONENT: Final = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+AUTOPILOT_COMPONENT: Final = 1
+GROUND_SYSTEM: Final = 255
+
+Severity = Literal["info", "warning", "error"]
+_SEVERITY: Final[dict[Severity, int]] = {"info": 6, "warning": 4, "error": 3}  # MAV_SEVERITY
+_TEXT_BYTES: Final = 50  # of one STATUSTEXT
+_NAN: Final = math.nan
+_NANS: Final = (_NAN,) * 7
+
+# ---------------------------------------------------------------- framing
+
+_MARKER = re.compile(b"[\xfd\xfe]")
+_V2_MARKER: Final = 0xFD
+_V2_HEADER_BYTES: Final = 10
+_V1_HEADER_BYTES: Final = 6
+_CRC_BYTES: Final = 2
+_SIGNED_FLAG: Final = 0x01
+_SIGNATURE_BYTES: Final = 13
+
+
+@dataclass(slots=True)
+class CodecCounters:
+    """What came in: messages given on and passed over unread, bytes of no message, gaps in the sequence."""
+
+    decoded: int = 0
+    passed_over: int = 0
+    skipped_bytes: int = 0
+    lost: int = 0
+
+
+class Codec:
+    """Decodes a byte stream into messages and encodes messages as one system and component.
+
+    `wanted` are the message ids to decode (None: all of the dialect); others are checked and passed over.
+    """
+
+    def __init__(
+        self, system_id: int, component_id: int = COMPANION_COMPONENT, wanted: Iterable[int] | None = None
+    ) -> None:
+        self.counters = CodecCounters()
+        self._packer = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._wanted = None if wanted is None else frozenset(wanted)
+        self._buffer = bytearray()
+        self._sequence: dict[tuple[int, int], int] = {}
+
+    @property
+    def system_id(self) -> int:
+        """The system id we send as; it may be changed until the first message is sent."""
+        return int(self._packer.srcSystem)
+
+    @system_id.setter
+    def system_id(self, value: int) -> None:
+        self._packer.srcSystem = value
+
+    @property
+    def component_id(self) -> int:
+        """The component id we send as."""
+        return int(self._packer.srcComponent)
+
+    def encode(self, message: Message) -> bytes:
+        """One message as bytes, with the next sequence number."""
+        data: bytes = message.pack(self._packer)
+        self._packer.seq = (self._packer.seq + 1) % 256
+        return data
+
+    def decode(self, data: bytes) -> list[Message]:
+        """The messages completed by these bytes, in order; what is no message is skipped and counted."""
+        buffer = self._buffer
+        buffer += data
+        messages: list[Message] = []
+        start = 0
+        while (marker := _MARKER.search(buffer, start)) is not None:
+            self.counters.skipped_bytes += marker.start() - start
+            start = marker.start()
+            size = _frame_size(buffer, start)
+            if size > len(buffer) - start:
+                break
+            if size == 0 or not self._take(buffer[start : start + size], messages):
+                self.counters.skipped_bytes += 1
+                size = 1
+            start += size
+        else:
+            self.counters.skipped_bytes += len(buffer) - start
+            start = len(buffer)
+        del buffer[:start]
+        return messages
+
+    def _take(self, frame: bytearray, messages: list[Message]) -> bool:
+        """Decode one whole frame; False when it is not one of the dialect's or its check sum is wrong."""
+        message_id = _message_id(frame)
+        if self._wanted is not None and message_id not in self._wanted:
+            if not _check_sum_is_right(frame, message_id):
+                return False
+            self.counters.passed_over += 1
+        else:
+            try:
+                message = self._packer.decode(frame)
+            except mavlink.MAVError:
+                return False
+            messages.append(message)
+            self.counters.decoded += 1
+        self._count_lost(frame)
+        return True
+
+    def _count_lost(self, frame: bytearray) -> None:
+        at = 4 if frame[0] == _V2_MARKER else 2
+        sequence, source = frame[at], (frame[at + 1], frame[at + 2])
+        last = self._sequence.get(source)
+        self._sequence[source] = sequence
+        if last is not None:
+            self.counters.lost += (sequence - last - 1) % 256
+
+
+def _frame_size(buffer: bytearray, start: int) -> int:
+    """Bytes of the frame that would start here; 0 when none can, more than there are when it is cut off."""
+    have = len(buffer) - start
+    if buffer[start] != _V2_MARKER:
+        if have < _V1_HEADER_BYTES:
+            return _V1_HEADER_BYTES
+        known = buffer[start + 5] in mavlink.mavlink_map
+        return _V1_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES if known else 0
+    if have < _V2_HEADER_BYTES:
+        return _V2_HEADER_BYTES
+    flags = buffer[start + 2]
+    message_id = int.from_bytes(buffer[start + 7 : start + 10], "little")
+    if flags & ~_SIGNED_FLAG or message_id not in mavlink.mavlink_map:
+        return 0
+    signature = _SIGNATURE_BYTES if flags & _SIGNED_FLAG else 0
+    return _V2_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES + signature
+
+
+def _message_id(frame: bytearray) -> int:
+    return int.from_bytes(frame[7:10], "little") if frame[0] == _V2_MARKER else frame[5]
+
+
+def _check_sum_is_right(frame: bytearray, message_id: int) -> bool:
+    header = _V2_HEADER_BYTES if frame[0] == _V2_MARKER else _V1_HEADER_BYTES
+    end = header + frame[1]
+    covered = frame[1:end]
+    covered.append(mavlink.mavlink_map[message_id].crc_extra)
+    return bool(mavlink.x25crc(covered).crc == int.from_bytes(frame[end : end + _CRC_BYTES], "little"))
+
+
+# ---------------------------------------------------------------- messages we build
+
+
+def heartbeat() -> Message:
+    """HEARTBEAT of an onboard computer: no autopilot, or mavlink-router would not forward to it."""
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+
+
+def setpoint_message(
+    setpoint: Setpoint, time_s: float, target_system: int, target_component: int = AUTOPILOT_COMPONENT
+) -> Message:
+    """A setpoint already in the autopilot's heading, as SET_ATTITUDE_TARGET when it has an attitude.
+
+    Otherwise SET_POSITION_TARGET_LOCAL_NED of velocity, acceleration, yaw and yaw rate: no position, so that
+    nothing depends on the autopilot's origin. `time_s` becomes time_boot_ms.
+    """
+    time_ms = int(time_s * 1000.0) & 0xFFFFFFFF
+    if setpoint.attitude is not None and setpoint.thrust is not None:
+        ignore_rates = 0b0000_0111
+        return mavlink.MAVLink_set_attitude_target_message(
+            time_ms, target_system, target_component, ignore_rates,
+            list(setpoint.attitude), 0.0, 0.0, setpoint.heading_rate_rad_s, setpoint.thrust,
+        )  # fmt: skip
+    ignore_position = 0b0000_0000_0111
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        time_ms, target_system, target_component, mavlink.MAV_FRAME_LOCAL_NED, ignore_position, *ZERO3,
+        *setpoint.velocity_ned_m_s, *setpoint.acceleration_ned_m_s2,
+        setpoint.heading_rad, setpoint.heading_rate_rad_s,
+    )  # fmt: skip
+
+
+def timesync(tc1_ns: int, ts1_ns: int) -> Message:
+    """TIMESYNC: a request has tc1 = 0 and ts1 = the sender's time; the reply's tc1 is the answerer's."""
+    return mavlink.MAVLink_timesync_message(tc1_ns, ts1_ns)
+
+
+def status_texts(text: str, severity: Severity, text_id: int) -> list[Message]:
+    """STATUSTEXT in ASCII, in chunks of 50 bytes under `text_id` (1..65535) when the text is longer."""
+    data = text.encode("ascii", "replace")
+    chunks = [data[i : i + _TEXT_BYTES] for i in range(0, max(len(data), 1), _TEXT_BYTES)]
+    if len(chunks) > 1 and len(chunks[-1]) == _TEXT_BYTES:
+        chunks.append(b"")  # a text ends with a chunk that is not full
+    chunk_id = text_id if len(chunks) > 1 else 0
+    return [
+        mavlink.MAVLink_statustext_message(_SEVERITY[severity], chunk, chunk_id, number)
+        for number, chunk in enumerate(chunks)
+    ]
+
+
+def command_long(
+    command: int,
+    parameters: Sequence[float],
+    target_system: int,
+    target_component: int = AUTOPILOT_COMPONENT,
+    confirmation: int = 0,
+) -> Message:
+    """COMMAND_LONG; missing parameters are NaN ("no value"), `confirmation` counts the repeats."""
+    filled = (*parameters, *_NANS[len(parameters) :])
+    return mavlink.MAVLink_command_long_message(
+        target_system, target_component, command, confirmation, *filled
+    )
+
+
+def command_int(
+    command: int,
+    parameters: Sequence[float],
+    position: Vector3,
+    target_system: int,
+    target_component: int = AUTOPILOT_COMPONENT,
+) -> Message:
+    """COMMAND_INT of up to four parameters at latitude (deg), longitude (deg), altitude (m AMSL)."""
+    filled = (*parameters, *_NANS[len(parameters) : 4])
+    latitude_e7, longitude_e7 = round(position[0] * 1e7), round(position[1] * 1e7)
+    return mavlink.MAVLink_command_int_message(
+        target_system, target_component, mavlink.MAV_FRAME_GLOBAL, command, 0, 0,
+        *filled, latitude_e7, longitude_e7, position[2],
+    )  # fmt: skip
+
+
+# ---------------------------------------------------------------- the pad's beacon
+
+_HAS_POSITION: Final = 0b01
+_HAS_VELOCITY: Final = 0b10
+_UNKNOWN_BEACON_STD_M: Final = 5.0
+
+
+def follow_target(beacon: PadBeacon) -> Message:
+    """FOLLOW_TARGET of a pad's own GPS, as the ground station sends it, stamped with its own time."""
+    return mavlink.MAVLink_follow_target_message(
+        int(beacon.time_s * 1000.0), _HAS_POSITION | _HAS_VELOCITY,
+        round(beacon.latitude_deg * 1e7), round(beacon.longitude_deg * 1e7), beacon.altitude_m,
+        list(beacon.velocity_ned_m_s), list(ZERO3), list(IDENTITY), list(ZERO3),
+        [beacon.position_std_m, beacon.position_std_m, beacon.position_std_m], 0,
+    )  # fmt: skip
+
+
+def pad_beacon(message: Message, time_s: float) -> PadBeacon | None:
+    """The beacon in a FOLLOW_TARGET that came at `time_s`; None when it holds no position.
+
+    The sender's clock is not ours, so the time of arrival counts. An accuracy that is not given is 5 m.
+    """
+    if not message.est_capabilities & _HAS_POSITION or (message.lat == 0 and message.lon == 0):
+        return None
+    velocity = tuple(message.vel) if message.est_capabilities & _HAS_VELOCITY else ZERO3
+    std_m = max(message.position_cov[:2])
+    values = (*velocity, message.alt, std_m)
+    if not all(math.isfinite(value) for value in values):
+        return None
+    return PadBeacon(
+        time_s=time_s,
+        latitude_deg=message.lat * 1e-7,
+        longitude_deg=message.lon * 1e-7,
+        altitude_m=message.alt,
+        velocity_ned_m_s=vector3(velocity),
+        position_std_m=std_m if std_m > 0.0 else _UNKNOWN_BEACON_STD_M,
+    )

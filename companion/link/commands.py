@@ -1,0 +1,150 @@
+"""Commands to the autopilot: sent, acknowledged, repeated, given up. Pure (sans I/O).
+
+MAVLink's command protocol: COMMAND_LONG or COMMAND_INT is answered by COMMAND_ACK of the same number;
+without an answer it is repeated with `confirmation` counted up; IN_PROGRESS means wait. Two commands of the
+same number to the same target cannot be told apart by their answers, so they go one after the other.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Final
+
+from companion.geometry import Vector3
+from companion.link.codec import (
+    AUTOPILOT_COMPONENT,
+    Message,
+    command_int,
+    command_long,
+    mavlink,
+)
+
+NO_ANSWER: Final = "no answer"
+_IN_PROGRESS_S: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One command; with a position (latitude deg, longitude deg, altitude m AMSL) it goes as COMMAND_INT."""
+
+    number: int
+    parameters: tuple[float, ...] = ()
+    position: Vector3 | None = None
+    target_system: int = 1
+    target_component: int = AUTOPILOT_COMPONENT
+
+    def message(self, confirmation: int) -> Message:
+        """The message of the first try (confirmation 0) or of a repeat."""
+        target = (self.target_system, self.target_component)
+        if self.position is not None:
+            return command_int(self.number, self.parameters, self.position, *target)
+        return command_long(self.number, self.parameters, *target, confirmation)
+
+
+def request_message(
+    message_id: int, target_system: int, target_component: int = AUTOPILOT_COMPONENT
+) -> Command:
+    """Send this message once."""
+    parameters = (float(message_id), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Command(
+        mavlink.MAV_CMD_REQUEST_MESSAGE,
+        parameters,
+        target_system=target_system,
+        target_component=target_component,
+    )
+
+
+def set_message_interval(message_id: int, rate_hz: float, target_system: int) -> Command:
+    """Send this message at this rate to who asks."""
+    parameters = (float(message_id), float(round(1e6 / rate_hz)), 0.0, 0.0, 0.0, 0.0, 0.0)
+    return Command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, parameters, target_system=target_system)
+
+
+@dataclass(slots=True)
+class Pending:
+    """A command under way. `outcome` is None until it ends: "accepted", "denied", ... or "no answer"."""
+
+    command: Command
+    outcome: str | None = None
+    tries: int = 0
+    due_s: float = field(default=0.0)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it ended well."""
+        return self.outcome == "accepted"
+
+
+_Key = tuple[int, int]
+
+
+class CommandQueue:
+    """All commands under way; `patience_s` is waited for an answer, `tries` times."""
+
+    def __init__(self, patience_s: float = 0.5, tries: int = 4) -> None:
+        self._patience_s = patience_s
+        self._tries = tries
+        self._queues: dict[_Key, deque[Pending]] = {}
+
+    def submit(self, command: Command) -> Pending:
+        """Queue a command; `to_send` sends it."""
+        pending = Pending(command)
+        key = (command.target_system, command.number)
+        self._queues.setdefault(key, deque()).append(pending)
+        return pending
+
+    def withdraw(self, pending: Pending) -> None:
+        """Send it no more; it ends as "withdrawn"."""
+        if pending.outcome is None:
+            self._end(pending, "withdrawn")
+
+    def is_under_way(self, command: Command) -> bool:
+        """Whether the very same command waits already."""
+        queue = self._queues.get((command.target_system, command.number), ())
+        return any(pending.command == command for pending in queue)
+
+    def acknowledged(self, message: Message, us: tuple[int, int], now_s: float) -> None:
+        """Take a COMMAND_ACK; one meant for another component on the link is left alone."""
+        target = (message.target_system, message.target_component)
+        queue = self._queues.get((message.get_srcSystem(), message.command))
+        if not queue or (target not in {us, (us[0], 0), (0, 0)}):
+            return
+        pending = queue[0]
+        if pending.tries == 0:
+            return
+        if message.result == mavlink.MAV_RESULT_IN_PROGRESS:
+            pending.due_s = now_s + _IN_PROGRESS_S
+            return
+        self._end(pending, _result_name(message.result))
+
+    def to_send(self, now_s: float) -> list[Message]:
+        """The messages due now: first tries, and repeats of what was not answered in time."""
+        messages: list[Message] = []
+        for queue in list(self._queues.values()):
+            while queue:
+                pending = queue[0]
+                if pending.tries and now_s < pending.due_s:
+                    break
+                if pending.tries >= self._tries:
+                    self._end(pending, NO_ANSWER)
+                    continue
+                messages.append(pending.command.message(pending.tries))
+                pending.tries += 1
+                pending.due_s = now_s + self._patience_s
+        return messages
+
+    def _end(self, pending: Pending, outcome: str) -> None:
+        pending.outcome = outcome
+        key = (pending.command.target_system, pending.command.number)
+        queue = self._queues[key]
+        queue.remove(pending)
+        if not queue:
+            del self._queues[key]
+
+
+def _result_name(result: int) -> str:
+    """MAV_RESULT in words: "temporarily rejected"."""
+    entry = mavlink.enums["MAV_RESULT"].get(result)
+    name = f"result {result}" if entry is None else entry.name.removeprefix("MAV_RESULT_")
+    return str(name).lower().replace("_", " ")

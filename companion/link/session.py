@@ -1,0 +1,221 @@
+"""The conversation with the autopilot, sans I/O: bytes in, bytes out, time as an argument.
+
+`receive` takes what came; `tick` returns what is due (call it after every `receive` and at 20 Hz or more):
+heartbeats, clock synchronisation, rate requests, commands and their repeats. Only one autopilot is believed:
+component 1 of `config.system_id`, or the first one heard when that is 0. A pad's beacon may come from anyone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+from companion.config import LinkConfig
+from companion.geometry import Quaternion
+from companion.link import codec
+from companion.link.alignment import HeadingAlignment
+from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
+from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
+from companion.link.streams import TelemetryRates
+from companion.link.telemetry import StatusTexts, add_text, update_state
+from companion.link.timesync import TimeSync, clock_ns
+from companion.messages import AutopilotState, PadBeacon, Setpoint
+
+_HEARD: Final = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET,
+    }
+)
+_STAMPED: Final = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+    }
+)
+_HEARTBEAT_S: Final = 1.0
+_TIMESYNC_S: Final = 1.0
+_TIMESYNC_AT_START_S: Final = 0.1
+_TIMESYNC_START_COUNT: Final = 10
+_HOME_S: Final = 2.0
+_OLDEST_STAMP_S: Final = 1.0  # a stamp older than this, or of the future, is not believed
+
+
+class Session:
+    """One autopilot, one link."""
+
+    def __init__(self, config: LinkConfig) -> None:
+        self.state = AutopilotState(time_s=-math.inf)
+        self.beacon: PadBeacon | None = None
+        self.alignment = HeadingAlignment()
+        self.timesync = TimeSync()
+        self.texts_heard = 0
+        self.stranger: int | None = None
+        self._config = config
+        self._system_id = config.system_id
+        self._codec = Codec(config.system_id or 1, config.component_id, wanted=_HEARD)
+        self._commands = CommandQueue(config.command_patience_s, config.command_tries)
+        self._rates = TelemetryRates()
+        self._texts = StatusTexts()
+        self._replies: list[Message] = []
+        self._heartbeat_heard_s = -math.inf
+        self._heartbeat_due_s = -math.inf
+        self._timesync_due_s = -math.inf
+        self._home_due_s = -math.inf
+        self._syncs_sent = 0
+        self._notices = 0
+
+    @property
+    def system_id(self) -> int:
+        """The vehicle's system id, which is ours too; 0 while none has been heard and none is set."""
+        return self._system_id
+
+    @property
+    def counters(self) -> codec.CodecCounters:
+        """What the codec has counted."""
+        return self._codec.counters
+
+    # ------------------------------------------------------------ in
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take bytes that arrived now."""
+        for message in self._codec.decode(data):
+            message_id = message.get_msgId()
+            if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
+                self.beacon = codec.pad_beacon(message, now_s) or self.beacon
+            elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
+                us = (self._codec.system_id, self._codec.component_id)
+                self._commands.acknowledged(message, us, now_s)
+            elif self._is_our_autopilot(message):
+                self._hear_autopilot(message, message_id, now_s)
+
+    def _is_our_autopilot(self, message: Message) -> bool:
+        """Whether to believe it; the first autopilot is adopted when no system id is set."""
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+            return False
+        system_id = message.get_srcSystem()
+        if system_id == self._system_id:
+            return True
+        is_heartbeat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        if not is_heartbeat or message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+            return False
+        if self._system_id == 0:
+            self._system_id = self._codec.system_id = system_id
+            return True
+        self.stranger = system_id
+        return False
+
+    def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
+        self._rates.heard(message_id)
+        if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+            for text in self._texts.receive(message):
+                self.state = add_text(self.state, text, now_s)
+                self.texts_heard += 1
+        elif message_id == mavlink.MAVLINK_MSG_ID_TIMESYNC:
+            self._hear_timesync(message, now_s)
+        else:
+            if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                self._heartbeat_heard_s = now_s
+            was_armed = self.state.armed
+            self.state = update_state(self.state, message, self._measured_s(message, message_id, now_s))
+            if self.state.armed and not was_armed:
+                self._home_due_s = now_s  # arming sets home anew
+
+    def _hear_timesync(self, message: Message, now_s: float) -> None:
+        if message.tc1 == 0:
+            self._replies.append(codec.timesync(clock_ns(now_s), message.ts1))
+        else:
+            self.timesync.answered(message.tc1, message.ts1, now_s)
+
+    def _measured_s(self, message: Message, message_id: int, now_s: float) -> float:
+        """Our time at which the message's values were measured; of arrival when its stamp cannot tell."""
+        if message_id not in _STAMPED:
+            return now_s
+        measured_s = self.timesync.to_ours(message.time_boot_ms * 1e-3)
+        if measured_s is None or not now_s - _OLDEST_STAMP_S < measured_s:
+            return now_s
+        return min(measured_s, now_s)
+
+    # ------------------------------------------------------------ out
+
+    def tick(self, now_s: float) -> bytes:
+        """What is due to be sent now, as bytes; often empty."""
+        self._watch_connection(now_s)
+        messages, self._replies = self._replies, []
+        if now_s >= self._heartbeat_due_s:
+            self._heartbeat_due_s = now_s + _HEARTBEAT_S
+            messages.append(codec.heartbeat())
+        if self.state.connected:
+            self._synchronise(messages, now_s)
+            self._ask(now_s)
+        messages += self._commands.to_send(now_s)
+        return b"".join(self._codec.encode(message) for message in messages)
+
+    def align(self, attitude: Quaternion, time_s: float) -> None:
+        """Tell our own attitude, often: setpoints are turned into the autopilot's heading by it."""
+        state = self.state
+        if state.attitude is not None:
+            self.alignment.update(state.attitude, state.attitude_time_s, attitude, time_s)
+
+    def send_setpoint(self, setpoint: Setpoint, now_s: float) -> bytes:
+        """A setpoint in our NED as bytes, turned into the autopilot's heading as far as that is known."""
+        rotated = self.alignment.rotate(setpoint)
+        return self._codec.encode(codec.setpoint_message(rotated, now_s, self._codec.system_id))
+
+    def send_notice(self, text: str, severity: Severity) -> bytes:
+        """A text for the ground station's and the autopilot's log, as bytes."""
+        self._notices = self._notices % 0xFFFF + 1
+        messages = codec.status_texts(text, severity, self._notices)
+        return b"".join(self._codec.encode(message) for message in messages)
+
+    def command(self, command: Command) -> Pending:
+        """Start a command; `tick` sends it, `Pending.outcome` tells its end."""
+        return self._commands.submit(command)
+
+    def withdraw(self, pending: Pending) -> None:
+        """Stop repeating a command nobody waits for any more."""
+        self._commands.withdraw(pending)
+
+    def _watch_connection(self, now_s: float) -> None:
+        lost = now_s - self._heartbeat_heard_s > self._config.heartbeat_timeout_s
+        if self.state.connected and lost:
+            self.state = replace(self.state, time_s=now_s, connected=False, ready_to_arm=False)
+            self.timesync.forget()
+            self._rates.forget()
+            self._syncs_sent = 0
+            self._home_due_s = now_s
+
+    def _synchronise(self, messages: list[Message], now_s: float) -> None:
+        """Ask for the time: quickly at first, so that the filter has a choice of samples; then at 1 Hz."""
+        if now_s < self._timesync_due_s:
+            return
+        starting = self._syncs_sent < _TIMESYNC_START_COUNT
+        self._timesync_due_s = now_s + (_TIMESYNC_AT_START_S if starting else _TIMESYNC_S)
+        self._syncs_sent += 1
+        messages.append(codec.timesync(0, self.timesync.ask(now_s)))
+
+    def _ask(self, now_s: float) -> None:
+        """Rates that are not honoured, and home until it is known and again after arming."""
+        for message_id, rate_hz in self._rates.to_ask(now_s):
+            self._command_once(set_message_interval(message_id, rate_hz, self._system_id))
+        if now_s >= self._home_due_s:
+            self._home_due_s = now_s + _HOME_S if self.state.home is None else math.inf
+            self._command_once(request_message(mavlink.MAVLINK_MSG_ID_HOME_POSITION, self._system_id))
+
+    def _command_once(self, command: Command) -> None:
+        """Not again while the same one still waits for its answer."""
+        if not self._commands.is_under_way(command):
+            self._commands.submit(command)

@@ -1,0 +1,68 @@
+"""Telemetry rates: asks for each message's rate until it is honoured, and again when it no longer is.
+
+An autopilot that restarts forgets the rates, and another program on the link may change them (MAVSDK sets
+EXTENDED_SYS_STATE to 1 Hz), so what counts is what arrives. Pure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from companion.link.codec import mavlink
+
+TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+}
+_WINDOW_S: Final = 2.0
+_LONGEST_WINDOW_S: Final = 16.0
+_HONOURED_SHARE: Final = 0.6
+
+
+@dataclass(slots=True)
+class _Stream:
+    rate_hz: float
+    window_s: float = 0.0  # 0: ask at once
+    since_s: float = 0.0
+    count: int = 0
+
+
+class TelemetryRates:
+    """Counts what arrives and says which rates to ask for."""
+
+    def __init__(self, rates_hz: dict[int, float] | None = None) -> None:
+        rates = TELEMETRY_RATES_HZ if rates_hz is None else rates_hz
+        self._streams = {message_id: _Stream(rate_hz) for message_id, rate_hz in rates.items()}
+
+    def heard(self, message_id: int) -> None:
+        """Count a message."""
+        stream = self._streams.get(message_id)
+        if stream is not None:
+            stream.count += 1
+
+    def to_ask(self, now_s: float) -> list[tuple[int, float]]:
+        """Message ids and rates (Hz) to ask for now: all at first, later those that come too seldom.
+
+        A rate that is never honoured (a slow serial line) is asked for less and less often.
+        """
+        asked: list[tuple[int, float]] = []
+        for message_id, stream in self._streams.items():
+            if stream.window_s > 0.0 and now_s - stream.since_s < stream.window_s:
+                continue
+            expected = _HONOURED_SHARE * stream.rate_hz * (now_s - stream.since_s)
+            if stream.window_s > 0.0 and stream.count >= expected:
+                stream.window_s = _WINDOW_S
+            else:
+                asked.append((message_id, stream.rate_hz))
+                stream.window_s = min(max(2.0 * stream.window_s, _WINDOW_S), _LONGEST_WINDOW_S)
+            stream.since_s, stream.count = now_s, 0
+        return asked
+
+    def forget(self) -> None:
+        """The autopilot was lost: ask for everything at once when it is back."""
+        for stream in self._streams.values():
+            stream.window_s, stream.count = 0.0, 0

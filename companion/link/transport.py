@@ -1,0 +1,267 @@
+"""Byte transports to the autopilot: serial port, UDP, and an in-process pipe for virtual time.
+
+All queues are bounded, and what does not fit is dropped and counted: a setpoint that waited for a stuck line
+is worse than none. `read` gives what came, one byte or more, and raises OSError once the transport is gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections import deque
+from typing import Final, Protocol
+
+import serial
+
+from companion.config import CONNECTION_FORM, ConfigError
+
+_READ_QUEUE_BYTES: Final = 1 << 16
+_WRITE_QUEUE_BYTES: Final = 2048  # 0.36 s of a line at 57600 baud
+_READ_BYTES: Final = 4096
+
+
+class Transport(Protocol):
+    """A stream of bytes both ways."""
+
+    async def read(self) -> bytes:
+        """Wait for one byte or more.
+
+        Raises:
+            OSError: the transport is closed or gone.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting; dropped when nobody can take it."""
+
+    def close(self) -> None:
+        """Give the port back; a waiting `read` ends with OSError."""
+
+
+class _Inbox:
+    """What came and was not read yet; for one reader."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._changed = asyncio.Event()
+        self._error: OSError | None = None
+        self.dropped_bytes = 0
+
+    def put(self, data: bytes) -> None:
+        if len(self._data) + len(data) > _READ_QUEUE_BYTES:
+            self.dropped_bytes += len(self._data)
+            self._data.clear()
+        self._data += data
+        self._changed.set()
+
+    def fail(self, error: OSError) -> None:
+        self._error = self._error or error
+        self._changed.set()
+
+    async def read(self) -> bytes:
+        while not self._data:
+            if self._error is not None:
+                raise self._error
+            await self._changed.wait()
+            self._changed.clear()
+        data = bytes(self._data)
+        self._data.clear()
+        return data
+
+
+class MemoryTransport:
+    """One end of a pipe within the process: bytes arrive `latency_s` of loop time later, in order."""
+
+    def __init__(self, latency_s: float) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._latency_s = latency_s
+        self._inbox = _Inbox()
+        self._under_way: deque[bytes] = deque()
+        self._peer: MemoryTransport | None = None
+
+    async def read(self) -> bytes:
+        """See `Transport`."""
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`."""
+        peer = self._peer
+        if peer is None or not data:
+            return
+        # the loop does not promise an order among timers due together, so each takes the oldest
+        peer._under_way.append(data)
+        self._loop.call_later(self._latency_s, peer._deliver)
+
+    def close(self) -> None:
+        """Both ends are closed, as when a cable is pulled."""
+        for end in (self, self._peer):
+            if end is not None:
+                end._peer = None
+                end._inbox.fail(OSError("the pipe is closed"))
+
+    def _deliver(self) -> None:
+        self._inbox.put(self._under_way.popleft())
+
+
+def memory_pair(latency_s: float = 0.002) -> tuple[MemoryTransport, MemoryTransport]:
+    """The two ends of an in-process pipe; call it inside the loop."""
+    one, other = MemoryTransport(latency_s), MemoryTransport(latency_s)
+    one._peer, other._peer = other, one
+    return one, other
+
+
+class UdpTransport(asyncio.DatagramProtocol):
+    """UDP: calling a fixed peer, or listening and answering whoever spoke last. Made by `open_transport`."""
+
+    def __init__(self) -> None:
+        self._inbox = _Inbox()
+        self._socket: asyncio.DatagramTransport | None = None
+        self._peer: tuple[str, int] | None = None
+        self._calls = False
+
+    async def open(self, host: str, port: int, *, listen: bool) -> None:
+        """Bind to (listen) or call host and port.
+
+        Raises:
+            OSError: the port is taken, or the host is not known.
+        """
+        self._calls = not listen
+        address = (host, port)
+        self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: self,
+            local_addr=address if listen else None,
+            remote_addr=None if listen else address,
+        )
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """asyncio: a datagram came."""
+        self._peer = addr
+        self._inbox.put(data)
+
+    def error_received(self, exc: Exception) -> None:
+        """asyncio: the peer is not there yet (ICMP refused); it may come, so go on."""
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """asyncio: the socket is closed."""
+        self._inbox.fail(OSError(f"the UDP socket is closed{f': {exc}' if exc else ''}"))
+
+    async def read(self) -> bytes:
+        """See `Transport`."""
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`; a listener that has heard nobody has nobody to tell."""
+        if self._socket is None or not data or self._socket.is_closing():
+            return
+        if self._calls:
+            self._socket.sendto(data)
+        elif self._peer is not None:
+            self._socket.sendto(data, self._peer)
+
+    def close(self) -> None:
+        """See `Transport`."""
+        if self._socket is not None:
+            self._socket.close()
+
+
+class SerialTransport:
+    """A serial port, raw, 8N1, without flow control.
+
+    Raises:
+        OSError: the port is missing, busy or not a serial port (pyserial's SerialException is one).
+    """
+
+    def __init__(self, path: str, baud: int) -> None:
+        self._port = serial.Serial(path, baud, timeout=0, exclusive=True)
+        self._fd = self._port.fileno()
+        os.set_blocking(self._fd, False)
+        self._loop = asyncio.get_running_loop()
+        self._inbox = _Inbox()
+        self._outbox = bytearray()
+        self.dropped_bytes = 0
+        self._loop.add_reader(self._fd, self._read_ready)
+
+    async def read(self) -> bytes:
+        """See `Transport`."""
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`: whole writes are dropped while the line is stuck."""
+        if not self._port.is_open:
+            return
+        if len(self._outbox) + len(data) > _WRITE_QUEUE_BYTES:
+            self.dropped_bytes += len(data)
+            return
+        idle = not self._outbox
+        self._outbox += data
+        if idle:
+            self._write_ready()
+            if self._outbox:
+                self._loop.add_writer(self._fd, self._write_ready)
+
+    def close(self) -> None:
+        """See `Transport`."""
+        self._stop(OSError(f"{self._port.name} is closed"))
+
+    def _read_ready(self) -> None:
+        try:
+            data = os.read(self._fd, _READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._stop(error)
+            return
+        if data:
+            self._inbox.put(data)
+        else:
+            self._stop(OSError(f"{self._port.name} is gone"))
+
+    def _write_ready(self) -> None:
+        try:
+            sent = os.write(self._fd, self._outbox)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._stop(error)
+            return
+        del self._outbox[:sent]
+        if not self._outbox:
+            self._loop.remove_writer(self._fd)
+
+    def _stop(self, error: OSError) -> None:
+        self._inbox.fail(error)
+        if self._port.is_open:
+            self._loop.remove_reader(self._fd)
+            self._loop.remove_writer(self._fd)
+            self._outbox.clear()
+            self._port.close()
+
+
+async def open_transport(spec: str) -> Transport:
+    """Open `serial:PATH:BAUD`, `udp:HOST:PORT` (we call) or `udpin:HOST:PORT` (we listen).
+
+    Raises:
+        ConfigError: the form is none of these, or the port cannot be opened; one line that says why.
+    """
+    form = CONNECTION_FORM.fullmatch(spec)
+    if form is None:
+        raise ConfigError(
+            f"link.connection: expected serial:PATH:BAUD, udp:HOST:PORT or udpin:HOST:PORT, found '{spec}'"
+        )
+    try:
+        if form["path"] is not None:
+            return SerialTransport(form["path"], int(form["baud"]))
+        transport = UdpTransport()
+        await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
+    except (OSError, ValueError, OverflowError) as error:
+        raise ConfigError(f"link.connection: {spec}: {_reason(error)}") from error
+    return transport
+
+
+def _reason(error: Exception) -> str:
+    """What went wrong in one short clause."""
+    number = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, serial.SerialException) and "exclusively lock" in str(error):
+        return "busy; expected a port that no other program has open"
+    if number is not None and number > 0:
+        return os.strerror(number)
+    return str(error)

@@ -1,0 +1,262 @@
+"""Actions by our own session against a fake PX4 and a fake ArduPilot, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from companion.clock import Clock, run_in_virtual_time
+from companion.config import LinkConfig
+from companion.link.actions import PymavlinkActions
+from companion.link.codec import Codec, follow_target, mavlink
+from companion.link.session import Session
+from companion.link.transport import Transport, memory_pair
+from companion.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
+
+from .fake_autopilot import FakeAutopilot
+
+Answer = Callable[[bytes, float], bytes]
+MODES: dict[Manner, dict[ActionKind, str]] = {
+    "px4": {
+        ActionKind.TAKE_CONTROL: "OFFBOARD",
+        ActionKind.HOLD: "AUTO.LOITER",
+        ActionKind.LAND: "AUTO.LAND",
+    },
+    "ardupilot": {
+        ActionKind.TAKE_CONTROL: "GUIDED",
+        ActionKind.HOLD: "BRAKE",
+        ActionKind.LAND: "LAND",
+    },
+}
+
+
+async def simulate(autopilot: FakeAutopilot, end: Transport, ground: Answer | None = None) -> None:
+    clock = Clock()
+
+    async def listen() -> None:
+        while True:
+            data = await end.read()
+            end.write(autopilot.receive(data, clock.now_s()))
+            if ground is not None:
+                end.write(ground(data, clock.now_s()))
+
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(listen())
+        while True:
+            end.write(autopilot.tick(clock.now_s()))
+            await asyncio.sleep(0.01)
+
+
+def fly(
+    autopilot: FakeAutopilot,
+    story: Callable[[PymavlinkActions, Session], Awaitable[list[ActionResult]]],
+    config: LinkConfig | None = None,
+    ground: Answer | None = None,
+    settle_s: float = 1.5,
+) -> list[ActionResult]:
+    """Connect, let the telemetry settle, and run a story of actions."""
+
+    async def main() -> list[ActionResult]:
+        clock, settings = Clock(), config or LinkConfig()
+        ours, theirs = memory_pair()
+        session = Session(settings)
+        actions = PymavlinkActions(session, ours.write, clock, settings)
+
+        async def listen() -> None:
+            while True:
+                session.receive(await ours.read(), clock.now_s())
+                ours.write(session.tick(clock.now_s()))
+
+        tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(simulate(autopilot, theirs, ground))]
+        await asyncio.sleep(settle_s)
+        try:
+            return await story(actions, session)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    return run_in_virtual_time(main())
+
+
+def perform(
+    autopilot: FakeAutopilot,
+    *asked: Action,
+    config: LinkConfig | None = None,
+    ground: Answer | None = None,
+    settle_s: float = 1.5,
+) -> list[ActionResult]:
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        return [await actions.perform(action) for action in asked]
+
+    return fly(autopilot, story, config, ground, settle_s)
+
+
+def autopilot_of(manner: Manner) -> FakeAutopilot:
+    return FakeAutopilot(manner=manner, mode="AUTO.LOITER" if manner == "px4" else "STABILIZE")
+
+
+MANNERS: list[Manner] = ["px4", "ardupilot"]
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+def test_a_whole_flight_is_accepted(manner: Manner) -> None:
+    autopilot = autopilot_of(manner)
+    results = perform(
+        autopilot,
+        Action(ActionKind.ARM),
+        Action(ActionKind.TAKE_OFF, height_m=7.0),
+        Action(ActionKind.GO_TO, position=(47.0001, 8.0, 7.0), heading_rad=0.5),
+        Action(ActionKind.TAKE_CONTROL),
+        Action(ActionKind.HOLD),
+        Action(ActionKind.LAND),
+    )
+    assert [r.text for r in results if not r.accepted] == []
+    assert autopilot.armed
+    assert autopilot.setpoints() == []
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+@pytest.mark.parametrize("kind", [ActionKind.TAKE_CONTROL, ActionKind.HOLD, ActionKind.LAND])
+def test_modes_are_each_autopilots_own(manner: Manner, kind: ActionKind) -> None:
+    autopilot = autopilot_of(manner)
+    [result] = perform(autopilot, Action(kind))
+    assert result.accepted
+    assert autopilot.mode == MODES[manner][kind]
+
+
+def test_ardupilot_is_armed_and_takes_off_in_guided_mode() -> None:
+    autopilot = autopilot_of("ardupilot")
+    perform(autopilot, Action(ActionKind.ARM))
+    assert (autopilot.mode, autopilot.armed) == ("GUIDED", True)
+
+
+def test_px4_takes_off_to_an_altitude_over_the_sea_and_ardupilot_to_one_over_home() -> None:
+    altitudes = {}
+    for manner in MANNERS:
+        autopilot = autopilot_of(manner)
+        [result] = perform(autopilot, Action(ActionKind.TAKE_OFF, height_m=7.0))
+        assert result.accepted
+        [command] = autopilot.commands(mavlink.MAV_CMD_NAV_TAKEOFF)
+        altitudes[manner] = command.param7
+    assert altitudes == pytest.approx({"px4": 407.0, "ardupilot": 7.0})
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+def test_going_somewhere_names_the_place_the_altitude_and_the_heading(manner: Manner) -> None:
+    autopilot = autopilot_of(manner)
+    perform(autopilot, Action(ActionKind.GO_TO, position=(47.0001, 8.0002, 7.0), heading_rad=0.5))
+    [command] = autopilot.commands(mavlink.MAV_CMD_DO_REPOSITION)
+    assert command.get_type() == "COMMAND_INT"
+    assert (command.x, command.y) == (470001000, 80002000)
+    assert command.z == pytest.approx(407.0)
+    assert command.frame == mavlink.MAV_FRAME_GLOBAL
+    assert (command.param2, command.param4) == pytest.approx((1.0, 0.5))
+
+
+def test_without_a_heading_px4_is_told_none() -> None:
+    autopilot = autopilot_of("px4")
+    perform(autopilot, Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0)))
+    assert math.isnan(autopilot.commands(mavlink.MAV_CMD_DO_REPOSITION)[0].param4)
+
+
+def test_a_refusal_carries_the_autopilots_words() -> None:
+    refusal = "Arming denied: resolve system health failures first, then try again"
+    autopilot = FakeAutopilot(refuses={mavlink.MAV_CMD_COMPONENT_ARM_DISARM: refusal})
+    [result] = perform(autopilot, Action(ActionKind.ARM))
+    assert not result.accepted
+    assert result.text == f"denied; {refusal}"
+
+
+def test_an_autopilot_that_does_not_answer_is_a_refusal_in_time() -> None:
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        started_s = asyncio.get_running_loop().time()
+        result = await actions.perform(Action(ActionKind.LAND))
+        assert asyncio.get_running_loop().time() - started_s < 2.5
+        return [result]
+
+    autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_DO_SET_MODE: 99})
+    [result] = fly(autopilot, story)
+    assert (result.accepted, result.text) == (False, "the autopilot does not answer")
+
+
+def test_an_accepted_mode_that_does_not_come_is_a_refusal() -> None:
+    class Stubborn(FakeAutopilot):
+        def _mode(self, main: int, sub: int) -> str:
+            return "AUTO.LOITER"
+
+    [result] = perform(Stubborn(), Action(ActionKind.TAKE_CONTROL))
+    assert (result.accepted, result.text) == (False, "accepted, but not OFFBOARD")
+
+
+def test_before_any_heartbeat_everything_is_refused() -> None:
+    autopilot = FakeAutopilot(system_id=5)
+    kinds = [ActionKind.ARM, ActionKind.TAKE_OFF, ActionKind.HOLD, ActionKind.TAKE_CONTROL]
+    results = perform(autopilot, *(Action(kind) for kind in kinds))
+    assert {(r.accepted, r.text) for r in results} == {(False, "no autopilot is heard")}
+
+
+def test_without_home_nobody_goes_anywhere() -> None:
+    autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_REQUEST_MESSAGE: 99})
+    results = perform(
+        autopilot,
+        Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0)),
+        Action(ActionKind.TAKE_OFF, height_m=7.0),
+    )
+    assert {(r.accepted, r.text) for r in results} == {
+        (False, "the autopilot has not told its home position")
+    }
+
+
+def test_disarming_on_the_ground_needs_no_force() -> None:
+    autopilot = FakeAutopilot(armed=True)
+    [result] = perform(autopilot, Action(ActionKind.DISARM))
+    assert result.accepted
+    assert [m.param2 for m in autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)] == [0.0]
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_settings_allow(
+    force: bool,
+) -> None:
+    autopilot = FakeAutopilot(armed=True, believes_in_air=True)
+    [result] = perform(autopilot, Action(ActionKind.DISARM), config=LinkConfig(force_disarm=force))
+    assert result.accepted is force
+    assert autopilot.armed is not force
+
+
+def test_the_pads_position_is_asked_of_the_ground_station() -> None:
+    ground, asked = Codec(255, 190), []
+
+    def answer(data: bytes, now_s: float) -> bytes:
+        for message in Codec(255, 190).decode(data):
+            if message.get_type() == "COMMAND_LONG" and message.target_system == 255:
+                asked.append((message.command, message.param1))
+                beacon = PadBeacon(now_s, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.0)
+                return ground.encode(follow_target(beacon))
+        return b""
+
+    [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)
+    assert result.accepted
+    assert asked == [(mavlink.MAV_CMD_REQUEST_MESSAGE, 144.0)]
+
+
+def test_a_ground_station_that_is_not_there_is_a_refusal() -> None:
+    [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION))
+    assert (result.accepted, result.text) == (False, "the ground station's answer: no answer")
+
+
+def test_a_cancelled_action_is_not_repeated() -> None:
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        task = asyncio.ensure_future(actions.perform(Action(ActionKind.LAND)))
+        await asyncio.sleep(0.1)
+        task.cancel()
+        await asyncio.sleep(3.0)
+        return []
+
+    autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_DO_SET_MODE: 99})
+    fly(autopilot, story)
+    assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1

@@ -1,0 +1,159 @@
+"""Actions by MAVSDK against the fake autopilot over an in-memory pair, in real time: it has its own clock."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from companion.clock import Clock, run_in_virtual_time
+from companion.config import ConfigError, LinkConfig
+from companion.link.actions import Refused
+from companion.link.codec import mavlink
+from companion.link.mavsdk_link import MavsdkActions
+from companion.link.session import Session
+from companion.link.transport import memory_pair
+from companion.messages import Action, ActionKind, Manner
+
+from .fake_autopilot import FakeAutopilot
+
+MANNERS: list[Manner] = ["px4", "ardupilot"]
+
+
+def autopilot_of(manner: Manner) -> FakeAutopilot:
+    return FakeAutopilot(manner=manner, mode="AUTO.LOITER" if manner == "px4" else "STABILIZE")
+
+
+@asynccontextmanager
+async def connected(
+    autopilot: FakeAutopilot, config: LinkConfig | None = None
+) -> AsyncIterator[MavsdkActions]:
+    """MAVSDK and our session on one line to the autopilot, until its first telemetry is here."""
+    clock, settings = Clock(), config or LinkConfig()
+    ours, theirs = memory_pair(0.001)
+    session = Session(settings)
+    actions = MavsdkActions(session, ours.write, clock, settings)
+    await actions.start()
+
+    known = asyncio.Event()
+
+    async def companion() -> None:
+        while True:
+            data = await ours.read()
+            session.receive(data, clock.now_s())
+            actions.receive(data)
+            ours.write(session.tick(clock.now_s()))
+            if session.state.home is not None:
+                known.set()
+
+    async def listen() -> None:
+        while True:
+            theirs.write(autopilot.receive(await theirs.read(), clock.now_s()))
+
+    async def tell() -> None:
+        while True:
+            theirs.write(autopilot.tick(clock.now_s()))
+            await asyncio.sleep(0.01)
+
+    tasks = [asyncio.ensure_future(each()) for each in (companion, listen, tell)]
+    try:
+        await asyncio.wait_for(known.wait(), 10.0)
+        yield actions
+    finally:
+        await actions.close()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def threads_of_this_process() -> set[str]:
+    return {task.name for task in Path("/proc/self/task").iterdir()}
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+async def test_a_whole_flight_is_accepted(manner: Manner) -> None:
+    autopilot = autopilot_of(manner)
+    async with connected(autopilot) as actions:
+        for action in (
+            Action(ActionKind.ARM),
+            Action(ActionKind.TAKE_OFF, height_m=7.0),
+            Action(ActionKind.GO_TO, position=(47.0001, 8.0, 7.0)),
+            Action(ActionKind.HOLD),
+            Action(ActionKind.TAKE_CONTROL),
+            Action(ActionKind.LAND),
+        ):
+            result = await asyncio.wait_for(actions.perform(action), 10.0)
+            assert (action.kind, result.accepted, result.text) == (action.kind, True, "")
+    assert autopilot.armed
+    by = {m.command: m.get_srcComponent() for m in autopilot.heard if m.get_type().startswith("COMMAND_")}
+    assert by[mavlink.MAV_CMD_NAV_TAKEOFF] == by[mavlink.MAV_CMD_DO_REPOSITION] == 192
+    assert by[mavlink.MAV_CMD_SET_MESSAGE_INTERVAL] in {191, 192}
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+async def test_after_taking_control_mavsdk_sends_no_setpoint(manner: Manner) -> None:
+    autopilot = autopilot_of(manner)
+    async with connected(autopilot) as actions:
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.TAKE_CONTROL)), 10.0)
+        await asyncio.sleep(0.3)
+        assert result.accepted
+    assert autopilot.mode == ("OFFBOARD" if manner == "px4" else "GUIDED")
+    [command] = autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)
+    assert command.get_srcComponent() == 191
+    assert autopilot.setpoints() == []
+
+
+async def test_px4_takes_off_to_the_height_asked_for() -> None:
+    autopilot = autopilot_of("px4")
+    async with connected(autopilot) as actions:
+        await asyncio.wait_for(actions.perform(Action(ActionKind.TAKE_OFF, height_m=6.5)), 10.0)
+        assert await actions.parameter("MIS_TAKEOFF_ALT") == 6.5
+        await actions.set_parameter("MIS_TAKEOFF_ALT", 3.0)
+    assert autopilot.parameters["MIS_TAKEOFF_ALT"] == 3.0
+
+
+async def test_a_refusal_carries_the_autopilots_words() -> None:
+    autopilot = FakeAutopilot(refuses={mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "Arming denied: no GPS"})
+    async with connected(autopilot) as actions:
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.ARM)), 10.0)
+    assert (result.accepted, result.text) == (False, "command denied; Arming denied: no GPS")
+
+
+@pytest.mark.parametrize("force", [True, False])
+async def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_settings_allow(
+    force: bool,
+) -> None:
+    autopilot = FakeAutopilot(armed=True, believes_in_air=True)
+    async with connected(autopilot, LinkConfig(force_disarm=force)) as actions:
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.DISARM)), 10.0)
+    assert result.accepted is force
+    assert autopilot.armed is not force
+
+
+async def test_closing_leaves_no_thread_behind_even_amid_a_call() -> None:
+    before = threads_of_this_process()
+    autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 99})
+    async with connected(autopilot) as actions:
+        task = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
+        await asyncio.sleep(0.3)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    asyncio_workers = sum(thread.name.startswith("asyncio_") for thread in threading.enumerate())
+    assert len(threads_of_this_process() - before) <= asyncio_workers
+    await actions.close()
+    result = await actions.perform(Action(ActionKind.ARM))
+    assert (result.accepted, result.text) == (False, "MAVSDK is not running")
+    with pytest.raises(Refused, match="not running"):
+        await actions.parameter("MIS_TAKEOFF_ALT")
+
+
+def test_virtual_time_is_refused_in_one_line() -> None:
+    async def main() -> None:
+        MavsdkActions(Session(LinkConfig()), lambda data: None, Clock(), LinkConfig())
+
+    with pytest.raises(ConfigError, match="virtual time; expected pymavlink"):
+        run_in_virtual_time(main())

@@ -1,0 +1,377 @@
+"""The session: what it sends when, whom it believes, and how it keeps time."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from pydantic import ValidationError
+
+from companion.config import LinkConfig
+from companion.geometry import quat_from_euler
+from companion.link.codec import Codec, Message, follow_target, heartbeat, mavlink, status_texts, timesync
+from companion.link.commands import NO_ANSWER, Command
+from companion.link.session import Session
+from companion.link.streams import TELEMETRY_RATES_HZ
+from companion.messages import PadBeacon, Setpoint
+
+from .fake_autopilot import FakeAutopilot
+
+DELAY_S = 0.004
+
+
+class Flight:
+    """A session and an autopilot with a line of constant delay between them, in steps of 2 ms."""
+
+    def __init__(self, config: LinkConfig | None = None, autopilot: FakeAutopilot | None = None) -> None:
+        self.session = Session(config or LinkConfig())
+        self.autopilot = autopilot or FakeAutopilot()
+        self.now_s = 100.0
+        self.heard = Codec(9)
+        self.sent: list[tuple[float, Message]] = []
+        self.cut = False
+        self._to_autopilot: list[tuple[float, bytes]] = []
+        self._to_session: list[tuple[float, bytes]] = []
+
+    def run(self, duration_s: float) -> None:
+        for _ in range(round(duration_s / 0.002)):
+            self.now_s += 0.002
+            while self._to_session and self._to_session[0][0] <= self.now_s:
+                self.session.receive(self._to_session.pop(0)[1], self.now_s)
+            self.send(self.session.tick(self.now_s))
+            while self._to_autopilot and self._to_autopilot[0][0] <= self.now_s:
+                self._answer(self.autopilot.receive(self._to_autopilot.pop(0)[1], self.now_s))
+            self._answer(self.autopilot.tick(self.now_s))
+
+    def is_connected(self) -> bool:
+        return self.session.state.connected
+
+    def send(self, data: bytes) -> None:
+        self.sent += [(self.now_s, message) for message in self.heard.decode(data)]
+        if data and not self.cut:
+            self._to_autopilot.append((self.now_s + DELAY_S, data))
+
+    def _answer(self, data: bytes) -> None:
+        if data and not self.cut:
+            self._to_session.append((self.now_s + DELAY_S, data))
+
+    def sent_of(self, kind: str) -> list[tuple[float, Message]]:
+        return [(time_s, m) for time_s, m in self.sent if m.get_type() == kind]
+
+
+def test_heartbeats_go_out_at_1_hz_though_nobody_answers() -> None:
+    flight = Flight()
+    flight.cut = True
+    flight.run(5.5)
+    times = [time_s for time_s, _ in flight.sent_of("HEARTBEAT")]
+    assert len(times) == 6
+    assert {m.get_type() for _, m in flight.sent} == {"HEARTBEAT"}
+
+
+def test_the_autopilot_is_connected_ready_and_known() -> None:
+    flight = Flight(autopilot=FakeAutopilot(believes_in_air=True))
+    flight.run(2.0)
+    state = flight.session.state
+    assert (state.connected, state.manner, state.mode, state.ready_to_arm) == (
+        True,
+        "px4",
+        "AUTO.LOITER",
+        True,
+    )
+    assert state.home == pytest.approx((47.0, 8.0, 400.0))
+    assert state.position_ned_m == pytest.approx((1.0, 2.0, -3.0))
+    assert state.landed == "in_air"
+
+
+def test_every_rate_is_asked_for_once_when_it_is_honoured() -> None:
+    flight = Flight()
+    flight.run(12.0)
+    asked = [m.param1 for m in flight.autopilot.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)]
+    assert sorted(asked) == sorted(TELEMETRY_RATES_HZ)
+    assert flight.autopilot.rates_hz == pytest.approx(TELEMETRY_RATES_HZ, rel=1e-3)
+
+
+def test_a_rate_that_another_program_lowers_is_asked_for_again() -> None:
+    flight = Flight()
+    flight.run(3.0)
+    flight.autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] = 1.0
+    flight.run(5.0)
+    assert flight.autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] == pytest.approx(5.0)
+
+
+def test_a_rate_request_that_is_lost_is_repeated() -> None:
+    flight = Flight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2}))
+    flight.run(2.0)
+    assert set(flight.autopilot.rates_hz) == set(TELEMETRY_RATES_HZ)
+
+
+def test_home_is_asked_for_until_it_is_known_and_again_after_arming() -> None:
+    flight = Flight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_REQUEST_MESSAGE: 3}))
+    flight.run(6.0)
+    assert flight.session.state.home is not None
+    count = len(flight.autopilot.commands(mavlink.MAV_CMD_REQUEST_MESSAGE))
+    flight.run(5.0)
+    assert len(flight.autopilot.commands(mavlink.MAV_CMD_REQUEST_MESSAGE)) == count
+    flight.autopilot.armed = True
+    flight.run(1.5)
+    assert len(flight.autopilot.commands(mavlink.MAV_CMD_REQUEST_MESSAGE)) == count + 1
+
+
+def test_silence_is_a_lost_connection_and_everything_is_asked_for_again_afterwards() -> None:
+    flight = Flight()
+    flight.run(3.0)
+    flight.cut = True
+    flight.run(1.9)
+    assert flight.is_connected()
+    flight.run(1.3)
+    assert not flight.is_connected()
+    assert not flight.session.state.ready_to_arm
+    flight.autopilot.rates_hz.clear()
+    flight.cut = False
+    flight.run(2.0)
+    assert flight.is_connected()
+    assert set(flight.autopilot.rates_hz) == set(TELEMETRY_RATES_HZ)
+
+
+@pytest.mark.parametrize("offset_s", [-99.9, 0.0, 4321.0])
+def test_telemetry_is_stamped_with_our_time_of_measurement(offset_s: float) -> None:
+    flight = Flight(autopilot=FakeAutopilot(clock_offset_s=offset_s))
+    flight.run(2.0)
+    assert flight.session.timesync.offset_s == pytest.approx(offset_s, abs=0.0021)
+    arrived_s = flight.now_s + 0.5
+    attitude = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, arrived_s - 0.08)
+    flight.session.receive(flight.autopilot.codec.encode(attitude), arrived_s)
+    assert flight.session.state.attitude_time_s == pytest.approx(arrived_s - 0.08, abs=0.003)
+
+
+def test_without_synchronisation_the_time_of_arrival_counts() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot(clock_offset_s=50.0)
+    session.receive(autopilot.tick(7.0), 7.0)
+    attitude = autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, 7.0)
+    session.receive(autopilot.codec.encode(attitude), 7.02)
+    assert session.state.attitude_time_s == 7.02
+
+
+def test_a_stamp_that_cannot_be_is_replaced_by_the_time_of_arrival() -> None:
+    flight = Flight()
+    flight.run(2.0)
+    old = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, flight.now_s - 5.0)
+    flight.session.receive(flight.autopilot.codec.encode(old), flight.now_s)
+    assert flight.session.state.attitude_time_s == flight.now_s
+    future = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, flight.now_s + 5.0)
+    flight.session.receive(flight.autopilot.codec.encode(future), flight.now_s + 0.1)
+    assert flight.session.state.attitude_time_s == flight.now_s + 0.1
+
+
+def test_a_restarted_clock_is_followed() -> None:
+    flight = Flight(autopilot=FakeAutopilot(clock_offset_s=500.0))
+    flight.run(3.0)
+    flight.autopilot.clock_offset_s = -100.0
+    flight.run(2.0)
+    assert flight.session.timesync.offset_s == pytest.approx(-100.0, abs=0.003)
+
+
+def test_the_clock_offset_comes_from_the_quickest_of_the_last_answers() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot()
+    session.receive(autopilot.tick(0.0), 0.0)
+    for i, (there_s, back_s) in enumerate([(0.05, 0.01), (0.002, 0.002), (0.01, 0.08)]):
+        asked_s = 1.0 + i
+        session.receive(
+            autopilot.receive(session.tick(asked_s), asked_s + there_s), asked_s + there_s + back_s
+        )
+    assert session.timesync.offset_s == pytest.approx(0.0, abs=1e-6)
+    assert session.timesync.round_trip_s == pytest.approx(0.004)
+
+
+def test_the_autopilots_own_question_for_the_time_is_answered() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot()
+    session.receive(autopilot.codec.encode(timesync(0, 123456789)), 42.0)
+    answers = [m for m in Codec(1).decode(session.tick(42.001)) if m.get_type() == "TIMESYNC"]
+    assert [(m.tc1, m.ts1) for m in answers] == [(42_000_000_000, 123456789)]
+
+
+def test_answers_to_others_questions_for_the_time_are_left_alone() -> None:
+    flight = Flight()
+    flight.run(2.0)
+    before = flight.session.timesync.offset_s
+    stranger = timesync(999_000_000_000, 77)
+    flight.session.receive(flight.autopilot.codec.encode(stranger), flight.now_s)
+    assert flight.session.timesync.offset_s == before
+
+
+def test_only_our_autopilot_is_believed() -> None:
+    session = Session(LinkConfig(system_id=1))
+    camera, ground = Codec(1, 100), Codec(255, 190)
+    other = FakeAutopilot(system_id=2, armed=True)
+    session.receive(camera.encode(heartbeat()) + ground.encode(heartbeat()) + other.tick(0.0), 0.0)
+    assert session.state.mode == ""
+    assert session.stranger == 2
+    session.receive(FakeAutopilot().tick(0.0), 0.0)
+    session.receive(other.tick(2.0), 2.0)
+    assert session.state.connected
+    assert not session.state.armed
+
+
+def test_with_system_id_0_the_first_autopilot_is_adopted_and_its_id_is_ours() -> None:
+    session = Session(LinkConfig(system_id=0))
+    session.receive(Codec(255, 190).encode(heartbeat()), 0.0)
+    session.receive(FakeAutopilot(system_id=42).tick(0.0), 0.0)
+    session.receive(FakeAutopilot(system_id=2, armed=True).tick(0.1), 0.1)
+    assert session.system_id == 42
+    assert not session.state.armed
+    assert {m.get_srcSystem() for m in Codec(1).decode(session.tick(0.2))} == {42}
+
+
+def test_a_beacon_from_the_ground_station_is_heard() -> None:
+    session = Session(LinkConfig())
+    beacon = PadBeacon(0.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 1.0)
+    session.receive(Codec(255, 190).encode(follow_target(beacon)), 3.0)
+    assert session.beacon is not None
+    assert (session.beacon.time_s, session.beacon.altitude_m) == (3.0, 401.0)
+
+
+def test_setpoints_are_turned_into_the_autopilots_heading() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot(heading_rad=math.radians(95.0))
+    session.receive(autopilot.tick(0.0), 0.0)
+    attitude = autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, 1.0)
+    session.receive(autopilot.codec.encode(attitude), 1.0)
+    session.align(quat_from_euler(0.0, 0.0, math.radians(90.0)), 1.0)
+    [message] = Codec(1).decode(session.send_setpoint(Setpoint(1.0, (1.0, 0.0, 0.2)), 1.0))
+    c, s = math.cos(math.radians(5.0)), math.sin(math.radians(5.0))
+    assert (message.vx, message.vy, message.vz) == pytest.approx((c, s, 0.2), abs=1e-6)
+    assert message.yaw == pytest.approx(math.radians(5.0), abs=1e-6)
+    assert message.target_system == 1
+
+
+def test_a_notice_becomes_a_status_text() -> None:
+    messages = Codec(1).decode(Session(LinkConfig()).send_notice("pad lost: climbing by 2 m", "warning"))
+    assert [m.text for m in messages] == ["pad lost: climbing by 2 m"]
+
+
+def test_texts_of_the_autopilot_are_kept_and_counted() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot()
+    for message in status_texts("Takeoff detected", "info", 1):
+        session.receive(autopilot.codec.encode(message), 1.0)
+    assert session.state.texts == ("Takeoff detected",)
+    assert session.texts_heard == 1
+
+
+# ---------------------------------------------------------------- commands
+
+ARM = Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
+
+
+def test_an_accepted_command_is_sent_once() -> None:
+    flight = Flight()
+    flight.run(1.5)
+    pending = flight.session.command(ARM)
+    flight.run(1.0)
+    assert pending.accepted
+    assert flight.autopilot.armed
+    assert len(flight.autopilot.commands(ARM.number)) == 1
+
+
+def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
+    flight = Flight(autopilot=FakeAutopilot(deaf_to={ARM.number: 2}))
+    flight.run(1.5)
+    pending = flight.session.command(ARM)
+    flight.run(2.0)
+    assert pending.accepted
+    assert [m.confirmation for m in flight.autopilot.commands(ARM.number)] == [0, 1, 2]
+
+
+def test_a_command_nobody_answers_is_given_up() -> None:
+    flight = Flight(LinkConfig(command_tries=3, command_patience_s=0.2))
+    flight.run(1.5)
+    flight.cut = True
+    pending = flight.session.command(ARM)
+    outcomes = []
+    for duration_s in (0.58, 0.1):
+        flight.run(duration_s)
+        outcomes.append(pending.outcome)
+    assert outcomes == [None, NO_ANSWER]
+    assert pending.tries == 3
+
+
+def test_a_denied_command_says_so() -> None:
+    flight = Flight(autopilot=FakeAutopilot(refuses={ARM.number: "Arming denied: no GPS"}))
+    flight.run(1.5)
+    pending = flight.session.command(ARM)
+    flight.run(0.5)
+    assert pending.outcome == "denied"
+    assert flight.session.state.texts[-1] == "Arming denied: no GPS"
+
+
+def ack(result: int, target: tuple[int, int], source: int = 1) -> bytes:
+    return Codec(source, 1).encode(mavlink.MAVLink_command_ack_message(ARM.number, result, 0, 0, *target))
+
+
+@pytest.mark.parametrize(
+    ("target", "source", "taken"),
+    [((1, 191), 1, True), ((0, 0), 1, True), ((1, 0), 1, True), ((1, 192), 1, False), ((1, 191), 2, False)],
+)
+def test_only_an_answer_for_us_from_whom_we_asked_counts(
+    target: tuple[int, int], source: int, taken: bool
+) -> None:
+    session = Session(LinkConfig())
+    pending = session.command(ARM)
+    session.tick(0.0)
+    session.receive(ack(0, target, source), 0.1)
+    assert pending.accepted is taken
+
+
+def test_in_progress_means_wait_and_do_not_repeat() -> None:
+    session = Session(LinkConfig())
+    pending = session.command(ARM)
+    session.tick(0.0)
+    session.receive(ack(mavlink.MAV_RESULT_IN_PROGRESS, (1, 191)), 0.4)
+    sent = Codec(1).decode(session.tick(2.0))
+    assert "COMMAND_LONG" not in {m.get_type() for m in sent}
+    session.receive(ack(mavlink.MAV_RESULT_FAILED, (1, 191)), 2.5)
+    assert pending.outcome == "failed"
+
+
+def test_commands_of_the_same_number_go_one_after_the_other() -> None:
+    session = Session(LinkConfig())
+    first, second = session.command(ARM), session.command(Command(ARM.number, (0.0, 0.0)))
+    sent = [m for m in Codec(1).decode(session.tick(0.0)) if m.get_type() == "COMMAND_LONG"]
+    assert [m.param1 for m in sent] == [1.0]
+    session.receive(ack(0, (1, 191)), 0.1)
+    assert first.accepted
+    assert second.outcome is None
+    sent = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "COMMAND_LONG"]
+    assert [m.param1 for m in sent] == [0.0]
+
+
+def test_a_withdrawn_command_is_not_repeated() -> None:
+    session = Session(LinkConfig())
+    pending = session.command(ARM)
+    session.tick(0.0)
+    session.withdraw(pending)
+    assert "COMMAND_LONG" not in {m.get_type() for m in Codec(1).decode(session.tick(5.0))}
+    assert pending.outcome == "withdrawn"
+
+
+# ---------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize(
+    "connection",
+    ["serial:/dev/ttyAMA0:921600", "serial:/dev/serial/by-path/pci-0000:00:14.0:57600", "udp:pi.local:1"],
+)
+def test_connections_of_the_known_forms_are_taken(connection: str) -> None:
+    assert LinkConfig(connection=connection).connection == connection
+
+
+@pytest.mark.parametrize(
+    "connection",
+    ["", "/dev/ttyAMA0", "tcp:host:1", "udp:host", "udpin:host:0", "udp:host:65536", "serial:x:57600"],
+)
+def test_connections_of_other_forms_are_refused(connection: str) -> None:
+    with pytest.raises(ValidationError, match=r"expected serial:PATH:BAUD"):
+        LinkConfig(connection=connection)
+
+
+def test_mavsdk_and_we_cannot_be_the_same_component() -> None:
+    with pytest.raises(ValidationError, match="differ"):
+        LinkConfig(component_id=192)

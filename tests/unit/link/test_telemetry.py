@@ -1,0 +1,182 @@
+"""Telemetry: what the autopilot says of itself, as the app sees it."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from companion.geometry import euler_from_quat, quat_from_euler
+from companion.link.codec import Codec, Message, mavlink, status_texts
+from companion.link.modes import ARDUCOPTER_MODES, PX4_MODES, custom_mode, mode_name, mode_parameters
+from companion.link.telemetry import StatusTexts, add_text, update_state
+from companion.messages import AutopilotState, LandedState, Manner
+
+FRESH = AutopilotState(time_s=0.0)
+
+
+def over_the_wire(message: Message) -> Message:
+    [back] = Codec(1).decode(Codec(1, 1).encode(message))
+    return back
+
+
+def after(message: Message, state: AutopilotState = FRESH, time_s: float = 1.0) -> AutopilotState:
+    return update_state(state, over_the_wire(message), time_s)
+
+
+def heartbeat(autopilot: int, mode: int, base_mode: int = 1) -> Message:
+    return mavlink.MAVLink_heartbeat_message(2, autopilot, base_mode, mode, 4, 3)
+
+
+@pytest.mark.parametrize("mode", PX4_MODES)
+def test_px4_modes_have_their_names(mode: str) -> None:
+    state = after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, custom_mode("px4", mode)))
+    assert (state.connected, state.manner, state.mode) == (True, "px4", mode)
+    assert state.offboard == (mode == "OFFBOARD")
+
+
+@pytest.mark.parametrize("mode", ARDUCOPTER_MODES)
+def test_arducopter_modes_have_their_names(mode: str) -> None:
+    state = after(heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, custom_mode("ardupilot", mode)))
+    assert (state.connected, state.manner, state.mode) == (True, "ardupilot", mode)
+    assert state.offboard == (mode == "GUIDED")
+
+
+def test_well_known_numbers_of_modes() -> None:
+    assert custom_mode("px4", "OFFBOARD") == 393216
+    assert custom_mode("px4", "AUTO.LAND") == 100925440
+    assert mode_parameters("px4", "AUTO.LOITER") == (1.0, 4.0, 3.0)
+    assert mode_parameters("ardupilot", "GUIDED") == (1.0, 4.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("manner", "number", "name"),
+    [
+        ("px4", (3 << 16) | (2 << 24), "POSCTL"),
+        ("px4", 99 << 16, "mode 6488064"),
+        ("ardupilot", 77, "mode 77"),
+    ],
+)
+def test_a_mode_that_is_not_known_is_still_shown(manner: Manner, number: int, name: str) -> None:
+    assert mode_name(manner, number) == name
+
+
+def test_an_autopilot_of_another_make_is_connected_but_has_no_manners() -> None:
+    state = after(heartbeat(mavlink.MAV_AUTOPILOT_GENERIC, 4))
+    assert (state.connected, state.manner, state.offboard) == (True, None, False)
+
+
+def test_armed_is_heard_from_the_heartbeat() -> None:
+    assert after(heartbeat(12, 0, base_mode=129)).armed
+    assert not after(heartbeat(12, 0, base_mode=1)).armed
+
+
+@pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])
+@pytest.mark.parametrize("tilt_deg", [0.0, 25.0])
+def test_both_kinds_of_attitude_say_the_same(yaw_deg: int, tilt_deg: float) -> None:
+    angles = (math.radians(tilt_deg), math.radians(-0.5 * tilt_deg), math.radians(yaw_deg))
+    q = quat_from_euler(*angles)
+    by_angles = after(mavlink.MAVLink_attitude_message(10, *angles, 0.0, 0.0, 0.0))
+    by_quaternion = after(mavlink.MAVLink_attitude_quaternion_message(10, *q, 0.0, 0.0, 0.0))
+    assert by_angles.attitude == pytest.approx(q, abs=1e-6)
+    assert by_quaternion.attitude == pytest.approx(q, abs=1e-6)
+    assert by_angles.attitude is not None
+    assert math.remainder(euler_from_quat(by_angles.attitude)[2] - angles[2], math.tau) == pytest.approx(
+        0.0, abs=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        mavlink.MAVLink_attitude_message(10, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_attitude_quaternion_message(10, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_attitude_quaternion_message(10, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_local_position_ned_message(10, math.inf, 0.0, 0.0, 0.0, 0.0, 0.0),
+    ],
+)
+def test_values_that_are_no_values_change_nothing(message: Message) -> None:
+    assert after(message) == FRESH
+
+
+def test_an_attitude_older_than_the_last_one_is_dropped() -> None:
+    newer = after(mavlink.MAVLink_attitude_message(10, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), time_s=2.0)
+    assert after(mavlink.MAVLink_attitude_message(9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), newer, 1.9) == newer
+
+
+def test_positions_come_in_metres_and_degrees() -> None:
+    local = after(mavlink.MAVLink_local_position_ned_message(10, 1.0, 2.0, -3.0, 0.1, 0.2, 0.3))
+    assert local.position_ned_m == pytest.approx((1.0, 2.0, -3.0))
+    assert local.velocity_ned_m_s == pytest.approx((0.1, 0.2, 0.3))
+    world = after(
+        mavlink.MAVLink_global_position_int_message(10, 471234567, -81234567, 412340, 0, 0, 0, 0, 0)
+    )
+    assert world.global_position == pytest.approx((47.1234567, -8.1234567, 412.34))
+    home = after(
+        mavlink.MAVLink_home_position_message(470000000, 80000000, 400500, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0)
+    )
+    assert home.home == pytest.approx((47.0, 8.0, 400.5))
+
+
+@pytest.mark.parametrize(("number", "landed"), list(enumerate(LandedState)))
+def test_landed_state(number: int, landed: LandedState) -> None:
+    assert after(mavlink.MAVLink_extended_sys_state_message(0, number)).landed is landed
+
+
+PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+
+
+@pytest.mark.parametrize(
+    ("present", "enabled", "healthy", "ready"),
+    [
+        (PREARM | 3, PREARM | 3, PREARM | 3, True),
+        (PREARM | 3, PREARM | 3, 3, False),
+        (PREARM | 3, PREARM | 3, PREARM | 1, True),
+        (3, 3, 3, True),
+        (3, 3, 1, False),
+        (3, 1, 1, True),
+    ],
+)
+def test_ready_to_arm_is_the_prearm_bit_or_failing_that_every_sensor(
+    present: int, enabled: int, healthy: int, ready: bool
+) -> None:
+    message = mavlink.MAVLink_sys_status_message(present, enabled, healthy, *[0] * 10)
+    assert after(message).ready_to_arm is ready
+
+
+def test_the_last_texts_are_kept() -> None:
+    state = FRESH
+    for i in range(12):
+        state = add_text(state, f"text {i}", float(i))
+    assert state.texts == tuple(f"text {i}" for i in range(2, 12))
+
+
+LONG = "Preflight Fail: " + "ekf2 missing data, " * 6 + "wait"
+
+
+def texts_of(messages: list[Message]) -> list[str]:
+    texts = StatusTexts()
+    return [text for m in messages for text in texts.receive(over_the_wire(m))]
+
+
+def test_short_and_long_texts_come_whole() -> None:
+    messages = [
+        *status_texts("one", "info", 1),
+        *status_texts(LONG, "info", 2),
+        *status_texts("two", "info", 3),
+    ]
+    assert texts_of(messages) == ["one", LONG, "two"]
+
+
+def test_a_text_of_exactly_two_chunks_ends() -> None:
+    assert texts_of(status_texts("x" * 100, "info", 5)) == ["x" * 100]
+
+
+def test_a_lost_chunk_is_shown_as_a_gap() -> None:
+    messages = status_texts(LONG, "info", 2)
+    assert texts_of([messages[0], *messages[2:]]) == [LONG[:50] + "..." + LONG[100:]]
+
+
+def test_a_lost_end_does_not_swallow_the_next_text() -> None:
+    messages = status_texts(LONG, "info", 2)[:-1]
+    assert texts_of([*messages, *status_texts("next", "info", 3)]) == [LONG[:100] + "...", "next"]
