@@ -1,0 +1,151 @@
+"""The control cascade and its life on the ground: idle, spool up, fly, feel the ground, idle again.
+
+`outer` at 100 Hz turns a setpoint into attitude and thrust, `step` at the physics' pace turns these into
+motor commands. On the ground with idling motors every integral stays empty. NED in the autopilot's own
+frame, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.geometry import IDENTITY, Quaternion, yaw_from_quat
+from sitl.autopilot.airframe import Airframe, hover_thrust
+from sitl.autopilot.attitude_control import AttitudeControl, AttitudeGains
+from sitl.autopilot.estimator import Estimator
+from sitl.autopilot.landed import LandedDetector
+from sitl.autopilot.manners import Manner
+from sitl.autopilot.mixer import Mixer, Motors
+from sitl.autopilot.position_control import PositionControl
+from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
+
+STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
+_IDLE = 0.04
+_IDLING: Motors = (_IDLE, _IDLE, _IDLE, _IDLE)
+_SPOOL_UP_S = 1.2
+# in suspected contact the thrust is taken back at this rate, down to this share
+_TAKE_BACK_PER_S = 2.0
+_LEAST_SHARE = 0.2
+# full scale of the thrust field where it means a climb rate (ArduPilot's default speeds)
+_CLIMB_RATE_M_S = 2.5
+_DESCENT_RATE_M_S = 1.5
+_DESCENDING_M_S = 0.05
+
+
+class Cascade:
+    """Controllers of one airframe with one manner's gains, and the landed detector."""
+
+    def __init__(self, manner: Manner, airframe: Airframe) -> None:
+        self._hover = hover_thrust(airframe)
+        self._position = PositionControl(self._hover, manner.gains)
+        self._attitude = AttitudeControl(airframe.inertia_kg_m2, AttitudeGains())
+        self._mixer = Mixer(airframe, _IDLE)
+        self._detector = LandedDetector(manner.landed_time_s)
+        self._spool = 0.0
+        self._share = 1.0
+        self._yaw_rate = 0.0
+        self.thrust = 0.0
+        self.attitude_setpoint: Quaternion = IDENTITY
+
+    @property
+    def landed(self) -> bool:
+        """On the ground, motors idle at most."""
+        return self._detector.landed
+
+    @property
+    def airborne(self) -> bool:
+        """Off the ground and spooled up."""
+        return not self._detector.landed and self._spool >= 1.0
+
+    def settle(self, estimate: Estimator) -> None:
+        """Idle: empty the integrals and take the present heading as the one to keep."""
+        self._position.reset(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
+        self._attitude.reset()
+        self._spool, self._share, self.thrust, self._yaw_rate = 0.0, 1.0, 0.0, 0.0
+        self.attitude_setpoint = self._position.attitude
+
+    def disarm(self, estimate: Estimator) -> None:
+        """Motors off: wherever that is, the next flight starts from the ground."""
+        self._detector = LandedDetector(self._detector.landed_time_s)
+        self.settle(estimate)
+
+    def lift_off(self) -> None:
+        """Leave the ground: the motors spool up over the next second."""
+        self._detector.lift_off()
+
+    def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: Estimator) -> bool:
+        """Does a setpoint ask for a climb from the ground?"""
+        if isinstance(setpoint, AttitudeSetpoint):
+            return setpoint.thrust > 1.02 * self._hover
+        return (
+            setpoint.velocity_ned_m_s[2] < -0.1
+            or setpoint.position_ned_m[2] < estimate.position_ned_m[2] - 0.3
+            or setpoint.acceleration_ned_m_s2[2] < -1.0
+        )
+
+    def outer(
+        self,
+        setpoint: MotionSetpoint | AttitudeSetpoint,
+        estimate: Estimator,
+        thrust_is_climb_rate: bool,
+        still_speed_m_s: float,
+        dt_s: float,
+    ) -> None:
+        """One outer step in flight."""
+        frozen = self._spool < 1.0
+        self._spool = min(1.0, self._spool + dt_s / _SPOOL_UP_S)
+        if isinstance(setpoint, AttitudeSetpoint):
+            descending = self._follow_attitude(setpoint, estimate, thrust_is_climb_rate, dt_s)
+        else:
+            position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
+            self._position.step(position, velocity, setpoint, dt_s, frozen)
+            self.attitude_setpoint, self._yaw_rate = self._position.attitude, self._position.yaw_rate_rad_s
+            self.thrust = self._position.thrust
+            descending = self._position.velocity_reference[2] > _DESCENDING_M_S
+        if frozen:
+            self.thrust = min(self.thrust, self._spool)
+        else:
+            self._feel_ground(descending, estimate, still_speed_m_s, dt_s)
+
+    def step(self, estimate: Estimator, dt_s: float) -> Motors:
+        """Motor commands 0..1 of an armed vehicle."""
+        if self._detector.landed:
+            return _IDLING
+        torque = self._attitude.step(
+            estimate.attitude,
+            estimate.rate_body_rad_s,
+            self.attitude_setpoint,
+            self._yaw_rate,
+            dt_s,
+            frozen=self._spool < 1.0 or self._mixer.saturated or self._detector.contact,
+        )
+        return self._mixer.mix(self.thrust, torque)
+
+    def _follow_attitude(
+        self, setpoint: AttitudeSetpoint, estimate: Estimator, thrust_is_climb_rate: bool, dt_s: float
+    ) -> bool:
+        """Fly an attitude; returns whether it asks for a descent."""
+        self.attitude_setpoint, self._yaw_rate = setpoint.attitude, setpoint.yaw_rate_rad_s
+        self._position.follow(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
+        if not thrust_is_climb_rate:
+            self.thrust = min(max(setpoint.thrust, 0.0), 1.0)
+            return self.thrust < 0.85 * self._hover
+        climb = 2.0 * (min(max(setpoint.thrust, 0.0), 1.0) - 0.5)
+        climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
+        self._position.step_climb(estimate.velocity_ned_m_s, estimate.attitude, climb, dt_s)
+        self.thrust = self._position.thrust
+        return climb < -_DESCENDING_M_S
+
+    def _feel_ground(self, descending: bool, estimate: Estimator, still_speed: float, dt_s: float) -> None:
+        speed = estimate.velocity_ned_m_s[2]
+        self._detector.update(descending, self.thrust / self._hover, speed, still_speed, dt_s)
+        change = -_TAKE_BACK_PER_S if self._detector.contact else _TAKE_BACK_PER_S
+        self._share = min(1.0, max(_LEAST_SHARE, self._share + change * dt_s))
+        self.thrust *= self._share
+        if self._detector.landed:
+            self.settle(estimate)
+        elif self._share < 1.0:
+            # standing on something: stay level rather than lean against the ground
+            heading = yaw_from_quat(estimate.attitude)
+            half = 0.5 * heading
+            self.attitude_setpoint = (math.cos(half), 0.0, 0.0, math.sin(half))

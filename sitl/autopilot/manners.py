@@ -1,0 +1,131 @@
+"""What differs between autopilots, as fields of one table: `px4.PX4` and `ardupilot.ARDUPILOT` fill it in.
+
+The rest of the package asks these fields, never "which autopilot is it".
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.messages import Manner as MannerName
+from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, Result, Situation
+from sitl.autopilot.position_control import PositionGains
+from sitl.autopilot.setpoints import Frame
+from sitl.parameters import Parameter, Setting
+
+# MAV_MODE_FLAG bits without "armed"
+FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 64
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Which parameter holds what; None: the autopilot has none for it."""
+
+    setpoint_timeout: Setting
+    cruise_speed: Setting
+    top_speed: Setting
+    landing_speed: Setting
+    return_height: Setting
+    take_off_height: Setting | None = None
+    still_speed: Setting | None = None
+    guided_options: Setting | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """What it says on occasions; empty: nothing."""
+
+    boot: tuple[str, ...]
+    aligned: tuple[str, ...]
+    armed: str
+    disarmed: str
+    take_off: str
+    lifted: str
+    landed: str
+    landing: str
+    mode_unavailable: str
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """One autopilot's habits."""
+
+    name: MannerName
+    autopilot_id: int
+    flight_version: int
+    capabilities: int
+    parameters_bytewise: bool
+    alignment_s: float
+    landed_time_s: float
+    still_speed_m_s: float
+    modes: tuple[Mode, ...]
+    boot_mode: str
+    after_disarm_mode: str
+    take_off_mode: str
+    after_take_off_mode: str
+    hold_mode: str
+    land_mode: str
+    return_mode: str
+    frames: frozenset[Frame]
+    external_needs_setpoints: bool
+    takes_off_by_setpoint: bool
+    take_off_needs_guided: bool
+    reposition_changes_mode: bool
+    external_times_out_in_mode: bool
+    thrust_is_climb_rate: bool
+    refused_arming: Result
+    refused_disarming: Result
+    refused_disarming_text: str
+    unsupported_request: Result
+    settings: Settings
+    texts: Texts
+    arming_checks: tuple[ArmingCheck, ...]
+    failsafes: tuple[Failsafe, ...]
+    parameters: tuple[Parameter, ...]
+    gains: PositionGains
+
+    def mode(self, name: str) -> Mode:
+        """The mode of that name.
+
+        Raises:
+            KeyError: it has none.
+        """
+        for mode in self.modes:
+            if mode.name == name:
+                return mode
+        raise KeyError(name)
+
+    def mode_by_number(self, custom_mode: int) -> Mode | None:
+        """The mode with that custom_mode, None when it is not offered."""
+        return next((mode for mode in self.modes if mode.custom_mode == custom_mode), None)
+
+
+def landed_after_flight(now: Situation) -> bool:
+    """On the ground again."""
+    return now.landed and now.has_flown
+
+
+def never_flown(now: Situation) -> bool:
+    """Armed, but not flown yet."""
+    return now.landed and not now.has_flown
+
+
+def level(now: Situation) -> bool:
+    """Leans by less than 20 degrees."""
+    return now.tilt_rad < math.radians(20.0)
+
+
+def aligned(now: Situation) -> bool:
+    """The estimator knows attitude and position."""
+    return now.aligned
+
+
+def mode_armable(now: Situation) -> bool:
+    """The present mode allows arming."""
+    return now.armable
+
+
+def setpoints_stopped(now: Situation) -> bool:
+    """In a mode that lives on streamed setpoints, and none comes."""
+    return now.streaming and now.setpoint_age_s > now.setpoint_timeout_s

@@ -1,0 +1,107 @@
+"""Modes, arming checks and failsafes as data: what the tables of `manners` are made of.
+
+A mode is what the autopilot announces; a task is what it flies. Some modes allow one task only, ArduPilot's
+GUIDED allows several. A check or failsafe is a predicate on the `Situation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from math import inf
+
+
+class Task(Enum):
+    """What is being flown."""
+
+    HOLD = "hold"
+    TAKE_OFF = "take off"
+    GO_TO = "go to"
+    SETPOINT = "setpoint"
+    LAND = "land"
+    RETURN = "return"
+
+
+class Result(IntEnum):
+    """MAV_RESULT."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+
+
+class Severity(IntEnum):
+    """MAV_SEVERITY, as far as used."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One flight mode: HEARTBEAT's custom_mode, base_mode without the armed bit, and what it may do."""
+
+    name: str
+    custom_mode: int
+    base_mode: int
+    task: Task
+    takes_setpoints: bool = False
+    takes_positions: bool = False
+    armable: bool = True
+    in_flight: bool = True
+
+
+@dataclass(slots=True)
+class Situation:
+    """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one."""
+
+    aligned: bool = False
+    armed: bool = False
+    armable: bool = True
+    landed: bool = True
+    has_flown: bool = False
+    task: Task = Task.HOLD
+    tilt_rad: float = 0.0
+    setpoint_age_s: float = inf
+    setpoint_timeout_s: float = 1.0
+    streaming: bool = False
+
+
+Condition = Callable[[Situation], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class ArmingCheck:
+    """Arming is refused with `text` unless `passes`."""
+
+    passes: Condition
+    text: str
+
+
+class Response(Enum):
+    """What a failsafe does."""
+
+    DISARM = "disarm"
+    LEAVE_MODE = "leave mode"
+
+
+@dataclass(frozen=True, slots=True)
+class Failsafe:
+    """When `condition` has held for `after_s`, do `response` and say `text`.
+
+    LEAVE_MODE goes to `mode`, and back as soon as the condition has ended.
+    """
+
+    name: str
+    condition: Condition
+    after_s: float
+    response: Response
+    severity: Severity
+    text: str
+    mode: str = ""

@@ -1,0 +1,103 @@
+"""A rigid body with four lagging rotors, drag and a floor: just enough to fly the simulated autopilot in tests.
+
+Deliberately apart from the simulator's own plant, so that a sign that is wrong in both cannot hide. NED, FRD.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    quat_integrate,
+    quat_rotate,
+)
+from companion.messages import Truth
+
+Four = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Frame450:
+    """An airframe of 1.5 kg that hovers at half throttle."""
+
+    mass_kg: float = 1.5
+    inertia_kg_m2: Vector3 = (0.016, 0.016, 0.03)
+    arm_length_m: float = 0.25
+    max_thrust_n: float = 7.36
+    torque_to_thrust_m: float = 0.016
+
+
+class SimpleVehicle:
+    """Stands on a floor until it flies; `floor_velocity_ned_m_s` lets the floor move like a pad."""
+
+    def __init__(self, airframe: Frame450, heading_rad: float = 0.0, floor_z_m: float = -0.18) -> None:
+        self.airframe = airframe
+        self.wind_ned_m_s: Vector3 = ZERO3
+        self.floor_velocity_ned_m_s: Vector3 = ZERO3
+        self.floor_z_m = floor_z_m
+        self.position: Vector3 = (0.0, 0.0, floor_z_m)
+        self.velocity: Vector3 = ZERO3
+        self.attitude: Quaternion = (math.cos(heading_rad / 2), 0.0, 0.0, math.sin(heading_rad / 2))
+        self.rate: Vector3 = ZERO3
+        self._motors: Four = (0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def height_m(self) -> float:
+        """Feet over the floor."""
+        return self.floor_z_m - self.position[2]
+
+    def truth(self, time_s: float) -> Truth:
+        """What the autopilot's sensors would feel."""
+        return Truth(
+            time_s=time_s,
+            vehicle_position_ned_m=self.position,
+            vehicle_velocity_ned_m_s=self.velocity,
+            vehicle_attitude=self.attitude,
+            pad_position_ned_m=ZERO3,
+            pad_velocity_ned_m_s=ZERO3,
+            pad_heading_rad=0.0,
+            rate_body_rad_s=self.rate,
+        )
+
+    def step(self, commands: Four, dt_s: float) -> None:
+        """Semi-implicit Euler; at 400 Hz that is plenty for a controller's test."""
+        a, lag = self.airframe, 1.0 - math.exp(-dt_s / 0.04)
+        m1, m2, m3, m4 = self._motors = tuple(  # type: ignore[assignment]
+            m + lag * (c - m) for m, c in zip(self._motors, commands, strict=True)
+        )
+        full, arm, k = a.max_thrust_n, a.arm_length_m, a.torque_to_thrust_m
+        torque = (full * arm * (m4 - m2), full * arm * (m1 - m3), full * k * (m1 - m2 + m3 - m4))
+        jx, jy, jz = a.inertia_kg_m2
+        p, q, r = self.rate
+        self.rate = (
+            p + dt_s * (torque[0] + (jy - jz) * q * r) / jx,
+            q + dt_s * (torque[1] + (jz - jx) * r * p) / jy,
+            r + dt_s * (torque[2] + (jx - jy) * p * q) / jz,
+        )
+        self.attitude = quat_integrate(self.attitude, self.rate, dt_s)
+        lift = quat_rotate(self.attitude, (0.0, 0.0, -full * (m1 + m2 + m3 + m4) / a.mass_kg))
+        self.velocity = tuple(  # type: ignore[assignment]
+            v + dt_s * (f + g - 0.25 * (v - w))
+            for v, f, g, w in zip(
+                self.velocity, lift, (0.0, 0.0, GRAVITY_M_S2), self.wind_ned_m_s, strict=True
+            )
+        )
+        x, y, z = self.position
+        vx, vy, vz = self.velocity
+        self.floor_z_m += self.floor_velocity_ned_m_s[2] * dt_s
+        self.position = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
+        if self.position[2] >= self.floor_z_m:
+            self._stand()
+
+    def _stand(self) -> None:
+        x, y, _ = self.position
+        fx, fy, fz = self.floor_velocity_ned_m_s
+        self.position, self.rate = (x, y, self.floor_z_m), ZERO3
+        self.velocity = (fx, fy, min(self.velocity[2], fz))
+        heading = math.atan2(self.attitude[3], self.attitude[0])
+        self.attitude = (math.cos(heading), 0.0, 0.0, math.sin(heading))
