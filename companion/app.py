@@ -14,7 +14,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from companion.clock import Clock
 from companion.config import CameraConfig, CompanionConfig, LinkConfig, VehicleConfig, find_file, load_model
@@ -41,13 +41,14 @@ from companion.messages import (
     VehicleState,
 )
 from companion.pad import load_pad
+from companion.plan.fuzzy_velocity import load_table
 from companion.plan.planner import PlanInputs, Planner
 from companion.record import FlightLog
 from companion.sense.camera import FrameSource, open_camera
 from companion.sense.i2c import RegisterBus, SensorError, open_bus
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
-from companion.sense.serial_port import BytePort, SerialPort
+from companion.sense.serial_port import SerialPort
 from companion.sense.ultrasonic import Ultrasonic
 from companion.sense.vision import Vision
 from companion.service import ServiceNotifier
@@ -63,6 +64,22 @@ END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 
 
 ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, LinkConfig], VehicleActions]
+
+
+class BytePort(Protocol):
+    """A serial line to a sensor."""
+
+    async def read(self) -> bytes:
+        """Wait for at least one byte. OSError when the line is gone."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting. OSError when the line is gone."""
+        ...
+
+    def close(self) -> None:
+        """Give the line back."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +166,16 @@ class App:
         self._imu = Mpu9250(hardware.imu_bus, config.sense.imu)
         self._gps = Neo6m(config.sense.gps)
         self._range = Ultrasonic(config.sense.range)
-        self._vision = Vision(load_pad(config.pad), camera, vehicle, config.sense.vision)
-        self._estimator = Estimator(config.estimate, vehicle, config.sense.gps.antenna_position_body_m)
+        pad = load_pad(config.pad)
+        self._vision = Vision(pad, camera, vehicle, config.sense.vision)
+        antenna = config.sense.gps.antenna_position_body_m
+        self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
         self._planner = Planner(
-            config.plan, vehicle, horizon_steps=config.control.horizon_steps, step_s=config.control.step_s
+            config.plan,
+            vehicle,
+            horizon_steps=config.control.horizon_steps,
+            step_s=config.control.step_s,
+            fuzzy=load_table(config.plan.fuzzy)[0],
         )
         self._controller = Controller(config.control, vehicle)
         self.session = Session(config.link)

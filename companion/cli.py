@@ -245,3 +245,6 @@ def write_atomically(path: Path, text: str) -> None:
 def main() -> None:
     """Entry point."""
     cli()
+
+if __name__ == "__main__":
+    main()

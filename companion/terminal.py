@@ -7,7 +7,7 @@ from collections import deque
 from types import TracebackType
 from typing import Final
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
@@ -51,7 +51,8 @@ class StatusView:
             self._live.update(self._panel(status), refresh=True)
 
     def _panel(self, status: Status) -> Panel:
-        lines = [status_table(status), *(_notice_line(notice) for notice in self._notices)]
+        lines: list[RenderableType] = [status_table(status)]
+        lines += [_notice_line(notice) for notice in self._notices]
         return Panel(Group(*lines), title=self._title, title_align="left")
 
 

@@ -10,6 +10,7 @@ The world counts from 0 at the loop's time `start_s`; stamps that leave it (fram
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from pydantic import TypeAdapter
 
 from companion.clock import Clock
 from companion.config import CameraConfig, ImuConfig, VehicleConfig, find_file, load_model
-from companion.geometry import Quaternion, Vector3, add, quat_rotate, quat_rotate_inverse
+from companion.geometry import Vector3, add, quat_from_euler, quat_rotate, quat_rotate_inverse
 from companion.messages import Frame, Phase, Truth
 from companion.pad import load_pad
 from companion.slots import Slot
@@ -300,7 +301,8 @@ class _Camera:
 def _imu(
     settings: SensorSettings, imu_rng: np.random.Generator, mag_rng: np.random.Generator
 ) -> Mpu9250Device:
-    mounting: Quaternion = ImuConfig().body_from_sensor()
+    roll, pitch, yaw = (math.radians(angle) for angle in ImuConfig().body_from_sensor_deg)
+    mounting = quat_from_euler(roll, pitch, yaw)
     k, m = settings.imu_noise_factor, settings.mag_noise_factor
     plain, plain_mag = ImuErrors(), MagErrors()
     errors = replace(
