@@ -8,8 +8,8 @@ exactly: their samples have the continuous spectrum's variance at any rate. The 
 past the vehicle by the mean wind. Along the wind is u, to its right v, down w. Near the surface the air
 cannot go through it: w fades linearly below 10 ft, where the standard ends.
 
-Shear after the same section: wind at height h is W20 ln(h / z0) / ln(20 ft / z0), z0 = 0.15 ft (landing), so the mean
-given here is that at 20 ft, and half of it is left at half a metre. Gusts follow the same profile.
+Shear after the same section: wind at height h is W20 ln(h / z0) / ln(20 ft / z0), z0 = 0.15 ft (landing), so
+the mean given here is that at 20 ft, and half of it is left at half a metre. Gusts follow the same profile.
 """
 
 from __future__ import annotations
