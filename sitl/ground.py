@@ -17,7 +17,7 @@ from companion.pad import Pad
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import NO_RATIO, Four, QuadrotorState
 
-# The formula is a mirrored source and holds for z / R > 0.5 (their own limit); nearer it is frozen.
+# The formula mirrors a source in the plane and is taken to hold for z / R > 0.5; nearer it is frozen.
 LOWEST_HEIGHT_IN_RADII: Final = 0.5
 # beyond ten radii the thrust gained is below one thousandth
 NEGLIGIBLE_HEIGHT_IN_RADII: Final = 10.0

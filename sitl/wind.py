@@ -7,6 +7,9 @@ taken at one height (20 ft), so that the filters are linear with constant coeffi
 exactly: their samples have the continuous spectrum's variance at any rate. The field is frozen and carried
 past the vehicle by the mean wind. Along the wind is u, to its right v, down w. Near the surface the air
 cannot go through it: w fades linearly below 10 ft, where the standard ends.
+
+Shear after the same section: wind at height h is W20 ln(h / z0) / ln(20 ft / z0), z0 = 0.15 ft (landing), so
+the mean given here is that at 20 ft, and half of it is left at half a metre. Gusts follow the same profile.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ KNOT_M_S: Final = 0.514444
 W20_M_S: Final = {"none": 0.0, "light": 15.0 * KNOT_M_S, "moderate": 30.0 * KNOT_M_S}
 REFERENCE_HEIGHT_FT: Final = 20.0
 FADE_HEIGHT_M: Final = 10.0 * FOOT_M
+ROUGHNESS_M: Final = 0.15 * FOOT_M
+SHEAR_LOWEST_M: Final = 0.3
 CARRIED_AT_LEAST_M_S: Final = 2.0
 TURBULENCE_STEP_S: Final = 0.02
 
@@ -40,12 +45,18 @@ class GustSettings(StrictModel):
 
 
 class WindSettings(StrictModel):
-    """What blows; `from_deg` is where the wind comes from."""
+    """What blows: `mean_m_s` at 20 ft (6.1 m), `from_deg` where it comes from."""
 
     mean_m_s: float = Field(default=0.0, ge=0.0, le=20.0)
     from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["random"] = "random"
     turbulence: Literal["none", "light", "moderate"] = "none"
     gusts: GustSettings | None = None
+
+
+def shear(height_m: float) -> float:
+    """Wind at a height over wind at 20 ft; taken as constant below 0.3 m, among grass and legs."""
+    height = max(height_m, SHEAR_LOWEST_M)
+    return math.log(height / ROUGHNESS_M) / math.log(FOOT_M * REFERENCE_HEIGHT_FT / ROUGHNESS_M)
 
 
 class DrydenTurbulence:
@@ -155,8 +166,9 @@ class Wind:
         self._next_s = 0.0
 
     def at(self, time_s: float, height_m: float) -> Vector3:
-        """Wind NED (m/s) at a height (m) over the surface; time must not run backwards."""
-        along, across, down = self._mean_m_s, 0.0, 0.0
+        """Wind NED (m/s) at a height (m) over the ground; time must not run backwards."""
+        profile = shear(height_m)
+        along, across, down = profile * self._mean_m_s, 0.0, 0.0
         if self._turbulence is not None:
             u, v, w = self._interpolated(self._turbulence, time_s)
             fade = min(1.0, max(0.0, height_m / FADE_HEIGHT_M))
@@ -165,7 +177,7 @@ class Wind:
         east = along * self._sin + across * self._cos
         if self._gusts is not None:
             gust_north, gust_east = self._gusts.at(time_s)
-            north, east = north + gust_north, east + gust_east
+            north, east = north + profile * gust_north, east + profile * gust_east
         return (north, east, down)
 
     def _interpolated(self, turbulence: DrydenTurbulence, time_s: float) -> Vector3:

@@ -9,12 +9,14 @@ import pytest
 
 from sitl.wind import (
     FADE_HEIGHT_M,
+    FOOT_M,
     TURBULENCE_STEP_S,
     W20_M_S,
     DrydenTurbulence,
     GustSettings,
     Wind,
     WindSettings,
+    shear,
 )
 
 
@@ -28,7 +30,18 @@ def rng(seed: int = 1) -> np.random.Generator:
 )
 def test_blows_from_where_it_is_said_to(from_deg: float, towards: tuple[float, float]) -> None:
     wind = Wind(WindSettings(mean_m_s=4.0, from_deg=from_deg), rng())
-    assert wind.at(3.0, 5.0) == pytest.approx((*towards, 0.0), abs=1e-9)
+    assert wind.at(3.0, 20 * FOOT_M) == pytest.approx((*towards, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(("height", "share"), [(6.096, 1.0), (3.0, 0.855), (1.0, 0.631), (0.5, 0.489)])
+def test_the_wind_is_weaker_near_the_ground(height: float, share: float) -> None:
+    assert shear(height) == pytest.approx(share, abs=0.001)
+    wind = Wind(WindSettings(mean_m_s=10.0, from_deg=180.0), rng())
+    assert wind.at(0.0, height)[0] == pytest.approx(10.0 * share, abs=0.01)
+
+
+def test_the_profile_ends_before_the_logarithm_does() -> None:
+    assert shear(0.0) == shear(-1.0) == shear(0.3) > 0.3
 
 
 def ensemble(steps: tuple[int, ...], count: int = 3000) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
@@ -91,7 +104,7 @@ def test_gusts_reach_their_amplitude_smoothly_and_leave_calm_between() -> None:
         from_deg=180.0, gusts=GustSettings(amplitude_m_s=4.0, duration_s=2.0, interval_s=5.0, spread_deg=0.0)
     )
     wind = Wind(settings, rng())
-    north = np.array([wind.at(0.01 * i, 5.0)[0] for i in range(6000)])
+    north = np.array([wind.at(0.01 * i, 20 * FOOT_M)[0] for i in range(6000)])
     assert north.max() == pytest.approx(4.0, abs=0.01)
     assert north.min() >= 0.0
     assert np.abs(np.diff(north)).max() < 4.0 * math.pi / 2.0 * 0.01 * 1.01

@@ -18,6 +18,7 @@ from companion.geometry import (
 )
 from sitl.quadrotor import Four, QuadrotorState
 from sitl.scenario import Scenario
+from sitl.wind import shear
 from sitl.world import World
 
 DT = 0.0025
@@ -183,7 +184,7 @@ def test_wind_leans_on_the_vehicle() -> None:
     world.place(QuadrotorState((0.0, 0.0, -20.0), thrust_share=(share, share, share, share)))
     run(world, 0.5, (share, share, share, share))
     assert world.truth().vehicle_velocity_ned_m_s[0] < -0.5
-    assert world.truth().wind_ned_m_s == pytest.approx((-8.0, 0.0, 0.0), abs=1e-9)
+    assert world.truth().wind_ned_m_s == pytest.approx((-8.0 * shear(20.0), 0.0, 0.0), abs=0.1)
 
 
 @pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
