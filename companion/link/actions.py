@@ -97,7 +97,7 @@ class PymavlinkActions:
             await self.set_mode("GUIDED")
             height_m = action.height_m  # ArduPilot counts from home
         else:
-            height_m = self.home()[2] + action.height_m
+            height_m = self._ground_altitude_m() + action.height_m
         await self.command(mavlink.MAV_CMD_NAV_TAKEOFF, (unused,) * 6 + (height_m,))
 
     async def _go_to(self, action: Action) -> None:
@@ -167,6 +167,11 @@ class PymavlinkActions:
         if self._session.state.home is None:
             raise Refused("the autopilot has not told its home position")
         return self._session.state.home
+
+    def _ground_altitude_m(self) -> float:
+        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming sets anew."""
+        present = self._session.state.global_position
+        return self.home()[2] if present is None else present[2]
 
     def destination(self, action: Action) -> Vector3:
         """Where to go: latitude (deg), longitude (deg), altitude (m AMSL).
