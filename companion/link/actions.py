@@ -21,7 +21,7 @@ from companion.link.session import Session
 from companion.messages import Action, ActionKind, ActionResult, Manner
 
 _POLL_S: Final = 0.01
-_CONFIRM_S: Final = 2.5  # autopilots may tell a new mode only in the next heartbeat, at 1 Hz
+_CONFIRM_S: Final = 2.5  # some autopilots tell a new mode only in the next heartbeat, at 1 Hz
 _WORDS_S: Final = 0.2  # a refusal's reason comes as a text of its own, before or after it
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
@@ -97,7 +97,7 @@ class PymavlinkActions:
             await self.set_mode("GUIDED")
             height_m = action.height_m  # ArduPilot counts from home
         else:
-            height_m = self.home()[2] + action.height_m
+            height_m = self._ground_altitude_m() + action.height_m
         await self.command(mavlink.MAV_CMD_NAV_TAKEOFF, (unused,) * 6 + (height_m,))
 
     async def _go_to(self, action: Action) -> None:
@@ -168,6 +168,11 @@ class PymavlinkActions:
             raise Refused("the autopilot has not told its home position")
         return self._session.state.home
 
+    def _ground_altitude_m(self) -> float:
+        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming sets anew."""
+        present = self._session.state.global_position
+        return self.home()[2] if present is None else present[2]
+
     def destination(self, action: Action) -> Vector3:
         """Where to go: latitude (deg), longitude (deg), altitude (m AMSL).
 
@@ -187,6 +192,7 @@ class PymavlinkActions:
         """
         parameters = mode_parameters(self.manner(), mode)
         await self.command(mavlink.MAV_CMD_DO_SET_MODE, (*parameters, 0.0, 0.0, 0.0, 0.0))
+        self.ask_for_heartbeat()
 
     async def command(
         self, number: int, parameters: tuple[float, ...], position: Vector3 | None = None
@@ -211,10 +217,17 @@ class PymavlinkActions:
             Refused: it does not in time.
         """
         until_s = self._clock.now_s() + _CONFIRM_S
+        if not holds():
+            self.ask_for_heartbeat()
         while not holds():
             if self._clock.now_s() >= until_s:
                 raise Refused(f"accepted, but not {what}")
             await self._clock.sleep_until(self._clock.now_s() + _POLL_S)
+
+    def ask_for_heartbeat(self) -> None:
+        """Have the new mode told now instead of within a second; nothing is lost when it is not."""
+        self._session.command(request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, self._session.system_id))
+        self._send(self._session.tick(self._clock.now_s()))
 
     async def _outcome(self, command: Command, settled: Callable[[], bool] = lambda: False) -> str:
         """How the command ended; "accepted" too when what it asks for is `settled` without an answer."""

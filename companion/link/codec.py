@@ -188,10 +188,10 @@ def setpoint_message(
     """
     time_ms = int(time_s * 1000.0) & 0xFFFFFFFF
     if setpoint.attitude is not None and setpoint.thrust is not None:
-        ignore_rates = 0b0000_0111
+        ignore_rates = 0b0000_0111  # ArduPilot takes all three rates or none
         return mavlink.MAVLink_set_attitude_target_message(
             time_ms, target_system, target_component, ignore_rates,
-            list(setpoint.attitude), 0.0, 0.0, setpoint.heading_rate_rad_s, setpoint.thrust,
+            list(setpoint.attitude), *ZERO3, setpoint.thrust,
         )  # fmt: skip
     ignore_position = 0b0000_0000_0111
     return mavlink.MAVLink_set_position_target_local_ned_message(

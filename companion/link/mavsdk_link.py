@@ -87,8 +87,8 @@ class MavsdkActions:
                 loop.call_soon_threadsafe(self._pass_out, data)
 
         # the raw bytes are the plain wrapper's business: the asyncio one does not pass them through
-        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
         await self._mavsdk.add_any_connection("raw://")
+        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
 
     def receive(self, data: bytes) -> None:
         """Hand on what the transport received."""
@@ -169,6 +169,7 @@ class MavsdkActions:
         try:
             await self._connect()
             await self._try(self._action.hold())
+            self._own.ask_for_heartbeat()
         except Refused:
             await self._own.hold(action)
 
@@ -177,6 +178,7 @@ class MavsdkActions:
         try:
             await self._connect()
             await self._try(self._action.land())
+            self._own.ask_for_heartbeat()
         except Refused:
             await self._own.land(action)
 
@@ -185,6 +187,7 @@ class MavsdkActions:
         try:
             await self._connect()
             await self._try(self._action.disarm())
+            await self._own.confirm(lambda: not self._session.state.armed, "disarmed")
         except Refused:
             await self._own.disarm(action)
 

@@ -22,7 +22,7 @@ from companion.link.telemetry import StatusTexts, add_text, update_state
 from companion.link.timesync import TimeSync, clock_ns
 from companion.messages import AutopilotState, PadBeacon, Setpoint
 
-_HEARD: Final = frozenset(
+HEARD: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_HEARTBEAT,
         mavlink.MAVLINK_MSG_ID_SYS_STATUS,
@@ -66,7 +66,7 @@ class Session:
         self.stranger: int | None = None
         self._config = config
         self._system_id = config.system_id
-        self._codec = Codec(config.system_id or 1, config.component_id, wanted=_HEARD)
+        self._codec = Codec(config.system_id or 1, config.component_id, wanted=HEARD)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()

@@ -116,6 +116,24 @@ async def test_px4_takes_off_to_the_height_asked_for() -> None:
     assert autopilot.parameters["MIS_TAKEOFF_ALT"] == 3.0
 
 
+async def test_a_plain_disarming_is_mavsdks_and_is_seen_when_it_returns() -> None:
+    autopilot = FakeAutopilot(armed=True)
+    async with connected(autopilot) as actions:
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.DISARM)), 10.0)
+    [command] = autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    assert result.accepted
+    assert command.get_srcComponent() == 192
+
+
+async def test_holding_does_not_hang_on_mavsdk() -> None:
+    autopilot = FakeAutopilot(mode="OFFBOARD")
+    async with connected(autopilot) as actions:
+        await actions.close()
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.HOLD)), 10.0)
+    assert result.accepted
+    assert autopilot.mode == "AUTO.LOITER"
+
+
 async def test_a_refusal_carries_the_autopilots_words() -> None:
     autopilot = FakeAutopilot(refuses={mavlink.MAV_CMD_COMPONENT_ARM_DISARM: "Arming denied: no GPS"})
     async with connected(autopilot) as actions:

@@ -93,6 +93,8 @@ def test_both_kinds_of_attitude_say_the_same(yaw_deg: int, tilt_deg: float) -> N
         mavlink.MAVLink_attitude_quaternion_message(10, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         mavlink.MAVLink_attitude_quaternion_message(10, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         mavlink.MAVLink_local_position_ned_message(10, math.inf, 0.0, 0.0, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_global_position_int_message(10, 0, 0, 0, 0, 0, 0, 0, 0),
+        mavlink.MAVLink_home_position_message(0, 0, 0, 0, 0, 0, [1.0, 0, 0, 0], 0, 0, 0),
     ],
 )
 def test_values_that_are_no_values_change_nothing(message: Message) -> None:
