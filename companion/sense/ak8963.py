@@ -86,7 +86,8 @@ class Ak8963:
     def decode(self, block: bytes) -> tuple[Vector3, bool] | None:
         """Field (µT) in the axes of the MPU9250's accelerometer, and whether it is of the newest copy.
 
-        Call it once a copy at most. None when there is nothing new, the sensor overflowed (HOFL), or the block is not one.
+        Call it once a copy at most. None when there is nothing new, the sensor overflowed (HOFL), or the
+        block is not one.
         """
         status, x, y, z, status_2 = _BLOCK.unpack(block)
         if status_2 & _OVERFLOW or not status_2 & _SIXTEEN_BITS:

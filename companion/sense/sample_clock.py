@@ -2,9 +2,10 @@
 
 The sensor runs on its own oscillator (MPU9250: +-1 %), the reader is woken late now and then, and no
 sample carries a time. What is known: sample k was taken at t0 + k T, and at a read the newest sample is
-between 0 and T old, T/2 in the mean. So a straight line (t0, T) is fitted through `read time - T/2`, recursively: the gains are
-those of the least-squares line through all reads so far (expanding-memory filter), held constant once
-they are small. An error counts as one period at most: a late wake-up hardly bends the time scale.
+between 0 and T old, T/2 in the mean. So a straight line (t0, T) is fitted through `read time - T/2`,
+recursively: the gains are those of the least-squares line through all reads so far (expanding-memory
+filter), held constant once they are small. An error counts as one period at most: a late wake-up hardly
+bends the time scale.
 """
 
 from __future__ import annotations

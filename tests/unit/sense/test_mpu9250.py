@@ -126,12 +126,20 @@ def test_gravity_and_field_turn_with_the_vehicle(yaw_deg: float, tilt_deg: float
 @pytest.mark.parametrize("accel_range", [2, 4, 8, 16])
 def test_every_range_is_scaled_alike_and_clips_at_its_end(gyro_range: int, accel_range: int) -> None:
     config = ImuConfig.model_validate({"gyro_range_deg_s": gyro_range, "accel_range_g": accel_range})
-    inside = ((0.0, 0.0, -0.9 * accel_range * GRAVITY_M_S2), (math.radians(0.9 * gyro_range), 0.0, 0.0), FIELD)
+    inside = (
+        (0.0, 0.0, -0.9 * accel_range * GRAVITY_M_S2),
+        (math.radians(0.9 * gyro_range), 0.0, 0.0),
+        FIELD,
+    )
     rig = Rig(config)
     rig.run(0.5, lambda _now_s: inside)
     assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(inside[0][2], abs=0.04)
     assert rig.imu[-1].rate_body_rad_s[0] == pytest.approx(inside[1][0], rel=1e-3)
-    beyond = ((0.0, 0.0, -1.5 * accel_range * GRAVITY_M_S2), (math.radians(1.5 * gyro_range), 0.0, 0.0), FIELD)
+    beyond = (
+        (0.0, 0.0, -1.5 * accel_range * GRAVITY_M_S2),
+        (math.radians(1.5 * gyro_range), 0.0, 0.0),
+        FIELD,
+    )
     rig = Rig(config)
     rig.run(0.5, lambda _now_s: beyond)
     assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(-accel_range * GRAVITY_M_S2, abs=0.04)
@@ -247,7 +255,9 @@ def test_both_chips_of_the_family_are_accepted(identity: int) -> None:
 
 
 def test_another_chip_is_refused_in_one_line() -> None:
-    with pytest.raises(SensorError, match=r"^MPU9250 at 0x68: identity 0x68, expected 0x71 .* or 0x73") as error:
+    with pytest.raises(
+        SensorError, match=r"^MPU9250 at 0x68: identity 0x68, expected 0x71 .* or 0x73"
+    ) as error:
         Rig(identity=0x68).driver.configure()
     assert "\n" not in str(error.value)
 

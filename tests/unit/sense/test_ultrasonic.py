@@ -40,7 +40,8 @@ def test_a_frame_in_single_bytes_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    ("millimetres", "taken"), [(0, False), (29, False), (30, True), (4500, True), (4501, False), (65279, False)]
+    ("millimetres", "taken"),
+    [(0, False), (29, False), (30, True), (4500, True), (4501, False), (65279, False)],
 )
 def test_only_distances_within_the_range_are_taken(millimetres: int, taken: bool) -> None:
     assert distances(frame(millimetres / 1000.0)) == ([millimetres / 1000.0] if taken else [])
