@@ -84,17 +84,18 @@ class Ak8963:
         self._last_axes = None
 
     def decode(self, block: bytes) -> tuple[Vector3, bool] | None:
-        """Field (µT) in the axes of the MPU9250's accelerometer, and whether it is of the newest sample.
+        """Field (µT) in the axes of the MPU9250's accelerometer, and whether it is of the newest copy.
 
-        None when there is nothing new, the sensor overflowed (HOFL), or the block is not one.
+        Call it once a copy at most. None when there is nothing new, the sensor overflowed (HOFL), or the
+        block is not one.
         """
         status, x, y, z, status_2 = _BLOCK.unpack(block)
         if status_2 & _OVERFLOW or not status_2 & _SIXTEEN_BITS:
             return None
         ready = bool(status & _DATA_READY)
-        # The block is copied at twice the magnetometer's rate and keeps its data between measurements, so
-        # data not seen before count as new even when the "ready" copy was overwritten by the next.
-        if (x, y, z) == self._last_axes:
+        # The block is copied more often than we read it, and the copy after the one marked "ready" holds
+        # the same data unmarked: what differs from the last is new as well.
+        if not ready and (x, y, z) == self._last_axes:
             return None
         self._last_axes = (x, y, z)
         kx, ky, kz = self._scale

@@ -12,7 +12,7 @@ from typing import Final
 
 UBX_SYNC: Final = b"\xb5\x62"
 _UBX_OVERHEAD: Final = 8  # sync, class, id, length, checksum
-_UBX_LONGEST_PAYLOAD: Final = 1024
+_UBX_LONGEST_PAYLOAD: Final = 512  # what we ask for has 52; a garbled length must not hide much
 _NMEA_LONGEST: Final = 120  # the standard says 82; receivers with many digits write more
 _BITS_PER_BYTE: Final = 10
 

@@ -46,7 +46,7 @@ _MASTER_400_KHZ: Final = 0x5D  # wait for the external data, stop between reads,
 
 _BURST_BYTES: Final = 28  # two frames: what an SMBus adapter reads at once
 _SILENT_S: Final = 0.25
-_STUCK_S: Final = 1.0
+_STUCK_S: Final = 0.5
 _MAG_SILENT_S: Final = 1.0
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
@@ -193,7 +193,12 @@ class Mpu9250:
             self._reset_fifo()
             self._last_sample_s = now_s
             raise FifoOverflowError(f"{self._name}: FIFO overflow, samples lost")
-        return self._read_imu(now_s, count // FRAME_BYTES), self._read_mag(now_s)
+        frames = count // FRAME_BYTES
+        if frames == 0:
+            if now_s - self._last_sample_s > _SILENT_S:
+                raise SensorError(f"no sample for {now_s - self._last_sample_s:.2f} s")
+            return [], []
+        return self._read_imu(now_s, frames), self._read_mag(now_s)
 
     def _fifo_count(self) -> int:
         high, low = self._read(_FIFO_COUNT, 2)
@@ -203,10 +208,6 @@ class Mpu9250:
         return count
 
     def _read_imu(self, now_s: float, frames: int) -> list[ImuSample]:
-        if frames == 0:
-            if now_s - self._last_sample_s > _SILENT_S:
-                raise SensorError(f"no sample for {now_s - self._last_sample_s:.2f} s")
-            return []
         data = self._read_fifo(frames * FRAME_BYTES)
         self._check_alive(data, frames)
         self._last_sample_s = now_s
@@ -232,7 +233,7 @@ class Mpu9250:
         self._same_frames += frames
         if self._same_frames > _STUCK_S * self._config.rate_hz:
             self._same_frames = 0
-            raise SensorError(f"stuck: the same sample for {_STUCK_S:.0f} s")
+            raise SensorError(f"stuck: the same sample for {_STUCK_S} s")
 
     def _sample(self, time_s: float, words: tuple[int, ...], at: int) -> ImuSample:
         ax, ay, az, temperature, gx, gy, gz = words[at : at + 7]

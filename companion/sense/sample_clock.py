@@ -2,17 +2,18 @@
 
 The sensor runs on its own oscillator (MPU9250: +-1 %), the reader is woken late now and then, and no
 sample carries a time. What is known: sample k was taken at t0 + k T, and at a read the newest sample is
-between 0 and T old, T/2 in the mean. So t0 and T are tracked by a second-order loop on
-`read time - T/2 - predicted time`, quick at first and slow later, whose error is clamped to one period:
-a late wake-up neither bends the time scale nor shifts it.
+between 0 and T old, T/2 in the mean. So a straight line (t0, T) is fitted through `read time - T/2`,
+recursively: the gains are those of the least-squares line through all reads so far (expanding-memory
+filter), held constant once they are small. An error counts as one period at most: a late wake-up hardly
+bends the time scale.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-FIRST_GAIN: Final = 0.1
-LAST_GAIN: Final = 0.006
+FIRST_READS: Final = 20  # what the nominal period is worth, in reads
+MOST_READS: Final = 800  # the memory: 8 s of polls at 100 Hz
 OSCILLATOR_TOLERANCE: Final = 0.03
 LOST_PERIODS: Final = 6.0
 LOST_READS: Final = 10
@@ -29,7 +30,7 @@ class SampleClock:
         """Forget the time scale; the next read starts a new one."""
         self._period_s = self._nominal_s
         self._newest_s: float | None = None
-        self._gain = FIRST_GAIN
+        self._reads = FIRST_READS
         self._far_reads = 0
 
     @property
@@ -55,13 +56,13 @@ class SampleClock:
         if self._far_reads >= LOST_READS and error_s > 0.0:
             # samples were lost without a trace: start again from here
             self._far_reads = 0
-            self._gain = FIRST_GAIN
+            self._reads = FIRST_READS
             return error_s
         clamped_s = max(-period, min(period, error_s))
-        correction_s = self._gain * clamped_s
-        # a quarter of the gain squared: critically damped
-        learnt_s = period + 0.25 * self._gain * correction_s / count
+        n = self._reads
+        self._reads = min(n + 1, MOST_READS)
+        share = 1.0 / ((n + 1) * (n + 2))
+        learnt_s = period + 6.0 * share * clamped_s / count
         low, high = 1.0 - OSCILLATOR_TOLERANCE, 1.0 + OSCILLATOR_TOLERANCE
         self._period_s = max(low * self._nominal_s, min(high * self._nominal_s, learnt_s))
-        self._gain = max(LAST_GAIN, self._gain / (1.0 + 0.25 * self._gain))
-        return correction_s
+        return (4 * n + 2) * share * clamped_s

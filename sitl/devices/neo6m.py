@@ -78,7 +78,7 @@ class Neo6mDevice:
 
     def step(self, now_s: float, position_ned_m: Vector3, velocity_ned_m_s: Vector3) -> bytes:
         """Bytes that go on the line now; the antenna's truth counts at the instants of its epochs."""
-        elapsed_ms = now_s * 1000.0
+        elapsed_ms = now_s * 1000.0 + 1e-6  # a step that falls on an epoch counts as it
         if self._next_ms is None:
             self._schedule(int(elapsed_ms))
         if self._next_ms is not None and elapsed_ms >= self._next_ms:

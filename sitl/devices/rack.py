@@ -1,0 +1,107 @@
+"""All sensors of one vehicle, wired: each physics step goes in as truth, registers and bytes come out.
+
+Each sensor has a random stream of its own, so that a fault in one does not change the noise of another.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from companion.config import GpsConfig, ImuConfig
+from companion.geometry import (
+    Quaternion,
+    Vector3,
+    add,
+    cross,
+    quat_from_euler,
+    quat_rotate,
+    quat_rotate_inverse,
+    tilt_from_quat,
+)
+from sitl.devices.ak8963 import Ak8963Device
+from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.neo6m import Neo6mDevice
+from sitl.devices.ports import DevicePort
+from sitl.devices.ultrasonic import UltrasonicDevice
+from sitl.inertial import ImuErrors, ImuSensor
+from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
+
+OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
+
+
+@dataclass(frozen=True, slots=True)
+class SensorErrors:
+    """How good the sensors are."""
+
+    imu: ImuErrors = field(default_factory=ImuErrors)
+    magnetometer: MagErrors = field(default_factory=MagErrors)
+    gps: GpsErrors = field(default_factory=GpsErrors)
+    range: RangeErrors = field(default_factory=RangeErrors)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTruth:
+    """What the world does to the sensors at one instant.
+
+    Position and velocity are the reference point's (centre of mass); `range_height_m` is the ultrasonic's
+    over the floor or pad beneath it; `throttle` is the mean motor command, 0 to 1.
+    """
+
+    specific_force_body_m_s2: Vector3
+    rate_body_rad_s: Vector3
+    attitude: Quaternion
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    range_height_m: float
+    throttle: float
+
+
+class SensorRack:
+    """The vehicle's IMU (a register bus), GPS and ultrasonic (on their serial lines)."""
+
+    def __init__(
+        self,
+        seed: int,
+        dt_s: float,
+        *,
+        home: Vector3,
+        field_ned_ut: Vector3,
+        gps_port: DevicePort,
+        range_port: DevicePort,
+        imu_config: ImuConfig | None = None,
+        gps_config: GpsConfig | None = None,
+        errors: SensorErrors | None = None,
+    ) -> None:
+        imu_config, gps_config = imu_config or ImuConfig(), gps_config or GpsConfig()
+        errors = errors or SensorErrors()
+        streams = [np.random.default_rng((seed, k)) for k in range(4)]
+        mount = quat_from_euler(*(math.radians(angle) for angle in imu_config.body_from_sensor_deg))
+        clock_errors = streams[0].uniform(-OSCILLATOR_TOLERANCE, OSCILLATOR_TOLERANCE, 2).tolist()
+        self.imu = Mpu9250Device(
+            ImuSensor(errors.imu, streams[0], dt_s, mount),
+            Ak8963Device(MagSensor(errors.magnetometer, streams[1], mount), clock_error=clock_errors[1]),
+            address=imu_config.address,
+            clock_error=clock_errors[0],
+        )
+        self.gps = Neo6mDevice(GpsSensor(errors.gps, streams[2], home), gps_config.latency_s)
+        self.range = UltrasonicDevice(RangeSensor(errors.range, streams[3]))
+        self._field_ned_ut = field_ned_ut
+        self._antenna_body_m = gps_config.antenna_position_body_m
+        self._gps_port = gps_port
+        self._range_port = range_port
+
+    def step(self, now_s: float, truth: SensorTruth) -> None:
+        """One physics step: feel it, and put on the lines what is due."""
+        attitude, rate = truth.attitude, truth.rate_body_rad_s
+        field_body = quat_rotate_inverse(attitude, self._field_ned_ut)
+        self.imu.step(now_s, truth.specific_force_body_m_s2, rate, field_body, truth.throttle)
+        antenna = quat_rotate(attitude, self._antenna_body_m)
+        turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))
+        self.gps.receive(self._gps_port.receive())
+        position, velocity = add(truth.position_ned_m, antenna), add(truth.velocity_ned_m_s, turning)
+        self._gps_port.send(self.gps.step(now_s, position, velocity))
+        self._range_port.send(self.range.step(now_s, truth.range_height_m, tilt_from_quat(attitude)))

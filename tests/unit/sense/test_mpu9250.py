@@ -1,0 +1,363 @@
+"""The MPU9250's driver against registers: the simulated chip's, and hand-made ones."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.config import ConfigError, ImuConfig, validate
+from companion.geometry import GRAVITY_M_S2, Vector3, quat_from_euler, quat_rotate_inverse
+from companion.messages import ImuSample, MagSample
+from companion.sense.ak8963 import Ak8963
+from companion.sense.i2c import SensorError
+from companion.sense.mpu9250 import FifoOverflowError, Mpu9250
+from companion.sense.sample_clock import SampleClock
+from sitl.devices.ak8963 import Ak8963Device
+from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.inertial import NO_IMU_ERRORS, ImuErrors, ImuSensor
+from sitl.sensors import MagErrors, MagSensor
+
+STEP_S = 1.0 / 400.0
+POLL_S = 0.01
+REST: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
+STILL: Vector3 = (0.0, 0.0, 0.0)
+FIELD: Vector3 = (20.9, 0.6, 42.9)
+# enough noise that no two samples are alike, and small against every tolerance here
+QUIET_IMU = replace(NO_IMU_ERRORS, accel_noise_m_s2_rthz=60e-6 * GRAVITY_M_S2)
+QUIET_MAG = MagErrors(noise_ut=0.3, hard_iron_ut=0.0, soft_iron=0.0, current_ut=0.0)
+
+Truth = Callable[[float], tuple[Vector3, Vector3, Vector3]]
+
+
+def at_rest(_now_s: float) -> tuple[Vector3, Vector3, Vector3]:
+    return REST, STILL, FIELD
+
+
+class Rig:
+    """One chip, its driver, and the time that passes for both."""
+
+    def __init__(
+        self,
+        config: ImuConfig | None = None,
+        imu: ImuErrors = QUIET_IMU,
+        *,
+        clock_error: float = 0.003,
+        identity: int = 0x71,
+    ) -> None:
+        self.config = config or ImuConfig()
+        rng = np.random.default_rng(7)
+        roll, pitch, yaw = (math.radians(angle) for angle in self.config.body_from_sensor_deg)
+        mount = quat_from_euler(roll, pitch, yaw)
+        self.device = Mpu9250Device(
+            ImuSensor(imu, rng, STEP_S, mount),
+            Ak8963Device(MagSensor(QUIET_MAG, rng, mount)),
+            clock_error=clock_error,
+            identity=identity,
+        )
+        self.driver = Mpu9250(self.device, self.config)
+        self.now_s = 0.0
+        self.imu: list[ImuSample] = []
+        self.mag: list[MagSample] = []
+        self.faults: list[SensorError] = []
+        self._step = 0
+
+    def run(self, seconds: float, truth: Truth = at_rest, polling: bool = True) -> None:
+        every = round(POLL_S / STEP_S)
+        for _ in range(round(seconds / STEP_S)):
+            self.now_s = self._step * STEP_S
+            self.device.step(self.now_s, *truth(self.now_s), 0.0)
+            if polling and self._step % every == 0:
+                self.poll(self.now_s)
+            self._step += 1
+
+    def poll(self, now_s: float) -> None:
+        try:
+            imu, mag = self.driver.poll(now_s)
+        except SensorError as error:
+            self.faults.append(error)
+        else:
+            self.imu += imu
+            self.mag += mag
+
+
+# ---------------------------------------------------------------- units, axes, scales
+
+
+def test_at_rest_and_level_the_specific_force_is_up() -> None:
+    rig = Rig()
+    rig.run(0.7)
+    assert len(rig.imu) > 40
+    for sample in rig.imu:
+        assert sample.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -9.80665), abs=0.04)
+        assert sample.rate_body_rad_s == pytest.approx(STILL, abs=0.001)
+        assert sample.temperature_c == pytest.approx(38.0, abs=0.01)
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, -90.0])
+@pytest.mark.parametrize("roll_deg", [0.0, 180.0])
+def test_any_mounting_gives_the_same_body_values(roll_deg: float, yaw_deg: float) -> None:
+    rig = Rig(ImuConfig(body_from_sensor_deg=(roll_deg, 0.0, yaw_deg)))
+    truth = ((1.0, -2.0, -9.0), (0.3, -0.2, 0.1), (20.0, -5.0, 40.0))
+    rig.run(0.7, lambda _now_s: truth)
+    newest, field = rig.imu[-1], np.mean([m.field_body_ut for m in rig.mag], axis=0)
+    assert newest.specific_force_body_m_s2 == pytest.approx(truth[0], abs=0.04)
+    assert newest.rate_body_rad_s == pytest.approx(truth[1], abs=0.001)
+    assert field == pytest.approx(truth[2], abs=0.3)
+
+
+@pytest.mark.parametrize("tilt_deg", [-30.0, 20.0])
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
+def test_gravity_and_field_turn_with_the_vehicle(yaw_deg: float, tilt_deg: float) -> None:
+    attitude = quat_from_euler(math.radians(tilt_deg), math.radians(0.5 * tilt_deg), math.radians(yaw_deg))
+    force = quat_rotate_inverse(attitude, REST)
+    field = quat_rotate_inverse(attitude, FIELD)
+    rig = Rig()
+    rig.run(0.7, lambda _now_s: (force, STILL, field))
+    assert rig.imu[-1].specific_force_body_m_s2 == pytest.approx(force, abs=0.04)
+    assert np.mean([m.field_body_ut for m in rig.mag], axis=0) == pytest.approx(field, abs=0.3)
+
+
+@pytest.mark.parametrize("gyro_range", [250, 500, 1000, 2000])
+@pytest.mark.parametrize("accel_range", [2, 4, 8, 16])
+def test_every_range_is_scaled_alike_and_clips_at_its_end(gyro_range: int, accel_range: int) -> None:
+    config = ImuConfig.model_validate({"gyro_range_deg_s": gyro_range, "accel_range_g": accel_range})
+    inside = (
+        (0.0, 0.0, -0.9 * accel_range * GRAVITY_M_S2),
+        (math.radians(0.9 * gyro_range), 0.0, 0.0),
+        FIELD,
+    )
+    rig = Rig(config)
+    rig.run(0.5, lambda _now_s: inside)
+    assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(inside[0][2], abs=0.04)
+    assert rig.imu[-1].rate_body_rad_s[0] == pytest.approx(inside[1][0], rel=1e-3)
+    beyond = (
+        (0.0, 0.0, -1.5 * accel_range * GRAVITY_M_S2),
+        (math.radians(1.5 * gyro_range), 0.0, 0.0),
+        FIELD,
+    )
+    rig = Rig(config)
+    rig.run(0.5, lambda _now_s: beyond)
+    assert rig.imu[-1].specific_force_body_m_s2[2] == pytest.approx(-accel_range * GRAVITY_M_S2, abs=0.04)
+    assert rig.imu[-1].rate_body_rad_s[0] == pytest.approx(math.radians(gyro_range), rel=1e-3)
+
+
+def test_magnetometer_block_is_decoded_with_swapped_axes_and_little_endian() -> None:
+    block = struct.pack("<BhhhB", 0x01, 100, -200, 300, 0x10)
+    # without the fuse ROM's values: 0.15 µT a step
+    decoded = Ak8963(_NoBus(), 0x68).decode(block)
+    assert decoded is not None
+    field, newest = decoded
+    assert field == pytest.approx((-30.0, 15.0, -45.0))
+    assert newest
+
+
+@pytest.mark.parametrize("status_2", [0x18, 0x08, 0x00])
+def test_magnetometer_overflow_or_wrong_width_is_no_measurement(status_2: int) -> None:
+    block = struct.pack("<BhhhB", 0x01, 100, -200, 300, status_2)
+    assert Ak8963(_NoBus(), 0x68).decode(block) is None
+
+
+def test_a_magnetic_overflow_is_dropped_and_the_rest_goes_on() -> None:
+    rig = Rig()
+    rig.run(0.7, lambda now_s: (REST, STILL, FIELD if now_s < 0.5 else (4000.0, 2000.0, 0.0)))
+    assert rig.mag
+    assert all(abs(m.field_body_ut[0]) < 100.0 for m in rig.mag)
+    assert rig.imu[-1].time_s > 0.68
+
+
+class _NoBus:
+    def read(self, address: int, register: int, length: int) -> bytes:
+        raise OSError(address, register, length)
+
+    def write(self, address: int, register: int, value: int) -> None:
+        raise OSError(address, register, value)
+
+
+# ---------------------------------------------------------------- time
+
+
+@pytest.mark.parametrize("clock_error", [-0.01, 0.003, 0.01])
+def test_time_stamps_find_the_instants_of_measurement(clock_error: float) -> None:
+    """GIVEN a ramp of the rate and a chip whose clock is wrong THEN time and value agree, delay and all."""
+    rig = Rig(clock_error=clock_error)
+    slope = 0.6
+    rig.run(12.0, lambda now_s: (REST, (slope * now_s, 0.0, 0.0), FIELD))
+    late = [s for s in rig.imu if s.time_s > 8.0]
+    errors_s = [s.rate_body_rad_s[0] / slope - s.time_s for s in late]
+    assert abs(float(np.mean(errors_s))) < 0.0006
+    assert max(abs(e) for e in errors_s) < 0.002
+    assert rig.driver._clock.period_s == pytest.approx(0.005 * (1.0 + clock_error), rel=1e-3)
+
+
+def test_no_sample_is_lost_or_doubled() -> None:
+    rig = Rig(clock_error=0.0)
+    rig.run(3.0)
+    times = [s.time_s for s in rig.imu]
+    assert np.abs(np.diff(times) - 0.005).max() < 0.0003
+    assert len(rig.imu) == pytest.approx((times[-1] - times[0]) * 200.0 + 1.0, abs=1.0)
+    assert len(rig.mag) == pytest.approx(len(rig.imu) / 2.0, rel=0.03)
+
+
+def test_samples_after_a_late_poll_keep_their_spacing() -> None:
+    rig = Rig()
+    rig.run(3.0)
+    count = len(rig.imu)
+    rig.run(0.12, polling=False)
+    rig.run(0.3)
+    assert not rig.faults
+    assert len(rig.imu) - count > 80
+    assert np.abs(np.diff([s.time_s for s in rig.imu[-100:]]) - 0.005).max() < 0.0001
+
+
+def test_sample_clock_is_not_bent_by_late_or_early_stamped_reads() -> None:
+    clock = SampleClock(0.005)
+    rng = np.random.default_rng(3)
+    true_period, taken, newest_error = 0.00502, 0, 0.0
+    for k in range(1, 3000):
+        read_s = 0.01 * k + (0.03 if rng.random() < 0.02 else 0.0)
+        # the reader took its time stamp before a stall in one read of fifty
+        stamp_s = read_s - (0.02 if rng.random() < 0.02 else 0.0)
+        count = int(read_s / true_period) - taken
+        if count <= 0:
+            continue
+        taken += count
+        newest_error = clock.stamp(stamp_s, count)[-1] - taken * true_period
+        if k > 1500:
+            assert abs(newest_error) < 0.0015
+    assert clock.period_s == pytest.approx(true_period, rel=5e-4)
+
+
+def test_sample_clock_starts_again_when_samples_vanished_unnoticed() -> None:
+    clock = SampleClock(0.005)
+    for k in range(200):
+        clock.stamp(0.01 * k, 2)
+    # half a second without samples and without a word
+    for k in range(250, 300):
+        stamps = clock.stamp(0.01 * k, 2)
+    assert stamps[-1] == pytest.approx(2.99 - 0.0025, abs=0.005)
+
+
+# ---------------------------------------------------------------- faults
+
+
+@pytest.mark.parametrize("identity", [0x71, 0x73])
+def test_both_chips_of_the_family_are_accepted(identity: int) -> None:
+    rig = Rig(identity=identity)
+    rig.driver.configure()
+    rig.run(0.6)
+    assert rig.driver.ready
+    assert rig.imu
+
+
+def test_another_chip_is_refused_in_one_line() -> None:
+    with pytest.raises(
+        SensorError, match=r"^MPU9250 at 0x68: identity 0x68, expected 0x71 .* or 0x73"
+    ) as error:
+        Rig(identity=0x68).driver.configure()
+    assert "\n" not in str(error.value)
+
+
+def test_an_empty_bus_is_told_in_one_line() -> None:
+    rig = Rig(ImuConfig(address=0x69))
+    with pytest.raises(SensorError, match=r"^MPU9250 at 0x69: Remote I/O error$"):
+        rig.driver.configure()
+
+
+def test_fifo_overflow_is_reported_once_and_sampling_goes_on() -> None:
+    rig = Rig()
+    rig.run(1.0)
+    rig.run(0.25, polling=False)
+    before = len(rig.imu)
+    rig.run(0.1)
+    assert [type(f) for f in rig.faults] == [FifoOverflowError]
+    assert "overflow" in str(rig.faults[0])
+    fresh = rig.imu[before:]
+    assert len(fresh) > 12
+    assert fresh[0].time_s > 1.24
+    assert fresh[-1].specific_force_body_m_s2 == pytest.approx(REST, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"), [("nack", "Remote I/O error"), ("ones", "all ones"), ("stuck", "no sample for")]
+)
+def test_a_fault_is_told_and_the_driver_recovers_by_itself(fault: str, words: str) -> None:
+    rig = Rig()
+    rig.run(1.0)
+    rig.device.fault = fault  # type: ignore[assignment]
+    rig.run(0.6)
+    assert words in str(rig.faults[0])
+    assert all("\n" not in str(f) for f in rig.faults)
+    rig.device.fault = "none"
+    count, mags = len(rig.imu), len(rig.mag)
+    rig.run(1.0)
+    assert len(rig.imu) > count + 80
+    assert len(rig.mag) > mags + 30
+
+
+def test_a_power_cut_in_flight_is_noticed_and_mended() -> None:
+    rig = Rig()
+    rig.run(1.0)
+    rig.device.power_cycle()
+    rig.run(1.2)
+    assert len(rig.faults) == 1
+    assert rig.driver.ready
+    assert rig.imu[-1].time_s > 2.1
+
+
+def test_the_same_sample_for_ever_is_a_dead_sensor() -> None:
+    rig = Rig()
+    rig.run(0.5)
+    for _ in range(300):
+        rig.now_s += POLL_S
+        rig.device.push_sample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+        rig.device.push_sample((0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+        rig.poll(rig.now_s)
+    assert "stuck" in str(rig.faults[0])
+
+
+def test_settings_that_do_not_take_are_told() -> None:
+    rig = Rig()
+    write = rig.device.write
+
+    def forgetful(address: int, register: int, value: int) -> None:
+        write(address, register, 0 if register == 0x1C else value)
+
+    rig.device.write = forgetful  # type: ignore[method-assign]
+    rig.run(0.3)
+    assert "settings not taken: wrote 0442081002, read 0442080002" in str(rig.faults[0])
+
+
+def test_a_chip_without_its_magnetometer_is_told() -> None:
+    rig = Rig()
+    rig.device._mag.read = lambda register, length: bytes(length)  # type: ignore[method-assign]
+    rig.run(0.5)
+    assert "AK8963: identity 0x00, expected 0x48" in str(rig.faults[0])
+
+
+# ---------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"rate_hz": 300}, "a divisor of 1000"),
+        ({"rate_hz": 1000, "poll_hz": 50}, "expected at least 56"),
+    ],
+)
+def test_rates_that_do_not_fit_the_chip_are_refused(settings: dict[str, int], expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        validate(ImuConfig, settings, "test.yaml")
+
+
+@pytest.mark.parametrize("rate_hz", [50, 100, 200])
+@pytest.mark.parametrize("filter_hz", [184, 92, 41, 20])
+def test_every_rate_and_filter_flows(rate_hz: int, filter_hz: int) -> None:
+    rig = Rig(ImuConfig.model_validate({"rate_hz": rate_hz, "filter_hz": filter_hz}))
+    rig.run(1.0)
+    assert not rig.faults
+    assert len(rig.imu) > 0.5 * rate_hz

@@ -1,0 +1,131 @@
+"""The serial port on a pseudo terminal: what a tty does, unplugging included."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import tty
+from collections.abc import Iterator
+
+import pytest
+
+from companion.config import ConfigError
+from companion.sense.serial_port import SerialPort
+from sitl.devices.ports import PtyPort
+
+PATIENCE_S = 5.0
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+    os.close(slave)
+    yield master, path
+    with contextlib.suppress(OSError):  # a test may have unplugged it
+        os.close(master)
+
+
+async def test_bytes_come_as_they_were_sent(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = SerialPort(path, 9600)
+    every_byte = bytes(range(256))
+    os.write(master, every_byte)
+    received = b""
+    while len(received) < len(every_byte):
+        received += await asyncio.wait_for(port.read(), PATIENCE_S)
+    assert received == every_byte
+    port.close()
+
+
+async def test_bytes_go_as_they_were_written(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = SerialPort(path, 9600)
+    every_byte = bytes(range(256))
+    port.write(every_byte)
+    sent = b""
+    while len(sent) < len(every_byte):
+        sent += await asyncio.to_thread(os.read, master, 512)
+    assert sent == every_byte
+    port.close()
+
+
+async def test_reading_waits_until_something_comes(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = SerialPort(path, 9600)
+    reading = asyncio.create_task(port.read())
+    await asyncio.sleep(0.02)
+    assert not reading.done()
+    os.write(master, b"x")
+    assert await asyncio.wait_for(reading, PATIENCE_S) == b"x"
+    port.close()
+
+
+async def test_unplugging_ends_reading_and_writing_with_an_error(pty: tuple[int, str]) -> None:
+    master, path = pty
+    port = SerialPort(path, 9600)
+    os.close(master)
+    with pytest.raises(OSError, match=f"serial port {path}"):
+        await asyncio.wait_for(port.read(), PATIENCE_S)
+    with pytest.raises(OSError, match=f"serial port {path}"):
+        port.write(b"x")
+    port.close()
+
+
+async def test_closing_ends_a_waiting_read(pty: tuple[int, str]) -> None:
+    _, path = pty
+    port = SerialPort(path, 9600)
+    reading = asyncio.create_task(port.read())
+    await asyncio.sleep(0)
+    port.close()
+    with pytest.raises(OSError, match="closed"):
+        await asyncio.wait_for(reading, PATIENCE_S)
+
+
+async def test_a_line_that_does_not_take_anything_is_an_error_and_no_growing_heap(
+    pty: tuple[int, str],
+) -> None:
+    _, path = pty
+    port = SerialPort(path, 9600)
+    # the kernel takes the first tens of kilobytes
+    port.write(bytes(60_000))
+    port.write(bytes(1_000))
+    with pytest.raises(OSError, match="does not keep up"):
+        port.write(bytes(65_536))
+    port.close()
+
+
+async def test_a_port_that_is_not_there_is_told_in_one_line() -> None:
+    with pytest.raises(
+        ConfigError, match=r"^serial port /dev/ttyNONE: cannot be opened at 9600 baud: No such"
+    ):
+        SerialPort("/dev/ttyNONE", 9600)
+
+
+async def test_a_file_that_is_no_port_is_told_in_one_line(tmp_path: os.PathLike[str]) -> None:
+    path = os.path.join(tmp_path, "file")  # noqa: PTH118 - the setting is a string
+    with open(path, "wb"):  # noqa: PTH123, ASYNC230
+        pass
+    with pytest.raises(ConfigError, match=r"^serial port .*file: cannot be opened at 9600 baud: "):
+        SerialPort(path, 9600)
+
+
+async def test_simulated_line_and_port_talk_both_ways() -> None:
+    line = PtyPort(115200)
+    port = SerialPort(line.path, 9600)
+    line.send(b"from the device")
+    received = b""
+    while len(received) < 15:
+        received += await asyncio.wait_for(port.read(), PATIENCE_S)
+    assert received == b"from the device"
+    port.write(b"\xb5\x62 from the app")
+    sent = b""
+    while len(sent) < 15:
+        await asyncio.sleep(0.005)
+        sent += line.receive()
+    assert sent == b"\xb5\x62 from the app"
+    line.close()
+    with pytest.raises(OSError, match="serial port"):
+        await asyncio.wait_for(port.read(), PATIENCE_S)

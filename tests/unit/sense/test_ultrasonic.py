@@ -1,0 +1,80 @@
+"""The ultrasonic's parser, on hand-made frames and on the simulated sensor's."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.config import RangeConfig
+from companion.sense.ultrasonic import Ultrasonic
+from sitl.devices.ultrasonic import frame
+
+BYTE_S = 10.0 / 9600.0
+
+
+def distances(data: bytes) -> list[float]:
+    return [sample.distance_m for sample in Ultrasonic(RangeConfig()).feed(data, 1.0)]
+
+
+def test_the_data_sheets_example_is_1953_mm() -> None:
+    assert distances(bytes.fromhex("ff07a1a7")) == [1.953]
+
+
+def test_time_is_when_the_sound_met_the_ground() -> None:
+    """Sound is back 2d/c after the ping; it met the ground half way; then four bytes take 4.17 ms."""
+    (sample,) = Ultrasonic(RangeConfig()).feed(bytes.fromhex("ff07a1a7"), 10.0)
+    assert sample.time_s == pytest.approx(10.0 - 4 * BYTE_S - 1.953 / 340.0)
+
+
+def test_time_of_a_frame_with_others_behind_it_counts_their_bytes_too() -> None:
+    both = Ultrasonic(RangeConfig()).feed(frame(1.0) + frame(2.0), 10.0)
+    assert both[0].time_s == pytest.approx(10.0 - 8 * BYTE_S - 1.0 / 340.0)
+    assert both[1].time_s == pytest.approx(10.0 - 4 * BYTE_S - 2.0 / 340.0)
+
+
+def test_a_frame_in_single_bytes_is_found() -> None:
+    parser = Ultrasonic(RangeConfig())
+    found = [sample for byte in frame(0.5) for sample in parser.feed(bytes((byte,)), 1.0)]
+    assert [sample.distance_m for sample in found] == [0.5]
+
+
+@pytest.mark.parametrize(
+    ("millimetres", "taken"),
+    [(0, False), (29, False), (30, True), (4500, True), (4501, False), (65279, False)],
+)
+def test_only_distances_within_the_range_are_taken(millimetres: int, taken: bool) -> None:
+    assert distances(frame(millimetres / 1000.0)) == ([millimetres / 1000.0] if taken else [])
+
+
+def test_a_damaged_frame_is_dropped_and_the_next_is_taken() -> None:
+    damaged = bytearray(frame(1.0))
+    damaged[2] ^= 0x10
+    assert distances(bytes(damaged) + frame(2.0)) == [2.0]
+
+
+def test_half_a_frame_does_not_swallow_the_next() -> None:
+    assert distances(frame(1.0)[:3] + frame(2.0)) == [2.0]
+
+
+def test_a_header_byte_inside_a_frame_is_no_header() -> None:
+    # 255 mm: 0xFF 0x00 0xFF 0xFE
+    assert distances(frame(0.255) + frame(0.511)) == [0.255, 0.511]
+
+
+@settings(max_examples=60)
+@given(st.binary(max_size=40).filter(lambda noise: b"\xff" not in noise), st.integers(30, 4500))
+def test_garbage_before_a_frame_does_no_harm(noise: bytes, millimetres: int) -> None:
+    assert distances(noise + frame(millimetres / 1000.0)) == [millimetres / 1000.0]
+
+
+@settings(max_examples=60)
+@given(st.lists(st.binary(max_size=9), max_size=20))
+def test_anything_at_all_survives(pieces: list[bytes]) -> None:
+    parser = Ultrasonic(RangeConfig())
+    for piece in pieces:
+        for sample in parser.feed(piece, 1.0):
+            assert 0.03 <= sample.distance_m <= 4.5
+    # whatever came: three frames later at the latest it is in step again
+    tail = [sample.distance_m for _ in range(3) for sample in parser.feed(frame(1.234), 2.0)]
+    assert tail[-1] == 1.234
