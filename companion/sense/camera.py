@@ -1,0 +1,242 @@
+"""Where frames come from: a V4L2 camera, or another process on a local socket.
+
+The newest frame wins: whoever is slow misses frames and never works through old ones. `Frame.time_s` is
+mid-exposure of the image's middle row on the loop's clock (CLOCK_MONOTONIC).
+
+Sources, as in `sense.vision.source`: "v4l2:0" (/dev/video0), "socket:/run/companion/frames".
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.clock import Clock
+from companion.config import CameraConfig, ConfigError
+from companion.frame_format import HEADER_SIZE, FrameHeader, unpack_header, unpack_image
+from companion.messages import Frame
+
+V4L2_MANUAL_EXPOSURE: Final = 1
+V4L2_EXPOSURE_UNIT_S: Final = 1e-4
+# a driver's time stamp is believed when it is not from the future and not older than this
+OLDEST_STAMP_S: Final = 0.5
+
+
+class FrameSource(Protocol):
+    """A camera."""
+
+    async def next(self) -> Frame:
+        """Wait for a frame newer than the last one returned.
+
+        Raises:
+            OSError: the camera is gone.
+            ConfigError: its images are not of the calibrated size.
+        """
+
+    def close(self) -> None:
+        """Let go of the camera; `next` may not be called afterwards."""
+
+
+class Capture(Protocol):
+    """What is used of cv2.VideoCapture."""
+
+    def read(self) -> tuple[bool, Any]: ...
+    def get(self, propId: int) -> float: ...
+    def set(self, propId: int, value: float) -> bool: ...
+    def release(self) -> None: ...
+
+
+async def open_camera(spec: str, camera: CameraConfig) -> FrameSource:
+    """Open the source named by `spec`.
+
+    Raises:
+        ConfigError: no such source; one line with what was expected.
+    """
+    kind, _, where = spec.partition(":")
+    if kind == "v4l2" and where.isdigit():
+        capture = await asyncio.to_thread(_open_v4l2, int(where), camera)
+        return V4l2Camera(capture, camera, Clock())
+    if kind == "socket" and where:
+        return await SocketCamera.connect(Path(where), camera)
+    raise ConfigError(f"sense.vision.source: '{spec}'; expected v4l2:NUMBER or socket:PATH")
+
+
+class _Newest:
+    """A slot for the newest frame, or for the reason why there will be none."""
+
+    def __init__(self) -> None:
+        self._frame: Frame | None = None
+        self._error: Exception | None = None
+        self._arrived = asyncio.Event()
+
+    def put(self, frame: Frame) -> None:
+        self._frame = frame
+        self._arrived.set()
+
+    def fail(self, error: Exception) -> None:
+        self._error = error
+        self._arrived.set()
+
+    async def next(self) -> Frame:
+        await self._arrived.wait()
+        if self._frame is not None:
+            frame, self._frame = self._frame, None
+            if self._error is None:
+                self._arrived.clear()
+            return frame
+        assert self._error is not None
+        raise self._error
+
+
+class SocketCamera:
+    """Frames in the format of `companion.frame_format` from a unix socket."""
+
+    def __init__(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, camera: CameraConfig, clock: Clock
+    ) -> None:
+        self._reader, self._writer = reader, writer
+        self._camera = camera
+        self._clock = clock
+        self._newest = _Newest()
+        self._task = asyncio.create_task(self._receive(), name="frames from the socket")
+
+    @classmethod
+    async def connect(cls, path: Path, camera: CameraConfig) -> SocketCamera:
+        """Connect to whoever serves frames there.
+
+        Raises:
+            ConfigError: nobody does.
+        """
+        try:
+            reader, writer = await asyncio.open_unix_connection(path, limit=2**20)
+        except OSError as error:
+            raise ConfigError(
+                f"sense.vision.source: socket:{path}: {error.strerror or error}; "
+                "expected a program that serves frames"
+            ) from error
+        return cls(reader, writer, camera, Clock())
+
+    async def next(self) -> Frame:
+        """See `FrameSource`."""
+        return await self._newest.next()
+
+    def close(self) -> None:
+        """See `FrameSource`."""
+        self._task.cancel()
+        self._writer.close()
+
+    async def _receive(self) -> None:
+        try:
+            while True:
+                header = unpack_header(await self._reader.readexactly(HEADER_SIZE))
+                self._check(header)
+                image = unpack_image(header, await self._reader.readexactly(header.size))
+                self._newest.put(Frame(header.time_s, self._clock.now_s(), header.sequence, image))
+        except (OSError, EOFError) as error:
+            self._newest.fail(OSError(f"the camera's socket was closed: {error}"))
+        except ValueError as error:
+            self._newest.fail(OSError(f"the camera's socket does not send frames: {error}"))
+        except ConfigError as error:
+            self._newest.fail(error)
+
+    def _check(self, header: FrameHeader) -> None:
+        _check_size(header.width_px, header.height_px, self._camera)
+
+
+class V4l2Camera:
+    """A camera of the kernel's, read by a thread of its own because reading blocks."""
+
+    def __init__(self, capture: Capture, camera: CameraConfig, clock: Clock) -> None:
+        self._capture = capture
+        self._camera = camera
+        self._clock = clock
+        self._newest = _Newest()
+        self._loop = asyncio.get_running_loop()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._read_all, name="camera", daemon=True)
+        self._thread.start()
+
+    async def next(self) -> Frame:
+        """See `FrameSource`."""
+        return await self._newest.next()
+
+    def close(self) -> None:
+        """See `FrameSource`. Waits for the frame that is being read, at most a second."""
+        self._stop.set()
+        self._thread.join(timeout=1.0)
+        if not self._thread.is_alive():
+            self._capture.release()
+
+    def _read_all(self) -> None:
+        sequence = 0
+        while not self._stop.is_set():
+            good, image = self._capture.read()
+            if not good:
+                self._loop.call_soon_threadsafe(
+                    self._newest.fail, OSError("the camera stopped sending frames")
+                )
+                return
+            received_s = self._clock.now_s()
+            stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+            time_s = exposure_time_s(stamp_s, received_s, self._camera)
+            frame = Frame(time_s, received_s, sequence, _grey(image))
+            if not self._stop.is_set():
+                self._loop.call_soon_threadsafe(self._newest.put, frame)
+            sequence += 1
+
+
+def exposure_time_s(stamp_s: float, received_s: float, camera: CameraConfig) -> float:
+    """Mid-exposure of the middle row.
+
+    V4L2 stamps a frame when its last row has been read out, which ends the last row's exposure; the middle
+    row was read half a readout before. A driver without (believable) stamps leaves the time of receipt.
+    """
+    end_s = stamp_s if received_s - OLDEST_STAMP_S <= stamp_s <= received_s else received_s
+    return end_s - 0.5 * camera.readout_s - 0.5 * camera.exposure_s
+
+
+def _open_v4l2(number: int, camera: CameraConfig) -> cv2.VideoCapture:
+    """Open and set up a camera: short fixed exposure, so that light changes gain and never blur.
+
+    Raises:
+        ConfigError: no such camera, or it cannot make images of the calibrated size.
+    """
+    source = f"sense.vision.source: v4l2:{number}"
+    capture = cv2.VideoCapture(number, cv2.CAP_V4L2)
+    if not capture.isOpened():
+        raise ConfigError(
+            f"{source}: no camera at /dev/video{number}; expected one that is connected and free"
+        )
+    capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width_px)
+    capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height_px)
+    capture.set(cv2.CAP_PROP_FPS, camera.rate_hz)
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 2)
+    capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, V4L2_MANUAL_EXPOSURE)
+    capture.set(cv2.CAP_PROP_EXPOSURE, max(1, round(camera.exposure_s / V4L2_EXPOSURE_UNIT_S)))
+    width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+    height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+    try:
+        _check_size(width, height, camera)
+    except ConfigError:
+        capture.release()
+        raise
+    return capture
+
+
+def _check_size(width_px: int, height_px: int, camera: CameraConfig) -> None:
+    if (width_px, height_px) != (camera.width_px, camera.height_px):
+        raise ConfigError(
+            f"camera '{camera.name}': images of {width_px}x{height_px}, "
+            f"expected the calibration's {camera.width_px}x{camera.height_px}"
+        )
+
+
+def _grey(image: Any) -> NDArray[np.uint8]:
+    array = np.asarray(image, dtype=np.uint8)
+    return array if array.ndim == 2 else np.asarray(cv2.cvtColor(array, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

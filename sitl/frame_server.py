@@ -1,0 +1,67 @@
+"""Serves frames to other processes on a unix socket (companion/frame_format.py).
+
+A client that has not taken its last frame yet misses this one: the camera never waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.frame_format import pack_frame
+
+
+class FrameServer:
+    """One socket, any number of clients."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._server: asyncio.Server | None = None
+        self._clients: set[asyncio.StreamWriter] = set()
+
+    @property
+    def client_count(self) -> int:
+        """How many are connected."""
+        return len(self._clients)
+
+    async def start(self) -> None:
+        """Listen. A socket file left behind is replaced.
+
+        Raises:
+            OSError: the path cannot be used.
+        """
+        if self._path.is_socket():
+            self._path.unlink()
+        self._server = await asyncio.start_unix_server(self._serve, self._path)
+
+    def send(self, image: NDArray[np.uint8], sequence: int, time_s: float) -> None:
+        """Hand a grey image (height, width), mid-exposure at `time_s`, to every client that can take it."""
+        free = [c for c in self._clients if c.transport.get_write_buffer_size() == 0]
+        if not free:
+            return
+        data = pack_frame(image, sequence, time_s)
+        for client in free:
+            client.write(data)
+
+    async def close(self) -> None:
+        """Stop listening, part from all clients and remove the socket."""
+        if self._server is not None:
+            self._server.close()
+        for client in self._clients:
+            client.transport.abort()
+        self._path.unlink(missing_ok=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Keep a client until it goes; it has nothing to say."""
+        self._clients.add(writer)
+        try:
+            while await reader.read(4096):
+                pass
+        except ConnectionError:
+            pass  # gone is gone, however it went
+        finally:
+            self._clients.discard(writer)
+            writer.close()
