@@ -43,7 +43,6 @@ NODE_PX: Final = 8
 # a ray this close to the horizon (sine of its angle) or above it shows ground far away
 HORIZON: Final = 0.02
 FARTHEST_TEXEL: Final = 30000.0
-NO_MAP: Final = np.empty(0, np.float32)  # both coordinates are in the first map
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +176,8 @@ class CameraModel:
         view = image[top * NODE_PX : bottom * NODE_PX, left * NODE_PX : right * NODE_PX]
         texels = full[NODE_PX : NODE_PX + view.shape[0], NODE_PX : NODE_PX + view.shape[1]]
         border = cv2.BORDER_WRAP if part is None else cv2.BORDER_TRANSPARENT
-        cv2.remap(tile, texels, NO_MAP, cv2.INTER_LINEAR, dst=view, borderMode=border)
+        # both coordinates are in the first map: OpenCV's type stubs do not know that there may be no second
+        cv2.remap(tile, texels, None, cv2.INTER_LINEAR, dst=view, borderMode=border)  # type: ignore[call-overload]
 
     def _develop(self, image: GreyImage, seen: _Surface, part: tuple[int, int, int, int] | None) -> GreyImage:
         """Defocus, motion blur, vignetting and noise, in the order in which they happen."""
