@@ -131,7 +131,9 @@ class CameraConfig(StrictModel):
     distortion: tuple[float, float, float, float, float]
     rate_hz: float = Field(ge=5.0, le=240.0)
     exposure_s: float = Field(default=0.004, ge=0.00002, le=0.05)  # short and fixed: see what moves sharply
-    readout_s: float = Field(default=0.0, ge=0.0, le=0.05)  # first to last row of a rolling shutter; 0: global
+    readout_s: float = Field(
+        default=0.0, ge=0.0, le=0.05
+    )  # first to last row of a rolling shutter; 0: global
 
 
 class VehicleConfig(StrictModel):
@@ -206,11 +208,13 @@ class VisionConfig(StrictModel):
 
     source: str = "v4l2:0"  # "v4l2:N", or "socket:PATH" for frames from another process
     minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
-    maximum_markers: int = Field(default=14, ge=1, le=100)  # refined and used in one frame
+    maximum_markers: int = Field(default=12, ge=1, le=100)  # refined and used in one frame
     region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected
     region_margin_sigma: float = Field(default=3.0, ge=1.0, le=10.0)  # of the expected position
     corner_noise_px: float = Field(default=0.2, gt=0.0, le=5.0)
-    scale_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the calibration, as a share of the distance
+    scale_error: float = Field(
+        default=0.003, ge=0.0, le=0.1
+    )  # of the calibration, as a share of the distance
     level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of the pad and of our attitude together
     relative_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=20.0)  # for a rolling shutter's shear
     turn_rate_std_rad_s: float = Field(default=0.4, gt=0.0, le=10.0)

@@ -19,9 +19,8 @@ from typing import Final
 
 import cv2
 import numpy as np
-from pydantic import Field
 
-from companion.config import CameraConfig, StrictModel, VehicleConfig
+from companion.config import CameraConfig, VehicleConfig
 from companion.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     IDENTITY,
@@ -37,31 +36,13 @@ from companion.geometry import (
     subtract,
 )
 from companion.pad import Pad
+from sitl.exposure import CameraSettings, motion_blur, noise_bank, vignette
 from sitl.textures import GreyImage, Texture, TextureLevel, ground_texture, pad_texture
 
 NODE_PX: Final = 8
 # a ray this close to the horizon (sine of its angle) or above it shows ground far away
 HORIZON: Final = 0.02
 FARTHEST_TEXEL: Final = 30000.0
-LONGEST_KERNEL_PX: Final = 2.5
-
-
-class CameraSettings(StrictModel):
-    """What the lens and the sensor do to the image, beyond the calibrated geometry.
-
-    Exposure and readout default to the camera's own; a scenario may differ from what the app believes.
-    The defaults of the lens are those of a small f/2 lens of 3 mm (a Raspberry Pi's camera): 1.5 mm
-    aperture, focused at 1.5 m.
-    """
-
-    exposure_s: float | None = Field(default=None, ge=0.0, le=0.05)
-    readout_s: float | None = Field(default=None, ge=0.0, le=0.05)
-    noise_grey: float = Field(default=3.0, ge=0.0, le=40.0)
-    lens_blur_px: float = Field(default=0.45, ge=0.0, le=5.0)
-    aperture_m: float = Field(default=0.0015, ge=0.0, le=0.02)
-    focus_m: float = Field(default=1.5, gt=0.01, le=100.0)
-    vignette: float = Field(default=0.25, ge=0.0, le=1.0)
-    gain: float = Field(default=1.0, gt=0.0, le=4.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +76,7 @@ class CameraModel:
         pad: Pad,
         settings: CameraSettings,
         rng: np.random.Generator,
+        *,
         ground_seed: int = 1,
     ) -> None:
         self._camera = camera
@@ -108,8 +90,8 @@ class CameraModel:
         self._pad_texture = pad_texture(pad)
         self._ground_texture = ground_texture(ground_seed)
         self._node_rays = _node_rays(camera)
-        self._vignette = _vignette(camera, settings)
-        self._noise = _noise_bank(camera, settings.noise_grey, rng)
+        self._vignette = vignette(camera, settings)
+        self._noise = noise_bank(camera, settings.noise_grey, rng)
 
     @property
     def span_s(self) -> float:
@@ -194,11 +176,10 @@ class CameraModel:
         view = image[top * NODE_PX : bottom * NODE_PX, left * NODE_PX : right * NODE_PX]
         texels = full[NODE_PX : NODE_PX + view.shape[0], NODE_PX : NODE_PX + view.shape[1]]
         border = cv2.BORDER_WRAP if part is None else cv2.BORDER_TRANSPARENT
-        cv2.remap(tile, texels, None, cv2.INTER_LINEAR, dst=view, borderMode=border)
+        # both coordinates are in the first map: OpenCV's type stubs do not know that there may be no second
+        cv2.remap(tile, texels, None, cv2.INTER_LINEAR, dst=view, borderMode=border)  # type: ignore[call-overload]
 
-    def _develop(
-        self, image: GreyImage, seen: _Surface, part: tuple[int, int, int, int] | None
-    ) -> GreyImage:
+    def _develop(self, image: GreyImage, seen: _Surface, part: tuple[int, int, int, int] | None) -> GreyImage:
         """Defocus, motion blur, vignetting and noise, in the order in which they happen."""
         sigma = self._defocus_px(seen.height_m)
         if sigma > 0.2:
@@ -218,9 +199,7 @@ class CameraModel:
         circle = self._camera.fx_px * s.aperture_m * abs(1.0 / max(distance_m, 0.02) - 1.0 / s.focus_m)
         return math.hypot(s.lens_blur_px, 0.25 * circle)
 
-    def _stroke_px(
-        self, surface: _Surface, part: tuple[int, int, int, int] | None
-    ) -> tuple[float, float]:
+    def _stroke_px(self, surface: _Surface, part: tuple[int, int, int, int] | None) -> tuple[float, float]:
         """How far (right, down) the surface moves in the image within the exposure, at the part's middle."""
         if self._exposure_s == 0.0:
             return (0.0, 0.0)
@@ -231,49 +210,6 @@ class CameraModel:
         per_pixel = np.column_stack((middle[1] - middle[0], middle[2] - middle[0])) / NODE_PX
         moved = np.linalg.solve(per_pixel, first[0] - last[0]) * (self._exposure_s / self.span_s)
         return (float(moved[0]), float(moved[1]))
-
-
-def motion_blur(image: GreyImage, right_px: float, down_px: float) -> GreyImage:
-    """Smear the image along a straight stroke, centred, so that nothing moves on average.
-
-    A long stroke is a short one applied to the mean of two copies, as often as needed: that costs two
-    additions a doubling instead of a kernel of the stroke's length. Copies are moved by whole pixels and
-    the short stroke takes up what remains.
-    """
-    while max(abs(right_px), abs(down_px)) > LONGEST_KERNEL_PX:
-        x, y = round(0.25 * right_px), round(0.25 * down_px)
-        image = _mean_of_two(image, x, y)
-        right_px, down_px = right_px - 2.0 * x, down_px - 2.0 * y
-    if max(abs(right_px), abs(down_px)) < 0.3:
-        return image
-    return np.asarray(cv2.filter2D(image, -1, _stroke_kernel(right_px, down_px)), dtype=np.uint8)
-
-
-def _mean_of_two(image: GreyImage, x: int, y: int) -> GreyImage:
-    """Mean of the image moved by (x, y) and by (-x, -y) whole pixels; edges repeat."""
-    ax, ay = abs(x), abs(y)
-    rows, columns = image.shape
-    wide = cv2.copyMakeBorder(image, ay, ay, ax, ax, cv2.BORDER_REPLICATE)
-    a = wide[ay + y : ay + y + rows, ax + x : ax + x + columns]
-    b = wide[ay - y : ay - y + rows, ax - x : ax - x + columns]
-    return np.asarray(cv2.addWeighted(a, 0.5, b, 0.5, 0.0), dtype=np.uint8)
-
-
-def _stroke_kernel(right_px: float, down_px: float) -> FloatArray:
-    """Kernel (n, n) of a line through its middle; each sample shared among its four neighbours."""
-    half = math.ceil(0.5 * max(abs(right_px), abs(down_px)))
-    kernel = np.zeros((2 * half + 1, 2 * half + 1))
-    samples = 9
-    for k in range(samples):
-        t = (k + 0.5) / samples - 0.5
-        x, y = half + t * right_px, half + t * down_px
-        j, i = min(int(x), 2 * half - 1), min(int(y), 2 * half - 1)
-        fx, fy = x - j, y - i
-        kernel[i, j] += (1 - fx) * (1 - fy)
-        kernel[i, j + 1] += fx * (1 - fy)
-        kernel[i + 1, j] += (1 - fx) * fy
-        kernel[i + 1, j + 1] += fx * fy
-    return kernel / samples
 
 
 def _pad_attitude(scene: ScenePose) -> Quaternion:
@@ -321,23 +257,6 @@ def _node_rays(camera: CameraConfig) -> FloatArray:
     matrix = np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     ideal = cv2.undistortPoints(pixels, matrix, np.array(camera.distortion), criteria=criteria)
-    rays = np.concatenate((ideal.reshape(-1, 2), np.ones((columns * rows, 1))), axis=1)
-    return rays.reshape(rows, columns, 3)
-
-
-def _vignette(camera: CameraConfig, settings: CameraSettings) -> GreyImage | None:
-    """How much light (0..255) reaches each pixel: falls with the square of the distance from the axis."""
-    if settings.vignette == 0.0 and settings.gain == 1.0:
-        return None
-    y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
-    r2 = (x - camera.cx_px) ** 2 + (y - camera.cy_px) ** 2
-    corner2 = camera.cx_px**2 + camera.cy_px**2
-    return np.clip(255.0 * (1.0 - settings.vignette * r2 / corner2), 0, 255).astype(np.uint8)
-
-
-def _noise_bank(camera: CameraConfig, noise_grey: float, rng: np.random.Generator) -> GreyImage | None:
-    """Noise about 128, four images large: each frame takes a window at a random place."""
-    if noise_grey == 0.0:
-        return None
-    noise = rng.normal(128.0, noise_grey, (2 * camera.height_px, 2 * camera.width_px))
-    return np.clip(np.rint(noise), 0, 255).astype(np.uint8)
+    rays = np.ones((rows, columns, 3))
+    rays[..., :2] = ideal.reshape(rows, columns, 2)
+    return rays

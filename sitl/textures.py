@@ -56,7 +56,7 @@ class Texture:
 def pad_texture(pad: Pad) -> Texture:
     """The board as printed: black codes on white, scales a factor of sqrt(2) apart."""
     finest = _paint_pad(pad, PAD_TEXELS_PER_M)
-    levels = []
+    levels: list[TextureLevel] = []
     texels_per_m = PAD_TEXELS_PER_M
     while texels_per_m >= PAD_COARSEST_PER_M:
         size = (max(2, round(pad.width_m * texels_per_m)), max(2, round(pad.length_m * texels_per_m)))
@@ -121,7 +121,6 @@ def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker) -> Non
     corners = marker.corners_pad_m()
     ones = np.column_stack((corners[:3, :2], np.ones(3)))
     target = (ones @ plane.texel_from_plane.T)[:, :2]
-    low = np.floor(target.min(axis=0).clip(0)).astype(int) - 2
     fourth = target[0] + target[2] - target[1]
     bounds = np.vstack((target, fourth))
     low = np.maximum(np.floor(bounds.min(axis=0)).astype(int) - 2, 0)
@@ -150,4 +149,4 @@ def _tileable_noise(size: int, rng: np.random.Generator) -> GreyImage:
     soil = np.fft.irfft2(spectrum * radius**-1.1 * (radius > 2.0), s=(size, size))
     grain = np.fft.irfft2(spectrum * radius**-0.4, s=(size, size))
     grey = 104.0 + 20.0 * soil / soil.std() + 11.0 * grain / grain.std()
-    return np.clip(grey, 8.0, 235.0).astype(np.uint8)
+    return np.asarray(grey.clip(8.0, 235.0), dtype=np.uint8)

@@ -10,9 +10,9 @@ top-right, bottom-right, bottom-left of the printed code.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Final
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from companion.config import VisionConfig
 from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
-from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 13
 # corner refinement looks this far, in cells of the code, within these bounds in pixels
-REFINE_CELLS: Final = 0.45
+REFINE_CELLS: Final = 0.5
 REFINE_PX: Final = (2, 10)
 REFINE_CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.01)
 
@@ -46,15 +46,12 @@ class SearchPass:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """One marker that was read: corners (4, 2) in pixels of the whole image."""
+    """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image."""
 
     marker: Marker
+    corners_pad_m: FloatArray
     corners_px: FloatArray
-
-    @property
-    def side_px(self) -> float:
-        """Mean length of the four sides."""
-        return float(np.linalg.norm(self.corners_px - np.roll(self.corners_px, 1, axis=0), axis=1).mean())
+    side_px: float
 
 
 class PadDetector:
@@ -82,8 +79,8 @@ class PadDetector:
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         origin = np.array([where.left, where.top], dtype=np.float64)
         found = [
-            Detection(marker, (corners + 0.5) * s - 0.5 + origin)
-            for marker, corners in reader.read(part, self._config.minimum_side_px)
+            Detection(marker, on_pad, (corners + 0.5) * s - 0.5 + origin, _side_px(corners) * s)
+            for marker, on_pad, corners in reader.read(part, self._config.minimum_side_px)
         ]
         return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
 
@@ -92,45 +89,50 @@ class _Reader:
     """OpenCV's detector for some groups of the pad's markers."""
 
     def __init__(self, pad: Pad, groups: tuple[MarkerGroup, ...]) -> None:
-        markers = [(order, m) for order, m in enumerate(pad.markers) if m.group in groups]
-        names = sorted({m.dictionary for _, m in markers})
-        self._marker = {(names.index(m.dictionary), m.id): (order, m) for order, m in markers}
+        self._markers = [(m, m.corners_pad_m()) for m in pad.markers if m.group in groups]
+        names = sorted({m.dictionary for m, _ in self._markers})
+        self._order = {(names.index(m.dictionary), m.id): k for k, (m, _) in enumerate(self._markers)}
         self._parameters = cv2.aruco.DetectorParameters()
         self._parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
         self._parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
         self._parameters.errorCorrectionRate = ERROR_CORRECTION_RATE
-        dictionaries = [_cut_dictionary(name, [m.id for _, m in markers if m.dictionary == name]) for name in names]
+        last = {name: max(m.id for m, _ in self._markers if m.dictionary == name) for name in names}
+        dictionaries = [_cut_dictionary(name, last[name]) for name in names]
         self._detector = cv2.aruco.ArucoDetector(dictionaries, self._parameters) if dictionaries else None
 
-    def read(self, image: NDArray[np.uint8], minimum_side_px: float) -> list[tuple[Marker, FloatArray]]:
-        """Markers with their corners (4, 2) in this image, in the pad's order, each at most once."""
+    def read(
+        self, image: NDArray[np.uint8], minimum_side_px: float
+    ) -> list[tuple[Marker, FloatArray, FloatArray]]:
+        """Markers, each at most once, in the pad's order, with their corners on the pad and in the image."""
         if self._detector is None or min(image.shape) < minimum_side_px:
             return []
         self._parameters.minMarkerPerimeterRate = 4.0 * minimum_side_px / max(image.shape)
         self._detector.setDetectorParameters(self._parameters)
-        corners, ids, _, which = self._detector.detectMarkersMultiDict(image)
-        found: dict[int, tuple[Marker, FloatArray]] = {}
+        quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
+        found: dict[int, FloatArray] = {}
         twice: set[int] = set()
-        for quad, identity, dictionary in zip(corners, _flat(ids), _flat(which), strict=True):
-            order, marker = self._marker.get((dictionary, identity), (-1, None))
-            if marker is None:
+        for quad, identity, dictionary in zip(quads, _flat(ids), _flat(which), strict=True):
+            order = self._order.get((dictionary, identity))
+            if order is None:
                 continue
             if order in found:
                 twice.add(order)
-            found[order] = (marker, np.asarray(quad, dtype=np.float64).reshape(4, 2))
+            found[order] = np.asarray(quad, dtype=np.float64).reshape(4, 2)
         # a code seen at two places is a reflection or a forgery: neither is believed
-        return [found[order] for order in sorted(found) if order not in twice]
+        return [(*self._markers[k], found[k]) for k in sorted(found) if k not in twice]
 
 
 def refine_corners(image: NDArray[np.uint8], found: list[Detection]) -> list[Detection]:
     """Move the corners to sub-pixel places, in a window that suits the size of each marker's cells."""
-    refined = []
-    for detection in found:
-        cells = _cells(detection.marker)
-        window = int(np.clip(round(REFINE_CELLS * detection.side_px / cells), *REFINE_PX))
-        corners = np.ascontiguousarray(detection.corners_px, dtype=np.float32).reshape(4, 1, 2)
+    refined = list(found)
+    windows = [round(REFINE_CELLS * d.side_px / cells_across(d.marker)) for d in found]
+    windows = [min(max(w, REFINE_PX[0]), REFINE_PX[1]) for w in windows]
+    for window in sorted(set(windows)):
+        which = [k for k, w in enumerate(windows) if w == window]
+        corners = np.concatenate([found[k].corners_px for k in which]).astype(np.float32).reshape(-1, 1, 2)
         cv2.cornerSubPix(image, corners, (window, window), (-1, -1), REFINE_CRITERIA)
-        refined.append(Detection(detection.marker, corners.reshape(4, 2).astype(np.float64)))
+        for k, quad in zip(which, corners.astype(np.float64).reshape(-1, 4, 2), strict=True):
+            refined[k] = replace(found[k], corners_px=quad)
     return refined
 
 
@@ -149,18 +151,20 @@ def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
 
 def cells_across(marker: Marker) -> int:
     """Cells along a marker's side, the black border included."""
-    return _cells(marker)
-
-
-def _cells(marker: Marker) -> int:
     return int(marker.dictionary[0]) + 2
 
 
-def _cut_dictionary(name: str, ids: Iterable[int]) -> cv2.aruco.Dictionary:
-    full = cv2.aruco.getPredefinedDictionary(DICTIONARIES[name])  # type: ignore[index]
-    return cv2.aruco.Dictionary(full.bytesList[: max(ids) + 1], full.markerSize, full.maxCorrectionBits)
+def _side_px(corners: FloatArray) -> float:
+    """Mean length of the two diagonals over sqrt(2)."""
+    (a, b), (c, d), (e, f), (g, h) = corners.tolist()
+    return 0.5 * math.sqrt(0.5) * (math.hypot(e - a, f - b) + math.hypot(g - c, h - d))
 
 
-def _flat(values: NDArray[np.int32] | None) -> list[int]:
+def _cut_dictionary(name: DictionaryName, last_id: int) -> cv2.aruco.Dictionary:
+    full = cv2.aruco.getPredefinedDictionary(DICTIONARIES[name])
+    return cv2.aruco.Dictionary(full.bytesList[: last_id + 1], full.markerSize, full.maxCorrectionBits)
+
+
+def _flat(values: Any) -> list[int]:
     """Whole numbers from (n,), (n, 1) or nothing: OpenCV has returned each of them."""
     return [] if values is None else [int(v) for v in np.asarray(values).reshape(-1)]

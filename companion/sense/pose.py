@@ -29,7 +29,7 @@ from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
 
 ITERATIONS: Final = 6
-CONVERGED: Final = 1e-6
+CONVERGED: Final = 1e-5
 NO_DRIFT: Final = 1e-6
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
@@ -112,7 +112,7 @@ def _problem(
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
     return _Problem(
-        points=np.concatenate([d.marker.corners_pad_m() for d in detections]),
+        points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=lens.undistort(pixels),
         turns=(pixels[:, 1] - pixels[:, 1].mean()) / lens.size_px[1],
         down=None if down_camera is None else np.array(down_camera),
@@ -159,7 +159,8 @@ def _fit(problem: _Problem) -> _Fit | None:
         except np.linalg.LinAlgError:
             return None
         position, drift = position + step[:3], drift + step[6:]
-        rotation = matrix_from_quat(quat_from_rotation_vector(vector3(step[3:6]))) @ rotation
+        turn = quat_from_rotation_vector(vector3(step[3:6].tolist()))
+        rotation = matrix_from_quat(turn) @ rotation
         if not np.isfinite(step).all() or position[2] <= 0.0:
             return None
         if np.abs(step).max() < CONVERGED:
@@ -172,7 +173,7 @@ def _fit(problem: _Problem) -> _Fit | None:
 def _normal_equations(
     problem: _Problem, rotation: FloatArray, position: FloatArray, drift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Information (8, 8), gradient (8,) and misses (n,). Unknowns: position, rotation (on the left), drift."""
+    """Information (8, 8), gradient (8,), misses (n,). Unknowns: position, rotation (on the left), drift."""
     turned = problem.points @ rotation.T
     x, y, z = (turned + position).T
     inverse = 1.0 / np.maximum(z, NEAREST_M)

@@ -20,11 +20,11 @@ from companion.sense.aruco import GROUPS, SearchPass, cells_across
 from companion.sense.lens import Lens
 
 # pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
-CELL_PX: Final = 4.0
-SHRINKINGS: Final = (8, 4, 2, 1)
+CELL_PX: Final = 3.2
+SHRINKINGS: Final = (8, 6, 4, 3, 2, 1)
 # markers of the preferred group that should be whole in the image, and how many to look for at most
 ENOUGH_MARKERS: Final = 2
-MOST_MARKERS: Final = 20
+MOST_MARKERS: Final = 12
 # a pad expected with a standard deviation above this share of its distance is searched for everywhere
 VAGUE: Final = 0.25
 EDGE_PX: Final = 4.0
@@ -60,9 +60,12 @@ class SearchPlanner:
         """
         return (self._whole(4, GROUPS), self._whole(2, GROUPS), self._whole(1, ("F", "M")))
 
-    def widened(self, look: SearchPass) -> SearchPass:
-        """The same look over the whole frame."""
-        return self._whole(look.shrink, look.groups)
+    def widened(self, look: SearchPass) -> tuple[SearchPass, ...]:
+        """The same look over the whole frame; nothing when it covered most of the frame already."""
+        width, height = self._lens.size_px
+        if 2 * (look.right - look.left) * (look.bottom - look.top) > width * height:
+            return ()
+        return (self._whole(look.shrink, look.groups),)
 
     def _whole(self, shrink: int, groups: tuple[MarkerGroup, ...]) -> SearchPass:
         width, height = self._lens.size_px

@@ -26,7 +26,7 @@ from companion.geometry import (
     vector3,
 )
 from companion.messages import Frame, MarkerGroup, PadPrior, PadSighting
-from companion.pad import Marker, Pad
+from companion.pad import Pad
 from companion.sense.aruco import GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.lens import Lens
 from companion.sense.pose import PadPose, estimate_pose
@@ -57,7 +57,7 @@ class Vision:
         self._mount = np.array(vehicle.camera_position_body_m)
 
     def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
-        """Look where the pad is expected, then for the same everywhere; for anything when nothing is expected.
+        """Look where the pad is expected, then everywhere; for any marker when nothing is expected.
 
         Raises:
             ValueError: the image is not of the calibrated camera's size.
@@ -68,15 +68,14 @@ class Vision:
             raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
         down = None if prior is None else self._to_camera(prior.down_body)
         looks = self._expected(prior)
-        wide = (self._planner.widened(looks[0]),) if looks else self._planner.whole_frame()
-        read: dict[Marker, Detection] = {}
+        wide = self._planner.widened(looks[0]) if looks else self._planner.whole_frame()
+        found: list[Detection] = []
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
             pose = estimate_pose(found, self._lens, self._config, down) if found else None
             if pose is not None:
                 return VisionResult(self._sighting(frame, pose), _count(pose.used), number >= len(looks))
-            read |= {d.marker: d for d in found}
-        return VisionResult(None, _count(tuple(read.values())), True)
+        return VisionResult(None, _count(tuple(found)), bool(wide))
 
     def _to_camera(self, v_body: Vector3) -> Vector3:
         return quat_rotate(quat_conjugate(self._body_from_camera), v_body)
