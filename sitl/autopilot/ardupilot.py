@@ -32,6 +32,7 @@ _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
 ARDUPILOT = Manner(
     name="ardupilot",
     autopilot_id=3,
+    custom_mode=lambda main, sub: main,
     flight_version=4 << 24 | 6 << 16,
     # PARAM_FLOAT, MISSION_INT, COMMAND_INT, SET_ATTITUDE_TARGET, SET_POSITION_TARGET_*, MAVLINK2
     capabilities=2 | 4 | 8 | 64 | 128 | 256 | 8192,

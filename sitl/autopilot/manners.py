@@ -6,6 +6,7 @@ The rest of the package asks these fields, never "which autopilot is it".
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.messages import Manner as MannerName
@@ -53,6 +54,7 @@ class Manner:
 
     name: MannerName
     autopilot_id: int
+    custom_mode: Callable[[int, int], int]
     flight_version: int
     capabilities: int
     parameters_bytewise: bool

@@ -112,6 +112,8 @@ class PositionControl:
             ffx = ffy = 0.0
         ix, iy, iz = self._integral
         wanted = self._horizontal_velocity(position, sp)
+        if wanted is None and not fed_forward:
+            wanted = (0.0, 0.0)  # nothing given at all: stop
         rx, ry, rz = self.velocity_reference
         if wanted is None:
             if not gains.integrates_acceleration:
@@ -163,8 +165,8 @@ class PositionControl:
         if not fed_forward:
             ff = 0.0
         rx, ry, rz = self.velocity_reference
-        if isnan(v) and isnan(p):
-            if fed_forward and not gains.integrates_acceleration:
+        if isnan(v) and isnan(p) and fed_forward:
+            if not gains.integrates_acceleration:
                 self.velocity_reference = (rx, ry, speed)
                 return ff + iz
             rz += ff * dt_s

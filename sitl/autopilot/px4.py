@@ -39,6 +39,7 @@ def _number(main: int, sub: int = 0) -> int:
 PX4 = Manner(
     name="px4",
     autopilot_id=12,
+    custom_mode=_number,
     flight_version=1 << 24 | 16 << 16 | 1 << 8 | 255,
     # MISSION_INT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_ATTITUDE_TARGET, SET_POSITION_TARGET_*, MAVLINK2
     capabilities=4 | 8 | 16 | 64 | 128 | 256 | 8192,

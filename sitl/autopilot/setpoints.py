@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from math import nan
+from math import isfinite, nan
 
 from companion.geometry import Quaternion, Vector3, add, rotate_yaw
 
@@ -91,15 +91,15 @@ def motion_from_fields(fields: StreamedMotion, here_ned_m: Vector3, heading_rad:
         _masked(position, mask, Ignore.X | Ignore.Y, Ignore.Z),
         _masked(velocity, mask, Ignore.VX | Ignore.VY, Ignore.VZ),
         _masked(acceleration, mask, Ignore.AX | Ignore.AY, Ignore.AZ),
-        nan if mask & Ignore.YAW else yaw,
-        nan if mask & Ignore.YAW_RATE else fields.yaw_rate_rad_s,
+        nan if mask & Ignore.YAW or not isfinite(yaw) else yaw,
+        nan if mask & Ignore.YAW_RATE or not isfinite(fields.yaw_rate_rad_s) else fields.yaw_rate_rad_s,
     )
 
 
 def _masked(vector: Vector3, mask: int, horizontal: int, vertical: int) -> Vector3:
     x, y, z = vector
-    if mask & horizontal:
+    if mask & horizontal or not (isfinite(x) and isfinite(y)):
         x = y = nan
-    if mask & vertical:
+    if mask & vertical or not isfinite(z):
         z = nan
     return (x, y, z)

@@ -1,0 +1,157 @@
+"""COMMAND_LONG and COMMAND_INT to the simulated autopilot: one function a command, in a table.
+
+Both kinds of message become a `Request`; what a function returns goes back as COMMAND_ACK.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilot import Autopilot, Result
+
+FORCE_MAGIC: Final = 21196
+_ARDUPILOT_FORCE_ARM: Final = 2989
+_NOT_GIVEN_E7: Final = 0x7FFFFFFF
+_OVER_HOME: Final = {
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+    mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+}
+_POSITION_OF_LONG: Final = mavlink.MAV_FRAME_GLOBAL
+
+
+class Sender(Protocol):
+    """What commands may ask of the endpoint besides the autopilot."""
+
+    autopilot: Autopilot
+
+    def send_once(self, message_id: int, now_s: float) -> bool:
+        """Send a telemetry message now; False when there is no such message."""
+
+    def set_interval(self, message_id: int, interval_us: float) -> bool:
+        """Change how often a telemetry message is sent; False when there is no such message."""
+
+    def tell_interval(self, message_id: int) -> None:
+        """Send MESSAGE_INTERVAL for one message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A command: its number, parameters 1 to 7 (latitude and longitude in degrees), frame."""
+
+    command: int
+    parameters: tuple[float, float, float, float, float, float, float]
+    frame: int
+
+    def whole(self, index: int) -> int:
+        """Parameter 1..7 as an integer, -1 when it is not a finite number."""
+        value = self.parameters[index - 1]
+        return int(value) if math.isfinite(value) else -1
+
+
+def request_from_message(message: Any) -> Request:
+    """The request in a COMMAND_LONG or COMMAND_INT."""
+    m = message
+    first = (m.param1, m.param2, m.param3, m.param4)
+    if m.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
+        return Request(m.command, (*first, m.param5, m.param6, m.param7), _POSITION_OF_LONG)
+    latitude, longitude = (math.nan if e7 == _NOT_GIVEN_E7 else e7 * 1e-7 for e7 in (m.x, m.y))
+    return Request(m.command, (*first, latitude, longitude, m.z), m.frame)
+
+
+def _arm_or_disarm(sender: Sender, request: Request, now_s: float) -> Result:
+    force = request.whole(2) in (FORCE_MAGIC, _ARDUPILOT_FORCE_ARM)
+    if request.parameters[0] == 1.0:
+        return sender.autopilot.arm(force)
+    if request.parameters[0] == 0.0:
+        return sender.autopilot.disarm(force)
+    return Result.DENIED
+
+
+def _set_mode(sender: Sender, request: Request, now_s: float) -> Result:
+    flags, main, sub = request.whole(1), request.whole(2), request.whole(3)
+    if flags < 0 or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or main < 0:
+        return Result.DENIED
+    return sender.autopilot.set_mode(sender.autopilot.manner.custom_mode(main, max(sub, 0)))
+
+
+def _take_off(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.take_off(request.parameters[6])
+
+
+def _land(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.set_mode_named(sender.autopilot.manner.land_mode)
+
+
+def _return(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.set_mode_named(sender.autopilot.manner.return_mode)
+
+
+def _hold(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.set_mode_named(sender.autopilot.manner.hold_mode)
+
+
+def _reposition(sender: Sender, request: Request, now_s: float) -> Result:
+    speed, _, _, yaw, *place = request.parameters
+    changes_mode = request.whole(2) > 0 and request.whole(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+    autopilot = sender.autopilot
+    if not changes_mode and autopilot.mode != autopilot.manner.after_take_off_mode:
+        return Result.DENIED
+    latitude, longitude, altitude = place
+    return autopilot.go_to(
+        (latitude, longitude, altitude),
+        over_home=request.frame in _OVER_HOME,
+        yaw_rad=yaw,
+        speed_m_s=speed if math.isfinite(speed) and speed > 0.0 else None,
+    )
+
+
+def _request_message(sender: Sender, request: Request, now_s: float) -> Result:
+    if sender.send_once(request.whole(1), now_s):
+        return Result.ACCEPTED
+    return sender.autopilot.manner.unsupported_request
+
+
+def _set_interval(sender: Sender, request: Request, now_s: float) -> Result:
+    accepted = sender.set_interval(request.whole(1), request.parameters[1])
+    return Result.ACCEPTED if accepted else Result.FAILED
+
+
+def _get_interval(sender: Sender, request: Request, now_s: float) -> Result:
+    sender.tell_interval(request.whole(1))
+    return Result.ACCEPTED
+
+
+def _sender_of(message_id: int) -> Handler:
+    def send(sender: Sender, request: Request, now_s: float) -> Result:
+        sender.send_once(message_id, now_s)
+        return Result.ACCEPTED
+
+    return send
+
+
+Handler = Callable[[Sender, Request, float], Result]
+HANDLERS: Final[dict[int, Handler]] = {
+    mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
+    mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
+    mavlink.MAV_CMD_NAV_TAKEOFF: _take_off,
+    mavlink.MAV_CMD_NAV_LAND: _land,
+    mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: _hold,
+    mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+    mavlink.MAV_CMD_REQUEST_MESSAGE: _request_message,
+    mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
+    mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
+    mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _sender_of(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION),
+    mavlink.MAV_CMD_GET_HOME_POSITION: _sender_of(mavlink.MAVLINK_MSG_ID_HOME_POSITION),
+}
+
+
+def execute(sender: Sender, request: Request, now_s: float) -> Result:
+    """Carry out a command; one that is not in the table is UNSUPPORTED."""
+    handler = HANDLERS.get(request.command)
+    return Result.UNSUPPORTED if handler is None else handler(sender, request, now_s)

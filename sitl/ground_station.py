@@ -1,0 +1,126 @@
+"""A ground station at the pad, sans I/O: it hears the companion's texts and answers where the pad is.
+
+MAVLink system 255, component 190. Asked for FOLLOW_TARGET (MAV_CMD_REQUEST_MESSAGE), it sends the position
+that the pad's own GPS shows half a second later: a receiver of the NEO-6M's class (2.5 m CEP), which is off
+by a constant and a little noise. `position_cov` holds standard deviations (eph, eph, epv), m. Truth in, NED.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any, Final
+
+import numpy as np
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.geometry import Vector3, geodetic_from_ned
+
+SYSTEM_ID: Final = 255
+COMPONENT_ID: Final = 190
+COMPANION_COMPONENT: Final = 191
+
+_ANSWER_AFTER_S: Final = 0.5
+_HEARTBEAT_S: Final = 1.0
+_NOISE_STD_M: Final = 0.2
+_VELOCITY_STD_M_S: Final = 0.1
+_VERTICAL_FACTOR: Final = 1.5
+_POSITION_AND_VELOCITY: Final = 0b11
+
+
+class GroundStation:
+    """One ground station on the vehicle's link; `texts` holds (time s, severity, text) from the companion."""
+
+    def __init__(self, rng: np.random.Generator, position_std_m: float, home: Vector3) -> None:
+        self.texts: list[tuple[float, int, str]] = []
+        self.requests = 0
+        self._rng = rng
+        self._std_m = position_std_m
+        self._home = home
+        north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
+        self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
+        self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
+        self._parser = mavlink.MAVLink(None)
+        self._parser.robust_parsing = True
+        self._acknowledgements: list[Any] = []
+        self._answers_due_s: list[float] = []
+        self._heartbeat_due_s = -math.inf
+        self._chunks: dict[tuple[int, int], list[str]] = {}
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take bytes that have just arrived."""
+        try:
+            messages = self._parser.parse_buffer(data) or []
+        except (ValueError, struct.error, mavlink.MAVError):
+            return
+        for message in messages:
+            message_id = message.get_msgId()
+            if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+                self._hear_text(message, now_s)
+            elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.target_system == SYSTEM_ID:
+                self._obey(message, now_s)
+
+    def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
+        """All that is due; the pad's true position (NED from home) and velocity are where its GPS starts."""
+        messages, self._acknowledgements = self._acknowledgements, []
+        if now_s >= self._heartbeat_due_s:
+            self._heartbeat_due_s = now_s + _HEARTBEAT_S
+            messages.append(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                )
+            )
+        while self._answers_due_s and now_s >= self._answers_due_s[0]:
+            self._answers_due_s.pop(0)
+            messages.append(self._follow_target(now_s, pad_position_ned_m, pad_velocity_ned_m_s))
+        return b"".join([self._pack(message) for message in messages])
+
+    def _pack(self, message: Any) -> bytes:
+        packed = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packed
+
+    def _obey(self, message: Any, now_s: float) -> None:
+        wanted = message.param1
+        known = (
+            message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
+            and wanted == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
+        )
+        if known:
+            self.requests += 1
+            self._answers_due_s.append(now_s + _ANSWER_AFTER_S)
+        result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_UNSUPPORTED
+        self._acknowledgements.append(
+            mavlink.MAVLink_command_ack_message(
+                message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+            )
+        )
+
+    def _follow_target(self, now_s: float, position: Vector3, velocity: Vector3) -> Any:
+        noise = self._rng.standard_normal(6).tolist()
+        shown = [
+            p + offset + _NOISE_STD_M * n
+            for p, offset, n in zip(position, self._offset, noise[:3], strict=True)
+        ]
+        speed = [v + _VELOCITY_STD_M_S * n for v, n in zip(velocity, noise[3:], strict=True)]
+        latitude, longitude, altitude = geodetic_from_ned((shown[0], shown[1], shown[2]), self._home)
+        eph = math.hypot(self._std_m, _NOISE_STD_M)
+        return mavlink.MAVLink_follow_target_message(
+            max(0, round(now_s * 1e3)), _POSITION_AND_VELOCITY, round(latitude * 1e7), round(longitude * 1e7),
+            altitude, speed, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3,
+            [eph, eph, _VERTICAL_FACTOR * eph], 0,
+        )  # fmt: skip
+
+    def _hear_text(self, message: Any, now_s: float) -> None:
+        if message.get_srcComponent() != COMPANION_COMPONENT:
+            return
+        text = message.text if isinstance(message.text, str) else message.text.decode("ascii", "replace")
+        # "id" of a message object is its own field here, not the message's number
+        text_id = getattr(message, "id", 0)
+        if text_id:
+            key = (message.get_srcSystem(), text_id)
+            self._chunks.setdefault(key, []).append(text)
+            if len(text) == 50:
+                return
+            text = "".join(self._chunks.pop(key))
+        self.texts.append((now_s, message.severity, text))
