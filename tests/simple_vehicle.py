@@ -1,4 +1,4 @@
-"""A rigid body with four lagging rotors, drag and a floor: just enough to fly the simulated autopilot in tests.
+"""A rigid body with four lagging rotors, drag and a floor: enough to fly the simulated autopilot in tests.
 
 Deliberately apart from the simulator's own plant, so that a sign that is wrong in both cannot hide. NED, FRD.
 """
