@@ -21,8 +21,8 @@ from companion.config import CameraConfig, CompanionConfig, LinkConfig, VehicleC
 from companion.control.controller import Controller
 from companion.estimate.estimator import Estimator
 from companion.link.actions import PymavlinkActions, VehicleActions
-from companion.link.mavsdk_link import MavsdkActions
 from companion.link.codec import Severity
+from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
 from companion.link.transport import Transport, open_transport
 from companion.messages import (

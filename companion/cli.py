@@ -16,11 +16,11 @@ import cv2
 import typer
 from rich.console import Console
 
-from companion.app import App, Status, make_actions, open_hardware
+from companion.app import App, make_actions, open_hardware
 from companion.clock import start_unix_s
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, find_file, load_config
 from companion.desk import DeskFlight, fly_in_real_time, fly_in_virtual_time, stopping_on_signals
-from companion.messages import Notice, Phase
+from companion.messages import Phase
 from companion.record import FlightLog
 from companion.report import result_table, write_plots
 from companion.result import Result, build_result
@@ -81,7 +81,9 @@ def only_on_the_desk(*, fast: bool, json_file: Path | None) -> None:
     """
     for name, given in (("--fast", fast), ("--json", json_file is not None)):
         if given:
-            raise ConfigError(f"{name}: needs --sitl; the vehicle flies in real time and has no truth to score")
+            raise ConfigError(
+                f"{name}: needs --sitl; the vehicle flies in real time and has no truth to score"
+            )
 
 
 # ---------------------------------------------------------------- on the desk
@@ -245,6 +247,7 @@ def write_atomically(path: Path, text: str) -> None:
 def main() -> None:
     """Entry point."""
     cli()
+
 
 if __name__ == "__main__":
     main()

@@ -61,9 +61,7 @@ def fly(scenario: str, seed: int, extra: Sequence[str] = ()) -> Flight:
             *(sys.executable, "-m", "companion.cli", "--sitl", "--fast", "--no-ui"),
             *("--scenario", scenario, "--seed", str(seed), "--json", str(result_path), *extra),
         )
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=FLIGHT_TIMEOUT_S, check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=FLIGHT_TIMEOUT_S, check=False)
         words = done.stderr.strip().splitlines()
         result = json.loads(result_path.read_text()) if result_path.exists() else None
         return Flight(scenario, seed, result, words[-1] if words else "")

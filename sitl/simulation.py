@@ -10,7 +10,6 @@ The world counts from 0 at the loop's time `start_s`; stamps that leave it (fram
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,36 +19,34 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from companion.clock import Clock
-from companion.config import CameraConfig, ImuConfig, VehicleConfig, find_file, load_model
-from companion.geometry import Vector3, add, quat_from_euler, quat_rotate, quat_rotate_inverse
+from companion.config import CameraConfig, GpsConfig, VehicleConfig, find_file, load_model
+from companion.geometry import Vector3
 from companion.messages import Frame, Phase, Truth
 from companion.pad import load_pad
 from companion.slots import Slot
 from sitl import camera as lens
+from sitl import exposure
 from sitl.autopilot import Autopilot
-from sitl.devices.ak8963 import Ak8963Device
-from sitl.devices.mpu9250 import Mpu9250Device
-from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
-from sitl.devices.ultrasonic import UltrasonicDevice
+from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
 from sitl.endpoint import MavlinkEndpoint
 from sitl.ground_station import GroundStation
-from sitl.inertial import ImuErrors, ImuSensor
+from sitl.inertial import ImuErrors
 from sitl.scenario import Scenario, SensorSettings
 from sitl.score import judge
-from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
+from sitl.sensors import GpsErrors, MagErrors, RangeErrors
 from sitl.world import World
 
 PHYSICS_STEP_S: Final = 1.0 / 400.0
 STEPS_PER_TICK: Final = 2
 TICK_S: Final = PHYSICS_STEP_S * STEPS_PER_TICK
 TRUTH_EVERY_TICKS: Final = 4
-GPS_EVERY_TICKS: Final = 2
 RANGE_EVERY_TICKS: Final = 2
+# the world and the sensors draw from (seed, 0..13)
+SIMULATION_STREAM: Final = 20
 # latitude (deg), longitude (deg), altitude (m) of the world's origin, and the field there (WMM 2025, rounded)
 HOME: Final[Vector3] = (47.0, 8.0, 400.0)
 MAGNETIC_FIELD_NED_UT: Final[Vector3] = (20.9, 0.6, 42.9)
-GPS_ANTENNA_BODY_M: Final[Vector3] = (0.0, 0.0, -0.05)
 OUT_OF_RANGE_M: Final = 99.0
 
 
@@ -116,17 +113,26 @@ class Simulation:
         self._scenario = scenario
         self._clock = Clock()
         self._start_s = self._clock.now_s()
-        self._link, self._gps_port, self._range_port = link, gps_port, range_port
-        streams = iter(np.random.default_rng(seed).spawn(9))
+        self._link = link
+        streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(4))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
         self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
         self._endpoint = MavlinkEndpoint(self._autopilot)
         self._ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
-        self.imu_bus = _imu(scenario.sensors, next(streams), next(streams))
-        self._gps = _gps(scenario.sensors, next(streams))
-        self._range, self._range_beam_rad = _range(scenario.sensors, next(streams))
+        self._rack = SensorRack(
+            seed,
+            PHYSICS_STEP_S,
+            home=HOME,
+            field_ned_ut=MAGNETIC_FIELD_NED_UT,
+            gps_port=gps_port,
+            range_port=range_port,
+            gps_config=GpsConfig(latency_s=scenario.sensors.gps_delay_s),
+            errors=sensor_errors(scenario.sensors),
+        )
+        self.imu_bus = self._rack.imu
+        self._range_m = OUT_OF_RANGE_M
         self._camera = _Camera(scenario, self._vehicle, self._world, next(streams), next(streams))
         self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
@@ -172,10 +178,6 @@ class Simulation:
         for _ in range(STEPS_PER_TICK):
             self._step_physics()
         now_s = self._world.time_s
-        if self._ticks % GPS_EVERY_TICKS == 0:
-            self._sense_gps(now_s)
-        if self._ticks % RANGE_EVERY_TICKS == 0:
-            self._sense_range(now_s)
         self._expose(now_s)
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
@@ -185,23 +187,29 @@ class Simulation:
         world = self._world
         truth = world.truth()
         motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
+        world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
-        field_body = quat_rotate_inverse(truth.vehicle_attitude, MAGNETIC_FIELD_NED_UT)
-        throttle = 0.25 * sum(motors)
-        self.imu_bus.step(
-            world.time_s, world.specific_force_body_m_s2, world.rate_body_rad_s, field_body, throttle
+        state = world.state
+        self._rack.step(
+            world.time_s,
+            SensorTruth(
+                specific_force_body_m_s2=state.specific_force_body_m_s2,
+                rate_body_rad_s=state.rate_body_rad_s,
+                attitude=state.attitude,
+                position_ned_m=state.position_ned_m,
+                velocity_ned_m_s=state.velocity_ned_m_s,
+                range_height_m=self._range_height_m(),
+                throttle=0.25 * sum(motors),
+            ),
         )
 
-    def _sense_gps(self, now_s: float) -> None:
-        state = self._world.state
-        antenna = add(state.position_ned_m, quat_rotate(state.attitude, GPS_ANTENNA_BODY_M))
-        self._gps.receive(self._gps_port.receive())
-        self._gps_port.send(self._gps.step(now_s, antenna, state.velocity_ned_m_s))
-
-    def _sense_range(self, now_s: float) -> None:
-        distance = self._world.range_to_surface_m(self._vehicle.range_position_body_m, self._range_beam_rad)
-        height = OUT_OF_RANGE_M if distance is None else distance
-        self._range_port.send(self._range.step(now_s, height))
+    def _range_height_m(self) -> float:
+        """The ultrasonic's height over what answers it, updated when it may be about to ping."""
+        if self._ticks % RANGE_EVERY_TICKS == 0:
+            position = self._vehicle.range_position_body_m
+            distance = self._world.range_to_surface_m(position, RangeErrors().half_beam_rad)
+            self._range_m = OUT_OF_RANGE_M if distance is None else distance
+        return self._range_m
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency."""
@@ -265,7 +273,7 @@ class _Camera:
     ) -> None:
         settings = scenario.camera
         config = load_model(CameraConfig, find_file("cameras", settings.config))
-        develop = lens.CameraSettings(
+        develop = exposure.CameraSettings(
             exposure_s=settings.exposure_s, readout_s=settings.readout_s, noise_grey=settings.noise_grey
         )
         self._model = lens.CameraModel(config, vehicle, load_pad(scenario.pad.name), develop, noise_rng)
@@ -283,7 +291,9 @@ class _Camera:
         time_s = self._next_s
         self._next_s += self._period_s
         image = self._model.render(time_s, self._scene_at)
-        late = self._settings.latency_s + self._settings.latency_jitter_s * float(self._rng.uniform(-1.0, 1.0))
+        late = self._settings.latency_s + self._settings.latency_jitter_s * float(
+            self._rng.uniform(-1.0, 1.0)
+        )
         frame = Frame(time_s=time_s, received_s=time_s, sequence=self._sequence, image=image)
         self._sequence += 1
         return frame, time_s + late
@@ -298,38 +308,30 @@ class _Camera:
         )
 
 
-def _imu(
-    settings: SensorSettings, imu_rng: np.random.Generator, mag_rng: np.random.Generator
-) -> Mpu9250Device:
-    roll, pitch, yaw = (math.radians(angle) for angle in ImuConfig().body_from_sensor_deg)
-    mounting = quat_from_euler(roll, pitch, yaw)
-    k, m = settings.imu_noise_factor, settings.mag_noise_factor
-    plain, plain_mag = ImuErrors(), MagErrors()
-    errors = replace(
-        plain,
-        gyro_noise_rad_s_rthz=plain.gyro_noise_rad_s_rthz * k,
-        accel_noise_m_s2_rthz=plain.accel_noise_m_s2_rthz * k,
-        vibration_m_s2=plain.vibration_m_s2 * k,
-        vibration_rad_s=plain.vibration_rad_s * k,
+def sensor_errors(settings: SensorSettings) -> SensorErrors:
+    """The data sheets' figures times the scenario's factors."""
+    imu, mag, gps, echo = ImuErrors(), MagErrors(), GpsErrors(), RangeErrors()
+    k, g = settings.imu_noise_factor, settings.gps_noise_factor
+    return SensorErrors(
+        imu=replace(
+            imu,
+            gyro_noise_rad_s_rthz=imu.gyro_noise_rad_s_rthz * k,
+            accel_noise_m_s2_rthz=imu.accel_noise_m_s2_rthz * k,
+            vibration_m_s2=imu.vibration_m_s2 * k,
+            vibration_rad_s=imu.vibration_rad_s * k,
+        ),
+        magnetometer=replace(mag, noise_ut=mag.noise_ut * settings.mag_noise_factor),
+        gps=replace(
+            gps,
+            wander_horizontal_m=gps.wander_horizontal_m * g,
+            wander_vertical_m=gps.wander_vertical_m * g,
+            noise_m=gps.noise_m * g,
+            speed_noise_m_s=gps.speed_noise_m_s * g,
+            climb_noise_m_s=gps.climb_noise_m_s * g,
+        ),
+        range=replace(
+            echo,
+            noise_m=echo.noise_m * settings.range_noise_factor,
+            noise_share=echo.noise_share * settings.range_noise_factor,
+        ),
     )
-    magnetometer = MagSensor(replace(plain_mag, noise_ut=plain_mag.noise_ut * m), mag_rng, mounting)
-    return Mpu9250Device(ImuSensor(errors, imu_rng, PHYSICS_STEP_S, mounting), Ak8963Device(magnetometer))
-
-
-def _gps(settings: SensorSettings, rng: np.random.Generator) -> Neo6mDevice:
-    k, plain = settings.gps_noise_factor, GpsErrors()
-    errors = replace(
-        plain,
-        noise_m=plain.noise_m * k,
-        wander_horizontal_m=plain.wander_horizontal_m * k,
-        wander_vertical_m=plain.wander_vertical_m * k,
-        speed_noise_m_s=plain.speed_noise_m_s * k,
-        climb_noise_m_s=plain.climb_noise_m_s * k,
-    )
-    return Neo6mDevice(GpsSensor(errors, rng, HOME), settings.gps_delay_s)
-
-
-def _range(settings: SensorSettings, rng: np.random.Generator) -> tuple[UltrasonicDevice, float]:
-    k, plain = settings.range_noise_factor, RangeErrors()
-    errors = replace(plain, noise_m=plain.noise_m * k, noise_share=plain.noise_share * k)
-    return UltrasonicDevice(RangeSensor(errors, rng)), errors.half_beam_rad

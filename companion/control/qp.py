@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.sparse as sparse
+from scipy import sparse
 
 from companion.config import ControlConfig, TrackingConfig
 from companion.control.flight_model import discretise

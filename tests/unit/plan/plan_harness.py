@@ -178,7 +178,9 @@ class Flight:
 class World:
     """Vehicle, pad, eyes and autopilot; `fly` runs the planner against them."""
 
-    def __init__(self, pad: Path, heading: Heading = lambda _t: 0.4, config: PlanConfig | None = None) -> None:
+    def __init__(
+        self, pad: Path, heading: Heading = lambda _t: 0.4, config: PlanConfig | None = None
+    ) -> None:
         self.pad, self.heading = pad, heading
         self.autopilot = FakeAutopilot()
         self.planner = Planner(config or PlanConfig(), VEHICLE, 20, 0.1, TABLE)
