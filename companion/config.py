@@ -273,10 +273,10 @@ class ControlConfig(StrictModel):
     ground_thrust: float = Field(default=0.1, ge=0.0, le=0.3)
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=0.9, effort_change_m_s2=1.5
+        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
     )
     vertical: TrackingConfig = TrackingConfig(
-        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=0.9, effort_change_m_s2=1.5
+        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
     )
     limits: LimitsConfig = LimitsConfig()
 

@@ -20,8 +20,8 @@ from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
-# random walks per square root of a second: how fast gusts come, how fast the bias wanders; and the model's own
-DISTURBANCE_WALK = 0.8
+# random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
+DISTURBANCE_WALK = 1.0
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01
@@ -126,8 +126,8 @@ class DisturbanceObserver:
 class ThrustScale:
     """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
 
-    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a constant
-    disturbance does not describe; hence the lasting part of the vertical one moves over into the factor.
+    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a
+    constant disturbance does not describe; hence the lasting part of the vertical one moves over into the factor.
     """
 
     LEARNING_TIME_S = 2.0

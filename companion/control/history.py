@@ -53,7 +53,7 @@ class CommandHistory:
         return add(command.acceleration_m_s2, scale(error, self._gain_1_s))
 
     def segments(self, from_s: float, to_s: float) -> list[tuple[float, Command | None]]:
-        """Pieces (duration, command in effect) of the time between; None before the first command's effect."""
+        """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
         pieces: list[tuple[float, Command | None]] = []
         current: Command | None = None
         time_s = from_s

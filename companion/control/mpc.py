@@ -1,9 +1,9 @@
 """Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
 
-Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into the
-reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a step
-changes vectors only and starts from the last solution, one step on. Deterministic: iterations bound the work,
-never time.
+Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
+the reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a
+step changes vectors only and starts from the last solution. Deterministic: iterations bound the work, never
+time.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ RHO = 3.0  # fixed: measured, 20 to 30 iterations from a warm start
 # OSQP's status values: solved; inaccurate and out of iterations
 SOLVED = 1
 NEARLY_SOLVED = (2, 7)
-# the gate bounds the same jerk over the true period: stay clear of it by the solver's tolerance and jitter
-JERK_SHARE = 0.9
+# the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
+JERK_SHARE = 0.95 / 3.0**0.5
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,8 @@ class Mpc:
         """Inputs (N, 3) under which the model flies the reference's acceleration against the disturbance."""
         a = target.acceleration_m_s2
         slope = np.diff(a, axis=0) / self._dt
-        return 0.5 * (a[:-1] + a[1:]) + self._tau_s * slope - np.array(disturbance_m_s2)
+        needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + self._tau_s * slope - np.array(disturbance_m_s2)
+        return needed
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
@@ -135,7 +136,7 @@ class Mpc:
         for name, low, high in (
             ("tilt", -side, side),
             ("vertical_input", -self._vertical_input, self._vertical_input),
-            ("change", -limits.jerk_m_s3 * self._dt, limits.jerk_m_s3 * self._dt),
+            ("change", -JERK_SHARE * limits.jerk_m_s3 * self._dt, JERK_SHARE * limits.jerk_m_s3 * self._dt),
             ("speed", -speed, speed),
             ("vertical_speed", -limits.climb_speed_m_s, limits.descent_speed_m_s),
         ):
@@ -191,16 +192,16 @@ class Mpc:
     def _update_bounds(
         self, start: Motion, target: Target, disturbance: FloatArray, last_input: FloatArray
     ) -> None:
-        rows, l, u = self._rows, self._l, self._u
+        rows, lower, upper = self._rows, self._l, self._u
         drift = self._B @ disturbance
-        dynamics = l[rows["dynamics"]].reshape(self._N, 9)
+        dynamics = lower[rows["dynamics"]].reshape(self._N, 9)
         dynamics[:] = drift
         dynamics[0] += self._A @ np.array([*start.position_m, *start.velocity_m_s, *start.acceleration_m_s2])
-        u[rows["dynamics"]] = l[rows["dynamics"]]
+        upper[rows["dynamics"]] = lower[rows["dynamics"]]
         change = rows["change"].start
-        l[change : change + 3] = last_input - self._first_change
-        u[change : change + 3] = last_input + self._first_change
-        u[rows["floor"]] = FAR if target.floor_down_m is None else target.floor_down_m[1:]
+        lower[change : change + 3] = last_input - self._first_change
+        upper[change : change + 3] = last_input + self._first_change
+        upper[rows["floor"]] = FAR if target.floor_down_m is None else target.floor_down_m[1:]
 
     def _take(self, result: Any) -> Solution:
         info, x = result.info, np.array(result.x)

@@ -1,8 +1,8 @@
 """The plan's reference as the MPC's target: resampled to the moment the command takes effect, and with the
 pad's own motion added where the reference rides on the pad.
 
-Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin where
-the pad was when its path begins. SI units.
+Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin
+where the pad was when its path begins. SI units.
 """
 
 from __future__ import annotations
