@@ -26,7 +26,7 @@ from companion.control.setpoints import (
     stop_setpoint,
     velocity_setpoint,
 )
-from companion.control.target import HeadingReference, make_target, stop_reference
+from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.geometry import FloatArray, scale, subtract, vector3, yaw_from_quat
 from companion.messages import ControlReport, PadState, PlanStep, Reference, Setpoint, VehicleState
 
@@ -119,7 +119,12 @@ class Controller:
         if reference.origin == "pad" and pad is None:
             reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
         start = self._start(vehicle, pad if reference.origin == "pad" else None, now_s)
-        target = make_target(reference, start.times_s, start.path)
+        target = within_reach(
+            make_target(reference, start.times_s, start.path),
+            start.motion.position_m,
+            self._config.horizontal_reach_m,
+            self._config.vertical_reach_m,
+        )
         disturbance = self._plant.disturbance_ned_m_s2
         began_s = self._stopwatch()
         solution = self._mpc.solve(start.motion, target, disturbance, self._plant.last_input(start.motion))

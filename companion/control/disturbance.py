@@ -127,7 +127,8 @@ class ThrustScale:
     """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
 
     A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a
-    constant disturbance does not describe; hence the lasting part of the vertical one moves over into the factor.
+    constant disturbance does not describe; hence the lasting part of the vertical one moves over into the
+    factor.
     """
 
     LEARNING_TIME_S = 2.0

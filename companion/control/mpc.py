@@ -8,6 +8,7 @@ time.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,11 @@ from companion.geometry import GRAVITY_M_S2, FloatArray, Vector3
 
 FAR = 1e6  # a bound that does not bind; infinity would change the row's kind and cost a factorisation
 ACCEPTED_RESIDUAL = 1e-2
-RHO = 3.0  # fixed: measured, 20 to 30 iterations from a warm start
+# measured: 20 to 30 iterations from a warm start; rho moves only when a far start takes more than 50, and by
+# OSQP's count of iterations, since its own choice of interval goes by time
+RHO = 3.0
+RHO_BY_ITERATIONS = 1
+RHO_INTERVAL = 50
 # OSQP's status values: solved; inaccurate and out of iterations
 SOLVED = 1
 NEARLY_SOLVED = (2, 7)
@@ -37,8 +42,11 @@ JERK_SHARE = 0.95 / 3.0**0.5
 
 @dataclass(frozen=True)
 class Target:
-    """What to track: rows 0..N hold at 0, dt, .. N dt from the start. `floor_down_m` (N+1,) is the greatest
-    allowed position along down, or None."""
+    """What to track: rows 0..N hold at 0, dt, .. N dt from the start.
+
+    `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
+    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed and height soft.
+    """
 
     position_m: FloatArray
     velocity_m_s: FloatArray
@@ -91,6 +99,8 @@ class Mpc:
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
     ) -> Solution:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
+        if not _finite(start):
+            return self._fall_back()
         needed = self.needed_inputs(target, disturbance_m_s2)
         last_input = self.clip_input(np.array(last_input_m_s2))
         q = self._linear_cost(target, needed, last_input)
@@ -156,8 +166,9 @@ class Mpc:
             eps_rel=1e-4,
             max_iter=config.maximum_iterations,
             check_termination=10,
-            adaptive_rho=False,
             rho=RHO,
+            adaptive_rho=RHO_BY_ITERATIONS,
+            adaptive_rho_interval=RHO_INTERVAL,
             polishing=False,
             warm_starting=True,
             verbose=False,
@@ -228,3 +239,8 @@ class Mpc:
         inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
         states = self._last[self._layout.states].reshape(self._N, 9).copy()
         return Solution(inputs, states, solved, iterations)
+
+
+def _finite(motion: Motion) -> bool:
+    numbers = (*motion.position_m, *motion.velocity_m_s, *motion.acceleration_m_s2)
+    return all(map(math.isfinite, numbers))

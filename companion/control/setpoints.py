@@ -4,8 +4,8 @@ Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integr
 the predicted velocity for the moment at which the setpoint takes effect, so that its loop adds nothing while
 the prediction holds and damps what the prediction did not know, and the MPC's acceleration as a_ff. The
 estimated disturbance is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly
-causes it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset of
-a_ff would wind up for ever.
+causes it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset
+of a_ff would wind up for ever.
 
 NED and FRD, SI units.
 """

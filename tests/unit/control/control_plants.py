@@ -323,6 +323,6 @@ class Loop:
         return setpoint
 
 
-def controller(**changes: object) -> Controller:
+def controller(stopwatch: Callable[[], float] | None = None, **changes: object) -> Controller:
     """A controller with the default settings, changed as asked."""
-    return Controller(ControlConfig.model_validate(changes), vehicle_config())
+    return Controller(ControlConfig.model_validate(changes), vehicle_config(), stopwatch)
