@@ -46,6 +46,16 @@ def test_stays_within_its_bound() -> None:
     assert observer.disturbance_ned_m_s2[:2] == (2.0, -2.0)
 
 
+def test_a_jump_of_the_estimate_hardly_disturbs() -> None:
+    observer = DisturbanceObserver(PERIOD_S, TAU_S, 3.0)
+    observer.start((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    observer.correct((5.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert abs(observer.disturbance_ned_m_s2[0]) < 1.0
+    observer.predict((0.0, 0.0, 0.0), PERIOD_S)
+    observer.correct((5.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert observer.velocity_ned_m_s[0] == pytest.approx(5.0, abs=0.2)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_passes_over_a_measurement_that_is_not_finite(bad: float) -> None:
     observer = DisturbanceObserver(PERIOD_S, TAU_S, 3.0)

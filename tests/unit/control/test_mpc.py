@@ -128,7 +128,7 @@ def test_a_far_goal_meets_every_bound_and_uses_the_room(direction_deg: float) ->
         assert np.abs(np.diff(u, axis=0)).max() <= limits.jerk_m_s3 * DT + 5e-3
         assert np.abs(u[0] - last).max() <= limits.jerk_m_s3 / CONFIG.rate_hz + 5e-3
         speeds = solution.states[:, 3:6]
-        assert np.hypot(speeds[:, 0], speeds[:, 1]).max() <= limits.horizontal_speed_m_s * 1.05
+        assert np.hypot(speeds[:, 0], speeds[:, 1]).max() <= limits.horizontal_speed_m_s * 1.1
         assert speeds[:, 2].min() >= -limits.climb_speed_m_s * 1.1
         fastest = max(fastest, float(np.hypot(speeds[:, 0], speeds[:, 1]).max()))
         hardest = max(hardest, float(np.hypot(u[:, 0], u[:, 1]).max()))
