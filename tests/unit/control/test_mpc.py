@@ -1,8 +1,10 @@
 """The MPC: the right optimum, within its constraints, and unhurt by bad input."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
+import osqp
 import pytest
 
 from companion.config import ControlConfig, LimitsConfig
@@ -247,3 +249,21 @@ def test_matrices_have_the_documented_shape_and_a_convex_cost() -> None:
     full = P.toarray()
     full = full + np.triu(full, 1).T
     assert np.linalg.eigvalsh(full).min() > -1e-9
+
+
+@pytest.mark.parametrize(("status", "value"), [(3, 2e9), (1, math.nan), (5, 0.0)])
+def test_an_answer_that_is_none_is_not_flown(
+    monkeypatch: pytest.MonkeyPatch, status: int, value: float
+) -> None:
+    # OSQP's way of saying "infeasible" is a status and numbers that look like a solution
+    mpc, start, target = Mpc(CONFIG, TAU_S), Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at(ZERO3)
+    good = mpc.solve(start, target, ZERO3, ZERO3)
+    info = SimpleNamespace(status_val=status, iter=7, prim_res=0.0, dual_res=0.0)
+    answer = SimpleNamespace(x=np.full(Layout(N).variables, value), info=info)
+    with monkeypatch.context() as patch:
+        patch.setattr(osqp.OSQP, "solve", lambda _self, **_kwargs: answer)
+        refused = mpc.solve(start, target, ZERO3, ZERO3)
+    assert not refused.solved
+    assert refused.iterations == 7
+    np.testing.assert_allclose(refused.inputs_m_s2[0], good.inputs_m_s2[0], atol=0.5)
+    assert mpc.solve(start, target, ZERO3, ZERO3).solved
