@@ -26,8 +26,8 @@ from companion.control.setpoints import (
     stop_setpoint,
     velocity_setpoint,
 )
-from companion.control.target import HeadingReference, make_target, stop_reference
-from companion.geometry import scale, subtract, vector3, yaw_from_quat
+from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
+from companion.geometry import FloatArray, scale, subtract, vector3, yaw_from_quat
 from companion.messages import ControlReport, PadState, PlanStep, Reference, Setpoint, VehicleState
 
 # a pause after which what was commanded before no longer says anything
@@ -40,9 +40,12 @@ FAILURES_TO_STOP = 10
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """Where the MPC begins: the motion when the next command takes effect, and the path of its origin."""
+    """Where the MPC begins: the motion when the next command takes effect, and the path of its origin.
 
-    time_s: float
+    `times_s` (N+1,) are the horizon's, of the app's clock.
+    """
+
+    times_s: FloatArray
     motion: Motion
     path: PadPath
 
@@ -60,7 +63,7 @@ class Controller:
         self._plant = Plant(config, vehicle)
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
-        self._nodes_s = np.arange(config.horizon_steps + 1) * config.step_s
+        self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
         self._flying = False
         self._failures = FAILURES_TO_STOP
@@ -70,8 +73,8 @@ class Controller:
     ) -> tuple[Setpoint, ControlReport] | None:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
-        `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a pad
-        is answered by a stop.
+        `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
+        pad is answered by a stop.
         """
         if plan.reference is None:
             self._stepped_s = None
@@ -116,7 +119,12 @@ class Controller:
         if reference.origin == "pad" and pad is None:
             reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
         start = self._start(vehicle, pad if reference.origin == "pad" else None, now_s)
-        target = make_target(reference, start.time_s + self._nodes_s, start.path)
+        target = within_reach(
+            make_target(reference, start.times_s, start.path),
+            start.motion.position_m,
+            self._config.horizontal_reach_m,
+            self._config.vertical_reach_m,
+        )
         disturbance = self._plant.disturbance_ned_m_s2
         began_s = self._stopwatch()
         solution = self._mpc.solve(start.motion, target, disturbance, self._plant.last_input(start.motion))
@@ -133,7 +141,7 @@ class Controller:
     def _start(self, vehicle: VehicleState, pad: PadState | None, now_s: float) -> _Start:
         """The motion when the next command takes effect, from the newest estimate and what is under way."""
         effect_s = now_s + self._config.command_delay_s
-        times_s = effect_s + self._nodes_s
+        times_s: FloatArray = effect_s + self._nodes_s
         acceleration = self._plant.acceleration_ned_m_s2
         if pad is None:
             from_s, path = vehicle.time_s, resting_path(len(times_s))
@@ -143,7 +151,7 @@ class Controller:
             velocity = subtract(pad.velocity_ned_m_s, pad.relative_velocity_ned_m_s)
             motion = Motion(scale(pad.relative_position_ned_m, -1.0), velocity, acceleration)
         from_s = max(from_s, now_s - LONGEST_PREDICTION_S)
-        return _Start(effect_s, self._plant.carry(motion, from_s, effect_s), path)
+        return _Start(times_s, self._plant.carry(motion, from_s, effect_s), path)
 
     def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()
@@ -153,7 +161,13 @@ class Controller:
         if self._config.setpoint == "attitude":
             return attitude_setpoint(now_s, motion.velocity_m_s, u, plant.hover_thrust, look)
         return velocity_setpoint(
-            now_s, self._config, motion, u, plant.disturbance_ned_m_s2, self._tau_s, look
+            now_s,
+            self._config,
+            motion=motion,
+            input_ned_m_s2=u,
+            disturbance_ned_m_s2=plant.disturbance_ned_m_s2,
+            tau_s=self._tau_s,
+            heading=look,
         )
 
     def _look(self) -> Heading:

@@ -20,12 +20,15 @@ from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
-# random walks per square root of a second: how fast gusts come, how fast the bias wanders; and the model's own
-DISTURBANCE_WALK = 0.8
+# random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
+DISTURBANCE_WALK = 1.0
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01
 MAXIMUM_BIAS_M_S2 = 0.5
+# a larger surprise is a jump of the estimate (a fix came in), not of the vehicle: it counts for this much
+LARGEST_VELOCITY_INNOVATION_M_S = 0.3
+LARGEST_ACCELERATION_INNOVATION_M_S2 = 3.0
 
 
 def stationary_gain(period_s: float, tau_s: float) -> FloatArray:
@@ -60,8 +63,10 @@ class _Axis:
     def correct(
         self, velocity: float, acceleration: float, gain: tuple[tuple[float, float], ...], bound: float
     ) -> None:
-        dv = velocity - self.velocity
-        da = acceleration - self.acceleration - self.bias
+        jump = velocity - self.velocity
+        dv = _clamp(jump, LARGEST_VELOCITY_INNOVATION_M_S)
+        da = _clamp(acceleration - self.acceleration - self.bias, LARGEST_ACCELERATION_INNOVATION_M_S2)
+        self.velocity += jump - dv  # what is beyond is taken over as it is
         self.velocity += gain[0][0] * dv + gain[0][1] * da
         self.acceleration += gain[1][0] * dv + gain[1][1] * da
         self.disturbance = _clamp(self.disturbance + gain[2][0] * dv + gain[2][1] * da, bound)
@@ -126,8 +131,9 @@ class DisturbanceObserver:
 class ThrustScale:
     """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
 
-    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a constant
-    disturbance does not describe; hence the lasting part of the vertical one moves over into the factor.
+    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a
+    constant disturbance does not describe; hence the lasting part of the vertical one moves over into the
+    factor.
     """
 
     LEARNING_TIME_S = 2.0

@@ -6,7 +6,6 @@ the next one arrives, the commands that are still under way are flown through th
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 
@@ -53,7 +52,7 @@ class CommandHistory:
         return add(command.acceleration_m_s2, scale(error, self._gain_1_s))
 
     def segments(self, from_s: float, to_s: float) -> list[tuple[float, Command | None]]:
-        """Pieces (duration, command in effect) of the time between; None before the first command's effect."""
+        """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
         pieces: list[tuple[float, Command | None]] = []
         current: Command | None = None
         time_s = from_s
@@ -73,8 +72,6 @@ class CommandHistory:
         self, motion: Motion, from_s: float, to_s: float, disturbance_m_s2: Vector3, tau_s: float
     ) -> Motion:
         """The motion at `to_s` from that at `from_s`, under what was commanded and a constant disturbance."""
-        if not math.isfinite(from_s):
-            return motion
         for duration_s, command in self.segments(from_s, to_s):
             wanted = motion.acceleration_m_s2
             if command is not None:

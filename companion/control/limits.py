@@ -1,7 +1,8 @@
 """The last gate: whatever was planned, nothing beyond these bounds leaves for the autopilot.
 
-Every setpoint passes through `LimitsGate.apply`; what was cut is named, so that the log shows it. A setpoint
-with anything in it that is not a finite number becomes a hold: no velocity, no acceleration, the last heading.
+Every setpoint passes through `LimitsGate.apply`; what was cut is named, so that the log shows it. A
+setpoint with anything in it that is not a finite number becomes a hold: no velocity, no acceleration, the
+last heading.
 The tilt is bounded as the acceleration that it gives, so that one bound on its change (jerk) serves both
 kinds of setpoint. NED and FRD, SI units.
 """

@@ -1,13 +1,14 @@
 """Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
 
-Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into the
-reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a step
-changes vectors only and starts from the last solution, one step on. Deterministic: iterations bound the work,
-never time.
+Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
+the reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a
+step changes vectors only and starts from the last solution. Deterministic: iterations bound the work, never
+time.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,18 +28,25 @@ from companion.geometry import GRAVITY_M_S2, FloatArray, Vector3
 
 FAR = 1e6  # a bound that does not bind; infinity would change the row's kind and cost a factorisation
 ACCEPTED_RESIDUAL = 1e-2
-RHO = 3.0  # fixed: measured, 20 to 30 iterations from a warm start
+# measured: 20 to 30 iterations from a warm start; rho moves only when a far start takes more than 50, and by
+# OSQP's count of iterations, since its own choice of interval goes by time
+RHO = 3.0
+RHO_BY_ITERATIONS = 1
+RHO_INTERVAL = 50
 # OSQP's status values: solved; inaccurate and out of iterations
 SOLVED = 1
 NEARLY_SOLVED = (2, 7)
-# the gate bounds the same jerk over the true period: stay clear of it by the solver's tolerance and jitter
-JERK_SHARE = 0.9
+# the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
+JERK_SHARE = 0.95 / 3.0**0.5
 
 
 @dataclass(frozen=True)
 class Target:
-    """What to track: rows 0..N hold at 0, dt, .. N dt from the start. `floor_down_m` (N+1,) is the greatest
-    allowed position along down, or None."""
+    """What to track: rows 0..N hold at 0, dt, .. N dt from the start.
+
+    `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
+    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed and height soft.
+    """
 
     position_m: FloatArray
     velocity_m_s: FloatArray
@@ -84,12 +92,15 @@ class Mpc:
         """Inputs (N, 3) under which the model flies the reference's acceleration against the disturbance."""
         a = target.acceleration_m_s2
         slope = np.diff(a, axis=0) / self._dt
-        return 0.5 * (a[:-1] + a[1:]) + self._tau_s * slope - np.array(disturbance_m_s2)
+        needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + self._tau_s * slope - np.array(disturbance_m_s2)
+        return needed
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
     ) -> Solution:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
+        if not _finite(start):
+            return self._fall_back()
         needed = self.needed_inputs(target, disturbance_m_s2)
         last_input = self.clip_input(np.array(last_input_m_s2))
         q = self._linear_cost(target, needed, last_input)
@@ -135,7 +146,7 @@ class Mpc:
         for name, low, high in (
             ("tilt", -side, side),
             ("vertical_input", -self._vertical_input, self._vertical_input),
-            ("change", -limits.jerk_m_s3 * self._dt, limits.jerk_m_s3 * self._dt),
+            ("change", -JERK_SHARE * limits.jerk_m_s3 * self._dt, JERK_SHARE * limits.jerk_m_s3 * self._dt),
             ("speed", -speed, speed),
             ("vertical_speed", -limits.climb_speed_m_s, limits.descent_speed_m_s),
         ):
@@ -155,8 +166,9 @@ class Mpc:
             eps_rel=1e-4,
             max_iter=config.maximum_iterations,
             check_termination=10,
-            adaptive_rho=False,
             rho=RHO,
+            adaptive_rho=RHO_BY_ITERATIONS,
+            adaptive_rho_interval=RHO_INTERVAL,
             polishing=False,
             warm_starting=True,
             verbose=False,
@@ -191,16 +203,16 @@ class Mpc:
     def _update_bounds(
         self, start: Motion, target: Target, disturbance: FloatArray, last_input: FloatArray
     ) -> None:
-        rows, l, u = self._rows, self._l, self._u
+        rows, lower, upper = self._rows, self._l, self._u
         drift = self._B @ disturbance
-        dynamics = l[rows["dynamics"]].reshape(self._N, 9)
+        dynamics = lower[rows["dynamics"]].reshape(self._N, 9)
         dynamics[:] = drift
         dynamics[0] += self._A @ np.array([*start.position_m, *start.velocity_m_s, *start.acceleration_m_s2])
-        u[rows["dynamics"]] = l[rows["dynamics"]]
+        upper[rows["dynamics"]] = lower[rows["dynamics"]]
         change = rows["change"].start
-        l[change : change + 3] = last_input - self._first_change
-        u[change : change + 3] = last_input + self._first_change
-        u[rows["floor"]] = FAR if target.floor_down_m is None else target.floor_down_m[1:]
+        lower[change : change + 3] = last_input - self._first_change
+        upper[change : change + 3] = last_input + self._first_change
+        upper[rows["floor"]] = FAR if target.floor_down_m is None else target.floor_down_m[1:]
 
     def _take(self, result: Any) -> Solution:
         info, x = result.info, np.array(result.x)
@@ -227,3 +239,8 @@ class Mpc:
         inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
         states = self._last[self._layout.states].reshape(self._N, 9).copy()
         return Solution(inputs, states, solved, iterations)
+
+
+def _finite(motion: Motion) -> bool:
+    numbers = (*motion.position_m, *motion.velocity_m_s, *motion.acceleration_m_s2)
+    return all(map(math.isfinite, numbers))

@@ -2,8 +2,8 @@
 
 A pad on a curve turns its velocity and acceleration at the rate omega = (v x a)_z / |v|^2; one that is too
 slow, or brakes rather than turns, for that to be well determined keeps its velocity while its acceleration
-dies away. The vertical acceleration always dies away. NED axes, SI units; the origin is the pad's place at the
-start.
+dies away. The vertical acceleration always dies away. NED axes, SI units; the origin is where the pad was
+estimated.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def turn_rate(velocity_m_s: Vector3, acceleration_m_s2: Vector3) -> float | None
 
 
 def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPath:
-    """The pad's path at `times_s` (n,) of the app's clock; displacement counts from where it was estimated."""
+    """The pad's path at `times_s` (n,) of the app's clock, counted from where it was estimated."""
     t = times_s - pad.time_s
     velocity, acceleration = pad.velocity_ned_m_s, pad.acceleration_ned_m_s2
     displacement, speed, change = _decaying(velocity, acceleration, t, decay_s)

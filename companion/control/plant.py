@@ -1,5 +1,7 @@
-"""The vehicle under its autopilot, as far as control knows it: what was commanded, what pushes, what thrust is
-worth. Joins the command history, the disturbance observer and the thrust scale. NED and FRD, SI units.
+"""The vehicle under its autopilot, as far as control knows it.
+
+What was commanded, what pushes, what thrust is worth: joins the command history, the disturbance observer and
+the thrust scale. NED and FRD, SI units.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, with nothing commanded. A leaning vehicle that does not accelerate leans against wind."""
+        """Begin anew, nothing commanded. A leaning vehicle that does not accelerate leans against wind."""
         disturbance = ZERO3
         acceleration = vehicle.acceleration_ned_m_s2
         if self._by_attitude:
@@ -54,7 +56,7 @@ class Plant:
         self._history.clear()
 
     def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
-        """Compare what the vehicle does with what was commanded. `elapsed_s` is the time since the last call."""
+        """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago."""
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self._observer.predict(self._wanted(command, duration_s), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)

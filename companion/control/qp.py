@@ -1,11 +1,11 @@
 """The MPC as a sparse quadratic programme (eq. 39): its matrices, built once.
 
-Variables, in this order, for N steps: states x_1..x_N (9 each: position, velocity, acceleration, NED), inputs
-u_0..u_{N-1} (3 each), velocity slacks (3 each) and floor slacks (1 each). The slacks are free and dear, so that
-a vehicle that already breaks a bound on its state still has a solution.
+Variables, in this order, for N steps: states x_1..x_N (9 each: position, velocity, acceleration, NED),
+inputs u_0..u_{N-1} (3 each), velocity slacks (3 each) and floor slacks (1 each). The slacks are free and
+dear, so that a vehicle that already breaks a bound on its state still has a solution.
 
-Rows, in this order: dynamics (9N, equalities), tilt octagon (4N), vertical input (N), input change (3N), speed
-octagon (4N), vertical speed (N), floor (N).
+Rows, in this order: dynamics (9N, equalities), tilt octagon (4N), vertical input (N), input change (3N),
+speed octagon (4N), vertical speed (N), floor (N).
 """
 
 from __future__ import annotations

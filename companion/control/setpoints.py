@@ -3,9 +3,9 @@
 Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integral, with the lag tau. We send
 the predicted velocity for the moment at which the setpoint takes effect, so that its loop adds nothing while
 the prediction holds and damps what the prediction did not know, and the MPC's acceleration as a_ff. The
-estimated disturbance is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly causes
-it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset of a_ff
-would wind up for ever.
+estimated disturbance is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly
+causes it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset
+of a_ff would wind up for ever.
 
 NED and FRD, SI units.
 """
@@ -32,6 +32,7 @@ class Heading:
 def velocity_setpoint(
     now_s: float,
     config: ControlConfig,
+    *,
     motion: Motion,
     input_ned_m_s2: Vector3,
     disturbance_ned_m_s2: Vector3,

@@ -1,13 +1,14 @@
 """The plan's reference as the MPC's target: resampled to the moment the command takes effect, and with the
 pad's own motion added where the reference rides on the pad.
 
-Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin where
-the pad was when its path begins. SI units.
+Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin
+where the pad was when its path begins. SI units.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,14 +39,35 @@ def sample(reference: Reference, times_s: FloatArray) -> tuple[FloatArray, Float
     return values[:, :3], values[:, 3:6], values[:, 6:]
 
 
+def within_reach(
+    target: Target, position_m: Vector3, horizontal_reach_m: float, vertical_reach_m: float
+) -> Target:
+    """The target, moved as a whole until its start is within reach of the vehicle.
+
+    A quadratic cost pulls the harder the farther the goal is, past all soft bounds; drawn near, a far goal is
+    approached at a steady speed.
+    """
+    away = [float(value) for value in target.position_m[0]]
+    x, y, z = (away[i] - position_m[i] for i in range(3))
+    distance = math.hypot(x, y)
+    excess = max(0.0, 1.0 - horizontal_reach_m / distance) if distance > 0.0 else 0.0
+    down = z - max(-vertical_reach_m, min(vertical_reach_m, z))
+    if excess == 0.0 and down == 0.0:
+        return target
+    shift = np.array([x * excess, y * excess, down])
+    return replace(target, position_m=target.position_m - shift)
+
+
 def make_target(reference: Reference, times_s: FloatArray, path: PadPath) -> Target:
     """The target at `times_s` (N+1,): the reference on top of the path of its origin."""
     position, velocity, acceleration = sample(reference, times_s)
+    position += path.displacement_m
     floor = None
     if reference.origin == "pad" and reference.minimum_height_m is not None:
         floor = path.displacement_m[:, 2] - reference.minimum_height_m
+        position[:, 2] = np.minimum(position[:, 2], floor)
     return Target(
-        position + path.displacement_m,
+        position,
         velocity + path.velocity_m_s,
         acceleration + path.acceleration_m_s2,
         floor,

@@ -1,0 +1,328 @@
+"""Closed loop for the control tests: a vehicle under an autopilot, a pad that moves, and the controller.
+
+The plant differs from the controller's model on purpose: other lag, other gains, an integral, biased velocity
+estimates, wind. It is written from the description of autopilots, not from the controller's code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from companion.config import ControlConfig, VehicleConfig
+from companion.control.controller import Controller
+from companion.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    ZERO3,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    add,
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    rotation_vector_from_quat,
+    scale,
+    subtract,
+)
+from companion.messages import ControlReport, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+
+PHYSICS_STEP_S = 0.004
+LINK_DELAY_S = 0.04
+HORIZON_ROWS = 24
+ROW_STEP_S = 0.1
+
+Motion3 = tuple[Vector3, Vector3, Vector3]
+PadMotion = Callable[[float], Motion3]
+Wind = Callable[[float], Vector3]
+
+
+def vehicle_config(**changes: float) -> VehicleConfig:
+    """An airframe like the shipped one."""
+    values: dict[str, object] = {
+        "name": "test",
+        "camera_position_body_m": (0.03, 0.0, 0.08),
+        "range_position_body_m": (-0.03, 0.0, 0.08),
+        "leg_height_m": 0.18,
+        "acceleration_time_constant_s": 0.18,
+        "hover_thrust": 0.5,
+    }
+    return VehicleConfig.model_validate(values | changes)
+
+
+# ---------------------------------------------------------------- pads
+
+
+def still(_time_s: float) -> Motion3:
+    """A pad that does not move."""
+    return ZERO3, ZERO3, ZERO3
+
+
+def line(time_s: float) -> Motion3:
+    """1 m/s to the north-east."""
+    velocity = (math.sqrt(0.5), math.sqrt(0.5), 0.0)
+    return scale(velocity, time_s), velocity, ZERO3
+
+
+def circle(time_s: float) -> Motion3:
+    """1.5 m/s on a circle of 5 m."""
+    radius, w = 5.0, 0.3
+    c, s = math.cos(w * time_s), math.sin(w * time_s)
+    return (
+        (radius * s, radius * (1.0 - c), 0.0),
+        (radius * w * c, radius * w * s, 0.0),
+        (-radius * w * w * s, radius * w * w * c, 0.0),
+    )
+
+
+def figure_eight(time_s: float) -> Motion3:
+    """A figure of eight, 10 m by 5 m, 2 m/s where it is fastest."""
+    a, b = 5.0, 2.5
+    w = 2.0 / math.hypot(a, 2.0 * b)
+    x, y = w * time_s, 2.0 * w * time_s
+    return (
+        (a * math.sin(x), b * math.sin(y), 0.0),
+        (a * w * math.cos(x), 2.0 * b * w * math.cos(y), 0.0),
+        (-a * w * w * math.sin(x), -4.0 * b * w * w * math.sin(y), 0.0),
+    )
+
+
+def heave(time_s: float) -> Motion3:
+    """A pad that goes up and down by 0.2 m every 5 s."""
+    h, w = 0.2, math.tau / 5.0
+    return (
+        (0.0, 0.0, h * math.sin(w * time_s)),
+        (0.0, 0.0, h * w * math.cos(w * time_s)),
+        (0.0, 0.0, -h * w * w * math.sin(w * time_s)),
+    )
+
+
+# ---------------------------------------------------------------- plans
+
+
+def min_jerk_offset(start: Vector3, goal: Vector3, duration_s: float) -> Callable[[float], Motion3]:
+    """Rest to rest along a quintic, then rest at the goal."""
+    change = subtract(goal, start)
+
+    def at(time_s: float) -> Motion3:
+        t = min(max(time_s / duration_s, 0.0), 1.0)
+        s = t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
+        ds = 30.0 * t * t * (1.0 - t) ** 2 / duration_s
+        dds = 60.0 * t * (1.0 - 3.0 * t + 2.0 * t * t) / duration_s**2
+        return add(start, scale(change, s)), scale(change, ds), scale(change, dds)
+
+    return at
+
+
+def reference_rows(
+    now_s: float,
+    motion: Callable[[float], Motion3],
+    *,
+    origin: str = "pad",
+    heading_rad: float = 0.0,
+    minimum_height_m: float | None = None,
+) -> Reference:
+    """A reference that follows `motion`."""
+    rows = [motion(now_s + k * ROW_STEP_S) for k in range(HORIZON_ROWS)]
+    position, velocity, acceleration = (np.array([row[i] for row in rows]) for i in range(3))
+    return Reference(
+        now_s,
+        "pad" if origin == "pad" else "local",
+        ROW_STEP_S,
+        position,
+        velocity,
+        acceleration,
+        heading_rad,
+        minimum_height_m,
+    )
+
+
+# ---------------------------------------------------------------- vehicles
+
+
+@dataclass
+class Vehicle:
+    """A point mass with an attitude; `push` is the acceleration that wind makes."""
+
+    position: Vector3
+    velocity: Vector3 = ZERO3
+    acceleration: Vector3 = ZERO3
+    attitude: Quaternion = IDENTITY
+
+    def move(self, force: Vector3, push: Vector3, dt_s: float) -> None:
+        self.acceleration = add(force, push)
+        self.velocity = add(self.velocity, scale(self.acceleration, dt_s))
+        self.position = add(self.position, scale(self.velocity, dt_s))
+
+
+@dataclass
+class VelocityAutopilot:
+    """Horizontal and vertical velocity loops with an integral, then attitude and motors as a lag."""
+
+    gain: Vector3 = (2.5, 2.5, 3.0)
+    integral_gain: Vector3 = (0.5, 0.5, 1.0)
+    lag_s: float = 0.15
+    bias_m_s: float = 0.05
+    _integral: Vector3 = ZERO3
+    _flown: Vector3 = ZERO3
+
+    def force(self, vehicle: Vehicle, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
+        wander = math.tau * time_s / 30.0
+        estimate = add(
+            vehicle.velocity,
+            (self.bias_m_s * math.cos(wander), self.bias_m_s * math.sin(wander), 0.5 * self.bias_m_s),
+        )
+        error = subtract(setpoint.velocity_ned_m_s, estimate)
+        gained = (self.integral_gain[i] * error[i] * dt_s for i in range(3))
+        self._integral = add(self._integral, tuple(gained))  # type: ignore[arg-type]
+        wanted = tuple(
+            setpoint.acceleration_ned_m_s2[i] + self.gain[i] * error[i] + self._integral[i] for i in range(3)
+        )
+        change = scale(subtract(wanted, self._flown), dt_s / self.lag_s)  # type: ignore[arg-type]
+        self._flown = add(self._flown, change)
+        return self._flown
+
+
+@dataclass
+class AttitudeAutopilot:
+    """Attitude and thrust followed with a lag; the thrust is worth `thrust_scale` times what is asked."""
+
+    hover_thrust: float = 0.5
+    thrust_scale: float = 0.9
+    lag_s: float = 0.15
+    _thrust: float = 0.5
+
+    def force(self, vehicle: Vehicle, setpoint: Setpoint, _time_s: float, dt_s: float) -> Vector3:
+        assert setpoint.attitude is not None
+        assert setpoint.thrust is not None
+        error = quat_multiply(quat_conjugate(vehicle.attitude), setpoint.attitude)
+        turn = scale(rotation_vector_from_quat(error), dt_s / self.lag_s)
+        vehicle.attitude = quat_normalise(quat_multiply(vehicle.attitude, quat_from_rotation_vector(turn)))
+        self._thrust += (setpoint.thrust - self._thrust) * dt_s / 0.05
+        push = self._thrust / self.hover_thrust * self.thrust_scale * GRAVITY_M_S2
+        return add(quat_rotate(vehicle.attitude, (0.0, 0.0, -push)), (0.0, 0.0, GRAVITY_M_S2))
+
+
+# ---------------------------------------------------------------- the loop
+
+
+@dataclass
+class Flight:
+    """What happened: one row a control step."""
+
+    time_s: list[float] = field(default_factory=list)
+    offset_m: list[Vector3] = field(default_factory=list)
+    wanted_m: list[Vector3] = field(default_factory=list)
+    relative_velocity_m_s: list[Vector3] = field(default_factory=list)
+    setpoints: list[Setpoint] = field(default_factory=list)
+    reports: list[ControlReport] = field(default_factory=list)
+
+    def error_m(self, after_s: float) -> FloatArray:
+        """Offset minus reference (n, 3) from a time on."""
+        keep = np.array(self.time_s) >= after_s
+        error: FloatArray = (np.array(self.offset_m) - np.array(self.wanted_m))[keep]
+        return error
+
+    def lateral_error_m(self, after_s: float) -> float:
+        """Greatest horizontal error from a time on."""
+        return float(np.hypot(*self.error_m(after_s)[:, :2].T).max())
+
+
+@dataclass
+class Loop:
+    """Flies `controller` on `autopilot` over `pad` along `offset` (the vehicle minus the pad)."""
+
+    controller: Controller
+    autopilot: VelocityAutopilot | AttitudeAutopilot
+    pad: PadMotion
+    offset: Callable[[float], Motion3]
+    wind: Wind = lambda _t: ZERO3
+    control_period_s: float = 1.0 / 30.0
+    velocity_bias: Vector3 = (0.03, -0.02, 0.01)
+    acceleration_bias: Vector3 = (0.08, -0.05, 0.05)
+    noise: float = 1.0
+    minimum_height_m: float | None = None
+    seed: int = 1
+
+    def fly(self, duration_s: float) -> Flight:
+        rng = np.random.default_rng(self.seed)
+        start = self.offset(0.0)[0]
+        pad = self.pad(0.0)
+        vehicle = Vehicle(add(pad[0], start), pad[1])
+        flight, pending = Flight(), deque[tuple[float, Setpoint]]()
+        current = self._resting(vehicle)
+        steps, control_s = round(duration_s / PHYSICS_STEP_S), 0.0
+        for i in range(steps):
+            now_s = i * PHYSICS_STEP_S
+            if now_s >= control_s - 1e-9:
+                control_s += self.control_period_s
+                setpoint = self._control(vehicle, now_s, rng, flight)
+                pending.append((now_s + LINK_DELAY_S, setpoint))
+            while pending and pending[0][0] <= now_s:
+                current = pending.popleft()[1]
+            force = self.autopilot.force(vehicle, current, now_s, PHYSICS_STEP_S)
+            vehicle.move(force, self.wind(now_s), PHYSICS_STEP_S)
+        return flight
+
+    def _resting(self, vehicle: Vehicle) -> Setpoint:
+        if isinstance(self.autopilot, AttitudeAutopilot):
+            return Setpoint(0.0, attitude=IDENTITY, thrust=0.5)
+        return Setpoint(0.0, velocity_ned_m_s=vehicle.velocity)
+
+    def _control(self, vehicle: Vehicle, now_s: float, rng: np.random.Generator, flight: Flight) -> Setpoint:
+        pad = self.pad(now_s)
+        noise = rng.normal(0.0, self.noise, 9)
+        velocity = add(add(vehicle.velocity, self.velocity_bias), tuple(0.01 * noise[:3]))
+        relative_velocity = add(subtract(pad[1], vehicle.velocity), tuple(0.01 * noise[3:6]))
+        state = VehicleState(
+            time_s=now_s,
+            attitude=vehicle.attitude,
+            rate_body_rad_s=ZERO3,
+            position_ned_m=add(vehicle.position, (0.4, -0.3, 0.2)),
+            velocity_ned_m_s=velocity,
+            acceleration_ned_m_s2=add(
+                add(vehicle.acceleration, self.acceleration_bias), tuple(0.2 * noise[6:9])
+            ),
+            gyro_bias_rad_s=ZERO3,
+            accel_bias_m_s2=ZERO3,
+            attitude_std_rad=0.01,
+            velocity_std_m_s=0.05,
+            position_std_m=0.5,
+            aligned=True,
+            has_gps=True,
+        )
+        pad_state = PadState(
+            time_s=now_s,
+            relative_position_ned_m=add(subtract(pad[0], vehicle.position), tuple(0.003 * noise[6:9])),
+            relative_velocity_ned_m_s=relative_velocity,
+            velocity_ned_m_s=add(velocity, relative_velocity),
+            acceleration_ned_m_s2=pad[2],
+            heading_rad=0.0,
+            heading_rate_rad_s=0.0,
+            position_std_m=0.01,
+            velocity_std_m_s=0.02,
+            seen_time_s=now_s - 0.05,
+        )
+        reference = reference_rows(now_s, self.offset, minimum_height_m=self.minimum_height_m)
+        answer = self.controller.step(PlanStep(now_s, Phase.DESCEND, reference), state, pad_state, now_s)
+        assert answer is not None
+        setpoint, report = answer
+        flight.time_s.append(now_s)
+        flight.offset_m.append(subtract(vehicle.position, pad[0]))
+        flight.wanted_m.append(self.offset(now_s)[0])
+        flight.relative_velocity_m_s.append(subtract(vehicle.velocity, pad[1]))
+        flight.setpoints.append(setpoint)
+        flight.reports.append(report)
+        return setpoint
+
+
+def controller(stopwatch: Callable[[], float] | None = None, **changes: object) -> Controller:
+    """A controller with the default settings, changed as asked."""
+    return Controller(ControlConfig.model_validate(changes), vehicle_config(), stopwatch)

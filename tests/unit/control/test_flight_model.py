@@ -1,0 +1,41 @@
+"""The model of how a vehicle answers: exact under a held input, and consistent with itself."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from companion.control.flight_model import Motion, advance, advance_axis, discretise
+
+TAU_S = 0.18
+
+
+@pytest.mark.parametrize("step_s", [0.005, 0.033, 0.1, 0.5])
+def test_discretisation_equals_the_matrix_exponential(step_s: float) -> None:
+    continuous = np.zeros((4, 4))
+    continuous[0, 1] = continuous[1, 2] = 1.0
+    continuous[2, 2], continuous[2, 3] = -1.0 / TAU_S, 1.0 / TAU_S
+    exact = expm(continuous * step_s)
+    A, B = discretise(step_s, TAU_S)
+    np.testing.assert_allclose(A, exact[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(B, exact[:3, 3], atol=1e-12)
+
+
+def test_two_short_steps_make_one_long_one() -> None:
+    start = (1.0, -2.0, 0.5)
+    halfway = advance_axis(start, 1.5, 0.04, TAU_S)
+    assert advance_axis(halfway, 1.5, 0.06, TAU_S) == pytest.approx(advance_axis(start, 1.5, 0.1, TAU_S))
+
+
+def test_no_time_changes_nothing_and_long_time_reaches_the_input() -> None:
+    assert advance_axis((1.0, 2.0, 3.0), 9.0, 0.0, TAU_S) == (1.0, 2.0, 3.0)
+    assert advance_axis((0.0, 0.0, -3.0), 0.7, 5.0, TAU_S)[2] == pytest.approx(0.7, abs=1e-9)
+
+
+def test_axes_do_not_mix() -> None:
+    start = Motion((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (-1.0, 0.0, 1.0))
+    end = advance(start, (0.5, -0.5, 0.25), 0.2, TAU_S)
+    for axis, u in enumerate((0.5, -0.5, 0.25)):
+        alone = advance_axis(
+            (start.position_m[axis], start.velocity_m_s[axis], start.acceleration_m_s2[axis]), u, 0.2, TAU_S
+        )
+        assert (end.position_m[axis], end.velocity_m_s[axis], end.acceleration_m_s2[axis]) == alone
