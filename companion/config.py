@@ -373,6 +373,7 @@ class SearchConfig(StrictModel):
     stream_s: float = Field(default=0.5, ge=0.1, le=5.0)  # setpoints before control is asked for
     hold_s: float = Field(default=0.7, ge=0.0, le=30.0)
     request_s: float = Field(default=5.0, ge=1.0, le=60.0)
+    dwell_s: float = Field(default=2.0, ge=0.0, le=30.0)  # over the pad's likely place, before the spiral
     spacing_m: float = Field(default=4.0, ge=0.5, le=30.0)
     radius_m: float = Field(default=12.0, ge=1.0, le=200.0)
     trust_s: float = Field(default=12.0, ge=1.0, le=120.0)  # a word of where the pad is, until it is stale
@@ -386,7 +387,7 @@ class LandingConfig(StrictModel):
     """Approach and descent over the pad; heights are of the feet over the pad."""
 
     approach_height_m: float = Field(default=3.0, ge=1.0, le=20.0)
-    approach_slope: float = Field(default=0.6, gt=0.0, le=3.0)  # metres aside for each metre of height
+    approach_slope: float = Field(default=0.35, gt=0.0, le=3.0)  # metres aside for each metre of height
     cone_slope: float = Field(default=0.2, gt=0.0, le=1.0)
     cone_floor_m: float = Field(default=0.10, gt=0.0, le=1.0)
     wait_height_m: float = Field(default=0.35, ge=0.1, le=2.0)
@@ -410,7 +411,7 @@ class TouchdownConfig(StrictModel):
     blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
-    contact_margin_m: float = Field(default=0.03, gt=0.0, le=0.2)
+    contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
     land_after_s: float = Field(default=3.0, ge=0.5, le=30.0)
 

@@ -18,10 +18,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
+import warnings
 from bisect import bisect_right
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -45,7 +46,11 @@ _MONOTONE_TOLERANCE_M_S = 0.005
 
 
 class FuzzyRules(StrictModel):
-    """Membership functions and rules: `rules[acceleration][distance]` lists a speed for each velocity."""
+    """Membership functions and rules.
+
+    `rules[acceleration][distance]` lists a speed for each velocity, from the most negative on, in whatever
+    order the file has its terms.
+    """
 
     name: str
     distance_m: Terms
@@ -71,17 +76,19 @@ class FuzzyRules(StrictModel):
         for variable in INPUTS:
             _no_gap(variable, getattr(self, variable))
         if set(self.rules) != set(self.acceleration_m_s2):
-            raise ValueError(f"rules: expected one block for each of {', '.join(self.acceleration_m_s2)}")
+            raise ValueError(
+                f"rules: expected one block for each of {', '.join(_in_order(self.acceleration_m_s2))}"
+            )
         for acceleration, rows in self.rules.items():
             if set(rows) != set(self.distance_m):
                 raise ValueError(
-                    f"rules.{acceleration}: expected a row for each of {', '.join(self.distance_m)}"
+                    f"rules.{acceleration}: expected a row for each of {', '.join(_in_order(self.distance_m))}"
                 )
             for distance, speeds in rows.items():
                 if len(speeds) != len(self.velocity_m_s) or not set(speeds) <= set(self.speed_m_s):
                     raise ValueError(
                         f"rules.{acceleration}.{distance}: expected {len(self.velocity_m_s)} of "
-                        f"{', '.join(self.speed_m_s)}, found {list(speeds)}"
+                        f"{', '.join(_in_order(self.speed_m_s))}, found {list(speeds)}"
                     )
         return self
 
@@ -91,9 +98,13 @@ class FuzzyRules(StrictModel):
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
+def _in_order(terms: Terms) -> list[str]:
+    return sorted(terms, key=lambda term: terms[term])
+
+
 def _no_gap(variable: str, terms: Terms) -> None:
     ordered = sorted(terms.values())
-    for left, right in zip(ordered, ordered[1:], strict=False):
+    for left, right in pairwise(ordered):
         if right[0] >= left[-1]:
             raise ValueError(f"{variable}: no term covers {left[-1]} to {right[0]}")
 
@@ -121,12 +132,15 @@ def mamdani(rules: FuzzyRules, inputs: FloatArray) -> FloatArray:
         control.Rule(distance[d] & velocity[v] & acceleration[a], speed[s], and_func=np.multiply)
         for a, rows in rules.rules.items()
         for d, speeds in rows.items()
-        for v, s in zip(rules.velocity_m_s, speeds, strict=True)
+        for v, s in zip(_in_order(rules.velocity_m_s), speeds, strict=True)
     ]
     simulation = control.ControlSystemSimulation(control.ControlSystem(cells))
     for column, name in enumerate(INPUTS):
         simulation.input[name] = np.ascontiguousarray(inputs[:, column])
-    simulation.compute()
+    with warnings.catch_warnings():
+        # scikit-fuzzy 0.5 passes np.maximum its output by position, which numpy will remove (capped below that)
+        warnings.simplefilter("ignore", DeprecationWarning)
+        simulation.compute()
     return np.asarray(simulation.output[OUTPUT], dtype=np.float64)
 
 
@@ -195,7 +209,7 @@ def _axis(terms: Terms, fractions: tuple[float, ...]) -> tuple[float, ...]:
     ordered = sorted(terms.values())
     low, high = ordered[0][-2], ordered[-1][1]
     corners = sorted({corner for term in ordered for corner in term if low <= corner <= high})
-    samples = [a + f * (b - a) for a, b in zip(corners, corners[1:], strict=False) for f in fractions]
+    samples = [a + f * (b - a) for a, b in pairwise(corners) for f in fractions]
     return tuple(round(sample, 6) for sample in (*samples, corners[-1]))
 
 
@@ -247,7 +261,7 @@ def write_table(name: str | Path) -> Path:
     try:
         scratch = target.with_suffix(".part")
         scratch.write_text(text.replace("]],[[", "]],\n[[") + "\n", encoding="utf-8")
-        os.replace(scratch, target)
+        scratch.replace(target)
     except OSError as error:
         raise ConfigError(f"{target}: cannot be written: {error.strerror}") from error
     return target
@@ -258,8 +272,8 @@ def _never_faster_when_closer(table: SpeedTable, source: Path) -> None:
     if gain.min() < -_MONOTONE_TOLERANCE_M_S:
         i, j, k = (int(n) for n in np.unravel_index(gain.argmin(), gain.shape))
         raise ConfigError(
-            f"{source}: rules: expected no more speed when closer; at velocity {table.velocity_m_s[j]} m/s and "
-            f"acceleration {table.acceleration_m_s2[k]} m/s2, {table.distance_m[i]} m is faster than "
+            f"{source}: rules: expected no more speed when closer; at velocity {table.velocity_m_s[j]} m/s "
+            f"and acceleration {table.acceleration_m_s2[k]} m/s2, {table.distance_m[i]} m is faster than "
             f"{table.distance_m[i + 1]} m by {-gain[i, j, k]:.2f} m/s"
         )
 

@@ -55,6 +55,14 @@ class Guide:
             raise RuntimeError("no reference yet: start one first")
         return self._trajectory.at(now_s)
 
+    def resting_place_m(self) -> Vector3:
+        """Where the reference ends.
+
+        Raises:
+            RuntimeError: there is no reference.
+        """
+        return self.at(math.inf if self._trajectory is None else self._trajectory.end_s).position_m
+
     def start(self, origin: Origin, motion: Motion, now_s: float) -> None:
         """Begin afresh at a state, coming to rest in the frame."""
         self.origin = origin
@@ -82,10 +90,13 @@ class Guide:
         )
         self.start(origin, motion, now_s)
 
-    def strayed(self, actual: Motion, now_s: float) -> float:
-        """Distance (m) from the reference to the estimate when beyond the bound, else 0."""
-        distance = norm(subtract(self.at(now_s).position_m, actual.position_m))
-        return distance if distance > self._config.stray_m else 0.0
+    def keep_near(self, actual: Motion, now_s: float) -> float:
+        """Take the estimate up when the reference is too far from it; returns how far (m), else 0."""
+        distance_m = norm(subtract(self.at(now_s).position_m, actual.position_m))
+        if distance_m <= self._config.stray_m:
+            return 0.0
+        self.take_up(actual, now_s)
+        return distance_m
 
     def take_up(self, actual: Motion, now_s: float) -> None:
         """Put the reference onto the estimate; its acceleration goes on."""

@@ -32,8 +32,9 @@ class Landing:
         self._leg_m = vehicle.leg_height_m
         self.goal_m = self._leg_m + config.approach_height_m
         self._paused_at_m: float | None = None
+        self._begun_s = 0.0
 
-    def begin(self, height_m: float, again: bool) -> None:
+    def begin(self, height_m: float, again: bool, now_s: float) -> None:
         """Start an approach from a height; `again` after a failed touchdown: only as high as that needs.
 
         A first approach never climbs.
@@ -42,6 +43,7 @@ class Landing:
         first_m = min(height_m, self._leg_m + c.approach_height_m)
         self.goal_m = self._leg_m + c.retry_height_m if again else first_m
         self._paused_at_m = None
+        self._begun_s = now_s
 
     @property
     def paused(self) -> bool:
@@ -50,7 +52,7 @@ class Landing:
 
     def approach(self, sight: Sight | None, now_s: float) -> Finding:
         """Towards the point above the pad, down a slope that keeps the pad in view."""
-        if sight is None or sight.age_s > self._config.lost_unseen_s:
+        if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
             return self._lost(sight)
         seen = sight.age_s <= self._config.pause_unseen_s
         self._go(self._slope_m(sight, now_s) if seen else max(self.goal_m, self._level(now_s)), now_s)

@@ -27,11 +27,16 @@ class Requests:
         self._retry_s, self._answer_s, self._attempts = retry_s, answer_s, attempts
         self._pending: dict[ActionKind, _Pending] = {}
         self._accepted: set[ActionKind] = set()
+        self._told: list[Action] = []
 
     def ask(self, action: Action, now_s: float) -> None:
         """Open a request, unless one of its kind is open or has been granted since `forget`."""
         if action.kind not in self._pending and action.kind not in self._accepted:
             self._pending[action.kind] = _Pending(action, due_s=now_s)
+
+    def tell(self, action: Action) -> None:
+        """Send an action once, without waiting for an answer."""
+        self._told.append(action)
 
     def forget(self) -> None:
         """Drop what is open and what was granted: a new phase asks anew."""
@@ -66,7 +71,8 @@ class Requests:
             self._pending[p.action.kind] = replace(
                 p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s
             )
-        return tuple(p.action for p in ready)
+        told, self._told = self._told, []
+        return (*told, *(p.action for p in ready))
 
     def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
         self._pending[pending.action.kind] = replace(

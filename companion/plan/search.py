@@ -1,8 +1,8 @@
-"""Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else-branch).
+"""Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else).
 
 What is known of the pad's place is a `Lead`: the ground station's beacon, the last sight, or the point where
-the search began; the newest counts. It is led by its velocity for a while only, since a pad that circles is
-not where a straight line says. Everything in the EKF's NED, m and s; the height is chosen on entry and kept.
+the search began; the newest counts. It is led along its arc for a while only. Everything is in the EKF's
+NED, m, s and rad; the height is chosen on entry and kept.
 """
 
 from __future__ import annotations
@@ -11,18 +11,22 @@ import math
 from dataclasses import dataclass
 
 from companion.config import SearchConfig
-from companion.geometry import ZERO3, Vector3, ned_from_geodetic
+from companion.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angle
 from companion.messages import PadBeacon
+from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 
-# At a corner of the spiral the next one is taken up this long before the reference would come to rest.
+# The reference counts as at a corner when this close: the next one is taken up without a halt.
 _CORNER_M = 1.0
+# Slower than this a pad has no course to speak of; turning faster than that is noise.
+_COURSE_M_S = 0.3
+_FASTEST_TURN_RAD_S = 1.0
 
 
 def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
     """North and east (m) of a corner of the expanding square; corner 0 is its centre.
 
-    The legs are 1, 1, 2, 2, 3, 3, ... spacings long, so that neighbouring turns lie one spacing apart.
+    The legs grow so that neighbouring turns lie one spacing apart.
     """
     if corner == 0:
         return (0.0, 0.0)
@@ -38,92 +42,168 @@ class Lead:
     time_s: float
     position_ned_m: Vector3
     velocity_ned_m_s: Vector3 = ZERO3
+    turn_rate_rad_s: float = 0.0
 
-    def at(self, now_s: float, lead_s: float) -> Motion:
-        """Where it should be now; after lead_s it is taken to stand where it would have been by then."""
-        age_s = max(0.0, now_s - self.time_s)
-        p, v = self.position_ned_m, self.velocity_ned_m_s
-        led_s = min(age_s, lead_s)
-        velocity = (v[0], v[1], 0.0) if age_s < lead_s else ZERO3
-        return Motion((p[0] + v[0] * led_s, p[1] + v[1] * led_s, 0.0), velocity)
+    def at(self, now_s: float, longest_s: float) -> Motion:
+        """Where it should be now, along an arc; after longest_s it is taken to stand where it was by then."""
+        age_s = now_s - self.time_s
+        t = max(0.0, min(age_s, longest_s))
+        p, v, w = self.position_ned_m, self.velocity_ned_m_s, self.turn_rate_rad_s
+        angle = w * t
+        along = math.sin(angle) / w if abs(angle) > 1e-4 else t
+        across = (1.0 - math.cos(angle)) / w if abs(angle) > 1e-4 else 0.5 * angle * t
+        place = (p[0] + along * v[0] - across * v[1], p[1] + across * v[0] + along * v[1], 0.0)
+        if age_s >= longest_s:
+            return Motion(place)
+        c, s = math.cos(angle), math.sin(angle)
+        return Motion(place, (c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0))
 
 
-class Search:
-    """One search after another: `begin` at each, then `target` every cycle."""
+def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
+    """Rate (rad/s, clockwise from above) at which the course turned since an earlier word."""
+    if before is None or time_s - before.time_s < 0.5:
+        return 0.0 if before is None else before.turn_rate_rad_s
+    old = before.velocity_ned_m_s
+    if min(math.hypot(old[0], old[1]), math.hypot(velocity[0], velocity[1])) < _COURSE_M_S:
+        return 0.0
+    turned = wrap_angle(math.atan2(velocity[1], velocity[0]) - math.atan2(old[1], old[0]))
+    return _bounded(turned / (time_s - before.time_s))
+
+
+def _bounded(rate_rad_s: float) -> float:
+    return max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, rate_rad_s))
+
+
+class Whereabouts:
+    """The newest word of where the pad is."""
 
     def __init__(self, config: SearchConfig) -> None:
         self._config = config
         self._beacon: Lead | None = None
-        self._beacon_seen: PadBeacon | None = None
+        self._beacon_heard: PadBeacon | None = None
         self._sight: Lead | None = None
-        self._start = Lead(0.0, ZERO3)
-        self._down_m = 0.0
-        self._corner = 0
+        self.start = Lead(-math.inf, ZERO3)
 
-    def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
-        """Take in the ground station's word; `origin` is the EKF's (latitude deg, longitude deg, m)."""
-        if beacon is None or origin is None or beacon == self._beacon_seen:
-            return
-        self._beacon_seen = beacon
+    def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> bool:
+        """Take in the beacon; `origin` is the EKF's (deg, deg, m). Returns whether it was a surprise."""
+        if beacon is None or origin is None or beacon == self._beacon_heard:
+            return False
+        self._beacon_heard = beacon
         position = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, origin)
-        word = Lead(beacon.time_s, position, beacon.velocity_ned_m_s)
-        if self._surprising(word):
-            self._corner = 0
-        self._beacon = word
+        velocity = beacon.velocity_ned_m_s
+        rate = turn_rate(self._beacon, beacon.time_s, velocity)
+        expected = self.likely(beacon.time_s).position_m
+        self._beacon = Lead(beacon.time_s, position, velocity, rate)
+        return math.dist(expected[:2], position[:2]) > self._config.spacing_m
 
     def remember(self, pad: Motion, seen_s: float, now_s: float) -> None:
-        """Keep the last sight of the pad, as the filter leads it to now."""
-        p, v = pad.position_m, pad.velocity_m_s
+        """Keep the last sight of the pad; `pad` is what the filter leads it to now."""
+        p, v, a = pad.position_m, pad.velocity_m_s, pad.acceleration_m_s2
         age_s = now_s - seen_s
-        self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v)
+        flat = v[0] * v[0] + v[1] * v[1]
+        rate = _bounded((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
+        self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
 
-    def begin(self, here: Vector3, climb_m: float, now_s: float) -> float:
-        """Start at a place in the EKF's NED; returns the climb (m), bounded, that the search will make."""
-        climb_m = max(0.0, min(self._config.climb_m, climb_m))
-        self._start = Lead(-math.inf, here)
-        self._down_m = here[2] - climb_m
-        self._corner = 0
-        return climb_m
-
-    def target(self, reference: Vector3, now_s: float) -> Motion:
-        """Where to fly: the pad's likely place first, then the corners of a spiral about it."""
-        centre = self._likely(now_s)
-        if self._distance(reference, self._corner_at(centre)) < _CORNER_M:
-            self._next_corner()
-        north, east = self._corner_at(centre)
-        return Motion((north, east, self._down_m), centre.velocity_m_s)
-
-    def known(self, now_s: float) -> str:
-        """What the search goes by, in words."""
+    def likely(self, now_s: float) -> Motion:
+        """Where the pad should be now; at rest where the search began when there is no word."""
         newest = self._newest(now_s)
-        if newest is self._start:
-            return "no word of the pad"
-        return "the beacon" if newest is self._beacon else "the last sight"
-
-    def _newest(self, now_s: float) -> Lead:
-        words = [w for w in (self._beacon, self._sight) if w and now_s - w.time_s <= self._config.trust_s]
-        return max(words, key=lambda word: word.time_s, default=self._start)
-
-    def _likely(self, now_s: float) -> Motion:
-        newest = self._newest(now_s)
-        if newest is self._start:
+        if newest is self.start:
             return Motion(newest.position_ned_m)
         return newest.at(now_s, self._config.lead_s)
 
-    def _surprising(self, word: Lead) -> bool:
-        """Whether a new word lies far from where the old one led."""
-        expected = self._likely(word.time_s).position_m
-        return self._distance(expected, word.position_ned_m) > self._config.spacing_m
+    def source(self, now_s: float) -> str:
+        """What it goes by, in words."""
+        newest = self._newest(now_s)
+        if newest is self.start:
+            return "no word of it yet"
+        return "by its beacon" if newest is self._beacon else "by the last sight"
 
-    def _corner_at(self, centre: Motion) -> tuple[float, float]:
-        north, east = square_spiral(self._corner, self._config.spacing_m)
-        return (centre.position_m[0] + north, centre.position_m[1] + east)
+    def _newest(self, now_s: float) -> Lead:
+        words = [w for w in (self._beacon, self._sight) if w and now_s - w.time_s <= self._config.trust_s]
+        return max(words, key=lambda word: word.time_s, default=self.start)
 
-    def _next_corner(self) -> None:
+
+@dataclass(frozen=True, slots=True)
+class SearchStep:
+    """What a cycle of searching asks for."""
+
+    ask_for_control: bool = False
+    request_pad: bool = False
+    seen: bool = False
+    flying: bool = False
+
+
+class Search:
+    """One search after another: `begin`, then `step` every cycle. Steers the guide in the EKF's NED."""
+
+    def __init__(self, config: SearchConfig, guide: Guide) -> None:
+        self._config, self._guide = config, guide
+        self.whereabouts = Whereabouts(config)
+        self._down_m = 0.0
+        self._corner = 0
+        self._arrived_s: float | None = None
+        self._begun_s = self._control_s = self._next_request_s = -math.inf
+        self._had_control = False
+
+    def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
+        """Take in the beacon; one that is far from where the pad was thought starts the spiral again."""
+        if self.whereabouts.hear(beacon, origin):
+            self._corner, self._arrived_s = 0, None
+
+    def request_now(self) -> None:
+        """Ask for the pad's position at the next step, however lately that was done."""
+        self._next_request_s = -math.inf
+
+    def begin(self, climb_m: float, now_s: float) -> float:
+        """Start from the reference; returns the climb (m), bounded, that the search will make."""
+        climb_m = max(0.0, min(self._config.climb_m, climb_m))
+        here = self._guide.at(now_s).position_m
+        self.whereabouts.start = Lead(-math.inf, here)
+        self._down_m = here[2] - climb_m
+        self._corner, self._arrived_s = 0, None
+        self._begun_s = now_s
+        return climb_m
+
+    def step(self, actual: Motion, in_control: bool, steady: bool, now_s: float) -> SearchStep:
+        """One cycle; `actual` is the vehicle in the EKF's NED, `steady` whether the pad is in view."""
+        if not in_control:
+            # setpoints first, then the question: PX4 wants to see them before it obeys
+            self._had_control = False
+            return SearchStep(ask_for_control=now_s - self._begun_s >= self._config.stream_s)
+        if not self._had_control:
+            self._had_control, self._control_s = True, now_s
+            self._guide.take_up(actual, now_s)
+        if steady:
+            return SearchStep(seen=True)
+        request = now_s >= self._next_request_s
+        if request:
+            self._next_request_s = now_s + self._config.request_s
+        flying = now_s - max(self._begun_s, self._control_s) >= self._config.hold_s
+        if flying:
+            self._guide.fly_to(self._target(now_s), now_s)
+        return SearchStep(request_pad=request, flying=flying)
+
+    def _target(self, now_s: float) -> Motion:
+        """The pad's likely place first, then the corners of a spiral about it, moving as it does."""
+        centre = self.whereabouts.likely(now_s)
+        reference = self._guide.at(now_s).position_m
+        place = self._corner_of(centre)
+        if math.dist(reference[:2], place) < _CORNER_M:
+            self._at_corner(now_s)
+            place = self._corner_of(centre)
+        return Motion((*place, self._down_m), centre.velocity_m_s)
+
+    def _at_corner(self, now_s: float) -> None:
+        """Go on to the next corner; at the centre look about for a moment first."""
+        if self._arrived_s is None:
+            self._arrived_s = now_s
+        if self._corner == 0 and now_s - self._arrived_s < self._config.dwell_s:
+            return
         north, east = square_spiral(self._corner + 1, self._config.spacing_m)
         # beyond the radius it begins anew: the pad may have come closer meanwhile
         self._corner = 0 if math.hypot(north, east) > self._config.radius_m else self._corner + 1
+        self._arrived_s = None
 
-    @staticmethod
-    def _distance(place: Vector3, point: tuple[float, float] | Vector3) -> float:
-        return math.hypot(place[0] - point[0], place[1] - point[1])
+    def _corner_of(self, centre: Motion) -> tuple[float, float]:
+        north, east = square_spiral(self._corner, self._config.spacing_m)
+        return (centre.position_m[0] + north, centre.position_m[1] + east)

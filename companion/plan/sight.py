@@ -98,3 +98,29 @@ class Sightings:
         """Whether the last `count` sightings all lie within the window before now."""
         times = self._times_s
         return len(times) == times.maxlen and now_s - times[0] <= self._window_s
+
+
+class PadKnowledge:
+    """What the planner holds of the pad: the sight of this cycle, and its motion in the EKF's NED."""
+
+    def __init__(self, sightings: int, window_s: float) -> None:
+        self._sightings = Sightings(sightings, window_s)
+        self.sight: Sight | None = None
+        self.motion: Motion | None = None
+
+    def update(self, pad: PadState | None, vehicle: VehicleState | None, now_s: float) -> None:
+        """Take in a cycle's estimates; the motion of the last cycle that had both is kept."""
+        self._sightings.note(pad)
+        self.sight = look(pad, now_s)
+        if self.sight is not None and vehicle is not None:
+            self.motion = pad_motion(vehicle, self.sight, now_s)
+
+    def steady(self, now_s: float) -> bool:
+        """Whether the pad is in view, not just for a frame."""
+        return self.motion is not None and self._sightings.steady(now_s)
+
+    def in_words(self) -> str:
+        """Where it is, for a notice."""
+        if self.sight is None:
+            return "in sight"
+        return f"{self.sight.lateral_m:.1f} m aside, {self.sight.height_m:.1f} m below"

@@ -87,6 +87,7 @@ def contact_signs(
     echo: RangeSample | None,
     landed: LandedState,
     now_s: float,
+    *,
     config: TouchdownConfig,
     vehicle: VehicleConfig,
 ) -> ContactSigns:
@@ -174,7 +175,7 @@ class Touchdown:
     ) -> Finding:
         c, v = self._config, self._vehicle
         assert self._contact_due_s is not None
-        signs = contact_signs(sight, self._guide.at(now_s), echo, landed, now_s, c, v)
+        signs = contact_signs(sight, self._guide.at(now_s), echo, landed, now_s, config=c, vehicle=v)
         if self._touching.for_s(signs.count >= _SIGNS_NEEDED, now_s) >= c.contact_s:
             self.contact_s = now_s
             self._stay_down(now_s)

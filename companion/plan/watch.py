@@ -11,6 +11,7 @@ from typing import Final
 
 from companion.config import MissionConfig
 from companion.messages import AutopilotState, Manner, Phase, VehicleState
+from companion.plan.inputs import PlanInputs
 from companion.plan.mission import FINAL, OUR_CONTROL, Event
 from companion.plan.touchdown import Finding
 
@@ -41,6 +42,7 @@ class Watch:
         self.in_control = False
         self.released = False
         self._pilots_mode = False
+        self._link_awaited = False
         self._started_s: float | None = None
 
     def note(self, autopilot: AutopilotState, control_granted: bool) -> bool:
@@ -55,34 +57,54 @@ class Watch:
         return not autopilot.offboard if self.in_control else entered
 
     def let_go(self) -> None:
-        """The vehicle is handed back for good: modes may change, and no setpoint matters any more."""
+        """The vehicle is being handed back for good: from here on a change of mode is no surprise."""
         self.released = True
+
+    def happened(self, event: Event) -> None:
+        """Take in what the mission made of a cycle: who has the vehicle, and whether the link is awaited."""
+        self._link_awaited = event is Event.LINK_LOST
+        if event in {Event.PILOT_TOOK_OVER, Event.DISARMED}:
+            self.in_control = False
+            self.released = True
+
+    def link_back(self, autopilot: AutopilotState) -> bool:
+        """Whether a link that was lost is there again while control is still ours."""
+        return self._link_awaited and autopilot.connected and self.in_control and not self.released
 
     def event(
         self,
         phase: Phase,
-        phase_since_s: float,
-        autopilot: AutopilotState,
-        vehicle: VehicleState | None,
+        since_s: float,
+        inputs: PlanInputs,
+        now_s: float,
+        *,
         taken_over: bool,
         on_pad: bool,
-        now_s: float,
     ) -> Finding:
         """The gravest thing that happened, if any; nothing any more once the mission has ended."""
+        autopilot = inputs.autopilot
         if self._started_s is None:
             self._started_s = now_s
         if phase in FINAL:
             return None
-        flying = phase not in {Phase.CONNECT, Phase.ARM}
-        if autopilot.connected and flying and not autopilot.armed:
-            return Event.DISARMED, "the autopilot says so"
-        if taken_over and autopilot.connected and phase is not Phase.CONNECT:
-            return Event.PILOT_TOOK_OVER, f"mode {autopilot.mode or 'unknown'} was not asked for"
-        if flying and phase is not Phase.HOLD and not autopilot.connected and not on_pad:
-            return Event.LINK_LOST, "nothing heard from the autopilot"
-        if phase in OUR_CONTROL and not on_pad and not _usable(vehicle, now_s):
-            return Event.ESTIMATE_LOST, "the vehicle's own estimate is gone"
-        return self._time(phase, phase_since_s, now_s)
+        heard, flying = autopilot.connected, _in_air(phase)
+        signs = (
+            (heard and (flying or phase is Phase.HOLD) and not autopilot.armed, Event.DISARMED, "motors off"),
+            (
+                heard and taken_over and phase is not Phase.CONNECT,
+                Event.PILOT_TOOK_OVER,
+                f"mode {autopilot.mode or 'unknown'} was not asked for",
+            ),
+            (inputs.stop_requested, Event.STOP, "asked for"),
+            (flying and not heard and not on_pad, Event.LINK_LOST, "nothing heard from the autopilot"),
+            (
+                phase in OUR_CONTROL and not on_pad and not _usable(inputs.vehicle, now_s),
+                Event.ESTIMATE_LOST,
+                "the vehicle's own estimate is gone",
+            ),
+        )
+        found = next(((event, words) for happened, event, words in signs if happened), None)
+        return found or self._time(phase, since_s, now_s)
 
     def _time(self, phase: Phase, since_s: float, now_s: float) -> Finding:
         assert self._started_s is not None
@@ -92,6 +114,10 @@ class Watch:
         if now_s - since_s > limit_s:
             return Event.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"
         return None
+
+
+def _in_air(phase: Phase) -> bool:
+    return phase not in FINAL | {Phase.CONNECT, Phase.ARM, Phase.HOLD}
 
 
 def _usable(vehicle: VehicleState | None, now_s: float) -> bool:

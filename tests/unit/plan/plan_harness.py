@@ -132,19 +132,26 @@ class FakeAutopilot:
                 return False
             self.armed = False
         elif kind is ActionKind.TAKE_OFF:
-            self.mode, self.target_ned_m = "TAKEOFF", (position[0], position[1], -action.height_m)
+            self.mode, self.target_ned_m = (
+                self._own_mode("TAKEOFF"),
+                (position[0], position[1], -action.height_m),
+            )
         elif kind is ActionKind.GO_TO:
             assert action.position is not None
             latitude, longitude, height = action.position
             north, east, _ = ned_from_geodetic(latitude, longitude, HOME[2], HOME)
-            self.mode, self.target_ned_m = "LOITER", (north, east, -height)
+            self.mode, self.target_ned_m = self._own_mode("LOITER"), (north, east, -height)
         elif kind is ActionKind.TAKE_CONTROL:
-            self.mode = "OFFBOARD"
+            self.mode = self._own_mode("OFFBOARD")
         elif kind is ActionKind.HOLD:
             self.mode, self.target_ned_m = "LOITER", position
         elif kind is ActionKind.LAND:
             self.mode, self.target_ned_m = "LAND", (position[0], position[1], 5.0)
         return True
+
+    def _own_mode(self, px4: str) -> str:
+        """ArduPilot flies all of these in GUIDED."""
+        return px4 if self.manner == "px4" else "GUIDED"
 
 
 # ---------------------------------------------------------------- the loop
@@ -296,11 +303,11 @@ class World:
             self._last = (self.now_s, pad, velocity, acceleration)
         if math.isfinite(self._seen_s):
             self._pad_state = self._believed(*self._last)
-        if self._asked_s is not None and self.beacon_after_s is not None:
-            if self.now_s - self._asked_s >= self.beacon_after_s:
-                latitude, longitude, altitude = geodetic_from_ned(pad, HOME)
-                self._beacon = PadBeacon(self.now_s, latitude, longitude, altitude, velocity, 1.5)
-                self._asked_s = None
+        after_s = self.beacon_after_s
+        if after_s is not None and self._asked_s is not None and self.now_s - self._asked_s >= after_s:
+            latitude, longitude, altitude = geodetic_from_ned(pad, HOME)
+            self._beacon = PadBeacon(self.now_s, latitude, longitude, altitude, velocity, 1.5)
+            self._asked_s = None
 
     def _believed(self, then_s: float, pad: Vector3, velocity: Vector3, acceleration: Vector3) -> PadState:
         """The pad as last seen, led on at its velocity, with the filter's noise."""
@@ -340,7 +347,7 @@ class World:
 
     def _wanted(self, step: PlanStep) -> Vector3:
         mode = self.autopilot.mode
-        if not self.autopilot.armed or mode == "HOLD":
+        if not self.autopilot.armed or mode in {"HOLD", "STABILIZE"}:
             return (0.0, 0.0, 2.0)
         if mode in {"OFFBOARD", "GUIDED"} and step.reference is not None:
             return self._tracked(step)
@@ -393,11 +400,11 @@ class World:
         if self.velocity[2] >= velocity[2]:
             self.position = (self.position[0], self.position[1], surface - LEG_M)
             self.velocity = velocity
-        if not self.autopilot.armed or (step.on_ground or self.autopilot.mode == "LAND"):
-            if self.now_s - self._contact_s > 1.0:
-                self.autopilot.landed = LandedState.ON_GROUND
-                if self.autopilot.mode == "LAND":
-                    self.autopilot.armed = False
+        pressed = not self.autopilot.armed or step.on_ground or self.autopilot.mode == "LAND"
+        if pressed and self.now_s - self._contact_s > 1.0:
+            self.autopilot.landed = LandedState.ON_GROUND
+            if self.autopilot.mode == "LAND":
+                self.autopilot.armed = False
 
     def _score(self, pad: Vector3, velocity: Vector3) -> None:
         f, v = self.flight, self.velocity

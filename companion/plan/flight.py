@@ -1,0 +1,246 @@
+"""How each phase flies: what the reference does on entering a phase and in each of its cycles.
+
+The mission's table decides which phase; here the phase steers the guide and reports what it finds. In
+SEARCH, HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and TOUCHDOWN it is relative
+to the pad (vehicle minus pad, NED axes). m, s, rad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, Literal
+
+from companion.config import PlanConfig, VehicleConfig
+from companion.geometry import yaw_from_quat
+from companion.messages import Action, ActionKind, LandedState, Phase
+from companion.plan.departure import Departure
+from companion.plan.guidance import Guide
+from companion.plan.inputs import PlanInputs
+from companion.plan.landing import Landing
+from companion.plan.min_jerk import Motion
+from companion.plan.mission import BY_THE_PAD, Event
+from companion.plan.requests import Requests
+from companion.plan.search import Search
+from companion.plan.sight import PadKnowledge, vehicle_motion
+from companion.plan.touchdown import Finding, Touchdown
+from companion.plan.watch import Watch
+
+_LAST_TRY_SLACK: Final = 1.6
+_WORTH_TELLING_M: Final = 0.2
+Severity = Literal["info", "warning", "error"]
+Say = Callable[[str, str, float, Severity], None]
+
+
+class Flight:
+    """The phases' hands; shares the guide, the requests and the knowledge of the pad with the planner."""
+
+    def __init__(
+        self,
+        config: PlanConfig,
+        vehicle: VehicleConfig,
+        *,
+        guide: Guide,
+        pad: PadKnowledge,
+        requests: Requests,
+        watch: Watch,
+        say: Say,
+    ) -> None:
+        self._config, self._leg_m = config, vehicle.leg_height_m
+        self._guide, self._pad, self._requests, self._watch, self._say = guide, pad, requests, watch, say
+        self.departure = Departure(config.mission)
+        self.search = Search(config.search, guide)
+        self._landing = Landing(config.landing, vehicle, guide)
+        self._touchdown = Touchdown(config.touchdown, vehicle, config.landing.wait_height_m, guide)
+        self._tries = 0
+        self._retreat: Motion | None = None
+        self._phase = Phase.CONNECT
+        self._flown_by: dict[Phase, Callable[[PlanInputs, float], Finding]] = {
+            Phase.CONNECT: self._depart,
+            Phase.ARM: self._depart,
+            Phase.TAKE_OFF: self._depart,
+            Phase.WAYPOINT: self._depart,
+            Phase.SEARCH: self._look_for_pad,
+            Phase.APPROACH: self._come_in,
+            Phase.DESCEND: self._come_in,
+            Phase.TOUCHDOWN: self._touch_down,
+            Phase.HOLD: self._hold,
+            Phase.ABORT: self._end,
+            Phase.LANDED: self._end,
+        }
+
+    @property
+    def on_pad(self) -> bool:
+        """Whether the feet stand on the pad."""
+        return self._phase is Phase.TOUCHDOWN and self._touchdown.on_pad
+
+    def fly(self, inputs: PlanInputs, now_s: float) -> Finding:
+        """Let the phase steer the reference for this cycle; returns what it finds."""
+        return self._flown_by[self._phase](inputs, now_s)
+
+    def minimum_height_m(self, now_s: float) -> float | None:
+        """What the controller may not go below, over the pad."""
+        if self._guide.active and self._phase in {Phase.APPROACH, Phase.DESCEND}:
+            return self._landing.minimum_height_m(now_s)
+        return None
+
+    def count_tries(self, event: Event) -> Event:
+        """After so many failed attempts the next one is the mission's end."""
+        missed = self._phase is Phase.TOUCHDOWN and event in {Event.MISALIGNED, Event.PAD_LOST}
+        if not missed and not (self._phase is Phase.DESCEND and event is Event.TIMEOUT):
+            return event
+        self._tries += 1
+        return Event.OUT_OF_TRIES if self._tries > self._config.landing.retries else event
+
+    # ------------------------------------------------------------ entering a phase
+
+    def enter(self, phase: Phase, inputs: PlanInputs, now_s: float) -> None:
+        """Go over to another phase."""
+        previous, self._phase = self._phase, phase
+        if self._phase is Phase.TAKE_OFF:
+            self.departure.lift_off(inputs.vehicle)
+        elif self._phase is Phase.SEARCH:
+            self._enter_search(previous, inputs, now_s)
+        elif self._phase is Phase.APPROACH:
+            self._enter_approach(previous, now_s)
+        elif self._phase is Phase.TOUCHDOWN:
+            last = self._tries >= self._config.landing.retries
+            self._touchdown.begin(now_s, _LAST_TRY_SLACK if last else 1.0)
+        elif self._phase in {Phase.HOLD, Phase.ABORT}:
+            self._enter_hold(previous, inputs, now_s)
+        elif self._phase is Phase.LANDED:
+            self._guide.stop()
+
+    def _enter_search(self, previous: Phase, inputs: PlanInputs, now_s: float) -> None:
+        if inputs.vehicle is None:
+            return  # the estimate's loss ends this in the next cycle
+        if not self._guide.active:
+            self._guide.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
+        self._stand_still(inputs, now_s)
+        sight = None if previous is Phase.WAYPOINT else self._pad.sight
+        missing_m = 0.0 if sight is None else self._config.mission.take_off_height_m - sight.height_m
+        climb_m = self.search.begin(missing_m, now_s)
+        if climb_m > _WORTH_TELLING_M:
+            self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
+
+    def _enter_approach(self, previous: Phase, now_s: float) -> None:
+        if self._guide.origin == "local" and self._pad.motion is not None:
+            self._guide.change_frame("pad", self._pad.motion, now_s)
+        again = previous in {Phase.DESCEND, Phase.TOUCHDOWN}
+        self._landing.begin(-self._guide.at(now_s).position_m[2], again, now_s)
+        if again:
+            height_m = self._landing.goal_m - self._leg_m
+            self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
+
+    def _enter_hold(self, previous: Phase, inputs: PlanInputs, now_s: float) -> None:
+        """Come to rest; a hold just over the pad goes up first, since the pad may move or heave."""
+        low = previous in {Phase.DESCEND, Phase.TOUCHDOWN}
+        height_m = self._pad.sight.height_m if self._pad.sight is not None else math.inf
+        climb_m = max(0.0, self._leg_m + self._config.landing.retry_height_m - height_m)
+        self._retreat = None
+        if not self._watch.in_control or not inputs.autopilot.armed or inputs.vehicle is None:
+            self._guide.stop()
+            return
+        self._stand_still(inputs, now_s)
+        if self._phase is Phase.HOLD and low and climb_m > _WORTH_TELLING_M:
+            x, y, z = self._guide.resting_place_m()
+            self._retreat = Motion((x, y, z - climb_m))
+            self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
+
+    def _stand_still(self, inputs: PlanInputs, now_s: float) -> None:
+        """Come to rest in the EKF's NED, from the reference's own motion when there is one."""
+        assert inputs.vehicle is not None
+        pad = self._pad.motion
+        if not self._guide.active or (self._guide.origin == "pad" and pad is None):
+            self._guide.start("local", vehicle_motion(inputs.vehicle, now_s), now_s)
+            return
+        if pad is not None:
+            self._guide.change_frame("local", pad, now_s)
+        self._guide.rest(self._guide.at(now_s), now_s)
+
+    # ------------------------------------------------------------ the phases
+
+    def _depart(self, inputs: PlanInputs, now_s: float) -> Finding:
+        if self._phase is Phase.WAYPOINT and self._pad.steady(now_s):
+            return Event.PAD_SEEN, "on the way to the waypoint"
+        finding, waiting_for = self.departure.step(self._phase, inputs.vehicle, inputs.autopilot, now_s)
+        if waiting_for:
+            self._say("waiting", waiting_for, now_s, "info")
+        return finding
+
+    def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> Finding:
+        if inputs.vehicle is None or not self._guide.active:
+            return None
+        actual = vehicle_motion(inputs.vehicle, now_s)
+        self._keep_near(actual, now_s)
+        step = self.search.step(actual, self._watch.in_control, self._pad.steady(now_s), now_s)
+        if step.ask_for_control:
+            self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
+        if step.request_pad:
+            self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
+            doing = "searching" if step.flying else "holding"
+            known = self.search.whereabouts.source(now_s)
+            self._say(
+                "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
+            )
+        return (Event.PAD_SEEN, self._pad.in_words()) if step.seen else None
+
+    def _come_in(self, _inputs: PlanInputs, now_s: float) -> Finding:
+        self._keep_near_pad(now_s)
+        fly = self._landing.approach if self._phase is Phase.APPROACH else self._landing.descend
+        return fly(self._pad.sight, now_s)
+
+    def _touch_down(self, inputs: PlanInputs, now_s: float) -> Finding:
+        finding: Finding = None
+        was_committed = self._touchdown.committed
+        if not was_committed:
+            self._keep_near_pad(now_s)
+        if not (self._touchdown.on_pad and self._watch.released):
+            finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
+        if self._touchdown.committed and not was_committed:
+            self._say("commit", "going down", now_s, "info")
+        if self._touchdown.on_pad and finding is None:
+            self._shut_down(inputs, now_s)
+        return finding
+
+    def _shut_down(self, inputs: PlanInputs, now_s: float) -> None:
+        """On the pad: disarm once the autopilot agrees that it stands; when it does not, have it land."""
+        assert self._touchdown.contact_s is not None
+        stood_s = now_s - self._touchdown.contact_s
+        after_s = self._config.touchdown.land_after_s
+        if stood_s >= after_s and not self._requests.asked(ActionKind.DISARM):
+            self._watch.let_go()
+            self._requests.ask(Action(ActionKind.LAND), now_s)
+        if inputs.autopilot.landed is LandedState.ON_GROUND or stood_s >= 2.0 * after_s:
+            self._requests.ask(Action(ActionKind.DISARM), now_s)
+
+    def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:
+        if self._watch.link_back(inputs.autopilot):
+            return Event.CONNECTED, "the autopilot is heard again"
+        if self._retreat is not None and self._guide.active:
+            self._guide.fly_to(self._retreat, now_s)
+        return self._end(inputs, now_s)
+
+    def _end(self, inputs: PlanInputs, _now_s: float) -> Finding:
+        """Hold by our own setpoints until the autopilot has the vehicle."""
+        handed_back = self._requests.granted(ActionKind.HOLD) or self._requests.granted(ActionKind.LAND)
+        if self._watch.released and (handed_back or not inputs.autopilot.offboard):
+            self._guide.stop()
+        return None
+
+    # ------------------------------------------------------------ helpers
+
+    def _keep_near_pad(self, now_s: float) -> None:
+        sight = self._pad.sight
+        if sight is not None and sight.age_s <= self._config.landing.pause_unseen_s:
+            self._keep_near(sight.motion, now_s)
+
+    def _keep_near(self, actual: Motion, now_s: float) -> None:
+        distance_m = self._guide.keep_near(actual, now_s)
+        if distance_m > 0.0 and self._watch.in_control:
+            self._say("strayed", f"{distance_m:.1f} m off the reference: planned anew", now_s, "warning")
+
+    def turn(self, now_s: float) -> None:
+        """Slew the heading to the pad's over the pad, if so wished."""
+        sight = self._pad.sight if self._phase in BY_THE_PAD and self._config.mission.align_heading else None
+        self._guide.turn(None if sight is None else sight.pad_heading_rad, now_s)

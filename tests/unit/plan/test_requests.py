@@ -1,0 +1,93 @@
+from companion.messages import Action, ActionKind, ActionResult
+from companion.plan.requests import Requests
+
+ARM = Action(ActionKind.ARM)
+GO = Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0))
+
+
+def refused(kind: ActionKind = ActionKind.ARM) -> tuple[ActionResult, ...]:
+    return (ActionResult(0.0, kind, False, "Arming denied: gyros not calibrated"),)
+
+
+def requests() -> Requests:
+    return Requests(retry_s=2.0, answer_s=5.0, attempts=3)
+
+
+def test_an_action_is_sent_once_however_often_it_is_asked() -> None:
+    r = requests()
+    sent = []
+    for cycle in range(60):
+        r.ask(ARM, cycle / 30.0)
+        sent += r.due(cycle / 30.0)
+    assert sent == [ARM]
+
+
+def test_a_refused_action_is_tried_again_only_after_a_pause() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    assert r.due(0.0) == (ARM,)
+    assert r.hear(refused(), 0.5) == ()
+    assert r.due(2.4) == ()
+    assert r.due(2.5) == (ARM,)
+
+
+def test_after_its_attempts_it_is_given_up_with_the_autopilots_words() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    given_up: tuple[str, ...] = ()
+    for k in range(3):
+        assert r.due(10.0 * k) == (ARM,)
+        given_up = r.hear(refused(), 10.0 * k + 1.0)
+        assert (given_up == ()) == (k < 2)
+    assert given_up == ("arm refused 3 times: Arming denied: gyros not calibrated",)
+    assert r.due(100.0) == ()
+
+
+def test_silence_counts_as_a_refusal() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    r.due(0.0)
+    assert r.hear((), 4.9) == ()
+    r.hear((), 5.0)
+    assert r.due(6.9) == ()
+    assert r.due(7.0) == (ARM,)
+
+
+def test_a_granted_action_is_remembered_until_forgotten() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    r.due(0.0)
+    r.hear((ActionResult(0.1, ActionKind.ARM, True),), 0.1)
+    assert r.granted(ActionKind.ARM)
+    r.ask(ARM, 1.0)
+    assert r.due(1.0) == ()
+    r.forget()
+    assert not r.granted(ActionKind.ARM)
+    r.ask(ARM, 2.0)
+    assert r.due(2.0) == (ARM,)
+
+
+def test_answers_to_what_was_not_asked_change_nothing() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    r.hear((ActionResult(0.0, ActionKind.ARM, True),), 0.0)  # not sent yet: an answer to an older one
+    assert not r.granted(ActionKind.ARM)
+    r.hear((ActionResult(0.0, ActionKind.LAND, True),), 0.0)
+    assert not r.granted(ActionKind.LAND)
+
+
+def test_different_actions_do_not_wait_for_each_other() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    r.ask(GO, 0.0)
+    assert r.due(0.0) == (ARM, GO)
+    assert r.asked(ActionKind.GO_TO)
+    assert not r.asked(ActionKind.LAND)
+
+
+def test_what_is_told_goes_out_once_and_awaits_nothing() -> None:
+    r = requests()
+    r.tell(Action(ActionKind.REQUEST_PAD_POSITION))
+    assert [a.kind for a in r.due(0.0)] == [ActionKind.REQUEST_PAD_POSITION]
+    assert r.due(0.1) == ()
+    assert r.hear((), 100.0) == ()
