@@ -308,5 +308,3 @@ def _compare(errors: Errors, flight: Flight, estimator: Estimator, now_s: float)
 def without(flight: Flight, *sensors: str) -> Flight:
     """The same flight with some sensors dead."""
     return replace(flight, sensors=flight.sensors - set(sensors))
-
-
