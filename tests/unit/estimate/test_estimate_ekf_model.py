@@ -91,7 +91,7 @@ def test_field_seen_by_the_body_turns_with_it(yaw_deg: int) -> None:
     x[model.QUATERNION] = quat_from_euler(0.2, -0.3, math.radians(yaw_deg))
     x[model.FIELD] = (20.9, 0.6, 42.9)
     expected, _ = model.mag_model(x)
-    assert quat_rotate(model.quaternion_of(x), tuple(expected)) == pytest.approx((20.9, 0.6, 42.9))  # type: ignore[arg-type]
+    assert quat_rotate(model.quaternion_of(x), tuple(expected)) == pytest.approx((20.9, 0.6, 42.9))
 
 
 def test_quaternion_products_as_matrices() -> None:

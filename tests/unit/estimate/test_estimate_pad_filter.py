@@ -36,7 +36,7 @@ class Bench:
     def sighting(self, t: float, offset: Vector3 = (0.0, 0.0, 0.0), heading: float = 0.1) -> PadFix:
         noise = 0.01 * self.rng.normal(size=3)
         position = self.relative(t) + noise + offset
-        return PadFix((*position.tolist(),), 1e-4 * np.eye(3), heading, 0.01)  # type: ignore[arg-type]
+        return PadFix((*position.tolist(),), 1e-4 * np.eye(3), heading, 0.01)
 
     def see(self, start_s: float, end_s: float, offset: Vector3 = (0.0, 0.0, 0.0)) -> None:
         for k in range(round(start_s * 30), round(end_s * 30)):
