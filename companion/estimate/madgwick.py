@@ -113,6 +113,10 @@ class MadgwickFilter:
     The attitude is all its state: a filter made with another's attitude goes on exactly there.
     """
 
+    # it has no gates: it believes both sensors always, at its slow gain
+    gravity_error_m_s2 = 0.0
+    mag_trusted = True
+
     def __init__(self, gain: float, declination_rad: float, attitude: Quaternion) -> None:
         self._gain = gain
         self._declination_rad = declination_rad

@@ -274,9 +274,11 @@ def _process_noise(config: PadFilterConfig, dt: float) -> FloatArray:
         (dt**4 / 8, dt**3 / 3, dt**2 / 2),
         (dt**3 / 6, dt**2 / 2, dt),
     )
-    Q = np.kron(np.array(jerk), np.diag(_jerk_density(config)))
-    Q[POSITION, POSITION] += w * dt**3 / 3 * _EYE3
-    Q[VELOCITY, VELOCITY] += w * dt * _EYE3
-    Q[POSITION, VELOCITY] += w * dt**2 / 2 * _EYE3
-    Q[VELOCITY, POSITION] += w * dt**2 / 2 * _EYE3
+    Q = np.zeros((9, 9))
+    for axis, density in enumerate(_jerk_density(config)):
+        Q[axis::3, axis::3] = [[density * value for value in row] for row in jerk]
+        Q[axis, axis] += w * dt**3 / 3
+        Q[3 + axis, 3 + axis] += w * dt
+        Q[axis, 3 + axis] += w * dt**2 / 2
+        Q[3 + axis, axis] += w * dt**2 / 2
     return Q

@@ -9,17 +9,16 @@ NED and FRD, SI units, µT.
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 from companion.config import EstimateConfig
 from companion.estimate import ekf_model as model
 from companion.estimate.alignment import Alignment, Block, StaticAligner, StillnessDetector
-from companion.estimate.complementary import OrientationFilter
 from companion.estimate.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
 from companion.estimate.ekf_start import InitialState
 from companion.estimate.gating import Timeline
-from companion.estimate.madgwick import MadgwickFilter, align
+from companion.estimate.madgwick import align
 from companion.estimate.motion import MotionHistory
+from companion.estimate.orientation import Orientation, new_orientation
 from companion.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -41,20 +40,6 @@ from companion.messages import GpsFix, ImuSample, MagSample, VehicleState
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 LONGEST_STEP_S = 0.1  # a gap in the IMU's stream is integrated up to here
-
-
-class Orientation(Protocol):
-    """What the two pre-filters have in common."""
-
-    attitude: Quaternion
-
-    def update_imu(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> Quaternion:
-        """One IMU sample."""
-        ...
-
-    def update_mag(self, field_body_ut: Vector3, dt_s: float) -> Quaternion:
-        """One magnetometer sample."""
-        ...
 
 
 class _Mean:
@@ -134,7 +119,7 @@ class VehicleEstimator:
             self._aligner.add_field(sample.field_body_ut)
             return True
         self._orientation.update_mag(sample.field_body_ut, dt_s)
-        if getattr(self._orientation, "mag_trusted", True):
+        if self._orientation.mag_trusted:
             self._mag_trusted_s = sample.time_s
         self._fields.add(sample.time_s, sample.field_body_ut)
         return True
@@ -153,7 +138,7 @@ class VehicleEstimator:
             position_ned_m=ned_from_geodetic(*place, origin),
             velocity_ned_m_s=fix.velocity_ned_m_s,
             position_std_m=(across, across, along),
-            velocity_std_m_s=(speed, speed, 1.5 * speed),
+            velocity_std_m_s=(speed, speed, speed),
         )
         if not self._timeline.add(fix.time_s, step):
             return False
@@ -215,9 +200,9 @@ class VehicleEstimator:
             attitude = align(found.specific_force_body_m_s2, found.field_body_ut, declination_rad)
         except ValueError:
             return  # a dead sensor: go on collecting
-        self._start(time_s, found, attitude, declination_rad)
+        self._start(time_s, found, attitude)
 
-    def _start(self, time_s: float, found: Alignment, attitude: Quaternion, declination_rad: float) -> None:
+    def _start(self, time_s: float, found: Alignment, attitude: Quaternion) -> None:
         config, field = self._config, self._config.magnetic_field_ned_ut
         self._gyro_bias = found.rate_body_rad_s if found.still else ZERO3
         gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
@@ -230,11 +215,7 @@ class VehicleEstimator:
             heading_std_rad=math.radians(4.0 if found.still else 15.0),
             gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
         )
-        self._orientation = (
-            OrientationFilter(config.orientation, field, attitude)
-            if config.orientation.kind == "complementary"
-            else MadgwickFilter(config.madgwick_gain, declination_rad, attitude)
-        )
+        self._orientation = new_orientation(config, attitude)
         self._ekf = VehicleEkf(config.ekf, self._antenna_body_m, start)
         self._timeline = Timeline(self._ekf, config.ekf.remember_s)
         self._attitude = attitude
@@ -305,8 +286,8 @@ class VehicleEstimator:
     def _tilt_noise_rad(self) -> float:
         """In flight the accelerometer measures thrust and drag, not gravity: doubt it as both differ."""
         base = math.radians(self._config.ekf.orientation_tilt_noise_deg)
-        gravity_error = getattr(self._orientation, "gravity_error_m_s2", 0.0)
-        return base + 3.0 * (self._disturbance_m_s2 + gravity_error) / GRAVITY_M_S2
+        gravity_error_m_s2 = self._orientation.gravity_error_m_s2 if self._orientation else 0.0
+        return base + 3.0 * (self._disturbance_m_s2 + gravity_error_m_s2) / GRAVITY_M_S2
 
     def _heading_noise_rad(self, time_s: float) -> float:
         base = math.radians(self._config.ekf.orientation_heading_noise_deg)

@@ -19,15 +19,20 @@ from companion.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
+    add,
+    cross,
     geodetic_from_ned,
+    norm,
     quat_conjugate,
     quat_from_euler,
-    quat_from_matrix,
     quat_from_rotation_vector,
     quat_multiply,
+    quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
     rotation_vector_from_quat,
+    scale,
+    subtract,
     vector3,
 )
 from companion.messages import (
@@ -106,13 +111,13 @@ def pad_heave(t: float) -> Vector3:
 def velocity(path: Path, t: float) -> Vector3:
     """First derivative by central differences."""
     h = 1e-3
-    return vector3((np.array(path(t + h)) - np.array(path(t - h))) / (2 * h))
+    return scale(subtract(path(t + h), path(t - h)), 0.5 / h)
 
 
 def acceleration(path: Path, t: float) -> Vector3:
     """Second derivative by central differences."""
     h = 1e-3
-    return vector3((np.array(path(t + h)) - 2 * np.array(path(t)) + np.array(path(t - h))) / (h * h))
+    return scale(subtract(add(path(t + h), path(t - h)), scale(path(t), 2.0)), 1.0 / (h * h))
 
 
 def slow_turns(t: float) -> float:
@@ -142,13 +147,11 @@ class Flight:
     # ------------------------------------------------------------ truth
 
     def attitude(self, t: float) -> Quaternion:
-        """Thrust against gravity and acceleration, nose along the heading."""
-        down = np.array([0.0, 0.0, GRAVITY_M_S2]) - acceleration(self.path, t)
-        down /= np.linalg.norm(down)
-        nose = np.array([math.cos(self.heading(t)), math.sin(self.heading(t)), 0.0])
-        right = np.cross(down, nose)
-        right /= np.linalg.norm(right)
-        return quat_from_matrix(np.column_stack([np.cross(right, down), right, down]))
+        """Turned to the heading, then the shortest way until the thrust balances gravity and acceleration."""
+        down = subtract((0.0, 0.0, GRAVITY_M_S2), acceleration(self.path, t))
+        x, y, z = scale(down, 1.0 / norm(down))
+        tilt = quat_normalise((1.0 + z, -y, x, 0.0))
+        return quat_multiply(tilt, quat_from_euler(0.0, 0.0, self.heading(t)))
 
     def rate(self, t: float) -> Vector3:
         """Body rate by differences of attitude."""
@@ -201,8 +204,9 @@ class Flight:
         # metres of wander over minutes, decimetres of noise
         wander = 1.5 * np.sin(t / np.array([17.0, 23.0, 29.0]) + self.seed)
         lever = np.array(quat_rotate(self.attitude(t), ANTENNA))
+        swing = np.array(quat_rotate(self.attitude(t), cross(self.rate(t), ANTENNA)))
         place = geodetic_from_ned(vector3(np.array(self.path(t)) + lever + wander + 0.2 * noise[:3]), HOME)
-        speed = vector3(np.array(velocity(self.path, t)) + 0.1 * noise[3:])
+        speed = vector3(np.array(velocity(self.path, t)) + swing + 0.1 * noise[3:])
         return [(t + delay_s, GpsFix(t, *place, speed, 2.5, 4.0, 0.15, 9))]
 
     def _range(self, t: float, rng: np.random.Generator) -> list[tuple[float, Sample]]:

@@ -1,0 +1,101 @@
+"""Properties of the estimators that hold for any input."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from companion.config import EkfConfig
+from companion.estimate import ekf_model as model
+from companion.estimate.complementary import blend
+from companion.estimate.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.ekf_start import InitialState
+from companion.estimate.gating import Timeline
+from companion.estimate.madgwick import align
+from companion.geometry import (
+    GRAVITY_M_S2,
+    Quaternion,
+    quat_conjugate,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate_inverse,
+    rotation_vector_from_quat,
+    vector3,
+)
+
+FIELD = (20.9, 0.6, 42.9)
+angles = st.floats(-math.pi, math.pi)
+pitches = st.floats(-1.5, 1.5)
+attitudes = st.builds(quat_from_euler, angles, pitches, angles)
+
+
+def angle(a: Quaternion, b: Quaternion) -> float:
+    return float(np.linalg.norm(rotation_vector_from_quat(quat_multiply(a, quat_conjugate(b)))))
+
+
+@given(attitudes, attitudes, st.floats(0.0, 10.0), st.floats(0.0, 0.1))
+@settings(max_examples=60, deadline=None)
+def test_blend_lies_between_and_has_unit_length(
+    q: Quaternion, r: Quaternion, error_rate: float, dt_s: float
+) -> None:
+    mixed = blend(q, r, error_rate, dt_s)
+    assert math.fsum(value * value for value in mixed) == pytest.approx(1.0)
+    assert angle(mixed, q) <= angle(r, q) + 1e-6
+    assert angle(mixed, r) <= angle(r, q) + 1e-6
+
+
+@given(angles, pitches, angles)
+@settings(max_examples=60, deadline=None)
+def test_alignment_inverts_the_sensors(roll: float, pitch: float, yaw: float) -> None:
+    q = quat_from_euler(roll, pitch, yaw)
+    force = quat_rotate_inverse(q, (0.0, 0.0, -GRAVITY_M_S2))
+    found = align(force, quat_rotate_inverse(q, FIELD), math.atan2(FIELD[1], FIELD[0]))
+    assert angle(found, q) < 1e-5
+
+
+def inputs(seed: int) -> list[tuple[float, EkfInput]]:
+    rng = np.random.default_rng(seed)
+    made: list[tuple[float, EkfInput]] = [
+        (
+            0.01 * k,
+            ImuStep(
+                vector3(0.2 * rng.normal(size=3)), vector3(rng.normal(size=3) - np.array([0, 0, 9.8])), 2
+            ),
+        )
+        for k in range(1, 30)
+    ]
+    for k in range(3):
+        position, speed = vector3(rng.normal(size=3)), vector3(0.1 * rng.normal(size=3))
+        made.append((0.045 + 0.1 * k, GpsStep(position, speed, (3.0, 3.0, 4.0), (0.1, 0.1, 0.2))))
+    return sorted(made, key=lambda item: item[0])
+
+
+@given(st.integers(0, 1000), st.randoms(use_true_random=False))
+@settings(max_examples=15, deadline=None)
+def test_ekf_gives_the_same_for_any_order_of_arrival(seed: int, random: object) -> None:
+    ordered = inputs(seed)
+    shuffled = ordered[1:]
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    results = []
+    for sequence in (ordered, [ordered[0], *shuffled]):
+        start = InitialState(0.0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), FIELD, 0.03, 0.06, 1e-3)
+        ekf = VehicleEkf(EkfConfig(), (0.1, 0.0, 0.0), start)
+        timeline: Timeline[EkfSnapshot, EkfInput] = Timeline(ekf, 1.0)
+        for time_s, item in sequence:
+            assert timeline.add(time_s, item)
+        results.append(ekf.snapshot())
+    assert np.array_equal(results[0].x, results[1].x)
+    assert np.array_equal(results[0].P, results[1].P)
+
+
+@given(attitudes, st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3), st.floats(1e-4, 0.5))
+@settings(max_examples=60, deadline=None)
+def test_transition_keeps_the_quaternions_length(q: Quaternion, rate: list[float], dt_s: float) -> None:
+    x = np.zeros(model.STATES)
+    x[model.QUATERNION], x[model.RATE] = q, rate
+    after, _ = model.transition(x, dt_s, 5.0, 1.0)
+    assert np.linalg.norm(after[model.QUATERNION]) == pytest.approx(1.0, abs=1e-12)

@@ -1,0 +1,89 @@
+"""Innovation gates, and the timeline that puts late measurements in their place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from companion.estimate.gating import CHI_SQUARE_999, Gate, Timeline, normalised_innovation_squared
+
+
+class Recorder:
+    """A filter whose state depends on the order of its inputs."""
+
+    def __init__(self) -> None:
+        self.state: tuple[tuple[float, str], ...] = ()
+        self.applied = 0
+
+    def snapshot(self) -> tuple[tuple[float, str], ...]:
+        return self.state
+
+    def restore(self, snapshot: tuple[tuple[float, str], ...]) -> None:
+        self.state = snapshot
+
+    def apply(self, time_s: float, item: str) -> None:
+        self.applied += 1
+        self.state = (*self.state, (time_s, item))
+
+
+def test_bounds_are_the_999_permille_points_of_chi_square() -> None:
+    for dof, bound in CHI_SQUARE_999.items():
+        assert bound == pytest.approx(chi2.ppf(0.999, dof), abs=2e-3)
+
+
+def test_normalised_innovation_weighs_by_the_covariance() -> None:
+    assert normalised_innovation_squared(np.array([2.0, 3.0]), np.diag([4.0, 9.0])) == pytest.approx(2.0)
+
+
+def test_gate_counts_and_forgives_after_one_that_fits() -> None:
+    gate = Gate().after(False, 1.0).after(False, 1.4)
+    assert gate == Gate(accepted=0, refused=2, refused_in_a_row=2, refused_since_s=1.0)
+    assert gate.after(True, 1.5) == Gate(accepted=1, refused=2)
+
+
+def test_gate_is_shut_out_only_after_enough_time_and_enough_refusals() -> None:
+    gate = Gate().after(False, 1.0).after(False, 1.3).after(False, 1.5)
+    assert gate.shut_out(1.5, patience_s=0.5)
+    assert not gate.shut_out(1.49, patience_s=0.5)
+    assert not Gate().after(False, 1.0).after(False, 3.0).shut_out(3.0, patience_s=0.5)
+
+
+def test_late_input_is_applied_at_its_own_time() -> None:
+    recorder = Recorder()
+    timeline = Timeline(recorder, span_s=10.0)
+    for time_s, item in ((1.0, "a"), (2.0, "b"), (4.0, "d"), (3.0, "c"), (2.0, "b2")):
+        assert timeline.add(time_s, item)
+    assert recorder.state == ((1.0, "a"), (2.0, "b"), (2.0, "b2"), (3.0, "c"), (4.0, "d"))
+
+
+def test_only_what_is_newer_than_a_late_input_is_replayed() -> None:
+    recorder = Recorder()
+    timeline = Timeline(recorder, span_s=10.0)
+    for k in range(10):
+        timeline.add(float(k), "on time")
+    before = recorder.applied
+    timeline.add(7.5, "late")
+    assert recorder.applied - before == 3
+
+
+def test_input_older_than_all_that_is_remembered_is_refused() -> None:
+    recorder = Recorder()
+    timeline = Timeline(recorder, span_s=1.0)
+    for k in range(50):
+        timeline.add(0.1 * k, "x")
+    state = recorder.state
+    assert not timeline.add(3.0, "too late")
+    assert recorder.state == state
+    assert timeline.add(timeline.newest_s - 1.0 if timeline.newest_s else 0.0, "just in time")
+
+
+def test_state_as_of_a_time_is_the_one_after_the_last_input_before_it() -> None:
+    recorder = Recorder()
+    timeline = Timeline(recorder, span_s=10.0)
+    assert timeline.as_of(5.0) is None
+    timeline.add(1.0, "a")
+    timeline.add(2.0, "b")
+    assert timeline.as_of(0.5) is None
+    assert timeline.as_of(1.5) == ((1.0, "a"),)
+    assert timeline.as_of(9.0) == ((1.0, "a"), (2.0, "b"))

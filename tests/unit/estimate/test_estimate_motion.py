@@ -1,0 +1,64 @@
+"""The motion history: interpolated attitude, pre-integrated acceleration."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.estimate.motion import MotionHistory
+from companion.geometry import IDENTITY, quat_from_euler, yaw_from_quat
+
+
+def filled(duration_s: float = 2.0, span_s: float = 5.0) -> MotionHistory:
+    """Heading rate 0.5 rad/s, acceleration (1 + t, -2, 0)."""
+    history = MotionHistory(span_s)
+    for k in range(int(duration_s * 200) + 1):
+        t = k / 200
+        history.add(t, quat_from_euler(0.0, 0.0, 0.5 * t), (1.0 + t, -2.0, 0.0))
+    return history
+
+
+def test_empty_history_knows_nothing() -> None:
+    history = MotionHistory(1.0)
+    assert history.attitude(0.0) is None
+    assert history.newest_s is None
+    assert history.moved(0.0, 1.0) == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("time_s", [0.0, 0.3337, 1.0, 1.9999, 2.0])
+def test_attitude_is_interpolated(time_s: float) -> None:
+    attitude = filled().attitude(time_s)
+    assert attitude is not None
+    assert yaw_from_quat(attitude) == pytest.approx(0.5 * time_s, abs=1e-9)
+
+
+def test_attitude_outside_the_history_is_the_nearest() -> None:
+    history = filled()
+    assert history.attitude(-1.0) == IDENTITY
+    assert history.attitude(3.0) == history.attitude(2.0)
+
+
+@pytest.mark.parametrize(("start_s", "end_s"), [(0.0, 2.0), (0.5, 1.2034), (0.7513, 0.7514), (1.0, 1.0)])
+def test_motion_between_two_times_is_the_integral(start_s: float, end_s: float) -> None:
+    dt = end_s - start_s
+    place, speed = filled().moved(start_s, end_s)
+    assert speed == pytest.approx((dt + (end_s**2 - start_s**2) / 2, -2.0 * dt, 0.0), abs=1e-5)
+    expected = dt * dt / 2 * (1.0 + start_s) + dt**3 / 6
+    assert place == pytest.approx((expected, -dt * dt, 0.0), abs=1e-5)
+
+
+def test_beyond_the_newest_sample_the_acceleration_goes_on() -> None:
+    place, speed = filled().moved(2.0, 2.1)
+    assert speed == pytest.approx((0.3, -0.2, 0.0))
+    assert place == pytest.approx((0.015, -0.01, 0.0))
+
+
+def test_old_samples_are_forgotten_and_the_span_kept() -> None:
+    history = filled(duration_s=10.0, span_s=1.0)
+    attitude = history.attitude(9.0)
+    assert attitude is not None
+    assert yaw_from_quat(attitude) == pytest.approx(math.remainder(4.5, math.tau), abs=1e-9)
+    assert len(history._times_s) <= 401
+    assert np.isfinite(history.moved(9.0, 10.0)[0]).all()

@@ -1,0 +1,167 @@
+"""The relative-motion filter: starting, tracking, blindness, outliers, echoes and heading."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.config import PadFilterConfig
+from companion.estimate.gating import Timeline
+from companion.estimate.motion import MotionHistory
+from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
+from companion.geometry import IDENTITY, Vector3
+
+SENSOR = (0.0, 0.0, 0.08)
+
+
+class Bench:
+    """A vehicle with a given acceleration over a pad with a given motion, seen at 30 Hz."""
+
+    def __init__(self, acceleration: Vector3 = (0.0, 0.0, 0.0), height_m: float = 3.0) -> None:
+        self.motion = MotionHistory(20.0)
+        self.filter = PadFilter(PadFilterConfig(), self.motion, board_half_width_m=0.65)
+        self.timeline: Timeline[PadSnapshot, PadInput] = Timeline(self.filter, 1.0)
+        for k in range(4000):
+            self.motion.add(k / 200, IDENTITY, acceleration)
+        self.acceleration = np.array(acceleration)
+        self.height_m = height_m
+        self.rng = np.random.default_rng(2)
+
+    def relative(self, t: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """The pad drives north at 1 m/s."""
+        return np.array([t, 0.0, self.height_m]) - 0.5 * self.acceleration * t * t
+
+    def sighting(self, t: float, offset: Vector3 = (0.0, 0.0, 0.0), heading: float = 0.1) -> PadFix:
+        noise = 0.01 * self.rng.normal(size=3)
+        position = self.relative(t) + noise + offset
+        return PadFix((*position.tolist(),), 1e-4 * np.eye(3), heading, 0.01)
+
+    def see(self, start_s: float, end_s: float, offset: Vector3 = (0.0, 0.0, 0.0)) -> None:
+        for k in range(round(start_s * 30), round(end_s * 30)):
+            self.timeline.add(k / 30, self.sighting(k / 30, offset))
+
+    def at(self, t: float) -> PadEstimate:
+        snapshot = self.timeline.as_of(t)
+        assert snapshot is not None
+        estimate = self.filter.predicted(snapshot, t)
+        assert estimate is not None
+        return estimate
+
+
+def test_first_sighting_starts_the_filter() -> None:
+    bench = Bench()
+    fix = bench.sighting(0.0)
+    bench.timeline.add(0.0, PadFix(fix.position_ned_m, fix.covariance_ned_m2, 0.1, 0.01, (0.5, 0.0, 0.2)))
+    estimate = bench.at(0.0)
+    assert estimate.x[0:3] == pytest.approx(fix.position_ned_m)
+    assert estimate.x[3:6] == pytest.approx([-0.5, 0.0, -0.2])
+    assert estimate.velocity_std_m_s > 2.0
+
+
+def test_without_a_sighting_there_is_no_pad_and_echoes_are_ignored() -> None:
+    bench = Bench(height_m=1.0)
+    bench.timeline.add(0.0, HeightFix(0.92, SENSOR, 0.03))
+    snapshot = bench.timeline.as_of(1.0)
+    assert snapshot is not None
+    assert bench.filter.predicted(snapshot, 1.0) is None
+
+
+@pytest.mark.parametrize("acceleration", [(0.0, 0.0, 0.0), (1.5, -1.0, 0.3)])
+def test_vehicles_own_acceleration_is_not_taken_for_the_pads(acceleration: Vector3) -> None:
+    bench = Bench(acceleration)
+    bench.see(0.0, 4.0)
+    estimate = bench.at(4.0)
+    assert estimate.x[0:3] == pytest.approx(bench.relative(4.0), abs=0.03)
+    assert estimate.x[3:6] == pytest.approx(np.array([1.0, 0.0, 0.0]) - 4.0 * bench.acceleration, abs=0.15)
+    assert estimate.x[6:9] == pytest.approx([0.0, 0.0, 0.0], abs=0.25)
+
+
+def test_blind_for_two_seconds_it_predicts_and_says_how_well() -> None:
+    bench = Bench((0.8, 0.0, 0.0))
+    bench.see(0.0, 4.0)
+    before, after = bench.at(4.0), bench.at(6.0)
+    error = float(np.linalg.norm(after.x[0:3] - bench.relative(6.0)))
+    assert error < 3.0 * after.position_std_m
+    assert error < 0.5
+    assert after.position_std_m > 10.0 * before.position_std_m
+    assert after.seen_time_s == before.seen_time_s
+
+
+def test_one_false_sighting_is_refused() -> None:
+    bench = Bench()
+    bench.see(0.0, 3.0)
+    bench.timeline.add(3.0, bench.sighting(3.0, (1.0, 0.0, 0.0)))
+    assert bench.at(3.0).x[0:3] == pytest.approx(bench.relative(3.0), abs=0.05)
+    assert bench.filter.gates["sighting"].refused == 1
+    assert bench.at(3.0).seen_time_s < 3.0
+
+
+def test_sightings_that_insist_start_the_filter_again() -> None:
+    bench = Bench()
+    bench.see(0.0, 3.0)
+    bench.see(3.0, 3.4, (1.0, 0.0, 0.0))
+    assert bench.at(3.4).x[0] == pytest.approx(3.4, abs=0.1)
+    bench.see(3.4, 4.0, (1.0, 0.0, 0.0))
+    assert bench.at(4.0).x[0] == pytest.approx(5.0, abs=0.1)
+
+
+def test_echo_over_the_board_corrects_the_height_only() -> None:
+    bench = Bench(height_m=1.0)
+    bench.motion = MotionHistory(1.0)
+    fix = PadFix((0.1, 0.0, 1.05), np.diag([1e-4, 1e-4, 1e-2]), 0.0, 0.01)
+    bench.timeline.add(0.0, fix)
+    bench.timeline.add(0.001, HeightFix(0.92, SENSOR, 0.01))
+    assert bench.at(0.001).x[2] == pytest.approx(1.0, abs=0.01)
+    assert bench.at(0.001).x[0] == pytest.approx(0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize(("north", "height"), [(0.9, 1.0), (0.0, 3.0)])
+def test_echo_beside_the_board_or_from_high_up_is_ignored(north: float, height: float) -> None:
+    bench = Bench()
+    bench.timeline.add(0.0, PadFix((north, 0.0, height), np.diag([1e-4, 1e-4, 1e-2]), 0.0, 0.01))
+    before = bench.at(0.0).x
+    bench.timeline.add(0.0, HeightFix(height - 0.2, SENSOR, 0.01))
+    assert np.array_equal(bench.at(0.0).x, before)
+
+
+def test_heading_follows_through_the_wrap() -> None:
+    bench = Bench()
+    for k in range(120):
+        bench.timeline.add(
+            k / 30, bench.sighting(k / 30, heading=math.remainder(2.8 + 0.3 * k / 30, math.tau))
+        )
+    estimate = bench.at(119 / 30)
+    assert math.remainder(estimate.heading_rad - 2.8 - 0.3 * 119 / 30, math.tau) == pytest.approx(
+        0.0, abs=0.03
+    )
+    assert estimate.heading_rate_rad_s == pytest.approx(0.3, abs=0.05)
+
+
+def test_one_wrong_heading_is_refused_and_the_position_taken() -> None:
+    bench = Bench()
+    bench.see(0.0, 2.0)
+    bench.timeline.add(2.0, bench.sighting(2.0, heading=3.0))
+    assert bench.at(2.0).heading_rad == pytest.approx(0.1, abs=0.02)
+    assert bench.at(2.0).seen_time_s == 2.0
+
+
+def test_any_order_of_arrival_gives_the_same_state() -> None:
+    fixes = [(k / 30, Bench().sighting(k / 30)) for k in range(30)]
+    one, two = Bench(), Bench()
+    for time_s, fix in fixes:
+        one.timeline.add(time_s, fix)
+    order = [0, *np.random.default_rng(4).permutation(range(1, 30)).tolist()]
+    for k in order:
+        two.timeline.add(*fixes[k])
+    assert np.array_equal(one.at(1.0).x, two.at(1.0).x)
+    assert np.array_equal(one.at(1.0).P, two.at(1.0).P)
+
+
+def test_covariance_stays_positive_definite() -> None:
+    bench = Bench()
+    bench.see(0.0, 15.0)
+    P = bench.at(15.0).P
+    assert np.abs(P - P.T).max() < 1e-12
+    assert np.linalg.eigvalsh(P).min() > 0.0
