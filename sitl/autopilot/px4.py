@@ -97,6 +97,7 @@ PX4 = Manner(
     arming_checks=(
         ArmingCheck(aligned, "Arming denied: Resolve system health failures first"),
         ArmingCheck(level, "Arming denied: Attitude failure (roll or pitch)"),
+        ArmingCheck(lambda now: not setpoints_stopped(now), "Arming denied: No offboard control signal"),
         ArmingCheck(mode_armable, "Arming denied: Mode not suitable for takeoff"),
     ),
     failsafes=(

@@ -6,7 +6,11 @@ Deliberately apart from the simulator's own plant, so that a sign that is wrong 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from companion.geometry import (
     GRAVITY_M_S2,
@@ -16,9 +20,29 @@ from companion.geometry import (
     quat_integrate,
     quat_rotate,
 )
-from companion.messages import Truth
+from companion.messages import Manner, Truth
+from sitl.autopilot import (
+    NO_ERRORS,
+    AttitudeSetpoint,
+    Autopilot,
+    EstimatorErrors,
+    MotionSetpoint,
+    Result,
+)
 
+HOME: Vector3 = (47.0, 8.0, 400.0)
+RATE_HZ = 400
+Streamed = MotionSetpoint | AttitudeSetpoint | Callable[[float], MotionSetpoint | AttitudeSetpoint]
 Four = tuple[float, float, float, float]
+
+
+class Sample(NamedTuple):
+    """The true motion at one time."""
+
+    time_s: float
+    position: Vector3
+    velocity: Vector3
+    attitude: Quaternion
 
 
 @dataclass(frozen=True)
@@ -101,3 +125,65 @@ class SimpleVehicle:
         self.velocity = (fx, fy, min(self.velocity[2], fz))
         heading = math.atan2(self.attitude[3], self.attitude[0])
         self.attitude = (math.cos(heading), 0.0, 0.0, math.sin(heading))
+
+
+class Flight:
+    """A vehicle and its autopilot stepped together; `texts` collects what the autopilot says."""
+
+    def __init__(
+        self,
+        manner: Manner,
+        errors: EstimatorErrors = NO_ERRORS,
+        seed: int = 1,
+        heading_rad: float = 0.0,
+    ) -> None:
+        airframe = Frame450()
+        self.vehicle = SimpleVehicle(airframe, heading_rad)
+        self.autopilot = Autopilot(manner, airframe, np.random.default_rng(seed), HOME, errors)
+        self.texts: list[str] = []
+        self._steps = 0
+
+    @property
+    def now_s(self) -> float:
+        """Time since boot."""
+        return self._steps / RATE_HZ
+
+    def run(self, duration_s: float, setpoint: Streamed | None = None) -> list[Sample]:
+        """Fly on, streaming the setpoint (or what it gives for the time) at 30 Hz; samples at 50 Hz."""
+        samples = []
+        for _ in range(round(duration_s * RATE_HZ)):
+            if setpoint is not None and self._steps % 13 == 0:
+                wanted = setpoint(self.now_s) if callable(setpoint) else setpoint
+                self.autopilot.stream(wanted, self.now_s)
+            vehicle = self.vehicle
+            motors = self.autopilot.step(vehicle.truth(self.now_s), 1.0 / RATE_HZ, self.now_s)
+            vehicle.step(motors, 1.0 / RATE_HZ)
+            self._steps += 1
+            if self._steps % 8 == 0:
+                samples.append(Sample(self.now_s, vehicle.position, vehicle.velocity, vehicle.attitude))
+                self.texts.extend(text for _, text in self.autopilot.take_texts())
+        return samples
+
+    def take_off(self, height_m: float = 6.0) -> None:
+        """From boot to a hover under external control (OFFBOARD or GUIDED)."""
+        self.run(6.0)
+        autopilot = self.autopilot
+        if autopilot.manner.name == "px4":
+            assert autopilot.arm() is Result.ACCEPTED
+            assert autopilot.take_off(HOME[2] + 0.18 + height_m) is Result.ACCEPTED
+        else:
+            assert autopilot.set_mode(4) is Result.ACCEPTED
+            assert autopilot.arm() is Result.ACCEPTED
+            assert autopilot.take_off(height_m) is Result.ACCEPTED
+        self.run(4.0 + height_m / 1.5)
+
+    def take_control(self) -> None:
+        """Stream "stand still" and enter OFFBOARD (GUIDED already is)."""
+        self.run(0.2, STAND_STILL)
+        if self.autopilot.manner.name == "px4":
+            assert self.autopilot.set_mode(PX4_OFFBOARD) is Result.ACCEPTED
+        self.run(2.0, STAND_STILL)
+
+
+PX4_OFFBOARD = 6 << 16
+STAND_STILL = MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
