@@ -96,10 +96,9 @@ class Autopilot(FlightLoop):
             text = f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {fields.frame} unsupported"
             self._commander.say(Severity.CRITICAL, text)
             return
-        estimate = self.estimate
-        self.stream(
-            motion_from_fields(fields, estimate.position_ned_m, yaw_from_quat(estimate.attitude)), now_s
-        )
+        here, heading = self.estimate.position_ned_m, yaw_from_quat(self.estimate.attitude)
+        top_speed = self.parameters.si(self.manner.settings.top_speed)
+        self.stream(motion_from_fields(fields, here, heading, top_speed), now_s)
 
     def stream_global(self, fields: StreamedMotion, place: Vector3, over_home: bool, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT: as local fields, but the position is a geodetic place."""

@@ -495,3 +495,40 @@ def test_held_places_are_held_in_the_attitude_that_wind_asks_for() -> None:
     assert flight.autopilot.task is Task.HOLD
     leaning = euler_from_quat(quat_multiply((1.0, 0.0, 0.0, 0.0), flight.vehicle.attitude))[0]
     assert leaning < -0.05
+
+
+def test_a_far_position_is_approached_no_faster_than_the_top_speed() -> None:
+    flight = in_the_air("px4")
+    flight.autopilot.parameters.set("MPC_XY_VEL_MAX", 2.0)
+    fields = StreamedMotion(Frame.LOCAL_NED, 0b110111111000, (50.0, 0.0, -6.18), ZERO, ZERO, 0.0, 0.0)
+    for _ in range(120):
+        flight.autopilot.stream_fields(fields, flight.now_s)
+        flight.run(1.0 / 30.0)
+    assert flight.vehicle.velocity[0] == pytest.approx(2.0, abs=0.1)
+
+
+def test_px4_does_not_arm_in_offboard_without_setpoints() -> None:
+    flight = Flight("px4")
+    flight.run(4.0, STAND_STILL)
+    flight.autopilot.set_mode(PX4_OFFBOARD)
+    flight.run(2.0)
+    assert flight.autopilot.arm() is Result.TEMPORARILY_REJECTED
+
+
+def test_ardupilot_disarms_a_vehicle_that_has_turned_over() -> None:
+    flight = Flight("ardupilot")
+    flight.take_off()
+    for _ in range(230):
+        flight.vehicle.attitude = quat_from_euler(2.0, 0.0, 0.0)
+        flight.run(0.01)
+    assert not flight.autopilot.armed
+    assert any(text.startswith("Crash") for text in flight.texts)
+
+
+def test_it_says_when_it_has_landed_and_disarmed_by_itself() -> None:
+    flight = in_the_air("px4")
+    while flight.vehicle.height_m > 0.0:
+        flight.run(0.1, velocity(0.0, 0.0, 0.5))
+    flight.run(6.0, velocity(0.0, 0.0, 0.3))
+    assert flight.texts.index("Landing detected") < flight.texts.index("Disarmed by landing")
+    assert not flight.autopilot.armed
