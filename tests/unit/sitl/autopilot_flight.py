@@ -20,7 +20,7 @@ from companion.geometry import (
     quat_integrate,
     quat_rotate,
 )
-from companion.messages import Manner, Truth
+from companion.messages import LandedState, Manner, Truth
 from sitl.autopilot import (
     NO_ERRORS,
     AttitudeSetpoint,
@@ -187,3 +187,33 @@ class Flight:
 
 PX4_OFFBOARD = 6 << 16
 STAND_STILL = MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
+ZERO: Vector3 = (0.0, 0.0, 0.0)
+
+
+def velocity(north: float, east: float = 0.0, down: float = 0.0) -> MotionSetpoint:
+    return MotionSetpoint(velocity_ned_m_s=(north, east, down))
+
+
+def reached_s(samples: list[Sample], quantity: Callable[[Sample], float], level: float) -> float:
+    """Seconds from the first sample until the quantity passes the level."""
+    return next(s.time_s for s in samples if quantity(s) > level) - samples[0].time_s
+
+
+def landed_state(flight: Flight) -> LandedState:
+    """Through a function, because it changes behind the type checker's back."""
+    return flight.autopilot.landed_state
+
+
+def ready(flight: Flight) -> bool:
+    """As `landed_state`."""
+    return flight.autopilot.ready_to_arm
+
+
+MANNERS: tuple[Manner, ...] = ("px4", "ardupilot")
+
+
+def in_the_air(manner: Manner, **options: object) -> Flight:
+    flight = Flight(manner, **options)  # type: ignore[arg-type]
+    flight.take_off()
+    flight.take_control()
+    return flight

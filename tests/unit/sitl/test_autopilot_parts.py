@@ -21,8 +21,6 @@ from sitl.autopilot.position_control import PositionControl, PositionGains
 from sitl.autopilot.setpoints import MotionSetpoint, motion_from_fields
 from sitl.parameters import Parameter, Parameters, Setting
 
-FULL = 4 * Frame450().max_thrust_n
-
 
 def produced(motors: tuple[float, float, float, float]) -> tuple[float, Vector3]:
     """Thrust (share) and torques (N m) that motor commands make in the end."""
