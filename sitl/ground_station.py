@@ -20,10 +20,8 @@ SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190
 COMPANION_COMPONENT: Final = 191
 
-_ANSWER_AFTER_S: Final = 0.5
 _HEARTBEAT_S: Final = 1.0
 _NOISE_STD_M: Final = 0.2
-_VELOCITY_STD_M_S: Final = 0.1
 _VERTICAL_FACTOR: Final = 1.5
 _POSITION_AND_VELOCITY: Final = 0b11
 
@@ -31,12 +29,22 @@ _POSITION_AND_VELOCITY: Final = 0b11
 class GroundStation:
     """One ground station on the vehicle's link; `texts` holds (time s, severity, text) from the companion."""
 
-    def __init__(self, rng: np.random.Generator, position_std_m: float, home: Vector3) -> None:
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        position_std_m: float,
+        home: Vector3,
+        *,
+        velocity_std_m_s: float = 0.1,
+        delay_s: float = 0.5,
+    ) -> None:
         self.texts: list[tuple[float, int, str]] = []
         self.requests = 0
         self._rng = rng
         self._std_m = position_std_m
         self._home = home
+        self._velocity_std_m_s = velocity_std_m_s
+        self._delay_s = delay_s
         north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
         self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
@@ -88,7 +96,7 @@ class GroundStation:
         )
         if known:
             self.requests += 1
-            self._answers_due_s.append(now_s + _ANSWER_AFTER_S)
+            self._answers_due_s.append(now_s + self._delay_s)
         result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_UNSUPPORTED
         self._acknowledgements.append(
             mavlink.MAVLink_command_ack_message(
@@ -102,7 +110,7 @@ class GroundStation:
             p + offset + _NOISE_STD_M * n
             for p, offset, n in zip(position, self._offset, noise[:3], strict=True)
         ]
-        speed = [v + _VELOCITY_STD_M_S * n for v, n in zip(velocity, noise[3:], strict=True)]
+        speed = [v + self._velocity_std_m_s * n for v, n in zip(velocity, noise[3:], strict=True)]
         latitude, longitude, altitude = geodetic_from_ned((shown[0], shown[1], shown[2]), self._home)
         eph = math.hypot(self._std_m, _NOISE_STD_M)
         return mavlink.MAVLink_follow_target_message(

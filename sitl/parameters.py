@@ -1,7 +1,7 @@
 """The simulated autopilot's parameter table: what a ground station lists, reads and sets.
 
-Small, but every entry is read by the flight code. Values keep the unit the real autopilot gives them
-(ArduPilot: cm/s, cm); `Setting` carries the factor to SI.
+Small: all that says how to fly is read by the flight code, the rest says what the vehicle is. Values keep
+the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `Setting` carries the factor to SI.
 """
 
 from __future__ import annotations

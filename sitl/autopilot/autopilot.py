@@ -6,7 +6,7 @@ Commands are method calls that answer with a MAV_RESULT; what it has to say is i
 from __future__ import annotations
 
 import dataclasses
-from math import isnan, nan
+from math import isfinite, nan
 
 from companion.geometry import Vector3, ned_from_geodetic, yaw_from_quat
 from sitl.autopilot.flight import FlightLoop
@@ -80,11 +80,11 @@ class Autopilot(FlightLoop):
         return result
 
     def _local(self, place: Vector3, over_home: bool) -> Vector3:
-        """Place in the own NED; a NaN coordinate is the present one."""
+        """Place in the own NED; a coordinate that is no number is the present one."""
         latitude, longitude, altitude = self.geodetic(self.estimate.position_ned_m)
-        if not (isnan(place[0]) or isnan(place[1])):
+        if isfinite(place[0]) and isfinite(place[1]):
             latitude, longitude = place[0], place[1]
-        if not isnan(place[2]):
+        if isfinite(place[2]):
             altitude = place[2] + (self.geodetic(self.home_ned_m)[2] if over_home else 0.0)
         return ned_from_geodetic(latitude, longitude, altitude, self._origin)
 
@@ -96,10 +96,9 @@ class Autopilot(FlightLoop):
             text = f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {fields.frame} unsupported"
             self._commander.say(Severity.CRITICAL, text)
             return
-        estimate = self.estimate
-        self.stream(
-            motion_from_fields(fields, estimate.position_ned_m, yaw_from_quat(estimate.attitude)), now_s
-        )
+        here, heading = self.estimate.position_ned_m, yaw_from_quat(self.estimate.attitude)
+        top_speed = self.parameters.si(self.manner.settings.top_speed)
+        self.stream(motion_from_fields(fields, here, heading, top_speed), now_s)
 
     def stream_global(self, fields: StreamedMotion, place: Vector3, over_home: bool, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT: as local fields, but the position is a geodetic place."""

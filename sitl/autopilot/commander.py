@@ -102,7 +102,7 @@ class Commander:
 
     def _refresh(self) -> None:
         now = self.situation
-        now.armed, now.task, now.armable = self.armed, self.task, self.mode.armable
+        now.task, now.armable = self.task, self.mode.armable
         now.streaming = self.mode.task is Task.SETPOINT
 
     def _respond(self, failsafe: Failsafe) -> None:

@@ -205,6 +205,7 @@ class FlightLoop:
     def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
         """The setpoint of the task on hand; a task that is done hands over to the next."""
         if self.task is Task.SETPOINT and self._setpoint is not None:
+            self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
             if not self._timed_out(self._setpoint):
                 return self._setpoint
             self._commander.begin(Task.HOLD)

@@ -41,7 +41,6 @@ class Texts:
     aligned: tuple[str, ...]
     armed: str
     disarmed: str
-    take_off: str
     lifted: str
     landed: str
     landing: str
@@ -73,7 +72,6 @@ class Manner:
     external_needs_setpoints: bool
     takes_off_by_setpoint: bool
     take_off_needs_guided: bool
-    reposition_changes_mode: bool
     external_times_out_in_mode: bool
     thrust_is_climb_rate: bool
     refused_arming: Result

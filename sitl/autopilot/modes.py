@@ -62,7 +62,6 @@ class Situation:
     """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one."""
 
     aligned: bool = False
-    armed: bool = False
     armable: bool = True
     landed: bool = True
     has_flown: bool = False

@@ -19,6 +19,7 @@ FINAL_LANDING_SPEED_M_S = 0.5
 _FINAL_HEIGHT_M = 2.0
 _HEIGHT_REACHED_M = 0.2
 _HOME_REACHED_M = 0.8
+_HOME_SPEED_M_S = 0.4
 _STOPPED_M_S = 0.25
 
 
@@ -45,13 +46,13 @@ class Navigator:
         if task is not self._task:
             self._task, self._held = task, None
         if task is Task.TAKE_OFF:
-            return self._take_off(position, velocity)
+            return self._take_off(position)
         if task is Task.GO_TO:
             return self._go(self.target_ned_m), None
         if task is Task.LAND:
             return self._land(position, velocity), None
         if task is Task.RETURN:
-            return self._return(position)
+            return self._return(position, velocity)
         return self._hold(position, velocity), None
 
     def _hold(self, position: Vector3, velocity: Vector3) -> MotionSetpoint:
@@ -61,12 +62,11 @@ class Navigator:
             self._held = position
         return MotionSetpoint(position_ned_m=self._held, horizontal_speed_m_s=self._cruise())
 
-    def _take_off(self, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
+    def _take_off(self, position: Vector3) -> tuple[MotionSetpoint, Task | None]:
         if self._held is None:
             self._held = position
         north, east, _ = self._held
         down = self.home_ned_m[2] - self.climb_to_m
-        # reached within the tolerance, or stopped by whatever: both end the climb where it was meant to end
         if abs(position[2] - down) < _HEIGHT_REACHED_M:
             self._held, self._task = (north, east, down), Task.HOLD
             return MotionSetpoint(position_ned_m=self._held, climb_speed_m_s=TAKE_OFF_SPEED_M_S), Task.HOLD
@@ -88,13 +88,13 @@ class Navigator:
         north, east, _ = self._held
         return MotionSetpoint((north, east, nan), (nan, nan, speed))
 
-    def _return(self, position: Vector3) -> tuple[MotionSetpoint, Task | None]:
+    def _return(self, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
         north, east, ground = self.home_ned_m
         if self._held is None:
             height = self._parameters.si(self._settings.return_height)
             self._held = (position[0], position[1], min(position[2], ground - height))
         away = math.hypot(north - position[0], east - position[1])
-        if away < _HOME_REACHED_M:
+        if away < _HOME_REACHED_M and math.hypot(velocity[0], velocity[1]) < _HOME_SPEED_M_S:
             return self._go((north, east, self._held[2])), Task.LAND
         if position[2] - self._held[2] > 0.5:
             return MotionSetpoint(self._held), None

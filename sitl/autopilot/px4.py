@@ -67,7 +67,6 @@ PX4 = Manner(
     external_needs_setpoints=True,
     takes_off_by_setpoint=True,
     take_off_needs_guided=False,
-    reposition_changes_mode=True,
     external_times_out_in_mode=False,
     thrust_is_climb_rate=False,
     refused_arming=Result.TEMPORARILY_REJECTED,
@@ -88,7 +87,6 @@ PX4 = Manner(
         aligned=("Ready for takeoff!",),
         armed="Armed by external command",
         disarmed="Disarmed by external command",
-        take_off="",
         lifted="Takeoff detected",
         landed="Landing detected",
         landing="Landing at current position",
@@ -97,6 +95,7 @@ PX4 = Manner(
     arming_checks=(
         ArmingCheck(aligned, "Arming denied: Resolve system health failures first"),
         ArmingCheck(level, "Arming denied: Attitude failure (roll or pitch)"),
+        ArmingCheck(lambda now: not setpoints_stopped(now), "Arming denied: No offboard control signal"),
         ArmingCheck(mode_armable, "Arming denied: Mode not suitable for takeoff"),
     ),
     failsafes=(

@@ -70,7 +70,9 @@ class StreamedMotion:
     yaw_rate_rad_s: float
 
 
-def motion_from_fields(fields: StreamedMotion, here_ned_m: Vector3, heading_rad: float) -> MotionSetpoint:
+def motion_from_fields(
+    fields: StreamedMotion, here_ned_m: Vector3, heading_rad: float, top_speed_m_s: float = 12.0
+) -> MotionSetpoint:
     """The setpoint that a message's fields, mask and frame stand for, seen from here and this heading.
 
     The body frames are level: forward and right along the heading at the time of reception.
@@ -93,6 +95,7 @@ def motion_from_fields(fields: StreamedMotion, here_ned_m: Vector3, heading_rad:
         _masked(acceleration, mask, Ignore.AX | Ignore.AY, Ignore.AZ),
         nan if mask & Ignore.YAW or not isfinite(yaw) else yaw,
         nan if mask & Ignore.YAW_RATE or not isfinite(fields.yaw_rate_rad_s) else fields.yaw_rate_rad_s,
+        horizontal_speed_m_s=top_speed_m_s,
     )
 
 

@@ -1,0 +1,110 @@
+"""The ground station at the pad: hears the companion, and answers where the pad is."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.geometry import Vector3, ned_from_geodetic
+from sitl.ground_station import GroundStation
+
+HOME: Vector3 = (47.0, 8.0, 400.0)
+PAD: Vector3 = (12.0, -5.0, -0.3)
+PAD_VELOCITY: Vector3 = (1.0, 0.5, 0.0)
+COMPANION = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+
+
+def ask(ground: GroundStation, now_s: float, message_id: float = 144.0, target: int = 255) -> None:
+    request = mavlink.MAVLink_command_long_message(target, 0, 512, 0, message_id, 0, 0, 0, 0, 0, 0)
+    ground.receive(bytes(request.pack(COMPANION)), now_s)
+
+
+def listen(ground: GroundStation, now_s: float) -> list[Any]:
+    return mavlink.MAVLink(None).parse_buffer(ground.transmit(now_s, PAD, PAD_VELOCITY)) or []
+
+
+def answered(seed: int, std_m: float = 1.5) -> Any:
+    ground = GroundStation(np.random.default_rng(seed), std_m, HOME)
+    ask(ground, 0.0)
+    return next(m for m in listen(ground, 0.5) if m.get_type() == "FOLLOW_TARGET")
+
+
+def test_a_request_is_acknowledged_at_once_and_answered_half_a_second_later() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    ask(ground, 10.0)
+    acknowledgement = next(m for m in listen(ground, 10.0) if m.get_type() == "COMMAND_ACK")
+    assert (acknowledgement.command, acknowledgement.result) == (512, 0)
+    assert (acknowledgement.target_system, acknowledgement.target_component) == (1, 191)
+    assert not [m for m in listen(ground, 10.49) if m.get_type() == "FOLLOW_TARGET"]
+    answers = [m for m in listen(ground, 10.5) if m.get_type() == "FOLLOW_TARGET"]
+    assert len(answers) == 1
+    assert (answers[0].get_srcSystem(), answers[0].get_srcComponent()) == (255, 190)
+    assert not [m for m in listen(ground, 11.5) if m.get_type() == "FOLLOW_TARGET"]
+
+
+def test_the_answer_is_the_pads_place_to_within_a_gps_receivers_error() -> None:
+    errors = []
+    for seed in range(40):
+        message = answered(seed)
+        shown = ned_from_geodetic(message.lat * 1e-7, message.lon * 1e-7, message.alt, HOME)
+        errors.append([s - p for s, p in zip(shown, PAD, strict=True)])
+        assert math.dist(message.vel, PAD_VELOCITY) < 0.6
+        assert message.position_cov[0] == pytest.approx(1.5, abs=0.1)
+        assert message.est_capabilities == 3
+    spread = np.std(np.array(errors), axis=0)
+    assert spread[0] == pytest.approx(1.5, abs=0.5)
+    assert spread[2] > spread[0]
+
+
+def test_its_error_stays_the_same_over_a_flight() -> None:
+    ground = GroundStation(np.random.default_rng(3), 1.5, HOME)
+    shown = []
+    for k in range(5):
+        ask(ground, float(k))
+        message = next(m for m in listen(ground, k + 0.5) if m.get_type() == "FOLLOW_TARGET")
+        shown.append(ned_from_geodetic(message.lat * 1e-7, message.lon * 1e-7, message.alt, HOME)[0])
+    assert max(shown) - min(shown) < 1.2
+
+
+def test_other_requests_are_refused_and_those_for_others_ignored() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    ask(ground, 0.0, message_id=33.0)
+    ask(ground, 0.0, message_id=math.nan)
+    results = [m.result for m in listen(ground, 0.0) if m.get_type() == "COMMAND_ACK"]
+    assert results == [mavlink.MAV_RESULT_UNSUPPORTED] * 2
+    ask(ground, 0.0, target=1)
+    assert not [m for m in listen(ground, 0.6) if m.get_type() != "HEARTBEAT"]
+
+
+def test_it_beats_once_a_second() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    beats = [m for k in range(40) for m in listen(ground, k / 10) if m.get_type() == "HEARTBEAT"]
+    assert len(beats) == 4
+    assert beats[0].type == mavlink.MAV_TYPE_GCS
+
+
+def test_it_collects_the_companions_texts_and_joins_long_ones() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    long = "pad lost: holding at 3.2 m, asked the ground station for its position"
+    texts = [
+        mavlink.MAVLink_statustext_message(6, b"searching"),
+        mavlink.MAVLink_statustext_message(4, long[:50].encode(), 7, 0),
+        mavlink.MAVLink_statustext_message(4, long[50:].encode(), 7, 1),
+    ]
+    for text in texts:
+        ground.receive(bytes(text.pack(COMPANION)), 2.0)
+    autopilot = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    ground.receive(bytes(mavlink.MAVLink_statustext_message(6, b"Armed").pack(autopilot)), 2.0)
+    assert ground.texts == [(2.0, 6, "searching"), (2.0, 4, long)]
+
+
+def test_random_bytes_do_no_harm() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    ground.receive(np.random.default_rng(0).bytes(3000), 0.0)
+    for _ in range(10):
+        ask(ground, 0.0)
+    assert ground.requests > 0
