@@ -26,6 +26,8 @@ from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 13
+# a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
+SHRUNK_SIDE_PX: Final = 18.0
 # corner refinement looks this far, in cells of the code, within these bounds in pixels
 REFINE_CELLS: Final = 0.5
 REFINE_PX: Final = (2, 10)
@@ -77,10 +79,11 @@ class PadDetector:
             size = (part.shape[1] // s, part.shape[0] // s)
             part = part[: size[1] * s, : size[0] * s]
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        smallest_px = max(self._config.minimum_side_px, SHRUNK_SIDE_PX if s > 1 else 0.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
         found = [
             Detection(marker, on_pad, (corners + 0.5) * s - 0.5 + origin, _side_px(corners) * s)
-            for marker, on_pad, corners in reader.read(part, self._config.minimum_side_px)
+            for marker, on_pad, corners in reader.read(part, smallest_px)
         ]
         return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
 
