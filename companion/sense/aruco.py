@@ -25,7 +25,7 @@ from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
-THRESHOLD_WINDOW_PX: Final = 13
+THRESHOLD_WINDOW_PX: Final = 11
 # a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
 SHRUNK_SIDE_PX: Final = 18.0
 # corner refinement looks this far, in cells of the code, within these bounds in pixels
@@ -109,18 +109,20 @@ class _Reader:
         """Markers, each at most once, in the pad's order, with their corners on the pad and in the image."""
         if self._detector is None or min(image.shape) < minimum_side_px:
             return []
-        self._parameters.minMarkerPerimeterRate = 4.0 * minimum_side_px / max(image.shape)
+        # OpenCV counts an outline's pixels: a square that stands on its corner has sqrt(2) times fewer
+        self._parameters.minMarkerPerimeterRate = 2.0 * math.sqrt(2.0) * minimum_side_px / max(image.shape)
         self._detector.setDetectorParameters(self._parameters)
         quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
         found: dict[int, FloatArray] = {}
         twice: set[int] = set()
         for quad, identity, dictionary in zip(quads, _flat(ids), _flat(which), strict=True):
             order = self._order.get((dictionary, identity))
-            if order is None:
+            corners = np.asarray(quad, dtype=np.float64).reshape(4, 2)
+            if order is None or _side_px(corners) < minimum_side_px:
                 continue
             if order in found:
                 twice.add(order)
-            found[order] = np.asarray(quad, dtype=np.float64).reshape(4, 2)
+            found[order] = corners
         # a code seen at two places is a reflection or a forgery: neither is believed
         return [(*self._markers[k], found[k]) for k in sorted(found) if k not in twice]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import cv2
@@ -20,9 +21,7 @@ LEVEL = quat_from_euler(0.0, 0.0, 0.3)
 WHOLE = SearchPass(0, 0, 640, 480, 1, GROUPS)
 
 
-def drawn(
-    codes: list[tuple[str, int, int, int]], side: int = 96
-) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+def drawn(codes: list[tuple[DictionaryName, int, int, int]], side: int = 96) -> NDArray[np.uint8]:
     """A white image with codes (dictionary, id, left, top)."""
     image = np.full((480, 640), 230, np.uint8)
     for name, identity, left, top in codes:
@@ -62,6 +61,23 @@ def test_each_group_is_read_at_its_height(
     found = detector.detect(frame.image, SearchPass(0, 0, 640, 480, shrink, (group,)))
     assert len(found) >= at_least
     assert {d.marker.group for d in found} == {group}
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 45.0, 60.0])
+@pytest.mark.parametrize(("height_m", "shrink", "group"), [(9.0, 1, "F"), (0.25, 3, "C")])
+def test_small_markers_are_read_at_any_angle(
+    detector: PadDetector,
+    take_picture: TakePicture,
+    *,
+    height_m: float,
+    shrink: int,
+    group: MarkerGroup,
+    yaw_deg: float,
+) -> None:
+    attitude = quat_from_euler(0.0, 0.0, math.radians(yaw_deg))
+    frame, _, _ = take_picture((0.0, 0.0, -height_m - 0.08), attitude)
+    found = detector.detect(frame.image, SearchPass(0, 0, 640, 480, shrink, (group,)))
+    assert len(found) >= 4
 
 
 def test_corners_are_those_of_the_whole_image_whatever_part_or_size_was_searched(
