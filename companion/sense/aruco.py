@@ -27,7 +27,7 @@ GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 11
 # a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
-SHRUNK_SIDE_PX: Final = 18.0
+SHRUNK_SIDE_PX: Final = 17.0
 # corner refinement looks this far, in cells of the code, within these bounds in pixels
 REFINE_CELLS: Final = 0.5
 REFINE_PX: Final = (2, 10)
