@@ -25,7 +25,9 @@ from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
-THRESHOLD_WINDOW_PX: Final = 13
+THRESHOLD_WINDOW_PX: Final = 11
+# a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
+SHRUNK_SIDE_PX: Final = 17.0
 # corner refinement looks this far, in cells of the code, within these bounds in pixels
 REFINE_CELLS: Final = 0.5
 REFINE_PX: Final = (2, 10)
@@ -77,10 +79,11 @@ class PadDetector:
             size = (part.shape[1] // s, part.shape[0] // s)
             part = part[: size[1] * s, : size[0] * s]
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        smallest_px = max(self._config.minimum_side_px, SHRUNK_SIDE_PX if s > 1 else 0.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
         found = [
             Detection(marker, on_pad, (corners + 0.5) * s - 0.5 + origin, _side_px(corners) * s)
-            for marker, on_pad, corners in reader.read(part, self._config.minimum_side_px)
+            for marker, on_pad, corners in reader.read(part, smallest_px)
         ]
         return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
 
@@ -106,18 +109,20 @@ class _Reader:
         """Markers, each at most once, in the pad's order, with their corners on the pad and in the image."""
         if self._detector is None or min(image.shape) < minimum_side_px:
             return []
-        self._parameters.minMarkerPerimeterRate = 4.0 * minimum_side_px / max(image.shape)
+        # OpenCV counts an outline's pixels: a square that stands on its corner has sqrt(2) times fewer
+        self._parameters.minMarkerPerimeterRate = 2.0 * math.sqrt(2.0) * minimum_side_px / max(image.shape)
         self._detector.setDetectorParameters(self._parameters)
         quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
         found: dict[int, FloatArray] = {}
         twice: set[int] = set()
         for quad, identity, dictionary in zip(quads, _flat(ids), _flat(which), strict=True):
             order = self._order.get((dictionary, identity))
-            if order is None:
+            corners = np.asarray(quad, dtype=np.float64).reshape(4, 2)
+            if order is None or _side_px(corners) < minimum_side_px:
                 continue
             if order in found:
                 twice.add(order)
-            found[order] = np.asarray(quad, dtype=np.float64).reshape(4, 2)
+            found[order] = corners
         # a code seen at two places is a reflection or a forgery: neither is believed
         return [(*self._markers[k], found[k]) for k in sorted(found) if k not in twice]
 

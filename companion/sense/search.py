@@ -20,8 +20,8 @@ from companion.sense.aruco import GROUPS, SearchPass, cells_across
 from companion.sense.lens import Lens
 
 # pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
-CELL_PX: Final = 3.2
-SHRINKINGS: Final = (8, 6, 4, 3, 2, 1)
+CELL_PX: Final = 3.1
+SHRINKINGS: Final = (6, 4, 3, 2, 1)
 # markers of the preferred group that should be whole in the image, and how many to look for at most
 ENOUGH_MARKERS: Final = 2
 MOST_MARKERS: Final = 12

@@ -1,0 +1,130 @@
+"""Reading markers: every group, parts of the image, shrunk images, and what must not be believed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.config import VisionConfig
+from companion.geometry import Quaternion, Vector3, quat_from_euler
+from companion.messages import Frame, MarkerGroup
+from companion.pad import DICTIONARIES, DictionaryName, Pad
+from companion.sense.aruco import GROUPS, Detection, PadDetector, SearchPass, farthest_apart
+
+TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
+LEVEL = quat_from_euler(0.0, 0.0, 0.3)
+WHOLE = SearchPass(0, 0, 640, 480, 1, GROUPS)
+
+
+def drawn(codes: list[tuple[DictionaryName, int, int, int]], side: int = 96) -> NDArray[np.uint8]:
+    """A white image with codes (dictionary, id, left, top)."""
+    image = np.full((480, 640), 230, np.uint8)
+    for name, identity, left, top in codes:
+        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[name])
+        image[top : top + side, left : left + side] = cv2.aruco.generateImageMarker(
+            dictionary, identity, side
+        )
+    return image
+
+
+@pytest.fixture
+def detector(pad: Pad) -> PadDetector:
+    return PadDetector(pad, VisionConfig())
+
+
+@pytest.mark.parametrize(
+    ("height_m", "shrink", "group", "at_least"),
+    [
+        (9.0, 1, "F", 4),
+        (5.0, 1, "F", 4),
+        (2.5, 2, "F", 4),
+        (1.2, 2, "M", 8),
+        (0.5, 1, "C", 12),
+        (0.2, 4, "C", 4),
+    ],
+)
+def test_each_group_is_read_at_its_height(
+    detector: PadDetector,
+    take_picture: TakePicture,
+    *,
+    height_m: float,
+    shrink: int,
+    group: MarkerGroup,
+    at_least: int,
+) -> None:
+    frame, _, _ = take_picture((-0.03, 0.0, -height_m - 0.08), LEVEL)
+    found = detector.detect(frame.image, SearchPass(0, 0, 640, 480, shrink, (group,)))
+    assert len(found) >= at_least
+    assert {d.marker.group for d in found} == {group}
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 30.0, 45.0, 60.0])
+@pytest.mark.parametrize(("height_m", "shrink", "group"), [(9.0, 1, "F"), (0.25, 3, "C")])
+def test_small_markers_are_read_at_any_angle(
+    detector: PadDetector,
+    take_picture: TakePicture,
+    *,
+    height_m: float,
+    shrink: int,
+    group: MarkerGroup,
+    yaw_deg: float,
+) -> None:
+    attitude = quat_from_euler(0.0, 0.0, math.radians(yaw_deg))
+    frame, _, _ = take_picture((0.0, 0.0, -height_m - 0.08), attitude)
+    found = detector.detect(frame.image, SearchPass(0, 0, 640, 480, shrink, (group,)))
+    assert len(found) >= 4
+
+
+def test_corners_are_those_of_the_whole_image_whatever_part_or_size_was_searched(
+    detector: PadDetector, take_picture: TakePicture
+) -> None:
+    frame, _, _ = take_picture((0.0, 0.0, -3.0), LEVEL)
+    whole = detector.detect(frame.image, WHOLE)
+    for look in (SearchPass(131, 57, 601, 470, 1, ("F",)), SearchPass(3, 5, 640, 480, 2, ("F",))):
+        part = detector.detect(frame.image, look)
+        assert [d.marker.id for d in part] == [0, 1, 2, 3]
+        for a in part:
+            b = next(d for d in whole if d.marker == a.marker)
+            assert np.abs(a.corners_px - b.corners_px).max() < 0.1
+
+
+def test_corners_go_round_from_the_top_left_of_the_code(detector: PadDetector) -> None:
+    (found,) = detector.detect(drawn([("4x4_50", 2, 200, 150)]), WHOLE)
+    assert found.corners_px == pytest.approx(
+        np.array([(199.5, 149.5), (295.5, 149.5), (295.5, 245.5), (199.5, 245.5)]), abs=0.6
+    )
+    assert found.side_px == pytest.approx(96.0, abs=2.0)
+
+
+def test_markers_that_are_not_on_the_pad_are_not_reported(detector: PadDetector) -> None:
+    image = drawn(
+        [("4x4_50", 1, 60, 60), ("4x4_50", 9, 260, 60), ("6x6_50", 3, 460, 60), ("5x5_50", 49, 60, 260)]
+    )
+    found = detector.detect(image, WHOLE)
+    assert [(d.marker.dictionary, d.marker.id) for d in found] == [("4x4_50", 1)]
+
+
+def test_a_code_that_is_seen_twice_is_believed_nowhere(detector: PadDetector) -> None:
+    image = drawn([("4x4_50", 1, 60, 60), ("4x4_50", 1, 300, 260), ("4x4_50", 0, 460, 60)])
+    assert [d.marker.id for d in detector.detect(image, WHOLE)] == [0]
+
+
+def test_plain_noise_and_empty_parts_hold_no_markers(detector: PadDetector) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (480, 640)).astype(np.uint8)
+    assert detector.detect(noise, WHOLE) == []
+    assert detector.detect(noise, SearchPass(100, 100, 104, 300, 1, GROUPS)) == []
+
+
+def test_of_many_markers_those_farthest_apart_are_kept_in_order(pad: Pad) -> None:
+    markers = [m for m in pad.markers if m.group == "C"]
+    found = [Detection(m, m.corners_pad_m(), m.corners_pad_m()[:, :2] * 2000.0, 66.0) for m in markers]
+    kept = farthest_apart(found, 4)
+    assert [d.marker.id for d in kept] == sorted(d.marker.id for d in kept)
+    spread = np.array([d.marker.position_pad_m for d in kept])
+    assert np.abs(spread) == pytest.approx(np.full((4, 2), 0.1))  # the four corners of the grid
+    assert farthest_apart(found[:3], 4) == found[:3]

@@ -1,0 +1,171 @@
+"""Cameras: a V4L2 one (its driver replaced), and one on a socket with the simulator's server behind it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.clock import Clock
+from companion.config import CameraConfig, ConfigError
+from companion.sense.camera import SocketCamera, V4l2Camera, exposure_time_s, open_camera
+from sitl.frame_server import FrameServer
+
+
+class FakeCapture:
+    """A driver that gives a frame whenever it is told to, and then no more."""
+
+    def __init__(self, stamp_s: float = 0.0) -> None:
+        self.stamp_s = stamp_s
+        self.frames: list[Any] = []
+        self.more = threading.Semaphore(0)
+        self.released = False
+
+    def give(self, image: Any) -> None:
+        self.frames.append(image)
+        self.more.release()
+
+    def read(self) -> tuple[bool, Any]:
+        self.more.acquire(timeout=5.0)
+        image = self.frames.pop(0) if self.frames else None
+        return image is not None, image
+
+    def get(self, propId: int) -> float:
+        return self.stamp_s * 1e3 if propId == cv2.CAP_PROP_POS_MSEC else 0.0
+
+    def set(self, propId: int, value: float) -> bool:
+        return True
+
+    def release(self) -> None:
+        self.released = True
+
+
+async def test_a_colour_frame_becomes_grey_and_is_stamped_at_mid_exposure(camera: CameraConfig) -> None:
+    clock = Clock()
+    capture = FakeCapture(clock.now_s())
+    source = V4l2Camera(capture, camera, clock)
+    capture.give(np.full((480, 640, 3), 90, np.uint8))
+    frame = await asyncio.wait_for(source.next(), 5.0)
+    assert frame.image.shape == (480, 640)
+    assert int(frame.image[0, 0]) == 90
+    assert frame.time_s == pytest.approx(capture.stamp_s - 0.5 * camera.readout_s - 0.5 * camera.exposure_s)
+    assert frame.time_s < frame.received_s
+    capture.more.release()
+    source.close()
+    assert capture.released
+
+
+async def test_a_camera_that_stops_is_an_error_and_not_silence(camera: CameraConfig) -> None:
+    capture = FakeCapture()
+    source = V4l2Camera(capture, camera, Clock())
+    capture.more.release()
+    with pytest.raises(OSError, match="stopped"):
+        await asyncio.wait_for(source.next(), 5.0)
+    source.close()
+
+
+@pytest.mark.parametrize("stamp_s", [0.0, 99.0, 100.5])
+def test_a_stamp_that_cannot_be_true_is_replaced_by_the_time_of_receipt(
+    camera: CameraConfig, stamp_s: float
+) -> None:
+    expected = 100.0 - 0.5 * (camera.readout_s + camera.exposure_s)
+    assert exposure_time_s(stamp_s, 100.0, camera) == pytest.approx(expected)
+
+
+def test_a_true_stamp_is_used(camera: CameraConfig) -> None:
+    expected = 99.9 - 0.5 * (camera.readout_s + camera.exposure_s)
+    assert exposure_time_s(99.9, 100.0, camera) == pytest.approx(expected)
+
+
+async def connected(path: Path, camera: CameraConfig) -> tuple[FrameServer, SocketCamera]:
+    server = FrameServer(path)
+    await server.start()
+    source = await open_camera(f"socket:{path}", camera)
+    assert isinstance(source, SocketCamera)
+    while server.client_count == 0:  # noqa: ASYNC110 - the server has no event for it
+        await asyncio.sleep(0)
+    return server, source
+
+
+async def test_frames_cross_the_socket_unchanged(tmp_path: Path, camera: CameraConfig) -> None:
+    server, source = await connected(tmp_path / "frames", camera)
+    image = np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8)
+    server.send(image, 41, 12.5)
+    frame = await asyncio.wait_for(source.next(), 5.0)
+    assert (frame.sequence, frame.time_s) == (41, 12.5)
+    assert np.array_equal(frame.image, image)
+    source.close()
+    await server.close()
+
+
+async def test_the_newest_frame_wins_and_a_slow_client_never_holds_the_server_up(
+    tmp_path: Path, camera: CameraConfig
+) -> None:
+    server, source = await connected(tmp_path / "frames", camera)
+    image = np.zeros((480, 640), np.uint8)
+    for sequence in range(50):  # without a pause: most cannot be taken and are dropped
+        server.send(image, sequence, float(sequence))
+    first = await asyncio.wait_for(source.next(), 5.0)
+    assert first.sequence < 49
+    for sequence in range(100, 103):  # with pauses: all are taken, and the last is what the reader gets
+        await asyncio.sleep(0.1)
+        server.send(image, sequence, float(sequence))
+    await asyncio.sleep(0.05)
+    newest = await asyncio.wait_for(source.next(), 5.0)
+    assert newest.sequence == 102
+    source.close()
+    await server.close()
+
+
+async def test_a_server_that_goes_is_an_error(tmp_path: Path, camera: CameraConfig) -> None:
+    server, source = await connected(tmp_path / "frames", camera)
+    await server.close()
+    with pytest.raises(OSError, match="socket"):
+        await asyncio.wait_for(source.next(), 5.0)
+    source.close()
+
+
+async def test_frames_of_another_size_than_the_calibrations_are_refused(
+    tmp_path: Path, camera: CameraConfig
+) -> None:
+    server, source = await connected(tmp_path / "frames", camera)
+    server.send(np.zeros((240, 320), np.uint8), 0, 0.0)
+    with pytest.raises(ConfigError, match="320x240, expected the calibration's 640x480"):
+        await asyncio.wait_for(source.next(), 5.0)
+    source.close()
+    await server.close()
+
+
+async def test_what_is_not_a_frame_is_an_error(tmp_path: Path, camera: CameraConfig) -> None:
+    async def talk(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(64))
+        await writer.drain()
+        writer.close()
+
+    server = await asyncio.start_unix_server(talk, tmp_path / "frames")
+    source = await open_camera(f"socket:{tmp_path / 'frames'}", camera)
+    with pytest.raises(OSError, match="does not send frames"):
+        await asyncio.wait_for(source.next(), 5.0)
+    source.close()
+    server.close()
+
+
+@pytest.mark.parametrize("spec", ["usb", "v4l2:", "v4l2:front", "socket:", ""])
+async def test_a_source_that_is_not_one_is_named_with_what_was_expected(
+    spec: str, camera: CameraConfig
+) -> None:
+    with pytest.raises(ConfigError, match="expected v4l2:NUMBER or socket:PATH"):
+        await open_camera(spec, camera)
+
+
+async def test_a_missing_camera_or_server_is_one_line(tmp_path: Path, camera: CameraConfig) -> None:
+    for spec in ("v4l2:63", f"socket:{tmp_path / 'nobody'}"):
+        with pytest.raises(ConfigError) as caught:
+            await open_camera(spec, camera)
+        assert "\n" not in str(caught.value)
+        assert spec in str(caught.value)

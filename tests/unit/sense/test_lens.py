@@ -1,0 +1,30 @@
+"""The lens against OpenCV's projection."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from companion.config import CameraConfig
+from companion.sense.lens import Lens
+
+
+def test_projection_is_opencvs_and_undistortion_is_its_inverse(camera: CameraConfig) -> None:
+    rng = np.random.default_rng(2)
+    points = np.column_stack(
+        (rng.uniform(-1.5, 1.5, 50), rng.uniform(-1.0, 1.0, 50), rng.uniform(2.5, 6.0, 50))
+    )
+    matrix = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]])
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))
+    lens = Lens(camera)
+    pixels, depth = lens.project(points)
+    assert np.abs(pixels - np.asarray(expected).reshape(-1, 2)).max() < 1e-9
+    assert depth == pytest.approx(points[:, 2])
+    assert np.abs(lens.undistort(pixels) - points[:, :2] / points[:, 2:]).max() < 1e-7
+
+
+def test_what_the_lens_cannot_see_is_nowhere(camera: CameraConfig) -> None:
+    points = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.01], [5.0, 0.0, 1.0], [0.1, 0.1, 1.0]])
+    pixels, _ = Lens(camera).project(points)
+    assert np.isnan(pixels).any(axis=1).tolist() == [True, True, True, False]

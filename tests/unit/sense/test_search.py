@@ -1,0 +1,67 @@
+"""Where to look for which markers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from companion.config import CameraConfig, VisionConfig
+from companion.pad import Pad
+from companion.sense.lens import Lens
+from companion.sense.search import SearchPlanner
+
+
+@pytest.fixture
+def planner(pad: Pad, camera: CameraConfig) -> SearchPlanner:
+    return SearchPlanner(pad, Lens(camera), VisionConfig())
+
+
+@pytest.mark.parametrize(
+    ("height_m", "groups", "shrink"),
+    [
+        (10.0, ["F"], 1),
+        (7.0, ["F"], 1),
+        (3.0, ["F", "M"], 3),
+        (1.0, ["M", "C"], 2),
+        (0.3, ["C"], 2),
+        (0.1, ["C"], 6),
+    ],
+)
+def test_the_groups_hand_over_with_the_height_and_overlap(
+    planner: SearchPlanner, height_m: float, groups: list[str], shrink: int
+) -> None:
+    looks = planner.expected(np.eye(3), np.array([0.0, 0.0, height_m]), 0.01 * height_m)
+    assert [look.groups[0] for look in looks] == groups
+    assert looks[0].shrink == shrink
+
+
+def test_the_region_holds_the_markers_and_grows_with_the_uncertainty(planner: SearchPlanner) -> None:
+    position = np.array([0.5, -0.3, 6.0])
+    sure = planner.expected(np.eye(3), position, 0.02)[0]
+    unsure = planner.expected(np.eye(3), position, 0.3)[0]
+    # the outer corners of F are 0.6 m from the centre: 53 px at 6 m
+    assert sure.left < 321 + 44 - 53 < 321 + 44 + 53 < sure.right
+    assert sure.top < 238 - 27 - 53 < 238 - 27 + 53 < sure.bottom
+    assert unsure.left < sure.left - 50
+    assert unsure.bottom > sure.bottom + 50
+
+
+def test_a_region_never_leaves_the_frame(planner: SearchPlanner) -> None:
+    for x in (-3.0, 0.0, 3.0):
+        for look in planner.expected(np.eye(3), np.array([x, 0.5 * x, 6.0]), 1.0):
+            assert 0 <= look.left < look.right <= 640
+            assert 0 <= look.top < look.bottom <= 480
+
+
+def test_a_vague_or_invisible_pad_is_not_expected_anywhere(planner: SearchPlanner) -> None:
+    assert planner.expected(np.eye(3), np.array([0.0, 0.0, 4.0]), 2.0) == ()
+    assert planner.expected(np.eye(3), np.array([20.0, 0.0, 4.0]), 0.1) == ()
+    assert planner.expected(np.eye(3), np.array([0.0, 0.0, -4.0]), 0.1) == ()
+
+
+def test_widening_reaches_the_whole_frame_once(planner: SearchPlanner) -> None:
+    look = planner.expected(np.eye(3), np.array([0.0, 0.0, 6.0]), 0.05)[0]
+    (wide,) = planner.widened(look)
+    assert (wide.left, wide.top, wide.right, wide.bottom) == (0, 0, 640, 480)
+    assert (wide.shrink, wide.groups) == (look.shrink, look.groups)
+    assert planner.widened(wide) == ()

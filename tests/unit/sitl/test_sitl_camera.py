@@ -1,0 +1,277 @@
+"""The simulated camera against geometry worked out apart from it, with OpenCV's projection."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from companion.config import CameraConfig, VehicleConfig, find_file, load_model
+from companion.geometry import (
+    FloatArray,
+    Quaternion,
+    Vector3,
+    matrix_from_quat,
+    quat_from_euler,
+    quat_integrate,
+)
+from companion.pad import Marker, Pad, load_pad
+from sitl.camera import CameraModel, ScenePose
+from sitl.exposure import CameraSettings, motion_blur
+from sitl.textures import pad_texture
+
+SHARP = CameraSettings(
+    exposure_s=0.0, readout_s=0.0, noise_grey=0.0, lens_blur_px=0.5, aperture_m=0.0, vignette=0.0
+)
+PAD = load_pad("moving_1300")
+CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
+VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
+MATRIX = np.array([[CAMERA.fx_px, 0, CAMERA.cx_px], [0, CAMERA.fy_px, CAMERA.cy_px], [0, 0, 1.0]])
+# image right is the body's right, image down its back
+CAMERA_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+LEVEL = quat_from_euler(0.0, 0.0, 0.0)
+DECK = (0.0, 0.0, -0.3)
+
+Scene = Callable[[float], ScenePose]
+
+
+def model(settings: CameraSettings, pad: Pad = PAD, seed: int = 0) -> CameraModel:
+    cv2.setNumThreads(1)
+    return CameraModel(CAMERA, VEHICLE, pad, settings, np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def sharp() -> CameraModel:
+    return model(SHARP)
+
+
+def still(position: Vector3, attitude: Quaternion = LEVEL, heading: float = 0.0) -> Scene:
+    return lambda _: ScenePose(position, attitude, DECK, heading)
+
+
+def projected(points_pad_m: FloatArray, scene: ScenePose) -> FloatArray:
+    """Pixels (n, 2) of points (n, 3) of the pad."""
+    c, s = math.cos(scene.pad_heading_rad), math.sin(scene.pad_heading_rad)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    world = points_pad_m @ turn.T + scene.pad_position_ned_m
+    body = (world - scene.vehicle_position_ned_m) @ matrix_from_quat(scene.vehicle_attitude)
+    points = (body - VEHICLE.camera_position_body_m) @ CAMERA_FROM_BODY.T
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), MATRIX, np.array(CAMERA.distortion))
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+
+
+def corner_errors(
+    image: NDArray[np.uint8], marker: Marker, see: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """How far (px) each of a marker's corners (4, 2) is from where `see` puts it.
+
+    From the sides: across each, at points along it, the middle of the grey's slope is where the edge is. The
+    usual corner refinement is not used, because it is drawn inwards by a third of the blur's sigma.
+    """
+    corners = marker.corners_pad_m()
+    share = np.linspace(0.08, 0.92, 15)[:, None]
+    sides = [see(corners[k] + share * (corners[(k + 1) % 4] - corners[k])) for k in range(4)]
+    cell = float(np.linalg.norm(sides[0][-1] - sides[0][0])) / (int(marker.dictionary[0]) + 2)
+    reach = np.linspace(-1.0, 1.0, 41) * min(0.42 * cell, 6.0)
+    normals, ends = [], []
+    for side in sides:
+        along = (side[-1] - side[0]) / np.linalg.norm(side[-1] - side[0])
+        normal = np.array([along[1], -along[0]])  # outwards
+        at = (side[:, None, :] + reach[None, :, None] * normal).astype(np.float32)
+        grey = cv2.remap(image.astype(np.float32), at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        slope = np.diff(np.asarray(grey, dtype=np.float64), axis=1)
+        middle = 0.5 * (reach[1:] + reach[:-1])
+        line = np.polyfit(share[:, 0], slope @ middle / slope.sum(axis=1), 1)
+        normals.append(normal)
+        ends.append((float(np.polyval(line, 0.0)), float(np.polyval(line, 1.0))))
+    errors = [
+        np.linalg.solve(np.array([normals[k - 1], normals[k]]), [ends[k - 1][1], ends[k][0]])
+        for k in range(4)
+    ]
+    return np.array(errors)
+
+
+def in_view(pixels: FloatArray) -> bool:
+    return bool((pixels > 12.0).all() and (pixels < (627.0, 467.0)).all())
+
+
+def errors_of_group(
+    image: NDArray[np.uint8], group: str, see: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Corner errors (n, 2) of all markers of a group that are whole in the image."""
+    markers = [m for m in PAD.markers if m.group == group and in_view(see(m.corners_pad_m()))]
+    assert markers
+    return np.concatenate([corner_errors(image, marker, see) for marker in markers])
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0, 25.0])
+@pytest.mark.parametrize(("height_m", "group"), [(0.25, "C"), (1.0, "M"), (2.0, "F"), (3.0, "F"), (5.0, "F")])
+def test_corners_are_where_geometry_puts_them(
+    sharp: CameraModel, height_m: float, group: str, yaw_deg: float
+) -> None:
+    lean = 0.08 if height_m > 0.5 else 0.03
+    attitude = quat_from_euler(lean, -0.7 * lean, math.radians(yaw_deg))
+    scene = still((0.03 * height_m, -0.02 * height_m, -height_m - 0.38), attitude, 0.35)
+    errors = errors_of_group(sharp.render(0.0, scene), group, lambda p: projected(p, scene(0.0)))
+    assert np.abs(errors.mean(axis=0)).max() < 0.03
+    assert np.sqrt((errors**2).mean()) < 0.06
+    assert np.abs(errors).max() < 0.15
+
+
+def test_the_lens_bends_what_is_near_the_images_corners(sharp: CameraModel) -> None:
+    scene = still((0.62, 0.9, -3.38))
+    image = sharp.render(0.0, scene)
+    marker = PAD.markers[2]
+    pixels = projected(marker.corners_pad_m(), scene(0.0))
+    rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), MATRIX, np.array(CAMERA.distortion))
+    straight = np.asarray(rays).reshape(4, 2) * CAMERA.fx_px + MATRIX[:2, 2]
+    assert np.abs(straight - pixels).max() > 2.0
+    assert np.abs(corner_errors(image, marker, lambda p: projected(p, scene(0.0)))).max() < 0.1
+
+
+def test_each_row_shows_the_moment_at_which_it_is_exposed() -> None:
+    readout = 0.02
+    camera = model(SHARP.model_copy(update={"readout_s": readout}))
+    attitude = quat_from_euler(0.03, 0.0, 0.4)
+
+    def scene(time_s: float) -> ScenePose:
+        turned = quat_integrate(attitude, (0.6, -0.5, 0.4), time_s)
+        return ScenePose((0.8 * time_s, -1.2 * time_s, -2.4), turned, (1.5 * time_s, 0.0, -0.3), 0.2)
+
+    def see(points: FloatArray) -> FloatArray:
+        """The row depends on the time, which depends on the row."""
+        pixels = projected(points, scene(0.0))
+        for _ in range(4):
+            times = ((pixels[:, 1] + 0.5) / CAMERA.height_px - 0.5) * readout
+            pixels = np.concatenate(
+                [projected(p[None], scene(float(t))) for p, t in zip(points, times, strict=True)]
+            )
+        return pixels
+
+    image = camera.render(0.0, scene)
+    for group in ("F", "M"):
+        assert np.abs(errors_of_group(image, group, see)).max() < 0.15
+    assert np.abs(errors_of_group(image, "M", lambda p: projected(p, scene(0.0)))).max() > 1.0
+
+
+@pytest.mark.parametrize(
+    ("ahead", "right", "quadrant"),
+    [(0.7, 0.0, (0, -1)), (-0.7, 0.0, (0, 1)), (0.0, 0.7, (1, 0)), (0.0, -0.7, (-1, 0))],
+)
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
+def test_what_is_ahead_is_up_in_the_image_and_right_is_right(
+    sharp: CameraModel, ahead: float, right: float, quadrant: tuple[int, int], yaw_deg: float
+) -> None:
+    yaw = math.radians(yaw_deg)
+    north = ahead * math.cos(yaw) - right * math.sin(yaw)
+    east = ahead * math.sin(yaw) + right * math.cos(yaw)
+    image = sharp.render(0.0, still((-north, -east, -4.3), quat_from_euler(0.0, 0.0, yaw)))
+    rows, columns = np.nonzero(image > 210)  # the white of the board
+    off = np.array([columns.mean() - CAMERA.cx_px, rows.mean() - CAMERA.cy_px])
+    assert off @ quadrant > 60.0
+    assert abs(off @ (quadrant[1], quadrant[0])) < 15.0
+
+
+def test_the_same_seed_gives_the_same_picture_and_another_seed_another_noise() -> None:
+    scene = still((0.0, 0.0, -3.0))
+    settings = CameraSettings()
+    first, second, other = (model(settings, seed=s).render(0.0, scene) for s in (1, 1, 2))
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, other)
+
+
+def test_noise_has_the_strength_asked_for() -> None:
+    scene = still((0.0, 0.0, -0.6))
+    clean = model(SHARP).render(0.0, scene).astype(float)
+    noisy = model(SHARP.model_copy(update={"noise_grey": 5.0})).render(0.0, scene).astype(float)
+    assert (noisy - clean).std() == pytest.approx(5.0, abs=0.2)
+    assert (noisy - clean).mean() == pytest.approx(0.0, abs=0.1)
+
+
+def test_motion_smears_along_its_direction_and_moves_nothing() -> None:
+    camera = model(SHARP.model_copy(update={"exposure_s": 0.004}))
+
+    def scene(time_s: float) -> ScenePose:
+        return ScenePose((0.0, 2.0 * time_s, -1.38), LEVEL, DECK, 0.0)
+
+    smeared, sharp_image = camera.render(0.0, scene), model(SHARP).render(0.0, scene)
+    errors = errors_of_group(smeared, "M", lambda p: projected(p, scene(0.0)))
+    assert np.abs(errors.mean(axis=0)).max() < 0.05
+    assert np.abs(errors).max() < 0.2
+    contrast = [
+        float(np.percentile(np.abs(np.diff(picture.astype(float), axis=axis)), 99.5))
+        for picture in (sharp_image, smeared)
+        for axis in (0, 1)
+    ]
+    assert contrast[2] > 0.7 * contrast[0]  # up and down stays sharp
+    assert contrast[3] < 0.55 * contrast[1]  # 4 px at 532 px/m and 8 mm: left and right does not
+
+
+def test_close_to_the_pad_the_picture_is_out_of_focus() -> None:
+    lens = SHARP.model_copy(update={"aperture_m": 0.0015})
+    scene = still((0.0, 0.0, -0.48))
+    sharp_image, soft = model(SHARP).render(0.0, scene), model(lens).render(0.0, scene)
+    assert np.abs(np.diff(soft.astype(float))).max() < 0.6 * np.abs(np.diff(sharp_image.astype(float))).max()
+
+
+def test_without_a_pad_in_view_there_is_ground_everywhere(sharp: CameraModel) -> None:
+    for position in ((300.0, -200.0, -7.0), (-35.0, 18.0, -0.2), (1e4, 1e4, -30.0)):
+        image = sharp.render(0.0, still(position, quat_from_euler(0.2, -0.3, 1.0)))
+        assert 60.0 < image.mean() < 150.0
+        assert image.std() > 3.0
+        assert image.min() > 0
+
+
+def test_a_camera_below_the_decks_surface_does_not_see_the_pad(sharp: CameraModel) -> None:
+    image = sharp.render(0.0, still((0.0, 0.0, -0.2)))
+    assert (image < 200).all()
+
+
+def test_a_turned_and_tilted_camera_looks_where_it_points() -> None:
+    mounted = VEHICLE.model_copy(update={"camera_yaw_deg": 90.0, "camera_tilt_deg": 30.0})
+    camera = CameraModel(CAMERA, mounted, PAD, SHARP, np.random.default_rng(0))
+    # turned right by 90 degrees and up by 30, it has what is 3 tan(30) m to the right in the middle
+    image = camera.render(0.0, still((0.0, -3.0 * math.tan(math.radians(30.0)), -3.38)))
+    rows, columns = np.nonzero(image > 210)
+    assert abs(columns.mean() - CAMERA.cx_px) < 25.0
+    assert abs(rows.mean() - CAMERA.cy_px) < 25.0
+
+
+@pytest.mark.parametrize("stroke", [(1.0, 0.5), (7.0, -3.0), (-18.0, 11.0), (0.0, 40.0)])
+def test_a_stroke_keeps_the_light_and_its_centre(stroke: tuple[float, float]) -> None:
+    image = np.zeros((121, 121), np.uint8)
+    image[56:65, 56:65] = 240
+    blurred = motion_blur(image, *stroke).astype(float)
+    y, x = np.mgrid[0:121, 0:121]
+    total = blurred.sum()
+    assert total == pytest.approx(image.sum(), rel=0.06)
+    assert (blurred * x).sum() / total == pytest.approx(60.0, abs=0.35)
+    assert (blurred * y).sum() / total == pytest.approx(60.0, abs=0.35)
+    length = math.hypot(*stroke)
+    along = ((x - 60) * stroke[0] + (y - 60) * stroke[1]) / length
+    spread = (blurred * along**2).sum() / total - (81 - 1) / 12.0
+    assert spread == pytest.approx(length**2 / 12.0, rel=0.2, abs=1.5)
+
+
+def test_every_scale_of_the_pads_print_is_an_average_of_the_finest() -> None:
+    texture = pad_texture(PAD)
+    finest = texture.levels[0].image.mean()
+    for level in texture.levels:
+        assert level.image.mean() == pytest.approx(float(finest), abs=0.6)
+    densities = [level.texels_per_m for level in texture.levels]
+    assert densities == sorted(densities, reverse=True)
+    assert texture.level_for(100.0).texels_per_m <= 120.0 < 2.0 * texture.level_for(100.0).texels_per_m
+
+
+def test_a_marker_printed_at_an_angle_has_its_corners_where_the_data_say() -> None:
+    turned = Marker(
+        dictionary="4x4_50", id=3, side_m=0.3, position_pad_m=(0.05, -0.07), yaw_deg=31.0, group="F"
+    )
+    pad = Pad(name="one", width_m=0.8, length_m=0.6, markers=(turned,))
+    scene = still((0.0, 0.0, -1.4))
+    image = model(SHARP, pad).render(0.0, scene)
+    assert np.abs(corner_errors(image, turned, lambda p: projected(p, scene(0.0)))).max() < 0.06
