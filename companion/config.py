@@ -497,8 +497,9 @@ class LinkConfig(StrictModel):
 
     `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call) or udpin:HOST:PORT (we listen). `system_id` is
     the vehicle's and so ours; 0 takes the first autopilot heard. `component_id` is ours; MAVSDK, which speaks
-    beside us, is another component. `force_disarm` disarms after a touchdown that the mission is sure of even
-    when the autopilot's land detector is not: on a pad that moves it never is.
+    beside us, is another component. `force_disarm` allows disarming by force after a
+    touchdown that several signs have confirmed for seconds while the autopilot's land detector still
+    believes itself in the air, as it may on a pad that moves; never elsewhere.
     """
 
     connection: str = "udpin:127.0.0.1:14540"

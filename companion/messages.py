@@ -253,13 +253,16 @@ class ActionKind(StrEnum):
 class Action:
     """One request to the autopilot or the ground station.
 
-    `position` is latitude (deg), longitude (deg) and height over home (m).
+    `position` is latitude (deg), longitude (deg) and height over home (m). `force` lets a DISARM through
+    that the autopilot refuses because it believes itself in the air: in the air it drops the vehicle, so
+    only a touchdown that several signs have confirmed for seconds may ask for it.
     """
 
     kind: ActionKind
     height_m: float = 0.0
     position: Vector3 | None = None
     heading_rad: float | None = None
+    force: bool = False
 
 
 @dataclass(frozen=True, slots=True)

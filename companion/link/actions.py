@@ -124,11 +124,11 @@ class PymavlinkActions:
         await self.set_mode(LAND_MODE[self.manner()])
 
     async def disarm(self, action: Action) -> None:
-        """Plainly first; then, where settings allow, though the autopilot believes itself in the air."""
+        """Plainly first; by force only where the action asks for it and the settings allow it."""
         try:
             await self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0))
         except Refused:
-            if not self._config.force_disarm:
+            if not (action.force and self._config.force_disarm):
                 raise
             await self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE))
         await self.confirm(lambda: not self._session.state.armed, "disarmed")

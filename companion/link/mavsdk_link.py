@@ -183,7 +183,7 @@ class MavsdkActions:
             await self._own.land(action)
 
     async def _disarm(self, action: Action) -> None:
-        """By MAVSDK, which refuses in the air; then by ours, which may force it where settings allow."""
+        """By MAVSDK, which refuses in the air; then by ours, which may force it where asked and allowed."""
         try:
             await self._connect()
             await self._try(self._action.disarm())

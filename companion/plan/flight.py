@@ -204,15 +204,16 @@ class Flight:
         return finding
 
     def _shut_down(self, inputs: PlanInputs, now_s: float) -> None:
-        """On the pad: disarm once the autopilot agrees that it stands; when it does not, have it land."""
+        """On the pad: disarm once the autopilot agrees that it stands; have it land, then force it, if not."""
         assert self._touchdown.contact_s is not None
         stood_s = now_s - self._touchdown.contact_s
         after_s = self._config.touchdown.land_after_s
         if stood_s >= after_s and not self._requests.asked(ActionKind.DISARM):
             self._watch.let_go()
             self._requests.ask(Action(ActionKind.LAND), now_s)
-        if inputs.autopilot.landed is LandedState.ON_GROUND or stood_s >= 2.0 * after_s:
-            self._requests.ask(Action(ActionKind.DISARM), now_s)
+        agrees = inputs.autopilot.landed is LandedState.ON_GROUND
+        if agrees or stood_s >= 2.0 * after_s:
+            self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:
         if self._watch.link_back(inputs.autopilot):

@@ -212,14 +212,16 @@ def test_disarming_on_the_ground_needs_no_force() -> None:
     assert [m.param2 for m in autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)] == [0.0]
 
 
-@pytest.mark.parametrize("force", [True, False])
-def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_settings_allow(
-    force: bool,
+@pytest.mark.parametrize(("asked", "allowed"), [(True, True), (True, False), (False, True)])
+def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_asked_and_allowed(
+    asked: bool, allowed: bool
 ) -> None:
     autopilot = FakeAutopilot(armed=True, believes_in_air=True)
-    [result] = perform(autopilot, Action(ActionKind.DISARM), config=LinkConfig(force_disarm=force))
-    assert result.accepted is force
-    assert autopilot.armed is not force
+    [result] = perform(
+        autopilot, Action(ActionKind.DISARM, force=asked), config=LinkConfig(force_disarm=allowed)
+    )
+    assert result.accepted is (asked and allowed)
+    assert autopilot.armed is not (asked and allowed)
 
 
 def test_the_pads_position_is_asked_of_the_ground_station() -> None:

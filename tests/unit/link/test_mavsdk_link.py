@@ -141,15 +141,15 @@ async def test_a_refusal_carries_the_autopilots_words() -> None:
     assert (result.accepted, result.text) == (False, "command denied; Arming denied: no GPS")
 
 
-@pytest.mark.parametrize("force", [True, False])
-async def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_settings_allow(
-    force: bool,
+@pytest.mark.parametrize(("asked", "allowed"), [(True, True), (True, False), (False, True)])
+async def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_asked_and_allowed(
+    asked: bool, allowed: bool
 ) -> None:
     autopilot = FakeAutopilot(armed=True, believes_in_air=True)
-    async with connected(autopilot, LinkConfig(force_disarm=force)) as actions:
-        result = await asyncio.wait_for(actions.perform(Action(ActionKind.DISARM)), 10.0)
-    assert result.accepted is force
-    assert autopilot.armed is not force
+    async with connected(autopilot, LinkConfig(force_disarm=allowed)) as actions:
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.DISARM, force=asked)), 10.0)
+    assert result.accepted is (asked and allowed)
+    assert autopilot.armed is not (asked and allowed)
 
 
 async def test_closing_leaves_no_thread_behind_even_amid_a_call() -> None:
