@@ -204,7 +204,7 @@ class Flight:
         return finding
 
     def _shut_down(self, inputs: PlanInputs, now_s: float) -> None:
-        """On the pad: disarm once the autopilot agrees that it stands; have it land, then force it, if not."""
+        """On the pad: disarm once the autopilot agrees that it stands; let it land, else force it."""
         assert self._touchdown.contact_s is not None
         stood_s = now_s - self._touchdown.contact_s
         after_s = self._config.touchdown.land_after_s
