@@ -3,10 +3,11 @@
 # make bench   where the time goes, and the landing campaign's bars
 PYTHON ?= python3
 VENV   ?= .venv
+SEEDS  ?= 10
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: sitl test lint bench bench-time clean
+.PHONY: sitl test lint bench clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -19,7 +20,7 @@ $(VENV)/.dev: $(VENV)/.run
 	touch $@
 
 sitl: $(VENV)/.run
-	$(BIN)/companion --sitl --record flights/latest
+	$(BIN)/companion --sitl --record flights/$$(date +%Y%m%d-%H%M%S)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -30,9 +31,12 @@ lint: $(VENV)/.dev
 test: lint
 	$(BIN)/python -m pytest
 
+# each prints its table beside the bars and ends in a line that says which hold; all of them run
 bench: $(VENV)/.dev
-	$(BIN)/python -m tests.bench_time
-	$(BIN)/python -m sitl.campaign
+	@status=0; \
+	$(BIN)/python tests/bench/bench_time.py || status=1; \
+	$(BIN)/python -m sitl.campaign --seeds $(SEEDS) || status=1; \
+	exit $$status
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
