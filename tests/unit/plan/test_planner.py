@@ -175,7 +175,8 @@ def test_it_lands_in_the_pads_heading(heading_deg: float) -> None:
 
 def test_it_keeps_its_heading_when_it_shall_not_align() -> None:
     flight = world(still(), PlanConfig(mission=MissionConfig(align_heading=False))).fly(90.0)
-    assert {s.reference.heading_rad for s in flight.steps if s.reference} == {pytest.approx(1.2)}
+    headings = [s.reference.heading_rad for s in flight.steps if s.reference]
+    assert headings == pytest.approx([1.2] * len(headings))
 
 
 def test_on_the_pad_it_says_so_and_disarms_once_the_autopilot_agrees() -> None:
@@ -226,7 +227,8 @@ def test_unseen_for_a_second_it_stops_descending_and_goes_on_afterwards() -> Non
     flight = w.fly(90.0)
     assert [phase for _, phase in flight.phases] == GOOD
     heights = {round(s.time_s, 1): h for s, h in zip(flight.steps, flight.heights_m, strict=True)}
-    assert heights[16.2] == pytest.approx(heights[16.5], abs=0.06)
+    # braked within a second, then level
+    assert heights[16.4] == pytest.approx(heights[16.6], abs=0.04)
     assert heights[14.5] - heights[15.0] > 0.2
 
 
