@@ -20,9 +20,15 @@ def inputs(autopilot: AutopilotState = FLYING, stop: bool = False, vehicle: bool
     return PlanInputs(vehicle=known, pad=None, autopilot=autopilot, stop_requested=stop)
 
 
-def found(watch: Watch, given: PlanInputs, phase: Phase = Phase.APPROACH, **flags: bool) -> Event | None:
-    flags = {"taken_over": False, "on_pad": False} | flags
-    finding = watch.event(phase, 45.0, given, 50.0, taken_over=flags["taken_over"], on_pad=flags["on_pad"])
+def found(
+    watch: Watch,
+    given: PlanInputs,
+    phase: Phase = Phase.APPROACH,
+    *,
+    taken_over: bool = False,
+    on_pad: bool = False,
+) -> Event | None:
+    finding = watch.event(phase, 45.0, given, 50.0, taken_over=taken_over, on_pad=on_pad)
     return finding[0] if finding else None
 
 
@@ -53,7 +59,8 @@ def test_control_begins_when_granted_and_obeyed_and_ends_when_the_mode_is_left()
     watch = Watch(CONFIG)
     before = replace(FLYING, mode="LOITER", offboard=False)
     assert not watch.note(before, control_granted=True)
-    assert not watch.in_control
+    granted_only = watch.in_control
+    assert not granted_only
     assert not watch.note(FLYING, control_granted=True)
     assert watch.in_control
     # any other mode, even one that is nobody's
@@ -77,22 +84,24 @@ def test_before_control_only_the_change_into_a_pilots_mode_counts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "flags", "event"),
+    ("given", "taken_over", "on_pad", "event"),
     [
-        (inputs(replace(FLYING, armed=False)), {}, Event.DISARMED),
-        (inputs(), {"taken_over": True}, Event.PILOT_TOOK_OVER),
-        (inputs(stop=True), {}, Event.STOP),
-        (inputs(replace(FLYING, connected=False)), {}, Event.LINK_LOST),
-        (inputs(vehicle=False), {}, Event.ESTIMATE_LOST),
-        (inputs(replace(FLYING, connected=False)), {"on_pad": True}, None),
-        (inputs(vehicle=False), {"on_pad": True}, None),
+        (inputs(replace(FLYING, armed=False)), False, False, Event.DISARMED),
+        (inputs(), True, False, Event.PILOT_TOOK_OVER),
+        (inputs(stop=True), False, False, Event.STOP),
+        (inputs(replace(FLYING, connected=False)), False, False, Event.LINK_LOST),
+        (inputs(vehicle=False), False, False, Event.ESTIMATE_LOST),
+        (inputs(replace(FLYING, connected=False)), False, True, None),
+        (inputs(vehicle=False), False, True, None),
         # a pilot is asked before the one at the keyboard, and a lost link knows no mode
-        (inputs(stop=True), {"taken_over": True}, Event.PILOT_TOOK_OVER),
-        (inputs(replace(FLYING, connected=False)), {"taken_over": True}, Event.LINK_LOST),
+        (inputs(stop=True), True, False, Event.PILOT_TOOK_OVER),
+        (inputs(replace(FLYING, connected=False)), True, False, Event.LINK_LOST),
     ],
 )
-def test_each_trouble_in_flight(given: PlanInputs, flags: dict[str, bool], event: Event | None) -> None:
-    assert found(Watch(CONFIG), given, **flags) is event
+def test_each_trouble_in_flight(
+    given: PlanInputs, taken_over: bool, on_pad: bool, event: Event | None
+) -> None:
+    assert found(Watch(CONFIG), given, taken_over=taken_over, on_pad=on_pad) is event
 
 
 def test_on_the_ground_before_take_off_being_disarmed_is_no_event() -> None:
