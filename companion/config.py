@@ -361,7 +361,7 @@ class GuidanceConfig(StrictModel):
     minimum_time_s: float = Field(default=1.0, ge=0.3, le=5.0)  # T_min of eq. 37
     horizontal_speed_m_s: float = Field(default=3.0, gt=0.0, le=10.0)
     vertical_speed_m_s: float = Field(default=1.2, gt=0.0, le=5.0)
-    horizontal_acceleration_m_s2: float = Field(default=1.5, gt=0.0, le=5.0)
+    horizontal_acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=5.0)
     vertical_acceleration_m_s2: float = Field(default=0.8, gt=0.0, le=5.0)
     heading_rate_deg_s: float = Field(default=30.0, gt=0.0, le=180.0)
     stray_m: float = Field(default=0.8, ge=0.1, le=5.0)  # reference to estimate, beyond it starts afresh

@@ -25,6 +25,7 @@ SpeedLaw = Callable[[float, float, float], float]
 
 _CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 _MOST_STRETCHES = 4
+_KEPT_SHARE = 0.9
 
 
 class Guide:
@@ -112,7 +113,8 @@ class Guide:
         unit = scale(offset, 1.0 / distance) if distance > 1e-6 else (0.0, 0.0, 0.0)
         speed = self._law(distance, dot(closing, unit), dot(start.acceleration_m_s2, unit))
         moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
-        relative = self._within_limits(moving, distance / speed + self._config.minimum_time_s, now_s)
+        duration_s = distance / speed + self._config.minimum_time_s
+        relative = self._within_limits(moving, max(duration_s, self._left_s(now_s)), now_s)
         self._trajectory = _carried(relative, target)
         self.speed_m_s, self.time_to_go_s = speed, relative.duration_s
 
@@ -152,6 +154,13 @@ class Guide:
     def _follow(self, trajectory: Trajectory, now_s: float) -> None:
         self._trajectory = trajectory
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
+
+    def _left_s(self, now_s: float) -> float:
+        """Most of what is left of the last plan: where limits made it longer they will again.
+
+        Only most of it, so that what no longer needs the time is soon rid of it.
+        """
+        return 0.0 if self._trajectory is None else _KEPT_SHARE * (self._trajectory.end_s - now_s)
 
     def _within_limits(self, moving: Motion, duration_s: float, now_s: float) -> Trajectory:
         """The way to the origin at rest, longer than asked where speed or acceleration would be too much."""

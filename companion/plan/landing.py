@@ -31,7 +31,7 @@ class Landing:
         self._config, self._guide = config, guide
         self._leg_m = vehicle.leg_height_m
         self.goal_m = self._leg_m + config.approach_height_m
-        self._paused_at_m: float | None = None
+        self.paused = False
         self._begun_s = 0.0
 
     def begin(self, height_m: float, again: bool, now_s: float) -> None:
@@ -42,13 +42,8 @@ class Landing:
         c = self._config
         first_m = min(height_m, self._leg_m + c.approach_height_m)
         self.goal_m = self._leg_m + c.retry_height_m if again else first_m
-        self._paused_at_m = None
+        self.paused = False
         self._begun_s = now_s
-
-    @property
-    def paused(self) -> bool:
-        """Whether the descent waits."""
-        return self._paused_at_m is not None
 
     def approach(self, sight: Sight | None, now_s: float) -> Finding:
         """Towards the point above the pad, down a slope that keeps the pad in view."""
@@ -73,11 +68,12 @@ class Landing:
             return self._lost(sight)
         wait_m = self._leg_m + self._config.wait_height_m
         seen = sight.age_s <= self._config.pause_unseen_s
-        if not seen or not self._inside(sight, _BACK_INSIDE if self.paused else 1.0):
-            self._paused_at_m = max(wait_m, self._paused_at_m or self._level(now_s))
-        else:
-            self._paused_at_m = None
-        self._go(self._paused_at_m or wait_m, now_s)
+        go_on = seen and self._inside(sight, _BACK_INSIDE if self.paused else 1.0)
+        if go_on:
+            self._go(wait_m, now_s)
+        elif not self.paused:
+            self._guide.rest(self._guide.at(now_s), now_s)  # and stays at rest over the pad
+        self.paused = not go_on
         if seen and sight.height_m <= wait_m + _LOW_MARGIN_M:
             return Event.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
         return None

@@ -1,0 +1,80 @@
+import pytest
+from plan_harness import ORIGIN_NED_M, World, still
+
+from companion.messages import PadState
+from companion.plan.sight import PadKnowledge, Sightings, look, pad_motion
+
+
+def pad(time_s: float = 10.0, seen_s: float = 9.9) -> PadState:
+    return PadState(
+        time_s=time_s,
+        relative_position_ned_m=(1.0, -2.0, 5.0),
+        relative_velocity_ned_m_s=(0.5, 0.0, -1.0),
+        velocity_ned_m_s=(1.5, 0.2, 0.0),
+        acceleration_ned_m_s2=(0.0, 0.3, 0.0),
+        heading_rad=0.2,
+        heading_rate_rad_s=0.1,
+        position_std_m=0.02,
+        velocity_std_m_s=0.02,
+        seen_time_s=seen_s,
+    )
+
+
+def test_a_sight_is_the_vehicle_from_the_pad_led_to_now() -> None:
+    sight = look(pad(), 10.1)
+    assert sight is not None
+    assert sight.position_m == pytest.approx((-1.05, 2.0, -4.9))
+    assert sight.velocity_m_s == (-0.5, 0.0, 1.0)
+    assert sight.height_m == pytest.approx(4.9)
+    assert sight.lateral_m == pytest.approx((1.05**2 + 4.0) ** 0.5)
+    assert sight.lateral_speed_m_s == pytest.approx(0.5)
+    assert sight.pad_heading_rad == pytest.approx(0.21)
+    assert sight.age_s == pytest.approx(0.2)
+
+
+def test_a_filter_that_stopped_is_not_led_on_but_ages() -> None:
+    sight = look(pad(), 20.0)
+    assert sight is not None
+    assert sight.position_m[0] == pytest.approx(-1.15)
+    assert sight.age_s == pytest.approx(10.1)
+    assert look(None, 20.0) is None
+
+
+def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
+    w = World(still(10.6, 0.8))
+    w.position = (9.0, 1.0, -6.0)
+    w._sense()
+    vehicle, sight = w.inputs().vehicle, look(w.inputs().pad, 0.0)
+    assert vehicle is not None
+    assert sight is not None
+    place = pad_motion(vehicle, sight, 0.0).position_m
+    truth = [p - o for p, o in zip((10.6, 0.8, -0.3), ORIGIN_NED_M, strict=True)]
+    assert place == pytest.approx(truth)
+
+
+def test_steady_means_so_many_sightings_within_a_window() -> None:
+    s = Sightings(3, 0.5)
+    for t in (1.0, 1.1):
+        s.note(pad(t, t))
+        s.note(pad(t + 0.03, t))  # the same sighting, led on
+    assert not s.steady(1.1)
+    s.note(pad(1.2, 1.2))
+    assert s.steady(1.2)
+    assert s.steady(1.5)
+    assert not s.steady(1.51)
+    s.note(None)
+    assert not s.steady(1.51)
+
+
+def test_what_is_known_of_the_pad_outlives_a_cycle_without_an_estimate() -> None:
+    w = World(still())
+    w.position = (10.0, 1.0, -6.0)
+    w._sense()
+    knowledge = PadKnowledge(1, 0.5)
+    assert not knowledge.steady(0.0)
+    knowledge.update(w.inputs().pad, w.inputs().vehicle, 0.0)
+    assert knowledge.steady(0.0)
+    motion = knowledge.motion
+    knowledge.update(w.inputs().pad, None, 0.1)
+    assert knowledge.motion == motion
+    assert knowledge.in_words().endswith("below")

@@ -1,0 +1,212 @@
+import pytest
+from plan_harness import LEG_M, VEHICLE
+
+from companion.config import GuidanceConfig, TouchdownConfig
+from companion.geometry import ZERO3, Vector3
+from companion.messages import LandedState, RangeSample
+from companion.plan.guidance import Guide
+from companion.plan.min_jerk import Motion
+from companion.plan.mission import Event
+from companion.plan.sight import Sight
+from companion.plan.touchdown import Held, Touchdown, aligned, contact_signs, gentle
+
+CONFIG = TouchdownConfig()
+WAIT_M = LEG_M + 0.35
+CYCLE_S = 1.0 / 30.0
+SINKING = Motion((0.0, 0.0, -LEG_M + 0.1), (0.0, 0.0, 0.22))
+
+
+def sight(
+    aside: float = 0.0,
+    height: float = WAIT_M,
+    velocity: Vector3 = ZERO3,
+    pad_acceleration: Vector3 = ZERO3,
+    age: float = 0.0,
+) -> Sight:
+    return Sight((aside, 0.0, -height), velocity, ZERO3, pad_acceleration, 0.0, age)
+
+
+def fresh(slack: float = 1.0) -> Touchdown:
+    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
+    guide.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
+    touchdown = Touchdown(CONFIG, VEHICLE, 0.35, guide)
+    touchdown.begin(0.0, slack)
+    return touchdown
+
+
+def wait(touchdown: Touchdown, seen: Sight, until_s: float) -> tuple[float, Event | None]:
+    """Step until it commits or finds something; the time and what."""
+    k = 0
+    while k * CYCLE_S < until_s:
+        finding = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        if finding or touchdown.committed:
+            return k * CYCLE_S, finding[0] if finding else None
+        k += 1
+    return until_s, None
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        (sight(aside=0.059), sight(aside=0.061)),
+        (sight(velocity=(0.119, 0.0, 0.0)), sight(velocity=(0.121, 0.0, 0.0))),
+        (sight(height=WAIT_M + 0.099), sight(height=WAIT_M + 0.101)),
+        (sight(height=WAIT_M - 0.099), sight(height=WAIT_M - 0.101)),
+        (sight(velocity=(0.0, 0.0, 0.149)), sight(velocity=(0.0, 0.0, 0.151))),
+        (sight(age=0.3), sight(age=0.31)),
+    ],
+)
+def test_aligned_on_both_sides_of_each_bound(good: Sight, bad: Sight) -> None:
+    assert aligned(good, WAIT_M, 1.0, CONFIG)
+    assert not aligned(bad, WAIT_M, 1.0, CONFIG)
+
+
+def test_gentle_on_both_sides_of_each_bound() -> None:
+    assert gentle(sight(pad_acceleration=(0.0, 0.69, 0.19)), CONFIG)
+    assert not gentle(sight(pad_acceleration=(0.5, 0.51, 0.0)), CONFIG)
+    assert not gentle(sight(pad_acceleration=(0.0, 0.0, -0.21)), CONFIG)
+
+
+def test_it_commits_once_aligned_for_a_moment() -> None:
+    at, found = wait(fresh(), sight(), 5.0)
+    assert found is None
+    assert at == pytest.approx(CONFIG.settled_s, abs=0.04)
+
+
+def test_a_break_in_alignment_starts_the_moment_again() -> None:
+    touchdown = fresh()
+    for k in range(5):
+        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+    touchdown.step(sight(aside=0.2), None, LandedState.IN_AIR, 5 * CYCLE_S)
+    for k in range(6, 11):
+        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+    assert not touchdown.committed
+
+
+def test_a_restless_pad_is_waited_for_but_not_forever() -> None:
+    at, found = wait(fresh(), sight(pad_acceleration=(1.5, 0.0, 0.0)), 20.0)
+    assert found is None
+    assert at == pytest.approx(CONFIG.patience_s + CONFIG.settled_s, abs=0.08)
+
+
+def test_a_little_aside_is_accepted_late_and_far_aside_never() -> None:
+    at, found = wait(fresh(), sight(aside=0.085), 30.0)
+    assert found is None
+    assert at == pytest.approx(2.0 * CONFIG.patience_s + CONFIG.settled_s, abs=0.08)
+    at, found = wait(fresh(), sight(aside=0.2), 30.0)
+    assert found is Event.MISALIGNED
+    assert at == pytest.approx(3.0 * CONFIG.patience_s, abs=0.08)
+
+
+def test_the_last_try_has_more_slack() -> None:
+    assert wait(fresh(slack=1.6), sight(aside=0.085), 30.0)[0] < 1.0
+
+
+def test_a_pad_unseen_while_waiting_is_lost() -> None:
+    assert wait(fresh(), sight(age=CONFIG.blind_s + 0.01), 5.0) == (0.0, Event.PAD_LOST)
+
+
+def sinking() -> Touchdown:
+    touchdown = fresh()
+    wait(touchdown, sight(), 5.0)
+    assert touchdown.committed
+    return touchdown
+
+
+def test_half_a_second_of_blindness_on_the_last_way_down_is_borne_and_two_are_not() -> None:
+    touchdown = sinking()
+    assert touchdown.step(sight(height=0.4, age=1.4), None, LandedState.IN_AIR, 1.0) is None
+    found = touchdown.step(sight(height=0.4, age=1.6), None, LandedState.IN_AIR, 1.1)
+    assert found is not None
+    assert found[0] is Event.PAD_LOST
+
+
+def test_far_aside_on_the_last_way_down_it_climbs_while_still_high_only() -> None:
+    high = sinking().step(sight(aside=0.19, height=0.4), None, LandedState.IN_AIR, 1.0)
+    assert high is not None
+    assert high[0] is Event.MISALIGNED
+    assert sinking().step(sight(aside=0.17, height=0.4), None, LandedState.IN_AIR, 1.0) is None
+    assert sinking().step(sight(aside=0.19, height=0.21), None, LandedState.IN_AIR, 1.0) is None
+
+
+def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
+    touchdown = sinking()
+    found = None
+    k = 6
+    while found is None and k < 300:
+        k += 1
+        found = touchdown.step(sight(height=0.45), None, LandedState.IN_AIR, k * CYCLE_S)
+    assert found is not None
+    assert found[0] is Event.MISALIGNED
+    # 0.35 m at 0.22 m/s with a blend of 0.8 s, then the patience
+    assert k * CYCLE_S == pytest.approx(0.2 + 0.8 + (0.35 - 0.088) / 0.22 + 1.5, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("seen", "echo", "landed", "names"),
+    [
+        (sight(height=0.199, velocity=(0.0, 0.0, 0.2)), None, LandedState.IN_AIR, {"low"}),
+        (sight(height=0.201, velocity=(0.0, 0.0, 0.2)), None, LandedState.IN_AIR, set()),
+        (sight(height=0.21, velocity=(0.0, 0.0, 0.05)), None, LandedState.IN_AIR, {"stalled"}),
+        (sight(height=0.21, velocity=(0.0, 0.0, 0.07)), None, LandedState.IN_AIR, set()),
+        (None, 0.119, LandedState.IN_AIR, {"short_echo"}),
+        (None, 0.121, LandedState.IN_AIR, set()),
+        (None, None, LandedState.ON_GROUND, {"landed"}),
+        (sight(height=0.18), 0.10, LandedState.ON_GROUND, {"low", "stalled", "short_echo", "landed"}),
+    ],
+)
+def test_each_sign_of_contact_on_both_sides_of_its_bound(
+    seen: Sight | None, echo: float | None, landed: LandedState, names: set[str]
+) -> None:
+    sample = None if echo is None else RangeSample(9.9, echo)
+    signs = contact_signs(seen, SINKING, sample, landed, 10.0, config=CONFIG, vehicle=VEHICLE)
+    assert {n for n in ("low", "stalled", "short_echo", "landed") if getattr(signs, n)} == names
+    assert signs.count == len(names)
+
+
+def test_an_old_echo_and_a_hover_are_no_signs() -> None:
+    hover = Motion((0.0, 0.0, -WAIT_M))
+    old = RangeSample(9.0, 0.05)
+    signs = contact_signs(
+        sight(height=0.6), hover, old, LandedState.IN_AIR, 10.0, config=CONFIG, vehicle=VEHICLE
+    )
+    assert signs.count == 0
+
+
+def test_contact_needs_two_signs_for_a_moment() -> None:
+    touchdown = sinking()
+    down = sight(height=0.18, velocity=(0.0, 0.0, 0.2))
+    for k in range(30):
+        assert touchdown.step(down, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+    assert not touchdown.on_pad
+    for k in range(30, 40):
+        now = 1.0 + k * CYCLE_S
+        found = touchdown.step(down, RangeSample(now, 0.1), LandedState.IN_AIR, now)
+        if found:
+            break
+    assert found is not None
+    assert found[0] is Event.CONTACT
+    assert touchdown.contact_s == pytest.approx(1.0 + 30 * CYCLE_S + CONFIG.contact_s, abs=0.05)
+
+
+def test_standing_ends_only_when_the_pad_is_seen_well_below() -> None:
+    touchdown = sinking()
+    for k in range(8):
+        now = 1.0 + k * CYCLE_S
+        touchdown.step(sight(height=0.18), RangeSample(now, 0.1), LandedState.IN_AIR, now)
+    assert touchdown.on_pad
+    for k in range(30):
+        assert touchdown.step(sight(height=0.40), None, LandedState.IN_AIR, 2.0 + k * CYCLE_S) is None
+    found = None
+    for k in range(15):
+        found = found or touchdown.step(sight(height=0.5), None, LandedState.IN_AIR, 4.0 + k * CYCLE_S)
+    assert found is not None
+    assert found[0] is Event.MISALIGNED
+
+
+def test_held_counts_from_the_last_break() -> None:
+    held = Held()
+    assert held.for_s(True, 1.0) == 0.0
+    assert held.for_s(True, 1.5) == 0.5
+    assert held.for_s(False, 1.6) < 0.0
+    assert held.for_s(True, 2.0) == 0.0
