@@ -43,7 +43,7 @@ class VisionResult:
 
 
 class Vision:
-    """Detection and pose for one pad, camera and airframe. Stateless between frames."""
+    """Detection and pose for one pad, camera and airframe. Stateless between frames, but for whose turn it is in the search."""
 
     def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:
         self._config = config
@@ -55,9 +55,12 @@ class Vision:
         self._body_from_camera = quat_multiply(quat_from_euler(0.0, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
         self._rotation = matrix_from_quat(self._body_from_camera)
         self._mount = np.array(vehicle.camera_position_body_m)
+        self._turn = 0
 
     def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
         """Look where the pad is expected, then everywhere; for any marker when nothing is expected.
+
+        Without an expectation, far and near pads are looked for in turn, in every other frame each.
 
         Raises:
             ValueError: the image is not of the calibrated camera's size.
@@ -68,7 +71,7 @@ class Vision:
             raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
         down = None if prior is None else self._to_camera(prior.down_body)
         looks = self._expected(prior)
-        wide = self._planner.widened(looks[0]) if looks else self._planner.whole_frame()
+        wide = self._planner.widened(looks[0]) if looks else self._whole_frame()
         found: list[Detection] = []
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
@@ -76,6 +79,10 @@ class Vision:
             if pose is not None:
                 return VisionResult(self._sighting(frame, pose), _count(pose.used), number >= len(looks))
         return VisionResult(None, _count(tuple(found)), bool(wide))
+
+    def _whole_frame(self) -> tuple[SearchPass, ...]:
+        self._turn += 1
+        return self._planner.whole_frame(self._turn)
 
     def _to_camera(self, v_body: Vector3) -> Vector3:
         return quat_rotate(quat_conjugate(self._body_from_camera), v_body)
