@@ -463,7 +463,7 @@ class ControlConfig(StrictModel):
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     horizon_steps: int = Field(default=20, ge=5, le=100)
     step_s: float = Field(default=0.1, ge=0.01, le=0.5)
-    command_delay_s: float = Field(default=0.04, ge=0.0, le=0.2)  # from the decision to the autopilot's loop
+    command_delay_s: float = Field(default=0.03, ge=0.0, le=0.2)  # from the decision to the autopilot's loop
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)  # beyond the delay
     autopilot_velocity_gain_1_s: float = Field(default=2.5, ge=0.5, le=10.0)
     maximum_disturbance_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
