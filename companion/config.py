@@ -146,6 +146,7 @@ class VehicleConfig(StrictModel):
     range_position_body_m: Vector
     leg_height_m: float = Field(ge=0.02, le=1.0)
     acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)
+    thrust_time_constant_s: float = Field(default=0.04, ge=0.01, le=1.0)
     hover_thrust: float = Field(ge=0.1, le=0.9)
 
 
@@ -465,7 +466,9 @@ class ControlConfig(StrictModel):
     step_s: float = Field(default=0.1, ge=0.01, le=0.5)
     command_delay_s: float = Field(default=0.03, ge=0.0, le=0.2)  # from the decision to the autopilot's loop
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)  # beyond the delay
-    autopilot_velocity_gain_1_s: float = Field(default=2.5, ge=0.5, le=10.0)
+    autopilot_velocity_gain_1_s: float = Field(default=2.2, ge=0.5, le=10.0)
+    autopilot_climb_gain_1_s: float = Field(default=4.0, ge=0.5, le=10.0)
+    lasting_disturbance_s: float = Field(default=1.0, ge=0.1, le=20.0)  # what lasts so long is for v_sp
     maximum_disturbance_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
     horizontal_reach_m: float = Field(default=2.0, gt=0.0, le=20.0)  # a reference farther off is drawn nearer

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.flight_model import Motion
+from companion.control.flight_model import Motion, lags
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Mpc, Solution
 from companion.control.pad_motion import PadPath, predict_pad, resting_path
@@ -57,9 +57,9 @@ class Controller:
         self, config: ControlConfig, vehicle: VehicleConfig, stopwatch: Callable[[], float] | None = None
     ) -> None:
         self._config = config
-        self._tau_s = vehicle.acceleration_time_constant_s
+        self._lags_s = lags(vehicle)
         self._stopwatch = stopwatch or (lambda: 0.0)
-        self._mpc = Mpc(config, self._tau_s)
+        self._mpc = Mpc(config, self._lags_s)
         self._plant = Plant(config, vehicle)
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
@@ -166,7 +166,8 @@ class Controller:
             motion=motion,
             input_ned_m_s2=u,
             disturbance_ned_m_s2=plant.disturbance_ned_m_s2,
-            tau_s=self._tau_s,
+            lasting_ned_m_s2=plant.lasting_disturbance_ned_m_s2,
+            lags_s=self._lags_s,
             heading=look,
         )
 

@@ -2,7 +2,7 @@
 
 State per axis: velocity v, flown acceleration a, disturbance d and the measured acceleration's bias b, with
 v' = a, a' = (u + d - a)/tau, d and b slow random walks; measured are v and a + b (eq. 38 with w = d).
-A stationary Kalman gain, the same on all axes (eq. 17 at its limit). The bias is there because the measured
+A stationary Kalman gain (eq. 17 at its limit). The bias is there because the measured
 acceleration carries the attitude's error times g: without it that error would pass for a disturbance.
 
 NED axes, SI units.
@@ -76,10 +76,12 @@ class _Axis:
 class DisturbanceObserver:
     """Velocity, flown acceleration and disturbance of the vehicle, from what was commanded and measured."""
 
-    def __init__(self, period_s: float, tau_s: float, maximum_m_s2: float) -> None:
-        gain = stationary_gain(period_s, tau_s)
-        self._gain = tuple((float(row[0]), float(row[1])) for row in gain)
-        self._tau_s = tau_s
+    def __init__(self, period_s: float, lags_s: Vector3, maximum_m_s2: float) -> None:
+        self._gains = tuple(
+            tuple((float(row[0]), float(row[1])) for row in stationary_gain(period_s, lag_s))
+            for lag_s in lags_s
+        )
+        self._lags_s = lags_s
         self._maximum_m_s2 = maximum_m_s2
         self._axes = (_Axis(), _Axis(), _Axis())
 
@@ -113,15 +115,17 @@ class DisturbanceObserver:
 
     def predict(self, command_ned_m_s2: Vector3, duration_s: float) -> None:
         """Carry the state on under a constant command."""
-        for axis, command in zip(self._axes, command_ned_m_s2, strict=True):
-            axis.predict(command, duration_s, self._tau_s)
+        for axis, command, lag_s in zip(self._axes, command_ned_m_s2, self._lags_s, strict=True):
+            axis.predict(command, duration_s, lag_s)
 
     def correct(self, velocity_ned_m_s: Vector3, acceleration_ned_m_s2: Vector3) -> None:
         """Take in measured velocity and acceleration; a measurement that is not finite is passed over."""
         if not all(map(math.isfinite, (*velocity_ned_m_s, *acceleration_ned_m_s2))):
             return
-        for axis, v, a in zip(self._axes, velocity_ned_m_s, acceleration_ned_m_s2, strict=True):
-            axis.correct(v, a, self._gain, self._maximum_m_s2)
+        for axis, v, a, gain in zip(
+            self._axes, velocity_ned_m_s, acceleration_ned_m_s2, self._gains, strict=True
+        ):
+            axis.correct(v, a, gain, self._maximum_m_s2)
 
     def relieve_vertical(self, covered_m_s2: float) -> None:
         """Take off the vertical disturbance what the thrust scale covers from now on."""

@@ -2,7 +2,7 @@
 a' = (u + d - a) / tau (eq. 38 with w = d).
 
 u is the commanded acceleration, d a disturbance (wind, a thrust scale that is off) as the acceleration it
-adds, tau the lag of attitude and motors. Frames: any that does not turn or accelerate, NED axes; SI units.
+adds, tau the lag of attitude and motors (sideways) or of the motors alone (down). Frames: any that does not turn or accelerate, NED axes; SI units.
 Discretised exactly under a zero-order hold.
 """
 
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from companion.config import VehicleConfig
 from companion.geometry import FloatArray, Vector3
 
 AxisState = tuple[float, float, float]
@@ -40,13 +41,19 @@ def advance_axis(state: AxisState, input_m_s2: float, duration_s: float, tau_s: 
     )
 
 
-def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, tau_s: float) -> Motion:
-    """All three axes after `duration_s` under a constant u + d."""
+def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vector3) -> Motion:
+    """All three axes after `duration_s` under a constant u + d; each has its own lag."""
     p, v, a = motion.position_m, motion.velocity_m_s, motion.acceleration_m_s2
-    x = advance_axis((p[0], v[0], a[0]), input_m_s2[0], duration_s, tau_s)
-    y = advance_axis((p[1], v[1], a[1]), input_m_s2[1], duration_s, tau_s)
-    z = advance_axis((p[2], v[2], a[2]), input_m_s2[2], duration_s, tau_s)
+    x = advance_axis((p[0], v[0], a[0]), input_m_s2[0], duration_s, lags_s[0])
+    y = advance_axis((p[1], v[1], a[1]), input_m_s2[1], duration_s, lags_s[1])
+    z = advance_axis((p[2], v[2], a[2]), input_m_s2[2], duration_s, lags_s[2])
     return Motion((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
+
+
+def lags(vehicle: VehicleConfig) -> Vector3:
+    """Lag (s) along north, east and down: sideways the vehicle has to lean first, upwards only thrust lags."""
+    sideways = vehicle.acceleration_time_constant_s
+    return (sideways, sideways, vehicle.thrust_time_constant_s)
 
 
 def discretise(step_s: float, tau_s: float) -> tuple[FloatArray, FloatArray]:

@@ -27,9 +27,9 @@ class Command:
 class CommandHistory:
     """The last commands, and the acceleration that the autopilot's velocity loop makes of them."""
 
-    def __init__(self, delay_s: float, velocity_gain_1_s: float) -> None:
+    def __init__(self, delay_s: float, velocity_gains_1_s: Vector3) -> None:
         self._delay_s = delay_s
-        self._gain_1_s = velocity_gain_1_s
+        self._gains_1_s = velocity_gains_1_s
         self._commands: deque[Command] = deque(maxlen=REMEMBERED)
 
     def clear(self) -> None:
@@ -48,8 +48,8 @@ class CommandHistory:
         """Acceleration (m/s2) that the autopilot wants under a command at a velocity."""
         if command.velocity_m_s is None:
             return command.acceleration_m_s2
-        error = subtract(command.velocity_m_s, velocity_m_s)
-        return add(command.acceleration_m_s2, scale(error, self._gain_1_s))
+        (x, y, z), (kx, ky, kz) = subtract(command.velocity_m_s, velocity_m_s), self._gains_1_s
+        return add(command.acceleration_m_s2, (kx * x, ky * y, kz * z))
 
     def segments(self, from_s: float, to_s: float) -> list[tuple[float, Command | None]]:
         """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
@@ -69,7 +69,7 @@ class CommandHistory:
         return pieces
 
     def carry(
-        self, motion: Motion, from_s: float, to_s: float, disturbance_m_s2: Vector3, tau_s: float
+        self, motion: Motion, from_s: float, to_s: float, disturbance_m_s2: Vector3, lags_s: Vector3
     ) -> Motion:
         """The motion at `to_s` from that at `from_s`, under what was commanded and a constant disturbance."""
         for duration_s, command in self.segments(from_s, to_s):
@@ -77,5 +77,5 @@ class CommandHistory:
             if command is not None:
                 halfway = add(motion.velocity_m_s, scale(motion.acceleration_m_s2, 0.5 * duration_s))
                 wanted = add(self.effect(command, halfway), disturbance_m_s2)
-            motion = advance(motion, wanted, duration_s, tau_s)
+            motion = advance(motion, wanted, duration_s, lags_s)
         return motion

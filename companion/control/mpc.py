@@ -16,13 +16,14 @@ import numpy as np
 import osqp
 
 from companion.config import ControlConfig
-from companion.control.flight_model import Motion, discretise
+from companion.control.flight_model import Motion
 from companion.control.qp import (
     OCTAGON_WITHIN_CIRCLE,
     Layout,
     axis_costs,
     constraint_matrix,
     cost_matrix,
+    step_matrices,
 )
 from companion.geometry import GRAVITY_M_S2, FloatArray, Vector3
 
@@ -67,16 +68,15 @@ class Solution:
 class Mpc:
     """The tracker. Keeps the last solution, for a warm start and for when a solve fails."""
 
-    def __init__(self, config: ControlConfig, tau_s: float) -> None:
+    def __init__(self, config: ControlConfig, lags_s: Vector3) -> None:
         self._N = config.horizon_steps
         self._dt = config.step_s
-        self._tau_s = tau_s
+        self._lags_s = lags_s
         self._period_s = 1.0 / config.rate_hz
-        self._costs = axis_costs(config, tau_s)
+        self._costs = axis_costs(config, lags_s)
         self._layout = Layout(self._N)
         self._rows = self._layout.rows()
-        A, B = discretise(self._dt, tau_s)
-        self._A, self._B = np.kron(A, np.eye(3)), np.kron(B[:, None], np.eye(3))
+        self._A, self._B = step_matrices(self._dt, lags_s)
         self._stack_weights()
         self._fixed_bounds(config)
         self._solver = self._set_up(config)
@@ -92,7 +92,9 @@ class Mpc:
         """Inputs (N, 3) under which the model flies the reference's acceleration against the disturbance."""
         a = target.acceleration_m_s2
         slope = np.diff(a, axis=0) / self._dt
-        needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + self._tau_s * slope - np.array(disturbance_m_s2)
+        needed: FloatArray = (
+            0.5 * (a[:-1] + a[1:]) + np.array(self._lags_s) * slope - np.array(disturbance_m_s2)
+        )
         return needed
 
     def solve(
@@ -159,7 +161,7 @@ class Mpc:
         solver.setup(
             cost_matrix(self._costs, self._N),
             np.zeros(self._layout.variables),
-            constraint_matrix(self._dt, self._tau_s, self._N),
+            constraint_matrix(self._A, self._B, self._N),
             self._l,
             self._u,
             eps_abs=1e-4,

@@ -6,11 +6,14 @@ the thrust scale. NED and FRD, SI units.
 
 from __future__ import annotations
 
+import math
+
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.attitude import level_acceleration
 from companion.control.disturbance import DisturbanceObserver, ThrustScale
-from companion.control.flight_model import Motion
+from companion.control.flight_model import Motion, lags
 from companion.control.history import Command, CommandHistory
+from companion.control.setpoints import velocity_gains
 from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
 from companion.messages import Setpoint, VehicleState
 
@@ -20,19 +23,26 @@ class Plant:
 
     def __init__(self, config: ControlConfig, vehicle: VehicleConfig) -> None:
         self._by_attitude = config.setpoint == "attitude"
-        self._tau_s = vehicle.acceleration_time_constant_s
+        self._lags_s = lags(vehicle)
         self._nominal_hover_thrust = vehicle.hover_thrust
-        self._history = CommandHistory(config.command_delay_s, config.autopilot_velocity_gain_1_s)
+        self._history = CommandHistory(config.command_delay_s, velocity_gains(config))
         self._observer = DisturbanceObserver(
-            1.0 / config.rate_hz, self._tau_s, config.maximum_disturbance_m_s2
+            1.0 / config.rate_hz, self._lags_s, config.maximum_disturbance_m_s2
         )
         self._thrust_scale = ThrustScale()
+        self._lasting_s = config.lasting_disturbance_s
+        self._lasting: Vector3 = ZERO3
         self._observed_s = 0.0
 
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
         """What pushes besides the command (m/s2, NED)."""
         return self._observer.disturbance_ned_m_s2
+
+    @property
+    def lasting_disturbance_ned_m_s2(self) -> Vector3:
+        """The part of the disturbance that has lasted (m/s2, NED)."""
+        return self._lasting
 
     @property
     def acceleration_ned_m_s2(self) -> Vector3:
@@ -51,6 +61,7 @@ class Plant:
         if self._by_attitude:
             lean = level_acceleration(vehicle.attitude)
             disturbance = (acceleration[0] - lean[0], acceleration[1] - lean[1], 0.0)
+        self._lasting = ZERO3
         self._observer.start(vehicle.velocity_ned_m_s, acceleration, disturbance)
         self._observed_s = vehicle.time_s
         self._history.clear()
@@ -61,13 +72,16 @@ class Plant:
             self._observer.predict(self._wanted(command, duration_s), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
         self._observer.correct(vehicle.velocity_ned_m_s, vehicle.acceleration_ned_m_s2)
+        share = -math.expm1(-elapsed_s / self._lasting_s)
+        fresh = subtract(self._observer.disturbance_ned_m_s2, self._lasting)
+        self._lasting = add(self._lasting, scale(fresh, share))
         if self._by_attitude:
             down = self._observer.disturbance_ned_m_s2[2]
             self._observer.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
 
     def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
         """The motion at `to_s` from that at `from_s`, under what is under way to the autopilot."""
-        return self._history.carry(motion, from_s, to_s, self.disturbance_ned_m_s2, self._tau_s)
+        return self._history.carry(motion, from_s, to_s, self.disturbance_ned_m_s2, self._lags_s)
 
     def last_input(self, motion: Motion) -> Vector3:
         """The input (m/s2) that is in effect; before the first command, what explains the motion."""

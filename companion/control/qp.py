@@ -19,7 +19,7 @@ from scipy import sparse
 
 from companion.config import ControlConfig, TrackingConfig
 from companion.control.flight_model import discretise
-from companion.geometry import FloatArray
+from companion.geometry import FloatArray, Vector3
 
 # normals of four directions 45 degrees apart: with both signs, an octagon
 OCTAGON = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(4)])
@@ -97,10 +97,22 @@ def axis_cost(weights: TrackingConfig, step_s: float, tau_s: float) -> AxisCost:
     return AxisCost(Q, R, S, 0.5 * (terminal + terminal.T))
 
 
-def axis_costs(config: ControlConfig, tau_s: float) -> tuple[AxisCost, AxisCost, AxisCost]:
+def axis_costs(config: ControlConfig, lags_s: Vector3) -> tuple[AxisCost, AxisCost, AxisCost]:
     """Costs along north, east and down."""
-    horizontal = axis_cost(config.horizontal, config.step_s, tau_s)
-    return horizontal, horizontal, axis_cost(config.vertical, config.step_s, tau_s)
+    x, y, z = lags_s
+    return (
+        axis_cost(config.horizontal, config.step_s, x),
+        axis_cost(config.horizontal, config.step_s, y),
+        axis_cost(config.vertical, config.step_s, z),
+    )
+
+
+def step_matrices(step_s: float, lags_s: Vector3) -> tuple[FloatArray, FloatArray]:
+    """A (9, 9) and B (9, 3) of one step of all axes; the state is position, velocity, acceleration, NED."""
+    A, B = np.zeros((9, 9)), np.zeros((9, 3))
+    for axis, lag_s in enumerate(lags_s):
+        A[axis::3, axis::3], B[axis::3, axis] = discretise(step_s, lag_s)
+    return A, B
 
 
 def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> sparse.csc_matrix:
@@ -131,13 +143,12 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
     return sparse.csc_matrix(sparse.triu(P, format="csc"))
 
 
-def constraint_matrix(step_s: float, tau_s: float, steps: int) -> sparse.csc_matrix:
-    """The rows' matrix, in the order of the module's docstring."""
-    A, B = discretise(step_s, tau_s)
+def constraint_matrix(A: FloatArray, B: FloatArray, steps: int) -> sparse.csc_matrix:
+    """The rows' matrix, in the order of the module's docstring, for one step's `step_matrices`."""
     eye, previous = sparse.identity(steps), sparse.eye(steps, k=-1)
     three = sparse.identity(3)
-    state = sparse.kron(eye, sparse.identity(9)) - sparse.kron(previous, sparse.kron(A, three))
-    drive = -sparse.kron(eye, sparse.kron(B[:, None], three))
+    state = sparse.kron(eye, sparse.identity(9)) - sparse.kron(previous, A)
+    drive = -sparse.kron(eye, B)
     octagon = np.hstack([OCTAGON, np.zeros((4, 1))])
     down = np.array([[0.0, 0.0, 1.0]])
 

@@ -3,9 +3,10 @@
 Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integral, with the lag tau. We send
 the predicted velocity for the moment at which the setpoint takes effect, so that its loop adds nothing while
 the prediction holds and damps what the prediction did not know, and the MPC's acceleration as a_ff. The
-estimated disturbance is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly
+disturbance that lasts is met by an offset of v_sp, not of a_ff: the biased velocity estimate that mostly
 causes it is then cancelled where it arises, and wind goes over to the autopilot's integral, which an offset
-of a_ff would wind up for ever.
+of a_ff would wind up for ever. What changes fast stays in a_ff, because an offset of v_sp counts for as much
+more or less as the autopilot's gain is off, which closes a loop that has to be slow.
 
 NED and FRD, SI units.
 """
@@ -17,7 +18,7 @@ from dataclasses import dataclass
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration, thrust_from_acceleration
 from companion.control.flight_model import Motion, advance
-from companion.geometry import ZERO3, Vector3, add, scale, subtract
+from companion.geometry import ZERO3, Vector3, add, subtract
 from companion.messages import PadState, Setpoint
 
 
@@ -29,6 +30,12 @@ class Heading:
     rate_rad_s: float = 0.0
 
 
+def velocity_gains(config: ControlConfig) -> Vector3:
+    """The autopilot's velocity gains (1/s) along north, east and down, as assumed."""
+    sideways = config.autopilot_velocity_gain_1_s
+    return (sideways, sideways, config.autopilot_climb_gain_1_s)
+
+
 def velocity_setpoint(
     now_s: float,
     config: ControlConfig,
@@ -36,19 +43,21 @@ def velocity_setpoint(
     motion: Motion,
     input_ned_m_s2: Vector3,
     disturbance_ned_m_s2: Vector3,
-    tau_s: float,
+    lasting_ned_m_s2: Vector3,
+    lags_s: Vector3,
     heading: Heading,
 ) -> Setpoint:
     """Velocity and acceleration under which the autopilot wants `input_ned_m_s2` at `motion`."""
     push = add(input_ned_m_s2, disturbance_ned_m_s2)
-    ahead = advance(motion, push, config.velocity_lookahead_s, tau_s).velocity_m_s
-    gain, most = config.autopilot_velocity_gain_1_s, config.maximum_velocity_correction_m_s
-    x, y, z = scale(disturbance_ned_m_s2, -1.0 / gain)
-    correction = (_clamp(x, most), _clamp(y, most), _clamp(z, most))
+    ahead = advance(motion, push, config.velocity_lookahead_s, lags_s).velocity_m_s
+    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, velocity_gains(config)
+    most = config.maximum_velocity_correction_m_s
+    correction = (_clamp(-x / kx, most), _clamp(-y / ky, most), _clamp(-z / kz, most))
+    gained = (kx * correction[0], ky * correction[1], kz * correction[2])
     return Setpoint(
         time_s=now_s,
         velocity_ned_m_s=add(ahead, correction),
-        acceleration_ned_m_s2=subtract(input_ned_m_s2, scale(correction, gain)),
+        acceleration_ned_m_s2=subtract(input_ned_m_s2, gained),
         heading_rad=heading.heading_rad,
         heading_rate_rad_s=heading.rate_rad_s,
     )
