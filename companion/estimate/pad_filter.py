@@ -157,14 +157,14 @@ class PadFilter:
     def _step(self, start_s: float, end_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """F (9, 9), Q (9, 9) and input (9, 1) from one time to another."""
         config, dt = self._config, end_s - start_s
-        tau = config.acceleration_time_constant_s
-        fade = math.exp(-dt / tau)
-        gain = tau * (1.0 - fade)
         F = np.eye(9)
-        F[POSITION, VELOCITY] = dt * _EYE3
-        F[POSITION, ACCELERATION] = tau * (dt - gain) * _EYE3
-        F[VELOCITY, ACCELERATION] = gain * _EYE3
-        F[ACCELERATION, ACCELERATION] = fade * _EYE3
+        for axis, tau in enumerate(_time_constants_s(config)):
+            fade = math.exp(-dt / tau)
+            gain = tau * (1.0 - fade)
+            F[axis, 3 + axis] = dt
+            F[axis, 6 + axis] = tau * (dt - gain)
+            F[3 + axis, 6 + axis] = gain
+            F[6 + axis, 6 + axis] = fade
         place, speed = self._motion.moved(start_s, end_s)
         u = np.zeros((9, 1))
         u[POSITION, 0], u[VELOCITY, 0] = place, speed
@@ -231,13 +231,13 @@ class PadFilter:
 
     def _start(self, time_s: float, fix: PadFix, R: FloatArray) -> None:
         """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known."""
-        speed = self._config.first_speed_std_m_s
+        across, up = self._config.first_speed_std_m_s, self._config.first_climb_std_m_s
         x = np.zeros((9, 1))
         x[POSITION, 0] = fix.position_ned_m
         x[VELOCITY, 0] = np.negative(fix.vehicle_velocity_ned_m_s)
         P = np.zeros((9, 9))
         P[POSITION, POSITION] = R
-        P[VELOCITY, VELOCITY] = speed**2 * _EYE3
+        P[VELOCITY, VELOCITY] = np.diag((across**2, across**2, up**2))
         P[ACCELERATION, ACCELERATION] = np.diag(_acceleration_variance(self._config))
         self._filter.x, self._filter.P = x, P
         self.time_s = self.seen_time_s = time_s
@@ -258,9 +258,13 @@ def _jerk_density(config: PadFilterConfig) -> Vector3:
 
 def _acceleration_variance(config: PadFilterConfig) -> Vector3:
     """Of a Markov process driven by white jerk: density * time constant / 2."""
-    x, y, z = _jerk_density(config)
-    half = 0.5 * config.acceleration_time_constant_s
-    return (x * half, y * half, z * half)
+    (x, y, z), (tx, ty, tz) = _jerk_density(config), _time_constants_s(config)
+    return (0.5 * x * tx, 0.5 * y * ty, 0.5 * z * tz)
+
+
+def _time_constants_s(config: PadFilterConfig) -> Vector3:
+    across, up = config.horizontal_time_constant_s, config.vertical_time_constant_s
+    return (across, across, up)
 
 
 def _process_noise(config: PadFilterConfig, dt: float) -> FloatArray:
