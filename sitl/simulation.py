@@ -143,9 +143,10 @@ class Simulation:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._receive())
             while True:
+                # the world is never ahead of the clock: a sample read now must not be of a time to come
+                await self._clock.sleep_until(self._start_s + (self._ticks + 1) * TICK_S)
                 self._tick()
                 self._ticks += 1
-                await self._clock.sleep_until(self._start_s + self._ticks * TICK_S)
 
     def report(self, final_phase: Phase) -> SimulationReport:
         """Judge the flight as it stands; `final_phase` is the app's last."""
