@@ -81,9 +81,8 @@ class FuzzyRules(StrictModel):
             )
         for acceleration, rows in self.rules.items():
             if set(rows) != set(self.distance_m):
-                raise ValueError(
-                    f"rules.{acceleration}: expected a row for each of {', '.join(_in_order(self.distance_m))}"
-                )
+                distances = ", ".join(_in_order(self.distance_m))
+                raise ValueError(f"rules.{acceleration}: expected a row for each of {distances}")
             for distance, speeds in rows.items():
                 if len(speeds) != len(self.velocity_m_s) or not set(speeds) <= set(self.speed_m_s):
                     raise ValueError(
@@ -138,7 +137,7 @@ def mamdani(rules: FuzzyRules, inputs: FloatArray) -> FloatArray:
     for column, name in enumerate(INPUTS):
         simulation.input[name] = np.ascontiguousarray(inputs[:, column])
     with warnings.catch_warnings():
-        # scikit-fuzzy 0.5 passes np.maximum its output by position, which numpy will remove (capped below that)
+        # scikit-fuzzy 0.5 passes np.maximum its output by position; numpy is capped below its removal
         warnings.simplefilter("ignore", DeprecationWarning)
         simulation.compute()
     return np.asarray(simulation.output[OUTPUT], dtype=np.float64)

@@ -15,7 +15,7 @@ def requests() -> Requests:
 
 def test_an_action_is_sent_once_however_often_it_is_asked() -> None:
     r = requests()
-    sent = []
+    sent: list[Action] = []
     for cycle in range(60):
         r.ask(ARM, cycle / 30.0)
         sent += r.due(cycle / 30.0)
