@@ -11,6 +11,7 @@ failsafe takes the vehicle.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from typing import Final
@@ -44,6 +45,7 @@ from companion.service import ServiceNotifier
 
 LINK_TICK_S: Final = 0.05
 STATUS_PERIOD_S: Final = 0.25
+FRAME_RATE_WINDOW_S: Final = 1.0
 # how long the app goes on recording after the flight has ended, so that the log holds the standstill
 LINGER_S: Final = 1.0
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
@@ -113,6 +115,7 @@ class App:
         self._phase = Phase.CONNECT
         self._new_notices: list[Notice] = []
         self._latency_ms: float | None = None
+        self._last_exposure_s: float | None = None
         self._stop_requested = False
         self._acting = False
         self._start_s = self._clock.now_s()
@@ -230,8 +233,10 @@ class App:
         self._send(self.session.send_setpoint(sent, now_s))
         self._log.write("setpoint", sent, now_s)
         self._log.write("control_report", report, now_s)
-        if sent.exposure_time_s is not None:
+        # later setpoints that still live on the same sighting say nothing about the latency
+        if sent.exposure_time_s is not None and sent.exposure_time_s != self._last_exposure_s:
             self._latency_ms = 1e3 * (now_s - sent.exposure_time_s)
+            self._last_exposure_s = sent.exposure_time_s
 
     # ------------------------------------------------------------ link
 
@@ -278,11 +283,11 @@ class App:
     async def _status_task(self) -> None:
         """Hand the newest state to the terminal a few times a second."""
         self._service.ready()
-        frames_before = 0
+        frame_counts = deque([0], maxlen=round(FRAME_RATE_WINDOW_S / STATUS_PERIOD_S) + 1)
         while True:
             await asyncio.sleep(STATUS_PERIOD_S)
-            count, notices = self._sensing.frame_count, tuple(self._new_notices)
-            frames, frames_before, self._new_notices = count - frames_before, count, []
+            frame_counts.append(self._sensing.frame_count)
+            notices, self._new_notices = self._new_notices, []
             if self._on_status is None:
                 continue
             now_s = self._clock.now_s()
@@ -293,7 +298,8 @@ class App:
                 vehicle=self._estimator.vehicle(now_s),
                 pad=self._estimator.pad(now_s),
                 last_frame=self._sensing.last_frame,
-                frame_rate_hz=frames / STATUS_PERIOD_S,
+                frame_rate_hz=(frame_counts[-1] - frame_counts[0])
+                / (STATUS_PERIOD_S * (len(frame_counts) - 1)),
                 latency_ms=self._latency_ms,
                 notices=tuple(replace(n, time_s=n.time_s - self._start_s) for n in notices),
             )

@@ -129,8 +129,8 @@ def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bo
     try:
         with StatusView(output.console, title, live=output.live) as view:
             flight = fly(settings, trial, log, view, fast=fast)
-        for truth in flight.report.truth:
-            log.write("truth", truth, truth.time_s)
+        for record in flight.report.truth:
+            log.write("truth", record, record.time_s)
     finally:
         log.close()
     kept, truth = from_start(log.kept, flight.report.truth)
@@ -174,7 +174,13 @@ def publish(trial: Trial, result: Result, flight: DeskFlight, output: Output) ->
             file=sys.stderr,
         )
     if result.outcome is not Outcome.LANDED:
-        fail(f"{result.outcome}: {'; '.join(flight.report.failures)}", EXIT_CODES[result.outcome])
+        fail(f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
+
+
+def reason(result: Result, flight: DeskFlight) -> str:
+    """Why a flight did not end in a landing: the mission's own words, or the bounds that were broken."""
+    said = [event.text.removeprefix("abort: ") for event in result.events if event.kind == "phase"]
+    return said[-1] if result.outcome is Outcome.ABORTED and said else "; ".join(flight.report.failures)
 
 
 # ---------------------------------------------------------------- on the vehicle

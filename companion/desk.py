@@ -164,9 +164,9 @@ async def _cancel(task: asyncio.Task[Any]) -> None:
 
 @contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """While inside, SIGINT and SIGTERM call `stop` on the running loop."""
+    """While inside, SIGINT, SIGTERM and SIGHUP (the terminal has gone) call `stop` on the running loop."""
     loop = asyncio.get_running_loop()
-    wanted = (signal.SIGINT, signal.SIGTERM)
+    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     for number in wanted:
         loop.add_signal_handler(number, stop)
     try:
