@@ -287,6 +287,7 @@ class App:
         while True:
             await asyncio.sleep(STATUS_PERIOD_S)
             frame_counts.append(self._sensing.frame_count)
+            span_s = STATUS_PERIOD_S * (len(frame_counts) - 1)
             notices, self._new_notices = self._new_notices, []
             if self._on_status is None:
                 continue
@@ -298,8 +299,7 @@ class App:
                 vehicle=self._estimator.vehicle(now_s),
                 pad=self._estimator.pad(now_s),
                 last_frame=self._sensing.last_frame,
-                frame_rate_hz=(frame_counts[-1] - frame_counts[0])
-                / (STATUS_PERIOD_S * (len(frame_counts) - 1)),
+                frame_rate_hz=(frame_counts[-1] - frame_counts[0]) / span_s,
                 latency_ms=self._latency_ms,
                 notices=tuple(replace(n, time_s=n.time_s - self._start_s) for n in notices),
             )
