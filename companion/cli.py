@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final
 import cv2
 import typer
 from rich.console import Console
+from typer.exceptions import TyperException
 
 from companion.app import App
 from companion.clock import start_unix_s
@@ -52,9 +53,12 @@ def companion(
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
     ] = CONFIG_FOLDER / "companion.yaml",
     scenario: Annotated[
-        str, typer.Option("--scenario", help="With --sitl: a name in configs/scenarios, or a file.")
-    ] = "line",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="With --sitl: repeats a flight.")] = 0,
+        str | None,
+        typer.Option("--scenario", help="With --sitl: a name in configs/scenarios, or a file; else 'line'."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="With --sitl: repeats a flight; else 0.")
+    ] = None,
     fast: Annotated[
         bool, typer.Option("--fast", help="With --sitl: in virtual time, as fast as the machine can.")
     ] = False,
@@ -69,12 +73,14 @@ def companion(
     """Land a multirotor softly on a pad that moves, by eye."""
     # one thread for OpenCV: detection must not take the cores from the control loop, and repeats exactly
     cv2.setNumThreads(1)
+    # what OpenCV has to say about a camera that is not there, we say ourselves
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     output = Output(Console(), record, json_file, live=not no_ui)
     try:
         if sitl:
-            code = fly_on_the_desk(config, Trial.load(scenario, seed), output, fast=fast)
+            code = fly_on_the_desk(config, Trial.load(scenario or "line", seed or 0), output, fast=fast)
         else:
-            only_on_the_desk(fast=fast, json_file=json_file)
+            refuse({"--scenario": scenario, "--seed": seed, "--fast": fast or None, "--json": json_file})
             code = fly_the_vehicle(config, output)
     except ConfigError as error:
         code = fail(str(error), USER_ERROR)
@@ -99,17 +105,15 @@ def fail(text: str, code: int) -> int:
     return code
 
 
-def only_on_the_desk(*, fast: bool, json_file: Path | None) -> None:
+def refuse(options: Mapping[str, object]) -> None:
     """Refuse options that need the simulator.
 
     Raises:
-        ConfigError: one of them was given without --sitl.
+        ConfigError: one of them was given.
     """
-    for name, given in (("--fast", fast), ("--json", json_file is not None)):
-        if given:
-            raise ConfigError(
-                f"{name}: needs --sitl; the vehicle flies in real time and has no truth to score"
-            )
+    for name, value in options.items():
+        if value is not None:
+            raise ConfigError(f"{name}: needs --sitl; the vehicle flies in real time, with no truth to score")
 
 
 # ---------------------------------------------------------------- on the desk
@@ -131,6 +135,9 @@ def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bo
             flight = fly(settings, trial, log, view, fast=fast)
         for record in flight.report.truth:
             log.write("truth", record, record.time_s)
+    except ConfigError:
+        log.discard()
+        raise
     finally:
         log.close()
     kept, truth = from_start(log.kept, flight.report.truth)
@@ -198,6 +205,9 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
             phase = asyncio.run(_vehicle_flight(config, log, view))
+    except ConfigError:
+        log.discard()
+        raise
     finally:
         log.close()
     return 0 if phase is Phase.LANDED else EXIT_CODES[Outcome.ABORTED]
@@ -250,8 +260,14 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def main() -> None:
-    """Entry point."""
-    cli()
+    """Entry point: whatever the user got wrong ends in one line on standard error."""
+    try:
+        code = cli(standalone_mode=False)
+    except TyperException as error:
+        code = fail(f"{error.format_message()}; see companion --help", USER_ERROR)
+    except typer.Abort:
+        code = fail("aborted: interrupted outside a flight", EXIT_CODES[Outcome.ABORTED])
+    sys.exit(code)
 
 
 if __name__ == "__main__":
