@@ -1,7 +1,7 @@
 """`companion`: flies on the vehicle, or on the desk against the bundled simulator.
 
-Exit codes: 0 landed within the bounds (on the vehicle: landed and disarmed), 2 something the user can mend,
-3 missed, 4 aborted, 5 timeout, 6 crashed.
+Exit codes: 0 landed within the bounds (on the vehicle: landed and disarmed), 1 the simulator failed,
+2 something the user can mend, 3 missed, 4 aborted, 5 timeout, 6 crashed.
 """
 
 from __future__ import annotations
@@ -9,26 +9,38 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import cv2
 import typer
 from rich.console import Console
+from typer.exceptions import TyperException
 
-from companion.app import App, make_actions, open_hardware
+from companion.app import App
 from companion.clock import start_unix_s
-from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, find_file, load_config
-from companion.desk import DeskFlight, fly_in_real_time, fly_in_virtual_time, stopping_on_signals
-from companion.messages import Phase
+from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
+from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
+from companion.hardware import make_actions, open_hardware
+from companion.messages import Outcome, Phase, Truth
 from companion.record import FlightLog
 from companion.report import result_table, write_plots
-from companion.result import Result, build_result
+from companion.result import Result, build_result, from_start
 from companion.terminal import StatusView
-from sitl.scenario import Scenario, load_scenario
 
 USER_ERROR: Final = 2
-EXIT_CODES: Final = {"landed": 0, "missed": 3, "aborted": 4, "timeout": 5, "crashed": 6}
+SIMULATOR_FAILED: Final = 1
+EXIT_CODES: Final = {
+    Outcome.LANDED: 0,
+    Outcome.MISSED: 3,
+    Outcome.ABORTED: 4,
+    Outcome.TIMEOUT: 5,
+    Outcome.CRASHED: 6,
+}
+# a simulator in real time that falls behind by this much hands out frames and samples too late to fly by
+LATE_S: Final = 0.1
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -41,9 +53,12 @@ def companion(
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
     ] = CONFIG_FOLDER / "companion.yaml",
     scenario: Annotated[
-        str, typer.Option("--scenario", help="With --sitl: a name in configs/scenarios, or a file.")
-    ] = "line",
-    seed: Annotated[int, typer.Option("--seed", min=0, help="With --sitl: repeats a flight.")] = 0,
+        str | None,
+        typer.Option("--scenario", help="With --sitl: a name in configs/scenarios, or a file; else 'line'."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="With --sitl: repeats a flight; else 0.")
+    ] = None,
     fast: Annotated[
         bool, typer.Option("--fast", help="With --sitl: in virtual time, as fast as the machine can.")
     ] = False,
@@ -58,151 +73,151 @@ def companion(
     """Land a multirotor softly on a pad that moves, by eye."""
     # one thread for OpenCV: detection must not take the cores from the control loop, and repeats exactly
     cv2.setNumThreads(1)
-    console = Console(stderr=False)
+    # what OpenCV has to say about a camera that is not there, we say ourselves
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    output = Output(Console(), record, json_file, live=not no_ui)
     try:
         if sitl:
-            code = fly_on_the_desk(
-                console, config, scenario, seed, fast=fast, json_file=json_file, record=record, no_ui=no_ui
-            )
+            code = fly_on_the_desk(config, Trial.load(scenario or "line", seed or 0), output, fast=fast)
         else:
-            only_on_the_desk(fast=fast, json_file=json_file)
-            code = fly_the_vehicle(console, config, record, no_ui=no_ui)
+            refuse({"--scenario": scenario, "--seed": seed, "--fast": fast or None, "--json": json_file})
+            code = fly_the_vehicle(config, output)
     except ConfigError as error:
-        print(f"companion: {error}", file=sys.stderr)
-        raise typer.Exit(USER_ERROR) from None
+        code = fail(str(error), USER_ERROR)
+    except SimulatorError as error:
+        code = fail(str(error), SIMULATOR_FAILED)
     raise typer.Exit(code)
 
 
-def only_on_the_desk(*, fast: bool, json_file: Path | None) -> None:
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where a flight shows itself and leaves its files."""
+
+    console: Console
+    record: Path | None
+    json_file: Path | None
+    live: bool
+
+
+def fail(text: str, code: int) -> int:
+    """Say in one line on standard error what went wrong; returns the exit code."""
+    print(f"companion: {text}", file=sys.stderr)
+    return code
+
+
+def refuse(options: Mapping[str, object]) -> None:
     """Refuse options that need the simulator.
 
     Raises:
-        ConfigError: one of them was given without --sitl.
+        ConfigError: one of them was given.
     """
-    for name, given in (("--fast", fast), ("--json", json_file is not None)):
-        if given:
-            raise ConfigError(
-                f"{name}: needs --sitl; the vehicle flies in real time and has no truth to score"
-            )
+    for name, value in options.items():
+        if value is not None:
+            raise ConfigError(f"{name}: needs --sitl; the vehicle flies in real time, with no truth to score")
 
 
 # ---------------------------------------------------------------- on the desk
 
 
-def fly_on_the_desk(
-    console: Console,
-    config_path: Path,
-    scenario_name: str,
-    seed: int,
-    *,
-    fast: bool,
-    json_file: Path | None,
-    record: Path | None,
-    no_ui: bool,
-) -> int:
+def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bool) -> int:
     """Fly a scenario, show and write its result, and return the exit code.
 
     Raises:
         ConfigError: something the user can mend.
+        SimulatorError: the simulator's process failed.
     """
-    scenario_path = find_file("scenarios", scenario_name)
-    scenario = load_scenario(scenario_path)
-    settings = desk_settings(config_path, scenario, fast=fast)
-    writable(json_file)
-    log = new_log(record, virtual=fast)
+    settings = desk_settings(config_path, trial, fast=fast)
+    writable(output.json_file)
+    log = new_log(output.record, virtual=fast)
+    title = f"{trial.scenario.name}, seed {trial.seed}"
     try:
-        with StatusView(console, f"{scenario.name}, seed {seed}", live=not no_ui) as view:
-            if fast:
-                flight = fly_in_virtual_time(settings, scenario, seed, log, view)
-            else:
-                flight = fly_in_real_time(settings, scenario_path, scenario, seed, log, view)
-        for truth in flight.report.truth:
-            log.write("truth", truth, truth.time_s)
+        with StatusView(output.console, title, live=output.live) as view:
+            flight = fly(settings, trial, log, view, fast=fast)
+        for record in flight.report.truth:
+            log.write("truth", record, record.time_s)
+    except ConfigError:
+        log.discard()
+        raise
     finally:
         log.close()
-    result = score(scenario, seed, flight, log)
-    publish(console, scenario, result, flight, log, json_file, record)
+    kept, truth = from_start(log.kept, flight.report.truth)
+    result = score(trial, flight, kept, truth)
+    publish(trial, result, flight, output)
+    if output.record is not None:
+        write_plots(output.record, kept, truth)
+        output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
 
 
-def desk_settings(config_path: Path, scenario: Scenario, *, fast: bool) -> CompanionConfig:
-    """The app's settings for a scenario: the file, and what the scenario's operator knows over it.
-
-    Raises:
-        ConfigError: the file or the scenario's overrides are wrong.
-    """
-    overrides: dict[str, Any] = dict(scenario.companion)
-    if fast:
-        # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
-        overrides["link"] = {**overrides.get("link", {}), "actions": "pymavlink"}
-    return load_config(config_path, overrides)
-
-
-def score(scenario: Scenario, seed: int, flight: DeskFlight, log: FlightLog) -> Result:
+def score(
+    trial: Trial, flight: DeskFlight, kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]
+) -> Result:
     """The result contract of a flight."""
     report = flight.report
     return build_result(
-        scenario=scenario.name,
-        seed=seed,
+        scenario=trial.scenario.name,
+        seed=trial.seed,
         outcome=report.outcome,
         touchdown=report.touchdown,
         pad_speed_m_s=report.pad_speed_m_s,
-        kept=log.kept,
-        truth=report.truth,
+        kept=kept,
+        truth=truth,
         real_time_factor=flight.real_time_factor,
     )
 
 
-def publish(
-    console: Console,
-    scenario: Scenario,
-    result: Result,
-    flight: DeskFlight,
-    log: FlightLog,
-    json_file: Path | None,
-    record: Path | None,
-) -> None:
-    """Write the files, print the table, and say in one line what was wrong if something was."""
+def publish(trial: Trial, result: Result, flight: DeskFlight, output: Output) -> None:
+    """Write the result, print the table, and say in one line what was wrong if something was."""
     text = result.model_dump_json(indent=2) + "\n"
-    if json_file is not None:
-        write_atomically(json_file, text)
-    if record is not None:
-        write_atomically(record / "result.json", text)
-        write_plots(record, log.kept, flight.report.truth)
-    console.print(result_table(result, scenario.pass_bounds.model_dump()))
-    if record is not None:
-        console.print(f"logs and plots in {record}", highlight=False)
-    if result.outcome != "landed":
-        print(f"companion: {result.outcome}: {'; '.join(flight.report.failures)}", file=sys.stderr)
+    if output.json_file is not None:
+        write_atomically(output.json_file, text)
+    if output.record is not None:
+        write_atomically(output.record / "result.json", text)
+    output.console.print(result_table(result, trial.scenario.pass_bounds.model_dump()))
+    late_s = flight.report.latest_tick_s
+    if late_s > LATE_S:
+        print(
+            f"companion: the simulator ran up to {late_s:.1f} s late: too busy a machine for real time",
+            file=sys.stderr,
+        )
+    if result.outcome is not Outcome.LANDED:
+        fail(f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
+
+
+def reason(result: Result, flight: DeskFlight) -> str:
+    """Why a flight did not end in a landing: the mission's own words, or the bounds that were broken."""
+    said = [event.text.removeprefix("abort: ") for event in result.events if event.kind == "phase"]
+    return said[-1] if result.outcome is Outcome.ABORTED and said else "; ".join(flight.report.failures)
 
 
 # ---------------------------------------------------------------- on the vehicle
 
 
-def fly_the_vehicle(console: Console, config_path: Path, record: Path | None, *, no_ui: bool) -> int:
+def fly_the_vehicle(config_path: Path, output: Output) -> int:
     """Fly the real vehicle and return the exit code.
 
     Raises:
         ConfigError: something the user can mend.
     """
     config = load_config(config_path)
-    log = new_log(None if record is None else next_flight_folder(record), virtual=False)
+    folder = None if output.record is None else next_flight_folder(output.record)
+    log = new_log(folder, virtual=False)
     try:
-        with StatusView(console, config.vehicle, live=not no_ui) as view:
+        with StatusView(output.console, config.vehicle, live=output.live) as view:
             phase = asyncio.run(_vehicle_flight(config, log, view))
+    except ConfigError:
+        log.discard()
+        raise
     finally:
         log.close()
-    return 0 if phase is Phase.LANDED else EXIT_CODES["aborted"]
+    return 0 if phase is Phase.LANDED else EXIT_CODES[Outcome.ABORTED]
 
 
 async def _vehicle_flight(config: CompanionConfig, log: FlightLog, view: StatusView) -> Phase:
-    hardware = await open_hardware(config)
-    try:
+    async with open_hardware(config) as hardware:
         app = App(config, hardware, log, make_actions, view)
         with stopping_on_signals(app.request_stop):
             return await app.run()
-    finally:
-        hardware.close()
 
 
 def next_flight_folder(folder: Path) -> Path:
@@ -245,8 +260,14 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def main() -> None:
-    """Entry point."""
-    cli()
+    """Entry point: whatever the user got wrong ends in one line on standard error."""
+    try:
+        code = cli(standalone_mode=False)
+    except TyperException as error:
+        code = fail(f"{error.format_message()}; see companion --help", USER_ERROR)
+    except typer.Abort:
+        code = fail("aborted: interrupted outside a flight", EXIT_CODES[Outcome.ABORTED])
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -14,26 +14,69 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from companion.app import App, Hardware, Status, make_actions, open_hardware
+from companion.app import App, Status
 from companion.clock import Clock, run_in_virtual_time, wall_clock_s
-from companion.config import CompanionConfig, ConfigError, merge, validate
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    GpsConfig,
+    ImuConfig,
+    find_file,
+    load_config,
+    load_model,
+    merge,
+    validate,
+)
+from companion.hardware import Hardware, make_actions, open_hardware
 from companion.link.actions import PymavlinkActions
 from companion.link.transport import memory_pair
 from companion.messages import Phase
 from companion.record import FlightLog
 from sitl.devices.ports import MemoryPort
-from sitl.scenario import Scenario
+from sitl.scenario import Scenario, load_scenario
 from sitl.simulation import MemoryFrames, Simulation, SimulationReport, read_report
 
 START_TIMEOUT_S: Final = 20.0
 END_TIMEOUT_S: Final = 10.0
+# what a settings file for a real vehicle may say otherwise, and the simulated one is
+SIMULATED_HARDWARE: Final[dict[str, Any]] = {
+    "sense": {
+        "imu": ImuConfig().model_dump(include={"address", "body_from_sensor_deg"}),
+        "gps": GpsConfig().model_dump(include={"baud", "antenna_position_body_m"}),
+    },
+    "link": {"system_id": 1},
+}
 
 StatusCallback = Callable[[Status], None]
+
+
+class SimulatorError(Exception):
+    """The simulator's process failed; the text is the one line to show."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What is to be flown: a scenario (and the file it came from) under a seed."""
+
+    path: Path
+    scenario: Scenario
+    seed: int
+
+    @classmethod
+    def load(cls, name: str, seed: int) -> Trial:
+        """Take a scenario by name or path.
+
+        Raises:
+            ConfigError: no such scenario, or its file breaks a rule.
+        """
+        path = find_file("scenarios", name)
+        return cls(path, load_scenario(path), seed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,63 +87,86 @@ class DeskFlight:
     real_time_factor: float
 
 
-# ---------------------------------------------------------------- virtual time
-
-
-def fly_in_virtual_time(
-    config: CompanionConfig, scenario: Scenario, seed: int, log: FlightLog, on_status: StatusCallback
-) -> DeskFlight:
-    """Fly a scenario as fast as the machine can; the same seed gives the same flight.
+def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionConfig:
+    """The app's settings for a trial: the file, and over it what the scenario's operator knows.
 
     Raises:
-        ConfigError: the settings do not go together.
+        ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
     """
-    return run_in_virtual_time(_virtual_flight(config, scenario, seed, log, on_status))
+    overrides = merge(SIMULATED_HARDWARE, trial.scenario.companion)
+    if fast:
+        # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
+        overrides = merge(overrides, {"link": {"actions": "pymavlink"}})
+    # the file by itself first, so that a mistake is reported where it was made
+    settings = load_config(config_path).model_dump()
+    config = validate(CompanionConfig, merge(settings, overrides), f"{trial.path}: companion")
+    _check_pad(config, trial)
+    _check_camera(config, trial)
+    return config
 
 
-async def _virtual_flight(
-    config: CompanionConfig, scenario: Scenario, seed: int, log: FlightLog, on_status: StatusCallback
+def _check_pad(config: CompanionConfig, trial: Trial) -> None:
+    """A pad that the app does not know is never found, which a flight would take minutes to say."""
+    there, sought = find_file("pads", trial.scenario.pad.name), find_file("pads", config.pad)
+    if there.resolve() != sought.resolve():
+        raise ConfigError(
+            f"{trial.path}: pad.name is '{trial.scenario.pad.name}' but the app looks for '{config.pad}'; "
+            f"expected the same, for instance 'companion: {{pad: {trial.scenario.pad.name}}}'"
+        )
+
+
+def _check_camera(config: CompanionConfig, trial: Trial) -> None:
+    """Calibrations may differ, as they do in life; the size of the images may not."""
+    theirs = load_model(CameraConfig, find_file("cameras", trial.scenario.camera.config))
+    ours = load_model(CameraConfig, find_file("cameras", config.camera))
+    if (theirs.width_px, theirs.height_px) != (ours.width_px, ours.height_px):
+        raise ConfigError(
+            f"{trial.path}: camera.config '{theirs.name}' is {theirs.width_px}x{theirs.height_px} px but the "
+            f"app's camera '{ours.name}' {ours.width_px}x{ours.height_px} px; expected the same size"
+        )
+
+
+def fly(
+    config: CompanionConfig, trial: Trial, log: FlightLog, on_status: StatusCallback, *, fast: bool
 ) -> DeskFlight:
-    app_end, vehicle_end = memory_pair()
-    gps_line, range_line = MemoryPort(config.sense.gps.baud), MemoryPort(config.sense.range.baud)
-    frames = MemoryFrames()
-    simulation = Simulation(
-        scenario,
-        seed,
-        link=vehicle_end,
-        gps_port=gps_line,
-        range_port=range_line,
-        deliver_frame=frames.deliver,
-    )
-    hardware = Hardware(app_end, simulation.imu_bus, gps_line.app, range_line.app, frames)
-    app = App(config, hardware, log, PymavlinkActions, on_status)
-    started_s = wall_clock_s()
-    world = asyncio.create_task(simulation.run())
-    phase = await _fly(app, scenario.time_limit_s)
-    world.cancel()
-    with suppress(asyncio.CancelledError):
-        await world
-    elapsed_s = wall_clock_s() - started_s
-    return DeskFlight(simulation.report(phase), Clock().now_s() / elapsed_s)
+    """Fly a trial; fast, the same seed gives the same flight. No process is left behind.
+
+    Raises:
+        ConfigError: the settings do not go together, or the simulator does not start.
+        SimulatorError: the simulator's process ended in flight.
+    """
+    if fast:
+        return run_in_virtual_time(_virtual_flight(config, trial, log, on_status))
+    return asyncio.run(_real_flight(config, trial, log, on_status))
 
 
-async def _fly(app: App, time_limit_s: float) -> Phase:
-    """Run the app to its end or to the time limit; Ctrl-C and SIGTERM hold, hand back and end."""
+async def _fly(app: App, time_limit_s: float, world: asyncio.Task[None]) -> Phase:
+    """Run the app to its end or to the time limit; Ctrl-C and SIGTERM hold, hand back and end.
+
+    `world` goes on for ever; when it fails, so does the flight.
+    """
     flight = asyncio.create_task(app.run())
-    with stopping_on_signals(app.request_stop):
-        await asyncio.wait([flight], timeout=time_limit_s)
-    if flight.done():
-        return flight.result()
-    flight.cancel()
-    await asyncio.wait([flight])
-    return app.phase
+    try:
+        with stopping_on_signals(app.request_stop):
+            await asyncio.wait([flight, world], timeout=time_limit_s, return_when=asyncio.FIRST_COMPLETED)
+        if world.done():
+            world.result()
+        return flight.result() if flight.done() else app.phase
+    finally:
+        await _cancel(flight)
+
+
+async def _cancel(task: asyncio.Task[Any]) -> None:
+    """End a task and wait for it; a failure of its own is dropped, since another one is being told."""
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 @contextmanager
 def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """While inside, SIGINT and SIGTERM call `stop` on the running loop."""
+    """While inside, SIGINT, SIGTERM and SIGHUP (the terminal has gone) call `stop` on the running loop."""
     loop = asyncio.get_running_loop()
-    wanted = (signal.SIGINT, signal.SIGTERM)
+    wanted = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     for number in wanted:
         loop.add_signal_handler(number, stop)
     try:
@@ -110,107 +176,145 @@ def stopping_on_signals(stop: Callable[[], None]) -> Iterator[None]:
             loop.remove_signal_handler(number)
 
 
+# ---------------------------------------------------------------- virtual time
+
+
+async def _virtual_flight(
+    config: CompanionConfig, trial: Trial, log: FlightLog, on_status: StatusCallback
+) -> DeskFlight:
+    app_end, vehicle_end = memory_pair()
+    gps_line, range_line = MemoryPort(config.sense.gps.baud), MemoryPort(config.sense.range.baud)
+    frames = MemoryFrames()
+    simulation = Simulation(
+        trial.scenario,
+        trial.seed,
+        link=vehicle_end,
+        gps_port=gps_line,
+        range_port=range_line,
+        deliver_frame=frames.deliver,
+    )
+    hardware = Hardware(app_end, simulation.imu_bus, gps_line.app, range_line.app, frames)
+    app = App(config, hardware, log, PymavlinkActions, on_status)
+    started_s = wall_clock_s()
+    world = asyncio.create_task(simulation.run())
+    try:
+        phase = await _fly(app, trial.scenario.time_limit_s, world)
+    finally:
+        await _cancel(world)
+    return DeskFlight(simulation.report(phase), Clock().now_s() / (wall_clock_s() - started_s))
+
+
 # ---------------------------------------------------------------- real time
 
 
-def fly_in_real_time(
-    config: CompanionConfig,
-    scenario_path: Path,
-    scenario: Scenario,
-    seed: int,
-    log: FlightLog,
-    on_status: StatusCallback,
-) -> DeskFlight:
-    """Start the simulator as a process and fly against it; no process is left behind.
-
-    Raises:
-        ConfigError: the settings do not go together, or the simulator does not start.
-    """
-    return asyncio.run(_real_flight(config, scenario_path, scenario, seed, log, on_status))
-
-
 async def _real_flight(
-    config: CompanionConfig,
-    scenario_path: Path,
-    scenario: Scenario,
-    seed: int,
-    log: FlightLog,
-    on_status: StatusCallback,
+    config: CompanionConfig, trial: Trial, log: FlightLog, on_status: StatusCallback
 ) -> DeskFlight:
     with tempfile.TemporaryDirectory(prefix="companion-") as folder:
-        simulator = await SimulatorProcess.start(scenario_path, seed, Path(folder))
+        simulator = await SimulatorProcess.start(trial, Path(folder))
         try:
-            wired = with_overrides(config, simulator.endpoints)
-            hardware = await open_hardware(wired)
-            app = App(wired, hardware, log, make_actions, on_status)
-            clock = Clock()
-            started_s = clock.now_s()
-            try:
-                phase = await _fly(app, scenario.time_limit_s)
-            finally:
-                hardware.close()
-            report = await simulator.finish(phase)
-            return DeskFlight(report, (report.duration_s) / (clock.now_s() - started_s))
+            return await _fly_against(simulator, config, trial, log, on_status)
         finally:
             await simulator.kill()
 
 
-def with_overrides(config: CompanionConfig, overrides: dict[str, Any]) -> CompanionConfig:
-    """The same settings with some laid over them."""
-    return validate(CompanionConfig, merge(config.model_dump(), overrides), "the simulator's endpoints")
+async def _fly_against(
+    simulator: SimulatorProcess,
+    config: CompanionConfig,
+    trial: Trial,
+    log: FlightLog,
+    on_status: StatusCallback,
+) -> DeskFlight:
+    wired = validate(
+        CompanionConfig, merge(config.model_dump(), simulator.endpoints), "the simulator's endpoints"
+    )
+    world = asyncio.create_task(simulator.watch())
+    try:
+        async with open_hardware(wired) as hardware:
+            app = App(wired, hardware, log, make_actions, on_status)
+            phase = await _fly(app, trial.scenario.time_limit_s, world)
+    finally:
+        await _cancel(world)
+    report = await simulator.finish(phase)
+    # both processes count by the same clock of the kernel's
+    elapsed_s = Clock().now_s() - report.truth[0].time_s
+    return DeskFlight(report, report.duration_s / elapsed_s)
 
 
 class SimulatorProcess:
     """The simulator running as a child; it dies with its standard input, so it cannot outlive us."""
 
-    def __init__(self, process: asyncio.subprocess.Process, endpoints: dict[str, Any]) -> None:
+    def __init__(self, process: asyncio.subprocess.Process, endpoints: dict[str, Any], words: Path) -> None:
+        """Take a child that has said where it listens; `words` is the file of its standard error."""
         self.endpoints = endpoints
         self._process = process
+        self._words = words
 
     @classmethod
-    async def start(cls, scenario_path: Path, seed: int, folder: Path) -> SimulatorProcess:
-        """Start it and wait until it says where it listens.
+    async def start(cls, trial: Trial, folder: Path) -> SimulatorProcess:
+        """Start it and wait until it says where it listens; its sockets go into `folder`.
 
         Raises:
             ConfigError: it ended or said nothing in time; the line is its own.
         """
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "sitl.server", "--scenario", str(scenario_path)),
-            *("--seed", str(seed), "--folder", str(folder)),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            # Ctrl-C is ours to handle: the vehicle is to be flown to a hold before its world ends
-            start_new_session=True,
-        )
-        assert process.stdout is not None
-        assert process.stderr is not None
+        words = folder / "stderr"
+        with words.open("wb") as stderr:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "sitl.server", "--scenario", str(trial.path)),
+                *("--seed", str(trial.seed), "--folder", str(folder)),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=stderr,
+                # Ctrl-C is ours to handle: the vehicle is to be flown to a hold before its world ends
+                start_new_session=True,
+            )
+        simulator = cls(process, {}, words)
         try:
-            line = await asyncio.wait_for(process.stdout.readline(), START_TIMEOUT_S)
-        except TimeoutError as error:
-            process.kill()
-            raise ConfigError(f"the simulator said nothing for {START_TIMEOUT_S:g} s") from error
-        if not line:
-            words = (await process.stderr.read()).decode().strip().splitlines()
-            raise ConfigError(f"the simulator did not start: {words[-1] if words else 'no reason given'}")
-        return cls(process, json.loads(line))
+            simulator.endpoints = await simulator._listen(START_TIMEOUT_S)
+        except BaseException as error:
+            await simulator.kill()
+            if isinstance(error, SimulatorError):
+                raise ConfigError(f"the simulator did not start: {error}") from error
+            raise
+        return simulator
+
+    async def watch(self) -> None:
+        """Wait for the end that should not come.
+
+        Raises:
+            SimulatorError: it has come.
+        """
+        await self._process.wait()
+        raise SimulatorError(f"the simulator ended in flight: {self._last_words()}")
 
     async def finish(self, phase: Phase) -> SimulationReport:
         """Have the flight judged and take the report.
 
         Raises:
-            ConfigError: it has crashed or does not answer.
+            SimulatorError: it has crashed or does not answer.
         """
         assert self._process.stdin is not None
-        assert self._process.stdout is not None
         self._process.stdin.write(f"finish {phase.value}\n".encode())
-        line = await asyncio.wait_for(self._process.stdout.readline(), END_TIMEOUT_S)
-        if not line:
-            raise ConfigError("the simulator ended without a report")
-        return read_report(Path(json.loads(line)["report"]))
+        return read_report(Path((await self._listen(END_TIMEOUT_S))["report"]))
 
     async def kill(self) -> None:
         """End it, whatever state it is in."""
         if self._process.returncode is None:
             self._process.kill()
         await self._process.wait()
+
+    async def _listen(self, timeout_s: float) -> dict[str, Any]:
+        """Its next line."""
+        assert self._process.stdout is not None
+        try:
+            line = await asyncio.wait_for(self._process.stdout.readline(), timeout_s)
+        except TimeoutError as error:
+            raise SimulatorError(f"the simulator said nothing for {timeout_s:g} s") from error
+        if not line:
+            raise SimulatorError(self._last_words())
+        said: dict[str, Any] = json.loads(line)
+        return said
+
+    def _last_words(self) -> str:
+        words = self._words.read_text(errors="replace").strip().splitlines()
+        return words[-1] if words else "no reason given"

@@ -236,6 +236,16 @@ class Phase(StrEnum):
     ABORT = "abort"
 
 
+class Outcome(StrEnum):
+    """How a simulated flight ended, judged by the truth."""
+
+    LANDED = "landed"
+    MISSED = "missed"
+    ABORTED = "aborted"
+    TIMEOUT = "timeout"
+    CRASHED = "crashed"
+
+
 class ActionKind(StrEnum):
     """What a mission asks of the autopilot besides setpoints."""
 

@@ -28,6 +28,7 @@ from companion.messages import Frame
 KEPT_TOPICS: Final = frozenset(
     {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
 )
+LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
 MCAP_CHUNK_BYTES: Final = 64 * 1024
 FRAME_JPEG_QUALITY: Final = 85
 MAVLINK2_MAGIC: Final = 0xFD
@@ -52,13 +53,15 @@ class FlightLog:
         self._start_unix_s = start_unix_s
         self._frame_period_s = 1.0 / frame_rate_hz
         self._next_frame_s = float("-inf")
+        self._folder = folder
+        self._made_folder = folder is not None and not folder.exists()
         self._mcap: _McapFile | None = None
         self._tlog: _TlogFile | None = None
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                self._mcap = _McapFile(folder / "flight.mcap")
-                self._tlog = _TlogFile(folder / "flight.tlog")
+                self._mcap = _McapFile(folder / LOG_NAMES[0])
+                self._tlog = _TlogFile(folder / LOG_NAMES[1])
             except OSError as error:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
 
@@ -89,6 +92,15 @@ class FlightLog:
         if self._tlog is not None:
             self._tlog.close()
             self._tlog = None
+
+    def discard(self) -> None:
+        """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
+        self.close()
+        if self._folder is not None:
+            for name in LOG_NAMES:
+                (self._folder / name).unlink(missing_ok=True)
+            if self._made_folder:
+                self._folder.rmdir()
 
     def _unix_ns(self, time_s: float) -> int:
         return int((self._start_unix_s + time_s) * 1e9)

@@ -8,21 +8,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from companion.geometry import FloatArray, matrix_from_quat
-from companion.messages import FrameReport, Notice, PadSighting, PadState, Phase, PlanStep, Setpoint, Truth
-
-Outcome = Literal["landed", "missed", "aborted", "timeout", "crashed"]
+from companion.messages import (
+    FrameReport,
+    Notice,
+    Outcome,
+    PadSighting,
+    PadState,
+    Phase,
+    PlanStep,
+    Setpoint,
+    Truth,
+)
 
 # the pad's velocity counts once it has been in view for this long, and while it is
 SEEN_FOR_S: Final = 2.0
 SEEN_GAP_S: Final = 0.5
 _DIGITS: Final = 6
+_TIME_FIELDS: Final = ("time_s", "seen_time_s", "exposure_time_s", "received_s", "done_s")
 
 
 class _Part(BaseModel):
@@ -150,6 +160,24 @@ def _continuous(quaternions: FloatArray) -> FloatArray:
     return quaternions
 
 
+def from_start(
+    kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]
+) -> tuple[dict[str, list[Any]], list[Truth]]:
+    """The same messages with all times counted from the app's first cycle (its first plan)."""
+    plans = kept.get("plan", ())
+    start_s = plans[0].time_s if plans else truth[0].time_s
+    topics = {topic: [_earlier(message, start_s) for message in messages] for topic, messages in kept.items()}
+    return topics, [_earlier(record, start_s) for record in truth]
+
+
+def _earlier(message: Any, shift_s: float) -> Any:
+    """A copy of a message with its times less `shift_s`."""
+    times = {name: getattr(message, name, None) for name in _TIME_FIELDS}
+    return replace(
+        message, **{name: time_s - shift_s for name, time_s in times.items() if time_s is not None}
+    )
+
+
 def build_result(
     *,
     scenario: str,
@@ -161,7 +189,13 @@ def build_result(
     truth: Sequence[Truth],
     real_time_factor: float,
 ) -> Result:
-    """Put the contract together from the log's kept topics and the simulator's truth."""
+    """Put the contract together from the log's kept topics and the simulator's truth.
+
+    Times are taken as they are: `from_start` makes them count from the flight's start.
+
+    Raises:
+        ValueError: fewer than two records of truth.
+    """
     track = TruthTrack(truth)
     return Result(
         scenario=scenario,

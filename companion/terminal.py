@@ -46,7 +46,7 @@ class StatusView:
         for notice in status.notices:
             self._notices.append(notice)
             if self._live is None:
-                self._console.print(_notice_line(notice), highlight=False)
+                self._console.print(_notice_line(notice), highlight=False, soft_wrap=True)
         if self._live is not None:
             self._live.update(self._panel(status), refresh=True)
 

@@ -8,10 +8,8 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from companion.frame_format import pack_frame
+from companion.messages import Frame
 
 
 class FrameServer:
@@ -37,12 +35,12 @@ class FrameServer:
             self._path.unlink()
         self._server = await asyncio.start_unix_server(self._serve, self._path)
 
-    def send(self, image: NDArray[np.uint8], sequence: int, time_s: float) -> None:
-        """Hand a grey image (height, width), mid-exposure at `time_s`, to every client that can take it."""
+    def deliver(self, frame: Frame) -> None:
+        """Hand a frame to every client that can take it."""
         free = [c for c in self._clients if c.transport.get_write_buffer_size() == 0]
         if not free:
             return
-        data = pack_frame(image, sequence, time_s)
+        data = pack_frame(frame.image, frame.sequence, frame.time_s)
         for client in free:
             client.write(data)
 

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final
 
 from companion.geometry import norm, subtract, tilt_from_quat, wrap_angle, yaw_from_quat
-from companion.messages import Phase
+from companion.messages import Outcome, Phase
 from sitl.contact import ContactLoad, board_velocity_ned_m_s
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import QuadrotorState
@@ -113,16 +112,6 @@ def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool
 
 
 # ---------------------------------------------------------------- the verdict
-
-
-class Outcome(StrEnum):
-    """How a flight ended."""
-
-    LANDED = "landed"
-    MISSED = "missed"
-    ABORTED = "aborted"
-    TIMEOUT = "timeout"
-    CRASHED = "crashed"
 
 
 @dataclass(frozen=True, slots=True)

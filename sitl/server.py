@@ -103,7 +103,7 @@ async def serve(scenario: Scenario, seed: int, folder: Path, port: int) -> None:
             link=link,
             gps_port=gps_port,
             range_port=range_port,
-            deliver_frame=frames.send,
+            deliver_frame=frames.deliver,
         )
         registers = await serve_registers(simulation.imu_bus, folder / "registers")
         stack.callback(registers.close)

@@ -21,7 +21,7 @@ from pydantic import TypeAdapter
 from companion.clock import Clock
 from companion.config import CameraConfig, GpsConfig, VehicleConfig, find_file, load_model
 from companion.geometry import Vector3
-from companion.messages import Frame, Phase, Truth
+from companion.messages import Frame, Outcome, Phase, Truth
 from companion.pad import load_pad
 from companion.slots import Slot
 from sitl import camera as lens
@@ -82,18 +82,22 @@ class MemoryFrames:
 
 @dataclass(frozen=True, slots=True)
 class SimulationReport:
-    """How a flight ended by the truth, and the truth itself."""
+    """How a flight ended by the truth, and the truth itself.
 
-    outcome: str
+    `latest_tick_s` is how far the simulation fell behind the clock at worst: 0 in virtual time.
+    """
+
+    outcome: Outcome
     failures: tuple[str, ...]
     touchdown: dict[str, float] | None
     pad_speed_m_s: float
     duration_s: float
+    latest_tick_s: float
     truth: tuple[Truth, ...]
 
 
 class Simulation:
-    """A scenario under one seed. Make it inside the running loop, whose time it takes as its start."""
+    """A scenario under one seed. Make it inside the running loop; its world begins when `run` does."""
 
     def __init__(
         self,
@@ -137,14 +141,19 @@ class Simulation:
         self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
         self._ticks = 0
+        self._latest_tick_s = 0.0
 
     async def run(self) -> None:
         """Go on until cancelled."""
+        # making the world takes a while, which is not to be made up for
+        self._start_s = self._clock.now_s()
         async with asyncio.TaskGroup() as group:
             group.create_task(self._receive())
             while True:
                 # the world is never ahead of the clock: a sample read now must not be of a time to come
-                await self._clock.sleep_until(self._start_s + (self._ticks + 1) * TICK_S)
+                due_s = self._start_s + (self._ticks + 1) * TICK_S
+                await self._clock.sleep_until(due_s)
+                self._latest_tick_s = max(self._latest_tick_s, self._clock.now_s() - due_s)
                 self._tick()
                 self._ticks += 1
 
@@ -165,11 +174,12 @@ class Simulation:
             else world.touchdown.pad_speed_m_s
         )
         return SimulationReport(
-            outcome=verdict.outcome.value,
+            outcome=verdict.outcome,
             failures=verdict.failures,
             touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
             pad_speed_m_s=pad_speed,
             duration_s=world.time_s,
+            latest_tick_s=self._latest_tick_s,
             truth=tuple(self._truth),
         )
 

@@ -87,8 +87,9 @@ class MavsdkActions:
                 loop.call_soon_threadsafe(self._pass_out, data)
 
         # the raw bytes are the plain wrapper's business: the asyncio one does not pass them through
-        await self._mavsdk.add_any_connection("raw://")
+        # subscribed first: MAVSDK warns of every message that it cannot hand to anyone
         self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
+        await self._mavsdk.add_any_connection("raw://")
 
     def receive(self, data: bytes) -> None:
         """Hand on what the transport received."""

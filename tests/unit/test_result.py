@@ -10,6 +10,7 @@ from rich.console import Console
 from companion.geometry import ZERO3, quat_from_euler, quat_rotate_inverse, subtract
 from companion.messages import (
     FrameReport,
+    Outcome,
     PadSighting,
     PadState,
     Phase,
@@ -104,7 +105,7 @@ def result() -> Result:
     return build_result(
         scenario="made_up",
         seed=3,
-        outcome="landed",
+        outcome=Outcome.LANDED,
         touchdown=touchdown,
         pad_speed_m_s=1.0,
         kept=kept,
@@ -152,7 +153,7 @@ def test_a_flight_that_never_saw_the_pad_still_has_a_result() -> None:
     told = build_result(
         scenario="blind",
         seed=0,
-        outcome="timeout",
+        outcome=Outcome.TIMEOUT,
         touchdown=None,
         pad_speed_m_s=0.0,
         kept={},

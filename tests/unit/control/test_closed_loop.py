@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from control_plants import (
+
+from companion.geometry import ZERO3, Vector3, tilt_from_quat
+from tests.unit.control.control_plants import (
     AttitudeAutopilot,
     Loop,
     PadMotion,
@@ -17,8 +19,6 @@ from control_plants import (
     min_jerk_offset,
     still,
 )
-
-from companion.geometry import ZERO3, Vector3, tilt_from_quat
 
 APPROACH = min_jerk_offset((2.0, -1.0, -5.0), (0.0, 0.0, -2.0), 6.0)
 SETTLED_S = 10.0

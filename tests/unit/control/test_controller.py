@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from control_plants import controller, reference_rows
 
 from companion.geometry import (
     IDENTITY,
@@ -16,6 +15,7 @@ from companion.geometry import (
     yaw_from_quat,
 )
 from companion.messages import PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from tests.unit.control.control_plants import controller, reference_rows
 
 PERIOD_S = 1.0 / 30.0
 

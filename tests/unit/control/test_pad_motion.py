@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from control_plants import PadMotion, circle, line, still
 
 from companion.control.pad_motion import predict_pad, resting_path, turn_rate
 from companion.geometry import Vector3, rotate_yaw
 from companion.messages import PadState
+from tests.unit.control.control_plants import PadMotion, circle, line, still
 
 TIMES_S = np.linspace(0.0, 2.0, 21)
 

@@ -8,7 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from estimate_flight import (
+
+from companion.config import EstimateConfig, OrientationConfig
+from companion.geometry import quat_rotate, quat_rotate_inverse, subtract, vector3, yaw_from_quat
+from companion.messages import GpsFix, ImuSample, MagSample, PadSighting, RangeSample
+from tests.unit.estimate.estimate_flight import (
     ANTENNA,
     FIELD_NED_UT,
     HOME,
@@ -27,10 +31,6 @@ from estimate_flight import (
     sprint,
     without,
 )
-
-from companion.config import EstimateConfig, OrientationConfig
-from companion.geometry import quat_rotate, quat_rotate_inverse, subtract, vector3, yaw_from_quat
-from companion.messages import GpsFix, ImuSample, MagSample, PadSighting, RangeSample
 
 FLIGHTS = {
     "hover over a pad at rest": Flight(hover, pad_at_rest, seed=1, duration_s=25.0),

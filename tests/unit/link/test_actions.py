@@ -15,8 +15,7 @@ from companion.link.codec import Codec, follow_target, mavlink
 from companion.link.session import Session
 from companion.link.transport import Transport, memory_pair
 from companion.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
-
-from .fake_autopilot import FakeAutopilot
+from tests.unit.link.fake_autopilot import FakeAutopilot
 
 Answer = Callable[[bytes, float], bytes]
 MODES: dict[Manner, dict[ActionKind, str]] = {

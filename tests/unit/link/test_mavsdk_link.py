@@ -18,8 +18,7 @@ from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
 from companion.link.transport import memory_pair
 from companion.messages import Action, ActionKind, Manner
-
-from .fake_autopilot import FakeAutopilot
+from tests.unit.link.fake_autopilot import FakeAutopilot
 
 MANNERS: list[Manner] = ["px4", "ardupilot"]
 

@@ -14,8 +14,7 @@ from companion.link.commands import NO_ANSWER, Command
 from companion.link.session import Session
 from companion.link.streams import TELEMETRY_RATES_HZ
 from companion.messages import PadBeacon, Setpoint
-
-from .fake_autopilot import FakeAutopilot
+from tests.unit.link.fake_autopilot import FakeAutopilot
 
 DELAY_S = 0.004
 

@@ -38,7 +38,7 @@ def test_every_phase_ends_by_time(phase: Phase) -> None:
     pytest.fail(f"{phase} does not end by time")
 
 
-@pytest.mark.parametrize("phase", list(FINAL))
+@pytest.mark.parametrize("phase", sorted(FINAL))
 @pytest.mark.parametrize("event", list(Event))
 def test_what_has_ended_stays_ended_and_asks_nothing(phase: Phase, event: Event) -> None:
     step = transition(phase, event)

@@ -6,17 +6,6 @@ import math
 from math import nan
 
 import pytest
-from autopilot_flight import (
-    HOME,
-    PX4_OFFBOARD,
-    STAND_STILL,
-    ZERO,
-    Flight,
-    in_the_air,
-    landed_state,
-    ready,
-    velocity,
-)
 
 from companion.geometry import (
     quat_from_euler,
@@ -30,6 +19,17 @@ from sitl.autopilot import (
     MotionSetpoint,
     Result,
     StreamedMotion,
+)
+from tests.unit.sitl.autopilot_flight import (
+    HOME,
+    PX4_OFFBOARD,
+    STAND_STILL,
+    ZERO,
+    Flight,
+    in_the_air,
+    landed_state,
+    ready,
+    velocity,
 )
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])

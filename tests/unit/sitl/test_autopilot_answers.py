@@ -7,16 +7,6 @@ from collections.abc import Callable
 from math import nan
 
 import pytest
-from autopilot_flight import (
-    MANNERS,
-    STAND_STILL,
-    ZERO,
-    Flight,
-    Sample,
-    in_the_air,
-    reached_s,
-    velocity,
-)
 
 from companion.geometry import (
     euler_from_quat,
@@ -35,6 +25,16 @@ from sitl.autopilot import (
     MotionSetpoint,
     StreamedMotion,
     Task,
+)
+from tests.unit.sitl.autopilot_flight import (
+    MANNERS,
+    STAND_STILL,
+    ZERO,
+    Flight,
+    Sample,
+    in_the_air,
+    reached_s,
+    velocity,
 )
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])

@@ -8,7 +8,6 @@ from math import inf, isnan, nan
 
 import numpy as np
 import pytest
-from autopilot_flight import Frame450
 
 from companion.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate
 from companion.messages import Manner, Truth
@@ -20,6 +19,7 @@ from sitl.autopilot.mixer import Mixer
 from sitl.autopilot.position_control import PositionControl, PositionGains
 from sitl.autopilot.setpoints import MotionSetpoint, motion_from_fields
 from sitl.parameters import Parameter, Parameters, Setting
+from tests.unit.sitl.autopilot_flight import Frame450
 
 
 def produced(motors: tuple[float, float, float, float]) -> tuple[float, Vector3]:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from autopilot_flight import HOME, Flight
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
@@ -17,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.messages import Manner
 from sitl.autopilot import EstimatorErrors
 from sitl.endpoint import MavlinkEndpoint
+from tests.unit.sitl.autopilot_flight import HOME, Flight
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
 NANS = (math.nan,) * 7

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from companion.messages import Phase
+from companion.messages import Outcome, Phase
 from sitl.scenario import PassBounds
-from sitl.score import Outcome, Touchdown, TouchdownResult, Verdict, judge
+from sitl.score import Touchdown, TouchdownResult, Verdict, judge
 
 GOOD = Touchdown(
     time_s=40.0,

@@ -1,0 +1,73 @@
+"""What the app is plugged into: opening the ports, buses and cameras that the settings name."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import ExitStack, asynccontextmanager, closing
+from dataclasses import dataclass
+from typing import Protocol
+
+from companion.clock import Clock
+from companion.config import CameraConfig, CompanionConfig, LinkConfig, find_file, load_model
+from companion.link.actions import PymavlinkActions, VehicleActions
+from companion.link.mavsdk_link import MavsdkActions
+from companion.link.session import Session
+from companion.link.transport import Transport, open_transport
+from companion.sense.camera import FrameSource, open_camera
+from companion.sense.i2c import RegisterBus, open_bus
+from companion.sense.serial_port import SerialPort
+
+ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, LinkConfig], VehicleActions]
+
+
+class BytePort(Protocol):
+    """A serial line to a sensor."""
+
+    async def read(self) -> bytes:
+        """Wait for at least one byte. OSError when the line is gone."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting. OSError when the line is gone."""
+        ...
+
+    def close(self) -> None:
+        """Give the line back."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Hardware:
+    """What the app is plugged into; the simulator gives the same interfaces as the vehicle."""
+
+    transport: Transport
+    imu_bus: RegisterBus
+    gps_port: BytePort
+    range_port: BytePort
+    frames: FrameSource
+
+
+@asynccontextmanager
+async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
+    """Open what the settings name, and close it again at the end.
+
+    Raises:
+        ConfigError: a port, bus or camera is missing, taken or misspelt; one line says which.
+    """
+    camera = load_model(CameraConfig, find_file("cameras", config.camera))
+    gps, range_ = config.sense.gps, config.sense.range
+    with ExitStack() as opened:
+        transport = opened.enter_context(closing(await open_transport(config.link.connection)))
+        imu_bus = opened.enter_context(closing(open_bus(config.sense.imu.bus)))
+        gps_port = opened.enter_context(closing(SerialPort(gps.port, gps.baud)))
+        range_port = opened.enter_context(closing(SerialPort(range_.port, range_.baud)))
+        frames = opened.enter_context(closing(await open_camera(config.sense.vision.source, camera)))
+        yield Hardware(transport, imu_bus, gps_port, range_port, frames)
+
+
+def make_actions(
+    session: Session, send: Callable[[bytes], None], clock: Clock, config: LinkConfig
+) -> VehicleActions:
+    """Actions by what `link.actions` names."""
+    kind = MavsdkActions if config.actions == "mavsdk" else PymavlinkActions
+    return kind(session, send, clock, config)

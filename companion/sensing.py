@@ -1,0 +1,157 @@
+"""The sensors' tasks: from each device through its driver into the estimator and the log.
+
+    mpu9250 (registers) ───────┐
+    neo6m, ultrasonic (bytes) ─┼─► estimator
+    camera (frames) ─► vision ─┘
+
+Each task runs until it is cancelled or its device is gone (OSError).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from typing import Final, Protocol
+
+from companion.clock import Clock
+from companion.config import CompanionConfig
+from companion.estimate.estimator import Estimator
+from companion.hardware import Hardware
+from companion.link.codec import Severity
+from companion.messages import FrameReport, ImuSample, MagSample, RangeSample
+from companion.record import FlightLog
+from companion.sense.i2c import SensorError
+from companion.sense.mpu9250 import Mpu9250
+from companion.sense.neo6m import Neo6m
+from companion.sense.ultrasonic import Ultrasonic
+from companion.sense.vision import Vision
+
+GPS_CONFIGURATION_PERIOD_S: Final = 0.2
+
+
+class Tell(Protocol):
+    """How a task says something to people."""
+
+    def __call__(self, kind: str, text: str, severity: Severity) -> None:
+        """Publish a notice."""
+        ...
+
+
+class Sensing:
+    """All sensors of one vehicle."""
+
+    def __init__(
+        self,
+        config: CompanionConfig,
+        hardware: Hardware,
+        vision: Vision,
+        estimator: Estimator,
+        *,
+        clock: Clock,
+        log: FlightLog,
+        tell: Tell,
+    ) -> None:
+        """Make the drivers; nothing is read yet."""
+        self._config, self._hardware = config, hardware
+        self._imu = Mpu9250(hardware.imu_bus, config.sense.imu)
+        self._gps = Neo6m(config.sense.gps)
+        self._range = Ultrasonic(config.sense.range)
+        self._vision = vision
+        self._estimator = estimator
+        self._clock, self._log, self._tell = clock, log, tell
+        self.last_range: RangeSample | None = None
+        self.last_frame: FrameReport | None = None
+        self.frame_count = 0
+
+    def tasks(self) -> dict[str, Callable[[], Awaitable[None]]]:
+        """What is to run, by the device's name."""
+        return {
+            "mpu9250": self._imu_task,
+            "gps": self._gps_task,
+            "gps configuration": self._gps_configuration_task,
+            "ultrasonic": self._range_task,
+            "camera": self._vision_task,
+        }
+
+    # ------------------------------------------------------------ inertial
+
+    async def _imu_task(self) -> None:
+        """Poll the MPU9250; the driver sets the chip up anew after a fault, which is told once."""
+        period_s = 1.0 / self._config.sense.imu.poll_hz
+        next_s, fault = self._clock.now_s(), ""
+        while True:
+            try:
+                # a bus transaction blocks; it takes no virtual time
+                samples = await self._clock.run(self._imu.poll, self._clock.now_s(), modelled_s=0.0)
+                self._take_inertial(*samples)
+                fault = "" if samples[0] else fault
+            except SensorError as error:
+                if str(error) != fault:
+                    fault = str(error)
+                    self._tell("sensor", fault, "warning")
+            next_s = max(next_s + period_s, self._clock.now_s())
+            await self._clock.sleep_until(next_s)
+
+    def _take_inertial(self, imu_samples: list[ImuSample], mag_samples: list[MagSample]) -> None:
+        now_s = self._clock.now_s()
+        for imu in imu_samples:
+            self._estimator.add_imu(imu)
+            self._log.write("imu", imu, now_s)
+        for mag in mag_samples:
+            self._estimator.add_mag(mag)
+            self._log.write("mag", mag, now_s)
+
+    # ------------------------------------------------------------ serial lines
+
+    async def _gps_task(self) -> None:
+        """Turn the receiver's bytes into fixes."""
+        while True:
+            data = await self._hardware.gps_port.read()
+            for fix in self._gps.feed(data, self._clock.now_s()):
+                self._estimator.add_gps(fix)
+                self._log.write("gps", fix, self._clock.now_s())
+
+    async def _gps_configuration_task(self) -> None:
+        """Send the receiver what it has not acknowledged yet, and all of it again when it has forgotten."""
+        # a port that is gone is told by the task that reads it
+        with contextlib.suppress(OSError):
+            while True:
+                self._hardware.gps_port.write(self._gps.pending(self._clock.now_s()))
+                await asyncio.sleep(GPS_CONFIGURATION_PERIOD_S)
+
+    async def _range_task(self) -> None:
+        """Turn the ultrasonic's bytes into distances."""
+        while True:
+            data = await self._hardware.range_port.read()
+            for sample in self._range.feed(data, self._clock.now_s()):
+                self.last_range = sample
+                self._estimator.add_range(sample)
+                self._log.write("range", sample, self._clock.now_s())
+
+    # ------------------------------------------------------------ camera
+
+    async def _vision_task(self) -> None:
+        """Look at the newest frame; what it shows enters the estimator at its exposure time."""
+        while True:
+            frame = await self._hardware.frames.next()
+            self._log.write_frame(frame, self._clock.now_s())
+            prior = self._estimator.pad_prior(frame.time_s)
+            seen = await self._clock.run(
+                self._vision.step, frame, prior, modelled_s=self._config.compute.vision_s
+            )
+            now_s = self._clock.now_s()
+            if seen.sighting is not None:
+                self._estimator.add_sighting(seen.sighting)
+                self._log.write("sighting", seen.sighting, now_s)
+            self.frame_count += 1
+            self.last_frame = FrameReport(
+                time_s=frame.time_s,
+                received_s=frame.received_s,
+                done_s=now_s,
+                sequence=frame.sequence,
+                marker_count=seen.marker_count,
+                seen=seen.sighting is not None,
+                searched_whole_frame=seen.searched_whole_frame,
+            )
+            self._log.write("frame_report", self.last_frame, now_s)

@@ -1,0 +1,62 @@
+"""What `--record` leaves behind, and that the usual tools read it."""
+
+import json
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from pymavlink import mavutil
+
+from tests.scenario.flying import Flown, fly
+
+PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
+LOGS = {"flight.mcap", "flight.tlog", "result.json"}
+TOPICS = {
+    *("/imu", "/mag", "/gps", "/range", "/camera", "/sighting", "/frame_report", "/vehicle", "/pad", "/plan"),
+    *("/setpoint", "/control_report", "/action", "/action_result", "/notice", "/truth"),
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Flown]:
+    folder = tmp_path_factory.mktemp("recorded")
+    record = folder / "flights" / "first"
+    return record, fly("static", 0, folder, "--record", record)
+
+
+def test_all_files_are_there(recorded: tuple[Path, Flown]) -> None:
+    record, flown = recorded
+    assert {path.name for path in record.iterdir()} == PLOTS | LOGS
+    assert json.loads((record / "result.json").read_text()) == flown.landing
+    for plot in PLOTS:
+        assert (record / plot).read_bytes().startswith(b"\x89PNG")
+    assert str(record) in flown.stdout
+
+
+def test_the_log_holds_every_topic_in_order_of_time(recorded: tuple[Path, Flown]) -> None:
+    record, flown = recorded
+    times: list[int] = []
+    with (record / "flight.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        counts: dict[str, int] = {}
+        for _schema, channel, message in reader.iter_messages(log_time_order=False):
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+            assert json.loads(message.data)
+            if channel.topic == "/plan":
+                times.append(message.log_time)
+    assert counts.keys() >= TOPICS
+    assert times == sorted(times)
+    seconds = flown.landing["time"]["total_s"]
+    assert counts["/imu"] == pytest.approx(200 * seconds, rel=0.05)
+    assert counts["/camera"] == pytest.approx(5 * seconds, rel=0.1)
+
+
+def test_the_tlog_holds_both_directions(recorded: tuple[Path, Flown]) -> None:
+    record, _ = recorded
+    log = mavutil.mavlink_connection(str(record / "flight.tlog"))
+    heard: dict[tuple[int, int], set[str]] = {}
+    while (message := log.recv_match()) is not None:
+        sender = (message.get_srcSystem(), message.get_srcComponent())
+        heard.setdefault(sender, set()).add(message.get_type())
+    assert {"HEARTBEAT", "COMMAND_ACK"} <= heard[1, 1]
+    assert {"HEARTBEAT", "COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED"} <= heard[1, 191]
