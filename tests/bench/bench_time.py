@@ -18,11 +18,10 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from companion.cli import desk_settings
 from companion.clock import wall_clock_s
 from companion.config import CONFIG_FOLDER
 from companion.control.controller import Controller
-from companion.desk import fly_in_virtual_time
+from companion.desk import Trial, desk_settings, fly
 from companion.estimate.estimator import Estimator
 from companion.link.session import Session
 from companion.plan.planner import Planner
@@ -36,7 +35,6 @@ from sitl.camera import CameraModel
 from sitl.devices.rack import SensorRack
 from sitl.endpoint import MavlinkEndpoint
 from sitl.ground_station import GroundStation
-from sitl.scenario import load_scenario
 from sitl.world import World
 
 REAL_TIME_FACTOR: Final = 3.0
@@ -97,11 +95,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for owner, names in owners.items():
             for name in names:
                 stopwatch.watch(part, owner, name)
-    scenario = load_scenario(chosen.scenario)
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", scenario, fast=True)
+    trial = Trial.load(chosen.scenario, chosen.seed)
+    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     log = FlightLog(None, start_unix_s=0.0)
     started_s = wall_clock_s()
-    flight = fly_in_virtual_time(settings, scenario, chosen.seed, log, lambda _status: None)
+    flight = fly(settings, trial, log, lambda _status: None, fast=True)
     elapsed_s = wall_clock_s() - started_s
     return report(stopwatch, elapsed_s, flight.report.duration_s, flight.real_time_factor)
 
