@@ -312,7 +312,7 @@ class EstimateConfig(StrictModel):
 
     madgwick_gain: float = Field(default=0.06, ge=0.0, le=2.0)
     magnetic_field_ned_ut: Vector = (20.9, 0.6, 42.9)
-    acceleration_filter_s: float = Field(default=0.06, ge=0.0, le=1.0)
+    acceleration_filter_s: float = Field(default=0.02, ge=0.0, le=1.0)
     alignment: AlignmentConfig = AlignmentConfig()
     orientation: OrientationConfig = OrientationConfig()
     ekf: EkfConfig = EkfConfig()
@@ -481,7 +481,7 @@ class ControlConfig(StrictModel):
     ground_thrust: float = Field(default=0.1, ge=0.0, le=0.3)
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
+        position_m=0.12, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.5, effort_change_m_s2=1.0
     )
     vertical: TrackingConfig = TrackingConfig(
         position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
