@@ -93,7 +93,7 @@ def settings_of(
         if inner is not None:
             default = field.default if isinstance(field.default, BaseModel) else None
             yield from settings_of(inner, f"{key}.", default)
-        elif name != "kind" and not _is_motion(field):
+        elif not (_is_motion(field) or (name == "kind" and field.is_required())):
             default_text = _default(field) if defaults is None else _value(getattr(defaults, name))
             yield Setting(key, _unit(name), default_text, _bounds(field), comments.get(name, ""))
 
@@ -194,10 +194,7 @@ def groups_of(model: type[BaseModel]) -> dict[str, list[Setting]]:
 
 def tables() -> dict[str, dict[str, list[Setting]]]:
     """Every table of the pages: by name, then by group."""
-    motions = {
-        motion.model_fields["kind"].annotation.__args__[0]: motion  # type: ignore[union-attr]
-        for motion in get_args(Motion)
-    }
+    motions = {motion.model_fields["kind"].annotation.__args__[0]: motion for motion in get_args(Motion)}
     return {
         "companion": groups_of(CompanionConfig),
         "camera": groups_of(CameraConfig),
