@@ -1,10 +1,10 @@
 """The pictures in the documentation, from a recorded flight and from the simulated camera.
 
-    python -m docs.pictures flights/circle
+    python -m docs.pictures flights/circle --to docs/images
 
-reads flights/circle/flight.mcap and writes docs/images/landing.png, the flight's path in three dimensions
-(the manner of the paper's Fig. 14), and docs/images/view.png, what the camera sees of the pad from 7 m, 2 m
-and 0.5 m with the markers that the pose was fitted to. NED, metres; drawn with up upwards.
+reads flights/circle/flight.mcap and writes landing.png, the flight's path in three dimensions (the manner
+of the paper's Fig. 14), and view.png, what the camera sees of the pad from 7 m, 2 m and 0.5 m with the
+markers that the pose was fitted to. NED, metres; drawn with up upwards.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from companion.config import CONFIG_FOLDER, CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
+from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     add,
@@ -46,7 +46,6 @@ from sitl.exposure import CameraSettings
 
 mpl.use("Agg")
 
-IMAGES: Final = CONFIG_FOLDER.parent / "docs" / "images"
 PHASES: Final = {
     "take-off and way there": (("connect", "arm", "take_off", "waypoint"), "#7f8c8d"),
     "search": (("search",), "#d68910"),
@@ -217,9 +216,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(prog="python -m docs.pictures", description=__doc__.split("\n")[0])
     parser.add_argument("flight", type=Path, help="a folder that `companion --record` has left")
-    folder = parser.parse_args(arguments).flight
-    draw_landing(folder / "flight.mcap", IMAGES / "landing.png")
-    draw_view(IMAGES / "view.png")
+    parser.add_argument("--to", type=Path, default=Path(), help="the folder to write the pictures to")
+    chosen = parser.parse_args(arguments)
+    log: Path = chosen.flight / "flight.mcap"
+    if not log.is_file():
+        parser.error(f"{log}: no such file; expected a folder that `companion --record` has left")
+    chosen.to.mkdir(parents=True, exist_ok=True)
+    draw_landing(log, chosen.to / "landing.png")
+    draw_view(chosen.to / "view.png")
 
 
 if __name__ == "__main__":
