@@ -89,7 +89,7 @@ def settings_of(
     comments = field_comments(model)
     for name, field in model.model_fields.items():
         key = f"{prefix}{field.alias or name}"
-        inner = _inner_model(field.annotation)
+        inner = inner_model(field.annotation)
         if inner is not None:
             default = field.default if isinstance(field.default, BaseModel) else None
             yield from settings_of(inner, f"{key}.", default)
@@ -98,7 +98,7 @@ def settings_of(
             yield Setting(key, _unit(name), default_text, _bounds(field), comments.get(name, ""))
 
 
-def _inner_model(annotation: Any) -> type[BaseModel] | None:
+def inner_model(annotation: Any) -> type[BaseModel] | None:
     """The model that a field holds, when it holds exactly one."""
     kinds = [kind for kind in _alternatives(annotation) if kind is not type(None)]
     if len(kinds) == 1 and isinstance(kinds[0], type) and issubclass(kinds[0], BaseModel):
