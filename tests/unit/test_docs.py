@@ -1,0 +1,240 @@
+"""The documentation is true: its commands work, its links and names lead somewhere, its tables are fresh.
+
+A page's ```console commands run in order in an empty folder, with the page's example files in it. Those
+that would take real time, a vehicle, root or the whole tool chain are only checked: that program, options,
+scenario and target exist.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+import yaml
+from mcap.reader import make_reader
+from pydantic import BaseModel
+
+from companion.cli import EXIT_CODES, cli
+from companion.config import (
+    CONFIG_FOLDER,
+    CameraConfig,
+    CompanionConfig,
+    VehicleConfig,
+    load_config,
+    validate,
+)
+from companion.result import Result
+from docs import settings_table
+from sitl.campaign import SCENARIOS
+from sitl.scenario import Scenario, load_scenario
+
+ROOT = CONFIG_FOLDER.parent
+PAGES = {page.name: page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
+TEXTS = {name: page.read_text(encoding="utf-8") for name, page in PAGES.items()}
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# "Put this into `barge.yaml`: ..." and the block that follows
+EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+CODE = re.compile(r"`([^`\n]+)`")
+COMMAND_TIMEOUT_S = 300.0
+FOLDERS = ("companion/", "sitl/", "configs/", "docs/", "tests/", "systemd/")
+
+
+def commands(text: str) -> list[list[str]]:
+    """The console commands of a page, each split into words."""
+    blocks = [body for kind, body in FENCE.findall(text) if kind == "console"]
+    return [shlex.split(line) for block in blocks for line in block.splitlines() if line.strip()]
+
+
+def prose(text: str) -> str:
+    """A page without its fenced blocks."""
+    return FENCE.sub("", text)
+
+
+def code_words(text: str) -> list[str]:
+    """What stands in backticks within the text."""
+    return CODE.findall(prose(text))
+
+
+# ---------------------------------------------------------------- commands
+
+
+def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command of ours with this interpreter and this tree."""
+    module = ["companion.cli", *words[1:]] if words[0] == "companion" else words[2:]
+    return subprocess.run(
+        [sys.executable, "-m", *module],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=COMMAND_TIMEOUT_S,
+        check=False,
+    )
+
+
+def is_run(words: list[str]) -> bool:
+    """Whether a command is run here, rather than only checked."""
+    if words[0] == "companion":
+        return "--fast" in words or "--help" in words
+    return words[:3] == ["python", "-m", "docs.pictures"]
+
+
+def check_without_running(words: list[str]) -> None:
+    """Raise when a command names an option, module, target or file that does not exist."""
+    if words[0] == "companion":
+        context = typer.main.get_command(cli).make_context("companion", words[1:])
+        if context.params["scenario"] is not None:
+            load_scenario(context.params["scenario"])
+    elif words[:2] == ["python", "-m"]:
+        assert importlib.util.find_spec(words[2]) is not None
+        options = [word for word in words[3:] if word.startswith("--")]
+        known = run([*words[:3], "--help"], ROOT).stdout if options else ""
+        assert [option for option in options if option not in known] == []
+    elif words[0] == "make":
+        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    elif words[0] == "sudo" and "/" in words[1]:
+        assert os.access(ROOT / words[1], os.X_OK)
+    else:
+        assert words[0] in {"sudo", "journalctl"}
+
+
+@pytest.mark.parametrize("name", [name for name in PAGES if commands(TEXTS[name])])
+def test_every_command_of_a_page_works(name: str, tmp_path: Path) -> None:
+    for file_name, body in EXAMPLE_FILE.findall(TEXTS[name]):
+        (tmp_path / file_name).write_text(body)
+    for words in commands(TEXTS[name]):
+        if not is_run(words):
+            check_without_running(words)
+            continue
+        done = run(words, tmp_path)
+        assert done.returncode == 0, f"{shlex.join(words)}\n{done.stdout}{done.stderr}"
+    if name == "README.md":
+        assert_flight_is_as_documented(tmp_path)
+
+
+def assert_flight_is_as_documented(folder: Path) -> None:
+    """The flight of the README left the files and topics that the pages list, and the pictures."""
+    page = TEXTS["flight-log.md"]
+    left = {path.name for path in (folder / "flights" / "circle").iterdir()}
+    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|png))` \|", page, re.MULTILINE))
+    with (folder / "flights" / "circle" / "flight.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    logged = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
+    assert logged == dict(re.findall(r"^\| `(/\w+)` \| ([\w.]+) \|", page, re.MULTILINE))
+    pictures = {path.name for path in (folder / "pictures").iterdir()}
+    assert pictures == {path.name for path in (ROOT / "docs" / "images").iterdir()}
+
+
+# ---------------------------------------------------------------- what the pages name
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_relative_link_leads_to_a_file(name: str) -> None:
+    links = [link.partition("#")[0] for link in LINK.findall(prose(TEXTS[name]))]
+    relative = [link for link in links if link and "://" not in link]
+    assert [link for link in relative if not (PAGES[name].parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_path_of_the_tree_that_is_named_exists(name: str) -> None:
+    paths = [word for word in code_words(TEXTS[name]) if word.startswith(FOLDERS) and "NAME" not in word]
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_every_setting_that_is_named_exists(name: str) -> None:
+    keys = {setting.key for setting in settings_table.settings_of(CompanionConfig)}
+    parents = {key.rsplit(".", depth)[0] for key in keys for depth in range(1, key.count(".") + 1)}
+    sections = tuple(f"{section}." for section in CompanionConfig.model_fields)
+    named = [word for word in code_words(TEXTS[name]) if re.fullmatch(r"[a-z]+(\.[a-z_0-9]+)+", word)]
+    # a scenario's own sections and the result's share some of these words
+    scenario = {setting.key for setting in settings_table.settings_of(Scenario)}
+    known = keys | parents | scenario | {"pad.motion"} | set(result_keys(Result))
+    assert [word for word in named if word.startswith(sections) and word not in known] == []
+
+
+def test_every_shipped_scenario_is_in_the_readme() -> None:
+    shipped = {path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml")}
+    assert set(SCENARIOS) <= shipped
+    assert [name for name in SCENARIOS if f"`{name}`" not in TEXTS["README.md"]] == []
+
+
+def test_the_exit_codes_are_in_the_readme() -> None:
+    text = TEXTS["README.md"].partition("Exit codes:")[2].partition("\n\n")[0]
+    told = {word: int(code) for code, word in re.findall(r"`(\d)` (\w+)", text)}
+    assert {str(outcome): code for outcome, code in EXIT_CODES.items()}.items() <= told.items()
+
+
+def test_the_options_are_in_the_readme() -> None:
+    options = {option for parameter in typer.main.get_command(cli).params for option in parameter.opts}
+    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
+
+
+def result_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
+    """The dotted keys of result.json; a list of events is one key."""
+    keys = []
+    for name, field in model.model_fields.items():
+        inner = settings_table.inner_model(field.annotation)
+        keys += [f"{prefix}{name}"] if inner is None else result_keys(inner, f"{prefix}{name}.")
+    return keys
+
+
+def test_every_key_of_the_result_is_documented() -> None:
+    table = TEXTS["flight-log.md"].partition("## `result.json`")[2]
+    told = {
+        key for row in table.splitlines() if row.startswith("| `") for key in CODE.findall(row.split("|")[1])
+    }
+    assert set(result_keys(Result)) == told - {"touchdown"}
+
+
+# ---------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize("name", settings_table.PAGES)
+def test_the_tables_are_up_to_date(name: str) -> None:
+    assert settings_table.page_text(TEXTS[name]) == TEXTS[name], "run: python -m docs.settings_table"
+
+
+def yaml_examples() -> list[tuple[str, dict[str, Any]]]:
+    """The pages' YAML blocks, and the settings that the shipped file shows as a comment."""
+    blocks = [
+        (name, body) for name, text in TEXTS.items() for kind, body in FENCE.findall(text) if kind == "yaml"
+    ]
+    shown = re.search(r"^# link:\n(?:# .*\n)*", (CONFIG_FOLDER / "companion.yaml").read_text(), re.MULTILINE)
+    assert shown is not None
+    blocks.append(("companion.yaml", re.sub("^# ", "", shown[0], flags=re.MULTILINE)))
+    return [(name, yaml.safe_load(body)) for name, body in blocks]
+
+
+@pytest.mark.parametrize(("name", "example"), yaml_examples())
+def test_every_example_in_yaml_is_valid(name: str, example: dict[str, Any]) -> None:
+    validate(Scenario if "description" in example else CompanionConfig, example, name)
+
+
+def test_the_shipped_settings_file_sets_nothing_but_defaults() -> None:
+    assert load_config(CONFIG_FOLDER / "companion.yaml") == CompanionConfig()
+
+
+@pytest.mark.parametrize("model", [CompanionConfig, CameraConfig, VehicleConfig, Scenario])
+def test_every_setting_with_a_unit_in_its_name_shows_it(model: type[BaseModel]) -> None:
+    names = {s.key.rsplit(".")[-1]: s.unit for s in settings_table.settings_of(model)}
+    assert names.get("connection", "") == ""
+    assert [
+        name for name, unit in names.items() if name.endswith(("_m", "_s", "_deg", "_hz", "_px")) and not unit
+    ] == []
+
+
+def test_a_comment_beside_a_field_is_found() -> None:
+    comments = settings_table.field_comments(CameraConfig)
+    assert comments["exposure_s"].startswith("short and fixed")
+    assert "name" not in comments
