@@ -175,11 +175,12 @@ class Estimator:
         """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
 
         The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
-        filter down and gain nothing.
+        filter down and gain nothing. A vehicle that turns quickly makes an angle of the exposure's jitter.
         """
         rotation = matrix_from_quat(attitude)
         position = quat_rotate(attitude, sighting.pad_position_body_m)
         jitter = math.radians(self._config.pad.attitude_jitter_deg) ** 2
+        jitter += self._motion.turned_rad(sighting.time_s, self._config.pad.exposure_jitter_s) ** 2
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T

@@ -13,6 +13,7 @@ from companion.geometry import (
     ZERO3,
     Quaternion,
     Vector3,
+    norm,
     quat_conjugate,
     quat_from_rotation_vector,
     quat_multiply,
@@ -74,6 +75,13 @@ class MotionHistory:
         share = (time_s - start_s) / (self._times_s[place] - start_s)
         turn = rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
         return quat_normalise(quat_multiply(before, quat_from_rotation_vector(scale(turn, share))))
+
+    def turned_rad(self, time_s: float, span_s: float) -> float:
+        """Angle (rad) through which the vehicle turned in `span_s` at a time; 0 before the first sample."""
+        before, after = self.attitude(time_s - span_s), self.attitude(time_s + span_s)
+        if before is None or after is None:
+            return 0.0
+        return 0.5 * norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after)))
 
     def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3]:
         """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times."""
