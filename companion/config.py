@@ -471,6 +471,7 @@ class ControlConfig(StrictModel):
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)  # beyond the delay
     autopilot_velocity_gain_1_s: float = Field(default=2.2, ge=0.5, le=10.0)
     autopilot_climb_gain_1_s: float = Field(default=4.0, ge=0.5, le=10.0)
+    acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)  # sensor and its filters
     lasting_disturbance_s: float = Field(default=1.0, ge=0.1, le=20.0)  # what lasts so long is for v_sp
     maximum_disturbance_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
@@ -482,7 +483,7 @@ class ControlConfig(StrictModel):
     ground_thrust: float = Field(default=0.1, ge=0.0, le=0.3)
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.12, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.5, effort_change_m_s2=1.0
+        position_m=0.15, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=0.8
     )
     vertical: TrackingConfig = TrackingConfig(
         position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5

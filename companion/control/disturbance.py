@@ -1,9 +1,14 @@
 """What pushes the vehicle besides the command: an observer per axis, for tracking without a lasting offset.
 
-State per axis: velocity v, flown acceleration a, disturbance d and the measured acceleration's bias b, with
-v' = a, a' = (u + d - a)/tau, d and b slow random walks; measured are v and a + b (eq. 38 with w = d).
+State per axis: velocity v, flown acceleration a, disturbance d, the measured acceleration's bias b and what
+the late measurement shows of the acceleration, s, with v' = a, a' = (u + d - a)/tau, s' = (a - s)/tau_s, d and
+b slow random walks; measured are v and s + b (eq. 38 with w = d).
 A stationary Kalman gain (eq. 17 at its limit). The bias is there because the measured
 acceleration carries the attitude's error times g: without it that error would pass for a disturbance.
+
+How fast the disturbance may walk is bounded by what the model leaves out: attitude and motors answer at
+second and third order, which at 2 Hz looks like a push of the command's own size. An observer that follows it
+makes the vehicle sway for ever.
 
 NED axes, SI units.
 """
@@ -15,13 +20,13 @@ import math
 import numpy as np
 import scipy.linalg
 
-from companion.control.flight_model import advance_axis, discretise
+from companion.control.flight_model import advance_axis
 from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
 # random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
-DISTURBANCE_WALK = 0.3
+DISTURBANCE_WALK = 0.25
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01
@@ -31,14 +36,21 @@ LARGEST_VELOCITY_INNOVATION_M_S = 0.3
 LARGEST_ACCELERATION_INNOVATION_M_S2 = 3.0
 
 
-def stationary_gain(period_s: float, tau_s: float) -> FloatArray:
-    """Kalman gain (4, 2) from the innovations of v and a to v, a, d, b."""
-    A, B = discretise(period_s, tau_s)
-    F = np.eye(4)
-    F[:2, :2] = A[1:, 1:]
-    F[:2, 2] = B[1:]
-    H = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
-    walks = np.array([MODEL_VELOCITY_WALK, MODEL_ACCELERATION_WALK, DISTURBANCE_WALK, BIAS_WALK])
+def transition(period_s: float, tau_s: float, sensor_lag_s: float) -> FloatArray:
+    """F (5, 5) of v, a, d, b and s over one period: its columns are where unit states go by themselves."""
+    columns = []
+    for unit in np.eye(5).tolist():
+        axis = _Axis(*unit)
+        axis.predict(0.0, period_s, tau_s, sensor_lag_s)
+        columns.append([axis.velocity, axis.acceleration, axis.disturbance, axis.bias, axis.shown])
+    return np.array(columns).T
+
+
+def stationary_gain(period_s: float, tau_s: float, sensor_lag_s: float) -> FloatArray:
+    """Kalman gain (5, 2) from the innovations of v and the measured acceleration to v, a, d, b, s."""
+    F = transition(period_s, tau_s, sensor_lag_s)
+    H = np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 1.0]])
+    walks = np.array([MODEL_VELOCITY_WALK, MODEL_ACCELERATION_WALK, DISTURBANCE_WALK, BIAS_WALK, 0.0])
     Q = np.diag(walks**2 * period_s)
     R = np.diag([VELOCITY_NOISE_M_S**2, ACCELERATION_NOISE_M_S2**2])
     P = scipy.linalg.solve_discrete_are(F.T, H.T, Q, R)
@@ -49,39 +61,55 @@ def stationary_gain(period_s: float, tau_s: float) -> FloatArray:
 class _Axis:
     """The observer of one axis."""
 
-    def __init__(self) -> None:
-        self.velocity = 0.0
-        self.acceleration = 0.0
-        self.disturbance = 0.0
-        self.bias = 0.0
+    def __init__(
+        self,
+        velocity: float = 0.0,
+        acceleration: float = 0.0,
+        disturbance: float = 0.0,
+        bias: float = 0.0,
+        shown: float = 0.0,
+    ) -> None:
+        self.velocity = velocity
+        self.acceleration = acceleration
+        self.disturbance = disturbance
+        self.bias = bias
+        self.shown = shown
 
-    def predict(self, command_m_s2: float, duration_s: float, tau_s: float) -> None:
+    def predict(self, command_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
+        if duration_s <= 0.0:
+            return
+        before = self.velocity
         _, self.velocity, self.acceleration = advance_axis(
-            (0.0, self.velocity, self.acceleration), command_m_s2 + self.disturbance, duration_s, tau_s
+            (0.0, before, self.acceleration), command_m_s2 + self.disturbance, duration_s, tau_s
         )
+        # the mean acceleration of so short a time stands for its course
+        mean = (self.velocity - before) / duration_s
+        self.shown += -math.expm1(-duration_s / sensor_lag_s) * (mean - self.shown)
 
     def correct(
         self, velocity: float, acceleration: float, gain: tuple[tuple[float, float], ...], bound: float
     ) -> None:
         jump = velocity - self.velocity
         dv = _clamp(jump, LARGEST_VELOCITY_INNOVATION_M_S)
-        da = _clamp(acceleration - self.acceleration - self.bias, LARGEST_ACCELERATION_INNOVATION_M_S2)
+        da = _clamp(acceleration - self.shown - self.bias, LARGEST_ACCELERATION_INNOVATION_M_S2)
         self.velocity += jump - dv  # what is beyond is taken over as it is
         self.velocity += gain[0][0] * dv + gain[0][1] * da
         self.acceleration += gain[1][0] * dv + gain[1][1] * da
         self.disturbance = _clamp(self.disturbance + gain[2][0] * dv + gain[2][1] * da, bound)
+        self.shown += gain[4][0] * dv + gain[4][1] * da
         self.bias = _clamp(self.bias + gain[3][0] * dv + gain[3][1] * da, MAXIMUM_BIAS_M_S2)
 
 
 class DisturbanceObserver:
     """Velocity, flown acceleration and disturbance of the vehicle, from what was commanded and measured."""
 
-    def __init__(self, period_s: float, lags_s: Vector3, maximum_m_s2: float) -> None:
+    def __init__(self, period_s: float, lags_s: Vector3, sensor_lag_s: float, maximum_m_s2: float) -> None:
         self._gains = tuple(
-            tuple((float(row[0]), float(row[1])) for row in stationary_gain(period_s, lag_s))
+            tuple((float(row[0]), float(row[1])) for row in stationary_gain(period_s, lag_s, sensor_lag_s))
             for lag_s in lags_s
         )
         self._lags_s = lags_s
+        self._sensor_lag_s = sensor_lag_s
         self._maximum_m_s2 = maximum_m_s2
         self._axes = (_Axis(), _Axis(), _Axis())
 
@@ -110,13 +138,13 @@ class DisturbanceObserver:
         for axis, v, a, d in zip(
             self._axes, velocity_ned_m_s, acceleration_ned_m_s2, disturbance_ned_m_s2, strict=True
         ):
-            axis.velocity, axis.acceleration, axis.bias = v, a, 0.0
+            axis.velocity, axis.acceleration, axis.bias, axis.shown = v, a, 0.0, a
             axis.disturbance = _clamp(d, self._maximum_m_s2)
 
     def predict(self, command_ned_m_s2: Vector3, duration_s: float) -> None:
         """Carry the state on under a constant command."""
         for axis, command, lag_s in zip(self._axes, command_ned_m_s2, self._lags_s, strict=True):
-            axis.predict(command, duration_s, lag_s)
+            axis.predict(command, duration_s, lag_s, self._sensor_lag_s)
 
     def correct(self, velocity_ned_m_s: Vector3, acceleration_ned_m_s2: Vector3) -> None:
         """Take in measured velocity and acceleration; a measurement that is not finite is passed over."""

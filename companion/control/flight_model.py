@@ -2,8 +2,8 @@
 a' = (u + d - a) / tau (eq. 38 with w = d).
 
 u is the commanded acceleration, d a disturbance (wind, a thrust scale that is off) as the acceleration it
-adds, tau the lag of attitude and motors (sideways) or of the motors alone (down). Frames: any that does not turn or accelerate, NED axes; SI units.
-Discretised exactly under a zero-order hold.
+adds, tau the lag of attitude and motors (sideways) or of the motors alone (down). Frames: any that does not
+turn or accelerate, NED axes; SI units. Discretised exactly under a zero-order hold.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vect
 
 
 def lags(vehicle: VehicleConfig) -> Vector3:
-    """Lag (s) along north, east and down: sideways the vehicle has to lean first, upwards only thrust lags."""
+    """Lag (s) along north, east and down: sideways it has to lean first, upwards only thrust lags."""
     sideways = vehicle.acceleration_time_constant_s
     return (sideways, sideways, vehicle.thrust_time_constant_s)
 

@@ -27,7 +27,10 @@ class Plant:
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s, velocity_gains(config))
         self._observer = DisturbanceObserver(
-            1.0 / config.rate_hz, self._lags_s, config.maximum_disturbance_m_s2
+            1.0 / config.rate_hz,
+            self._lags_s,
+            config.acceleration_estimate_lag_s,
+            config.maximum_disturbance_m_s2,
         )
         self._thrust_scale = ThrustScale()
         self._lasting_s = config.lasting_disturbance_s
