@@ -33,7 +33,8 @@ class Flown:
     result: dict[str, Any] | None
 
     def __str__(self) -> str:
-        return f"companion {' '.join(self.arguments)}\nexit code {self.code}: {self.stderr.strip()}\n{self.stdout}"
+        command = f"companion {' '.join(self.arguments)}"
+        return f"{command}\nexit code {self.code}: {self.stderr.strip()}\n{self.stdout}"
 
     @property
     def landing(self) -> dict[str, Any]:

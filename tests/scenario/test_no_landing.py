@@ -9,14 +9,15 @@ ENDS = {4: "aborted", 5: "timeout"}
 
 def test_a_pad_that_drives_away_for_good_is_given_up(tmp_path: Path) -> None:
     changes = {
-        "time_limit_s": 170.0,
         "beacon": {"available": False},
         # seen when it passes the waypoint, never to be caught up with
         "pad": {"motion": {"speed_m_s": 6.0, "meet": {"spread_m": 0.5}}},
+        "companion": {"plan": {"mission": {"total_timeout_s": 50.0}}},
     }
     flown = fly(scenario_file(tmp_path, "line", changes), 0, tmp_path)
     assert flown.result is not None, flown
     assert flown.result["outcome"] == ENDS.get(flown.code), flown
+    assert flown.result["time"]["total_s"] < 75.0, flown
     assert len(flown.stderr.strip().splitlines()) == 1, flown
 
 

@@ -1,0 +1,240 @@
+"""What a user gets wrong ends in one line on standard error and exit code 2, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from companion.cli import main
+from companion.config import CONFIG_FOLDER
+from tests.scenario.flying import Flown, run, scenario_file
+
+DESK = ("--sitl", "--fast", "--no-ui")
+Companion = Callable[..., Flown]
+
+
+@pytest.fixture
+def companion(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Companion:
+    """The command in this process, which saves the imports of one more."""
+
+    def run_here(*arguments: str | Path) -> Flown:
+        words = tuple(str(argument) for argument in arguments)
+        monkeypatch.setattr(sys, "argv", ["companion", *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert isinstance(ended.value.code, int)
+        said = capfd.readouterr()
+        return Flown(words, ended.value.code, said.out, said.err, None)
+
+    return run_here
+
+
+def refused(flown: Flown) -> str:
+    """The one line of a command that was refused."""
+    assert flown.code == 2, flown
+    assert flown.stdout == "", flown
+    lines = flown.stderr.splitlines()
+    assert len(lines) == 1, flown
+    assert lines[0].startswith("companion: "), flown
+    return lines[0].removeprefix("companion: ")
+
+
+def settings(folder: Path, content: dict[str, Any] | str) -> Path:
+    """A settings file."""
+    path = folder / "settings.yaml"
+    path.write_text(content if isinstance(content, str) else yaml.safe_dump(content))
+    return path
+
+
+# ---------------------------------------------------------------- options
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (
+            [*DESK, "--scenario", "nowhere"],
+            "no 'nowhere'; expected the path of a .yaml file or one of:",
+        ),
+        ([*DESK, "--seed", "seven"], "'--seed'"),
+        ([*DESK, "--seed", "-1"], "'--seed'"),
+        ([*DESK, "--wings"], "No such option: --wings"),
+        ([*DESK, "here"], "unexpected extra argument"),
+        (["--fast"], "--fast: needs --sitl"),
+        (["--scenario", "line"], "--scenario: needs --sitl"),
+        (["--seed", "0"], "--seed: needs --sitl"),
+        (["--json", "result.json"], "--json: needs --sitl"),
+        ([*DESK, "--json", "/nowhere/result.json"], "--json /nowhere/result.json: cannot be written"),
+        ([*DESK, "--json", "/"], "--json /: cannot be written"),
+        ([*DESK, "--record", "/proc/flight"], "--record /proc/flight: cannot be written"),
+        ([*DESK, "--config", "/nowhere.yaml"], "/nowhere.yaml: cannot be read: No such file"),
+    ],
+    ids=lambda value: " ".join(value[-2:]) if isinstance(value, list) else "",
+)
+def test_a_wrong_option_is_named(arguments: list[str], expected: str, companion: Companion) -> None:
+    assert expected in refused(companion(*arguments))
+
+
+def test_a_folder_that_holds_a_flight_is_not_overwritten(tmp_path: Path, companion: Companion) -> None:
+    log = tmp_path / "flight.mcap"
+    log.write_bytes(b"the last flight")
+    assert "holds a flight already" in refused(companion(*DESK, "--record", tmp_path))
+    assert log.read_bytes() == b"the last flight"
+
+
+def test_the_command_itself_ends_so(tmp_path: Path) -> None:
+    assert "No such option" in refused(run("--wings"))
+    assert "no camera at /dev/video99" in refused(run("--no-ui", "--config", vehicle(tmp_path, "/dev/ptmx")))
+
+
+# ---------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("plan: {rate_hz: [", "settings.yaml:1:18: broken YAML"),
+        ("wings: 2", "settings.yaml: unknown key 'wings'"),
+        (
+            "plan: {rate_hz: 1000}",
+            "settings.yaml: plan.rate_hz: expected less than or equal to 100",
+        ),
+        ("plan: {rate_hz: quick}", "settings.yaml: plan.rate_hz: expected a valid number"),
+        ("camera: nikon", "cameras: no 'nikon'; expected the path of a .yaml file or one of: "),
+        ("pad: lily", "pads: no 'lily'; expected the path of a .yaml file or one of: "),
+        ("vehicle: balloon", "vehicles: no 'balloon'; expected the path of a .yaml file or one of: "),
+        ("link: {connection: 'tcp:host:1'}", "settings.yaml: link.connection: expected serial:PATH:BAUD"),
+    ],
+)
+def test_a_wrong_setting_is_named_with_its_file_and_key(
+    content: str, expected: str, tmp_path: Path, companion: Companion
+) -> None:
+    path, record = settings(tmp_path, content), tmp_path / "record"
+    assert expected in refused(companion(*DESK, "--config", path, "--record", record))
+    assert not record.exists()
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"companion": {"plan": {"wings": 2}}}, "line_changed.yaml: companion: unknown key 'plan.wings'"),
+        (
+            {"pad": {"motion": {"speed_m_s": 99}}},
+            "line_changed.yaml: pad.motion.line.speed_m_s: ",
+        ),
+        ({"airframe": "balloon"}, "airframes: no 'balloon'; expected the path of a .yaml file or one of: "),
+    ],
+)
+def test_a_wrong_scenario_is_named_with_its_file_and_key(
+    changes: dict[str, Any], expected: str, tmp_path: Path, companion: Companion
+) -> None:
+    assert expected in refused(companion(*DESK, "--scenario", scenario_file(tmp_path, "line", changes)))
+
+
+def test_a_pad_that_the_app_does_not_look_for_is_refused(tmp_path: Path, companion: Companion) -> None:
+    pad = {
+        "name": "small",
+        "width_m": 0.5,
+        "length_m": 0.5,
+        "markers": [
+            {"dictionary": "4x4_50", "id": 0, "side_m": 0.3, "position_pad_m": [0.0, 0.0], "group": "F"}
+        ],
+    }
+    path = settings(tmp_path, pad)
+    scenario = scenario_file(tmp_path, "line", {"pad": {"name": str(path)}})
+    line = refused(companion(*DESK, "--scenario", scenario))
+    assert f"pad.name is '{path}' but the app looks for 'moving_1300'" in line
+
+
+def test_a_camera_of_another_size_is_refused(tmp_path: Path, companion: Companion) -> None:
+    camera = yaml.safe_load((CONFIG_FOLDER / "cameras" / "sitl_640x480.yaml").read_text())
+    path = settings(tmp_path, {**camera, "name": "wide", "width_px": 1280, "height_px": 720})
+    scenario = scenario_file(tmp_path, "line", {"camera": {"config": str(path)}})
+    line = refused(companion(*DESK, "--scenario", scenario))
+    assert "camera.config 'wide' is 1280x720 px but the app's camera 'sitl_640x480' 640x480 px" in line
+
+
+def test_a_simulator_that_cannot_start_says_why(tmp_path: Path, companion: Companion) -> None:
+    scenario = scenario_file(tmp_path, "line", {"airframe": "balloon"})
+    record = tmp_path / "record"
+    line = refused(companion("--sitl", "--no-ui", "--scenario", scenario, "--record", record))
+    assert "the simulator did not start: companion-sitl: airframes: no 'balloon'" in line
+    assert not record.exists()
+
+
+# ---------------------------------------------------------------- hardware
+
+
+@pytest.fixture
+def pty() -> Iterator[str]:
+    """A serial port that is there."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def vehicle(folder: Path, pty: str, **changes: dict[str, Any]) -> Path:
+    """The settings of a vehicle all of whose ports are there, with changes."""
+    sense: dict[str, Any] = {
+        # connected to when it is read, which is later than anything here
+        "imu": {"bus": f"socket:{folder / 'registers'}"},
+        "gps": {"port": pty},
+        "range": {"port": pty},
+        "vision": {"source": "v4l2:99"},
+    }
+    link = {"connection": f"udpin:127.0.0.1:{free_port()}", "actions": "pymavlink"}
+    for part, change in changes.items():
+        (link if part == "link" else sense[part]).update(change)
+    return settings(folder, {"link": link, "sense": sense})
+
+
+def test_a_udp_port_in_use_is_said(tmp_path: Path, pty: str, companion: Companion) -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
+        other.bind(("127.0.0.1", 0))
+        connection = f"udpin:127.0.0.1:{other.getsockname()[1]}"
+        path = vehicle(tmp_path, pty, link={"connection": connection})
+        line = refused(companion("--no-ui", "--config", path))
+    assert line == f"link.connection: {connection}: Address already in use"
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "expected"),
+    [
+        ("link", {"connection": "serial:/dev/ttyNOWHERE:57600"}, "/dev/ttyNOWHERE:57600: No such file"),
+        ("gps", {"port": "/dev/ttyNOWHERE"}, "serial port /dev/ttyNOWHERE: cannot be opened at 9600 baud"),
+        ("range", {"port": "/dev/null"}, "serial port /dev/null: cannot be opened at 9600 baud"),
+        ("imu", {"bus": "i2c:99"}, "bus 'i2c:99': /dev/i2c-99 cannot be opened: No such file"),
+        ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER or socket:PATH"),
+        ("vision", {"source": "v4l2:99"}, "sense.vision.source: v4l2:99: no camera at /dev/video99"),
+        ("vision", {"source": "socket:/nowhere"}, "sense.vision.source: socket:/nowhere: No such file"),
+        ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER or socket:PATH"),
+    ],
+)
+def test_hardware_that_is_missing_is_named(
+    part: str, change: dict[str, Any], expected: str, tmp_path: Path, pty: str, companion: Companion
+) -> None:
+    record = tmp_path / "flights"
+    line = refused(
+        companion("--no-ui", "--config", vehicle(tmp_path, pty, **{part: change}), "--record", record)
+    )
+    assert expected in line
+    assert not list(record.glob("flight-*"))
+
+
+def free_port() -> int:
+    """A UDP port that nobody has."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,96 @@
+"""Flights in real time: the simulator a process of its own, MAVLink over UDP, actions by MAVSDK."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.scenario.flying import Flown, alive, children, run, started, wait_for_line
+
+DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
+LATE = "too busy a machine for real time"
+END_TIMEOUT_S = 30.0
+
+
+def fly_in_real_time(folder: Path) -> Flown:
+    """A flight on a machine that keeps up; one that does not is given a second chance."""
+    for attempt in ("first", "second"):
+        path = folder / f"{attempt}.json"
+        flown = run(*DESK, "--json", path, "--record", folder / attempt, result=path)
+        if LATE not in flown.stderr:
+            return flown
+    pytest.skip(f"this machine does not keep up with real time: {flown.stderr.strip()}")
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Exit code and standard error of a process that is about to end."""
+    _, words = process.communicate(timeout=END_TIMEOUT_S)
+    return process.returncode, words
+
+
+def gone(pid: int) -> bool:
+    """Whether a process ends within a few seconds."""
+    deadline = time.monotonic() + 10.0
+    while alive(pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return not alive(pid)
+
+
+def test_lands_in_real_time_with_mavsdk(tmp_path: Path) -> None:
+    flown = fly_in_real_time(tmp_path)
+    assert flown.landing["touchdown"]["lateral_error_m"] <= 0.15
+    assert flown.landing["sim"]["real_time_factor"] == pytest.approx(1.0, abs=0.05)
+    # times count from the start of the flight, not from the start of the machine
+    assert flown.landing["events"][0]["time_s"] < 5.0
+    assert flown.stderr == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stop_in_flight_hands_the_vehicle_back(number: signal.Signals, tmp_path: Path) -> None:
+    with started(*DESK, "--record", tmp_path) as process:
+        wait_for_line(process, "airborne")
+        (simulator,) = children(process.pid)
+        process.send_signal(number)
+        wait_for_line(process, "abort: stop")
+        assert ended(process) == (4, "companion: aborted: stop: asked for\n")
+        assert not alive(simulator)
+    assert (tmp_path / "result.json").exists()
+    assert handed_back(tmp_path / "flight.tlog")
+
+
+def handed_back(path: Path) -> bool:
+    """Whether the autopilot's last mode was its own hold (PX4: AUTO.LOITER)."""
+    from pymavlink import mavutil
+
+    log = mavutil.mavlink_connection(str(path))
+    mode = None
+    while (message := log.recv_match(type="HEARTBEAT")) is not None:
+        if message.get_srcComponent() == 1:
+            mode = message.custom_mode
+    return mode == (4 << 16 | 3 << 24)
+
+
+def test_a_simulator_does_not_outlive_an_app_that_was_killed() -> None:
+    with started(*DESK) as process:
+        wait_for_line(process, "take off")
+        (simulator,) = children(process.pid)
+        process.kill()
+        process.wait()
+        assert gone(simulator)
+
+
+def test_a_simulator_that_crashes_ends_the_flight_in_one_line(tmp_path: Path) -> None:
+    with started(*DESK, "--record", tmp_path) as process:
+        wait_for_line(process, "take off")
+        (simulator,) = children(process.pid)
+        os.kill(simulator, signal.SIGKILL)
+        code, words = ended(process)
+    assert code == 1
+    assert words == "companion: the simulator ended in flight: no reason given\n"
+    # what was logged up to then is there to be looked at
+    assert (tmp_path / "flight.mcap").stat().st_size > 0
