@@ -4,7 +4,7 @@
 
 Name, unit, default and bounds come from the pydantic models (`companion.config`, `sitl.scenario`); what a
 setting means comes from docs/meanings.yaml, or from the comment beside the field. A setting without either
-stops the writing with a line that names it; so does a meaning of a setting that is gone. A table stands
+stops the writing with a line that names it; meanings of settings that are gone are told. A table stands
 between `<!-- table:NAME -->` and `<!-- end -->`; the rest of a page is left alone.
 """
 
@@ -38,6 +38,7 @@ from sitl.scenario import Scenario
 
 DOCS: Final = Path(__file__).resolve().parent
 PAGES: Final = ("settings.md", "scenarios.md")
+MEANINGS: Final = DOCS / "meanings.yaml"
 # longest first: a name ends in its unit
 UNITS: Final = {
     "rad_s2_rthz": "rad/s²/√Hz",
@@ -238,16 +239,20 @@ def page_text(text: str) -> str:
     """A page with its tables written afresh.
 
     Raises:
-        ConfigError: a setting has no meaning, or a meaning no setting.
+        ConfigError: a setting has no meaning.
     """
-    meanings = read_yaml(DOCS / "meanings.yaml")
-    made = tables()
-    for name, groups in made.items():
-        known = {f"{group}.{s.key}".lstrip(".") for group, settings in groups.items() for s in settings}
-        gone = sorted(set(meanings.get(name, {})) - known)
-        if gone:
-            raise ConfigError(f"docs/meanings.yaml: {name}: no setting '{gone[0]}'; expected no such line")
+    meanings, made = read_yaml(MEANINGS), tables()
     return TABLE.sub(lambda m: m[1] + markdown(made[m[2]], meanings.get(m[2], {})) + m[3], text)
+
+
+def left_over() -> list[str]:
+    """Meanings of settings that are gone."""
+    gone = []
+    meanings = read_yaml(MEANINGS)
+    for name, groups in tables().items():
+        known = {f"{group}.{s.key}".lstrip(".") for group, settings in groups.items() for s in settings}
+        gone += [f"{name}: {key}" for key in meanings.get(name, {}) if key not in known]
+    return gone
 
 
 def main() -> None:
@@ -256,6 +261,8 @@ def main() -> None:
         for name in PAGES:
             page = DOCS / name
             page.write_text(page_text(page.read_text(encoding="utf-8")), encoding="utf-8")
+        for key in left_over():
+            print(f"docs/meanings.yaml: {key}: there is no such setting any more")
     except ConfigError as error:
         sys.exit(f"settings_table: {error}")
 
