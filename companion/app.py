@@ -201,7 +201,7 @@ class App:
         if plan.reference is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
-        controlled = self._controller.step(plan, vehicle, pad, now_s)
+        controlled = self._controller.step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
             self._send_setpoint(*controlled)

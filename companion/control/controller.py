@@ -69,12 +69,20 @@ class Controller:
         self._failures = FAILURES_TO_STOP
 
     def step(
-        self, plan: PlanStep, vehicle: VehicleState, pad: PadState | None, now_s: float
+        self,
+        plan: PlanStep,
+        vehicle: VehicleState,
+        pad: PadState | None,
+        now_s: float,
+        *,
+        obeyed: bool = True,
     ) -> tuple[Setpoint, ControlReport] | None:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
         `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
-        pad is answered by a stop.
+        pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to hear some
+        before it does), each step begins anew from how the vehicle moves: what was asked for in vain
+        explains nothing, and the take-over is without a jump.
         """
         if plan.reference is None:
             self._stepped_s = None
@@ -83,6 +91,9 @@ class Controller:
         self._heading.step(plan.reference.heading_rad, elapsed_s)
         if plan.on_ground:
             return self._rest(plan.reference, pad, now_s)
+        if not obeyed:
+            self._gate.reset()
+            self._flying = False
         if self._flying:
             self._plant.observe(vehicle, elapsed_s)
         else:
