@@ -150,8 +150,9 @@ class Simulation:
         async with asyncio.TaskGroup() as group:
             group.create_task(self._receive())
             while True:
-                # the world is never ahead of the clock: a sample read now must not be of a time to come
-                due_s = self._start_s + (self._ticks + 1) * TICK_S
+                # half a tick early, so that the world is never further from the clock than that: an age of
+                # samples that is off by milliseconds is an attitude that does not fit the frames
+                due_s = self._start_s + (self._ticks + 0.5) * TICK_S
                 await self._clock.sleep_until(due_s)
                 self._latest_tick_s = max(self._latest_tick_s, self._clock.now_s() - due_s)
                 self._tick()

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from companion.control.flight_model import Motion, advance, advance_axis, discretise
+from control_plants import vehicle_config
+
+from companion.control.flight_model import Motion, advance, advance_axis, discretise, lags
 
 TAU_S = 0.18
+LAGS_S = (0.18, 0.12, 0.05)
 
 
 @pytest.mark.parametrize("step_s", [0.005, 0.033, 0.1, 0.5])
@@ -33,9 +36,17 @@ def test_no_time_changes_nothing_and_long_time_reaches_the_input() -> None:
 
 def test_axes_do_not_mix() -> None:
     start = Motion((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), (-1.0, 0.0, 1.0))
-    end = advance(start, (0.5, -0.5, 0.25), 0.2, TAU_S)
+    end = advance(start, (0.5, -0.5, 0.25), 0.2, LAGS_S)
     for axis, u in enumerate((0.5, -0.5, 0.25)):
         alone = advance_axis(
-            (start.position_m[axis], start.velocity_m_s[axis], start.acceleration_m_s2[axis]), u, 0.2, TAU_S
+            (start.position_m[axis], start.velocity_m_s[axis], start.acceleration_m_s2[axis]),
+            u,
+            0.2,
+            LAGS_S[axis],
         )
         assert (end.position_m[axis], end.velocity_m_s[axis], end.acceleration_m_s2[axis]) == alone
+
+
+def test_sideways_it_lags_by_leaning_and_down_by_thrust_alone() -> None:
+    vehicle = vehicle_config(acceleration_time_constant_s=0.11, thrust_time_constant_s=0.04)
+    assert lags(vehicle) == (0.11, 0.11, 0.04)

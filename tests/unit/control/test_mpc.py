@@ -10,11 +10,12 @@ import pytest
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.flight_model import Motion, advance, discretise
 from companion.control.mpc import Mpc, Target
-from companion.control.qp import Layout, axis_cost, axis_costs, constraint_matrix, cost_matrix
+from companion.control.qp import Layout, axis_cost, axis_costs, constraint_matrix, cost_matrix, step_matrices
 from companion.control.target import within_reach
 from companion.geometry import ZERO3, FloatArray, Vector3
 
-TAU_S = 0.18
+TAU_S = 0.11
+LAGS_S = (TAU_S, TAU_S, 0.04)
 CONFIG = ControlConfig()
 N, DT = CONFIG.horizon_steps, CONFIG.step_s
 
@@ -44,14 +45,15 @@ def _batch_inputs(
     last: float,
     first_change: float,
     d: float,
+    axis: int,
 ) -> FloatArray:
     """One axis by least squares over a horizon so long that its end does not matter; no constraints.
 
     start (3,); reference (N + 1, 3), needed (N,): held on after their ends.
     """
     M = N + 200
-    A, B = discretise(DT, TAU_S)
-    w = CONFIG.horizontal
+    A, B = discretise(DT, LAGS_S[axis])
+    w = CONFIG.vertical if axis == 2 else CONFIG.horizontal
     answer = np.zeros((3, M))  # state's answer to each input, built up step by step
     free = start.copy()
     rows, targets = [], []
@@ -76,7 +78,7 @@ def _batch_inputs(
 
 def test_unconstrained_answer_equals_the_batch_solution_over_an_endless_horizon() -> None:
     free = LimitsConfig(jerk_m_s3=200.0)
-    mpc, target = Mpc(CONFIG.model_copy(update={"limits": free}), TAU_S), _curve()
+    mpc, target = Mpc(CONFIG.model_copy(update={"limits": free}), LAGS_S), _curve()
     start = Motion((0.05, -0.1, 0.02), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0))
     disturbance, last = (0.3, -0.2, 0.1), (0.2, 0.1, -0.1)
     solution = mpc.solve(start, target, disturbance, last)
@@ -94,6 +96,7 @@ def test_unconstrained_answer_equals_the_batch_solution_over_an_endless_horizon(
             last=last[axis],
             first_change=float(first_change[axis]),
             d=disturbance[axis],
+            axis=axis,
         )
         np.testing.assert_allclose(solution.inputs_m_s2[:, axis], expected, atol=5e-3)
 
@@ -101,11 +104,11 @@ def test_unconstrained_answer_equals_the_batch_solution_over_an_endless_horizon(
 def test_predicted_states_obey_the_model() -> None:
     start = Motion((0.5, -0.5, 0.3), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0))
     disturbance = (0.3, -0.2, 0.1)
-    solution = Mpc(CONFIG, TAU_S).solve(start, _curve(), disturbance, ZERO3)
+    solution = Mpc(CONFIG, LAGS_S).solve(start, _curve(), disturbance, ZERO3)
     motion = start
     for u, state in zip(solution.inputs_m_s2, solution.states, strict=True):
         push = tuple(u + np.array(disturbance))
-        motion = advance(motion, push, DT, TAU_S)
+        motion = advance(motion, push, DT, LAGS_S)
         flown = (*motion.position_m, *motion.velocity_m_s, *motion.acceleration_m_s2)
         np.testing.assert_allclose(state, flown, atol=5e-3)
 
@@ -116,7 +119,7 @@ def test_a_far_goal_meets_every_bound_and_uses_the_room(direction_deg: float) ->
     angle = math.radians(direction_deg)
     goal = (40.0 * math.cos(angle), 40.0 * math.sin(angle), -20.0)
     config = CONFIG.model_copy(update={"limits": limits})
-    mpc, motion, last = Mpc(config, TAU_S), Motion(ZERO3, ZERO3, ZERO3), ZERO3
+    mpc, motion, last = Mpc(config, LAGS_S), Motion(ZERO3, ZERO3, ZERO3), ZERO3
     fastest = hardest = 0.0
     for k in range(150):
         target = within_reach(_hover_at(goal), motion.position_m, 4.0, 1.2)
@@ -135,15 +138,15 @@ def test_a_far_goal_meets_every_bound_and_uses_the_room(direction_deg: float) ->
         fastest = max(fastest, float(np.hypot(speeds[:, 0], speeds[:, 1]).max()))
         hardest = max(hardest, float(np.hypot(u[:, 0], u[:, 1]).max()))
         last = (float(u[0, 0]), float(u[0, 1]), float(u[0, 2]))
-        motion = advance(motion, last, 1.0 / CONFIG.rate_hz, TAU_S)
+        motion = advance(motion, last, 1.0 / CONFIG.rate_hz, LAGS_S)
     assert fastest > 0.9 * limits.horizontal_speed_m_s
     assert hardest > 0.9 * limits.horizontal_acceleration_m_s2
 
 
 def test_the_floor_holds_against_a_reference_below_it() -> None:
     start = Motion((0.0, 0.0, -1.0), ZERO3, ZERO3)
-    free = Mpc(CONFIG, TAU_S).solve(start, _hover_at((0.0, 0.0, -0.5)), ZERO3, ZERO3)
-    held = Mpc(CONFIG, TAU_S).solve(start, _hover_at((0.0, 0.0, -0.5), -0.6), ZERO3, ZERO3)
+    free = Mpc(CONFIG, LAGS_S).solve(start, _hover_at((0.0, 0.0, -0.5)), ZERO3, ZERO3)
+    held = Mpc(CONFIG, LAGS_S).solve(start, _hover_at((0.0, 0.0, -0.5), -0.6), ZERO3, ZERO3)
     assert free.states[-1, 2] > -0.53
     assert held.solved
     assert held.states[:, 2].max() < -0.6 + 0.015
@@ -158,7 +161,7 @@ def test_the_floor_holds_against_a_reference_below_it() -> None:
     ],
 )
 def test_a_start_beyond_the_bounds_still_has_a_solution_that_goes_back(start: Motion) -> None:
-    mpc, last = Mpc(CONFIG, TAU_S), (9.0, -9.0, 9.0)
+    mpc, last = Mpc(CONFIG, LAGS_S), (9.0, -9.0, 9.0)
     target = within_reach(_hover_at((0.0, 0.0, -2.0), -0.5), start.position_m, 2.0, 0.7)
     for _ in range(10):
         solution = mpc.solve(start, target, ZERO3, last)
@@ -171,7 +174,7 @@ def test_a_start_beyond_the_bounds_still_has_a_solution_that_goes_back(start: Mo
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_bad_numbers_get_the_old_plan_and_do_no_lasting_harm(bad: float) -> None:
     start, target = Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at((0.0, 0.0, -2.0))
-    mpc = Mpc(CONFIG, TAU_S)
+    mpc = Mpc(CONFIG, LAGS_S)
     good = mpc.solve(start, target, ZERO3, ZERO3)
     poisoned = Motion((bad, 0.0, -2.0), ZERO3, ZERO3)
     after = mpc.solve(poisoned, target, ZERO3, ZERO3)
@@ -187,7 +190,7 @@ def test_bad_numbers_get_the_old_plan_and_do_no_lasting_harm(bad: float) -> None
 
 
 def test_the_old_plan_runs_out_into_no_acceleration() -> None:
-    mpc = Mpc(CONFIG, TAU_S)
+    mpc = Mpc(CONFIG, LAGS_S)
     mpc.solve(Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at(ZERO3), ZERO3, ZERO3)
     bad = Motion((math.nan, 0.0, 0.0), ZERO3, ZERO3)
     for _ in range(300):
@@ -196,7 +199,7 @@ def test_the_old_plan_runs_out_into_no_acceleration() -> None:
 
 
 def test_running_out_of_iterations_is_told_and_mended_by_going_on() -> None:
-    mpc = Mpc(ControlConfig(maximum_iterations=50), TAU_S)
+    mpc = Mpc(ControlConfig(maximum_iterations=50), LAGS_S)
     start, target = Motion((2.0, -1.0, -2.7), (2.0, 1.0, 0.5), ZERO3), _hover_at((0.0, 0.0, -2.0))
     solutions = [mpc.solve(start, target, ZERO3, ZERO3) for _ in range(40)]
     assert max(s.iterations for s in solutions) <= 50
@@ -206,11 +209,11 @@ def test_running_out_of_iterations_is_told_and_mended_by_going_on() -> None:
 
 def test_same_inputs_give_bit_identical_outputs() -> None:
     def fly() -> list[bytes]:
-        mpc, motion, last, out = Mpc(CONFIG, TAU_S), Motion((3.0, -2.0, -5.0), ZERO3, ZERO3), ZERO3, []
+        mpc, motion, last, out = Mpc(CONFIG, LAGS_S), Motion((3.0, -2.0, -5.0), ZERO3, ZERO3), ZERO3, []
         for _ in range(40):
             u = mpc.solve(motion, _hover_at((0.0, 0.0, -2.0)), ZERO3, last).inputs_m_s2
             last = (float(u[0, 0]), float(u[0, 1]), float(u[0, 2]))
-            motion = advance(motion, last, 1.0 / 30.0, TAU_S)
+            motion = advance(motion, last, 1.0 / 30.0, LAGS_S)
             out.append(u.tobytes())
         return out
 
@@ -219,7 +222,7 @@ def test_same_inputs_give_bit_identical_outputs() -> None:
 
 def test_a_reset_forgets_the_past() -> None:
     start, target = Motion((3.0, -2.0, -5.0), ZERO3, ZERO3), _hover_at(ZERO3)
-    mpc = Mpc(CONFIG, TAU_S)
+    mpc = Mpc(CONFIG, LAGS_S)
     fresh = mpc.solve(start, target, ZERO3, ZERO3)
     mpc.solve(Motion((-9.0, 0.0, 0.0), ZERO3, ZERO3), target, ZERO3, ZERO3)
     mpc.reset()
@@ -243,9 +246,12 @@ def test_terminal_cost_is_the_riccati_fixed_point() -> None:
 
 def test_matrices_have_the_documented_shape_and_a_convex_cost() -> None:
     layout = Layout(N)
-    P = cost_matrix(axis_costs(CONFIG, TAU_S), N)
+    P = cost_matrix(axis_costs(CONFIG, LAGS_S), N)
     assert P.shape == (layout.variables, layout.variables)
-    assert constraint_matrix(DT, TAU_S, N).shape == (layout.rows()["floor"].stop, layout.variables)
+    assert constraint_matrix(*step_matrices(DT, LAGS_S), N).shape == (
+        layout.rows()["floor"].stop,
+        layout.variables,
+    )
     full = P.toarray()
     full = full + np.triu(full, 1).T
     assert np.linalg.eigvalsh(full).min() > -1e-9
@@ -256,7 +262,7 @@ def test_an_answer_that_is_none_is_not_flown(
     monkeypatch: pytest.MonkeyPatch, status: int, value: float
 ) -> None:
     # OSQP's way of saying "infeasible" is a status and numbers that look like a solution
-    mpc, start, target = Mpc(CONFIG, TAU_S), Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at(ZERO3)
+    mpc, start, target = Mpc(CONFIG, LAGS_S), Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at(ZERO3)
     good = mpc.solve(start, target, ZERO3, ZERO3)
     info = SimpleNamespace(status_val=status, iter=7, prim_res=0.0, dual_res=0.0)
     answer = SimpleNamespace(x=np.full(Layout(N).variables, value), info=info)
