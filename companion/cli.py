@@ -222,8 +222,8 @@ async def _vehicle_flight(config: CompanionConfig, log: FlightLog, view: StatusV
 
 def next_flight_folder(folder: Path) -> Path:
     """A new folder for this flight: numbered, since a Raspberry Pi may not know the date."""
-    numbers = [int(path.name.removeprefix("flight-")) for path in folder.glob("flight-[0-9]*")]
-    return folder / f"flight-{max(numbers, default=0) + 1:04d}"
+    names = [path.name.removeprefix("flight-") for path in folder.glob("flight-*")]
+    return folder / f"flight-{max((int(n) for n in names if n.isdecimal()), default=0) + 1:04d}"
 
 
 # ---------------------------------------------------------------- files

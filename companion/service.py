@@ -17,6 +17,9 @@ class ServiceNotifier:
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if address else None
+        if self._socket is not None:
+            # the control loop calls: a manager that does not read must not hold it up
+            self._socket.setblocking(False)
 
     def ready(self) -> None:
         """The start is done (Type=notify)."""
@@ -39,6 +42,8 @@ class ServiceNotifier:
             return
         try:
             self._socket.sendto(line.encode(), self._address)
+        except BlockingIOError:
+            pass  # it has not read the last ones yet
         except OSError:
             # a manager that went away must not take the vehicle with it
             self._socket = None

@@ -74,7 +74,8 @@ class MavsdkActions:
 
     async def start(self) -> None:
         """Start MAVSDK; it finds the autopilot by what `receive` hands on."""
-        log_subscribe(_pass_log_on)
+        # a connection and its subscriber come one after the other, and MAVSDK warns of what is between
+        log_subscribe(_hush)
         configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
         configuration.system_id = self._session.system_id or 1
         configuration.component_id = self._config.mavsdk_component_id
@@ -87,9 +88,9 @@ class MavsdkActions:
                 loop.call_soon_threadsafe(self._pass_out, data)
 
         # the raw bytes are the plain wrapper's business: the asyncio one does not pass them through
-        # subscribed first: MAVSDK warns of every message that it cannot hand to anyone
-        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
         await self._mavsdk.add_any_connection("raw://")
+        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
+        log_subscribe(_pass_log_on)
 
     def receive(self, data: bytes) -> None:
         """Hand on what the transport received."""
@@ -235,6 +236,11 @@ def _words(error: MavsdkError) -> str:
     """The result's name in words: "command denied"."""
     result = getattr(error, "result", None)
     return str(error) if result is None else str(result.name).lower().replace("_", " ")
+
+
+def _hush(level: LogLevel, message: str, file: str | None, line: int) -> bool:
+    """Drops a log line of MAVSDK's."""
+    return True
 
 
 def _pass_log_on(level: LogLevel, message: str, file: str | None, line: int) -> bool:

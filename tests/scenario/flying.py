@@ -45,13 +45,13 @@ class Flown:
         return self.result
 
 
-def run(*arguments: str | Path, result: Path | None = None) -> Flown:
-    """Run `companion` with these arguments to its end."""
+def run(*arguments: str | Path, result: Path | None = None, variables: dict[str, str] | None = None) -> Flown:
+    """Run `companion` with these arguments (and environment variables) to its end."""
     words = tuple(str(argument) for argument in arguments)
     done = subprocess.run(
         (*COMMAND, *words),
         cwd=ROOT,
-        env=environment(),
+        env=environment() | (variables or {}),
         capture_output=True,
         text=True,
         timeout=FLIGHT_TIMEOUT_S,

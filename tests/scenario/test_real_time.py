@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 import subprocess
+import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+import yaml
+from pymavlink import mavutil
 
-from tests.scenario.flying import Flown, alive, children, run, started, wait_for_line
+from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
 LATE = "too busy a machine for real time"
@@ -65,8 +71,6 @@ def test_a_stop_in_flight_hands_the_vehicle_back(number: signal.Signals, tmp_pat
 
 def handed_back(path: Path) -> bool:
     """Whether the autopilot's last mode was its own hold (PX4: AUTO.LOITER)."""
-    from pymavlink import mavutil
-
     log = mavutil.mavlink_connection(str(path))
     mode = None
     while (message := log.recv_match(type="HEARTBEAT")) is not None:
@@ -94,3 +98,27 @@ def test_a_simulator_that_crashes_ends_the_flight_in_one_line(tmp_path: Path) ->
     assert words == "companion: the simulator ended in flight: no reason given\n"
     # what was logged up to then is there to be looked at
     assert (tmp_path / "flight.mcap").stat().st_size > 0
+
+
+def test_the_vehicle_s_own_command_flies_from_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
+    simulator = subprocess.Popen(
+        (sys.executable, "-m", "sitl.server", "--scenario", "static", "--folder", str(tmp_path)),
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with simulator, closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as manager:
+        assert simulator.stdout is not None
+        settings = tmp_path / "companion.yaml"
+        settings.write_text(yaml.safe_dump(json.loads(simulator.stdout.readline())))
+        manager.bind(str(tmp_path / "notify"))
+        # nobody reads it meanwhile: a service manager that hangs must not hold up a flight
+        os_variables = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        flown = run("--no-ui", "--config", settings, "--record", tmp_path / "flights", variables=os_variables)
+        assert flown.code == 0, flown
+        assert {manager.recv(1000) for _ in range(3)} >= {b"READY=1", b"WATCHDOG=1"}
+        assert simulator.stdin is not None
+        simulator.stdin.close()
+        assert simulator.wait(timeout=10.0) == 0
+    assert (tmp_path / "flights" / "flight-0001" / "flight.mcap").stat().st_size > 0

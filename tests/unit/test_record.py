@@ -116,3 +116,15 @@ def test_schemas_name_every_field_with_its_kind() -> None:
     assert properties["aligned"] == {"type": "boolean"}
     assert schema_of(PadSighting)["properties"]["marker_count"] == {"type": "object"}
     assert schema_of(PlanStep)["properties"]["phase"] == {"type": "string"}
+
+
+def test_a_log_of_no_flight_leaves_nothing_behind(tmp_path: Path) -> None:
+    folder = tmp_path / "flight"
+    FlightLog(folder, 0.0).discard()
+    assert not folder.exists()
+
+
+def test_what_others_have_put_into_the_folder_stays(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("windy")
+    FlightLog(tmp_path, 0.0).discard()
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

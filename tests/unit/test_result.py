@@ -1,6 +1,7 @@
 """The result contract and the plots, from a small made-up flight whose errors are known."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from companion.messages import (
     VehicleState,
 )
 from companion.report import result_table, write_plots
-from companion.result import Result, TruthTrack, build_result, latency, phase_times
+from companion.result import Result, TruthTrack, build_result, from_start, latency, phase_times
 
 STEP_S = 0.02
 END_S = 10.0
@@ -192,3 +193,15 @@ def test_the_table_shows_what_was_measured_beside_what_passes() -> None:
 def test_a_truth_track_needs_two_records() -> None:
     with pytest.raises(ValueError, match="at least two"):
         TruthTrack([truth_at(0.0)])
+
+
+def test_times_count_from_the_first_plan_whatever_the_clock_said() -> None:
+    start_s = 4000.0
+    plan = PlanStep(start_s, Phase.CONNECT, None)
+    pad = replace(pad_at(3.0, 0.0), time_s=start_s + 3.0, seen_time_s=start_s + 2.9)
+    truth = [replace(truth_at(t), time_s=start_s - 0.5 + t) for t in (0.0, 1.0)]
+    kept, records = from_start({"plan": [plan], "pad": [pad]}, truth)
+    assert kept["plan"][0].time_s == 0.0
+    assert kept["pad"][0].time_s == 3.0
+    assert kept["pad"][0].seen_time_s == pytest.approx(2.9)
+    assert [record.time_s for record in records] == [-0.5, 0.5]
