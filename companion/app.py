@@ -108,7 +108,7 @@ class App:
         )
         self._controller = Controller(config.control, vehicle)
         self.session = Session(config.link)
-        self._actions = make_actions(self.session, self._send, self._clock, config.link)
+        self._actions = make_actions(self.session, self._send, self._clock, config)
         self._action_queue: asyncio.Queue[Action] = asyncio.Queue()
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()

@@ -506,7 +506,10 @@ class LinkConfig(StrictModel):
     the vehicle's and so ours; 0 takes the first autopilot heard. `component_id` is ours; MAVSDK, which speaks
     beside us, is another component. `force_disarm` allows disarming by force after a
     touchdown that several signs have confirmed for seconds while the autopilot's land detector still
-    believes itself in the air, as it may on a pad that moves; never elsewhere.
+    believes itself in the air, as it may on a pad that moves; never elsewhere. The pad's beacon is taken from
+    `ground_system_id` alone, and only when it is not faster than `maximum_pad_speed_m_s`. `set_parameters`
+    allows setting the one autopilot parameter that we need: bit 3 of ArduPilot's GUID_OPTIONS, for attitude
+    setpoints; without it control is refused while the bit is missing.
     """
 
     connection: str = "udpin:127.0.0.1:14540"
@@ -515,10 +518,12 @@ class LinkConfig(StrictModel):
     component_id: int = Field(default=191, ge=2, le=255)
     mavsdk_component_id: int = Field(default=192, ge=2, le=255)
     ground_system_id: int = Field(default=255, ge=1, le=255)
+    maximum_pad_speed_m_s: float = Field(default=8.0, gt=0.0, le=30.0)
     heartbeat_timeout_s: float = Field(default=3.0, ge=1.0, le=30.0)
     command_patience_s: float = Field(default=0.5, ge=0.1, le=5.0)
     command_tries: int = Field(default=4, ge=1, le=10)
     force_disarm: bool = True
+    set_parameters: bool = False
 
     @field_validator("connection")
     @classmethod

@@ -33,8 +33,7 @@ from companion.config import (
     merge,
     validate,
 )
-from companion.hardware import Hardware, make_actions, open_hardware
-from companion.link.actions import PymavlinkActions
+from companion.hardware import Hardware, make_actions, make_own_actions, open_hardware
 from companion.link.transport import memory_pair
 from companion.messages import Phase
 from companion.record import FlightLog
@@ -194,7 +193,7 @@ async def _virtual_flight(
         deliver_frame=frames.deliver,
     )
     hardware = Hardware(app_end, simulation.imu_bus, gps_line.app, range_line.app, frames)
-    app = App(config, hardware, log, PymavlinkActions, on_status)
+    app = App(config, hardware, log, make_own_actions, on_status)
     started_s = wall_clock_s()
     world = asyncio.create_task(simulation.run())
     try:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.clock import Clock
-from companion.config import CameraConfig, CompanionConfig, LinkConfig, find_file, load_model
+from companion.config import CameraConfig, CompanionConfig, find_file, load_model
 from companion.link.actions import PymavlinkActions, VehicleActions
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
@@ -17,7 +17,7 @@ from companion.sense.camera import FrameSource, open_camera
 from companion.sense.i2c import RegisterBus, open_bus
 from companion.sense.serial_port import SerialPort
 
-ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, LinkConfig], VehicleActions]
+ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], VehicleActions]
 
 
 class BytePort(Protocol):
@@ -57,7 +57,9 @@ async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
     gps, range_ = config.sense.gps, config.sense.range
     with ExitStack() as opened:
-        transport = opened.enter_context(closing(await open_transport(config.link.connection)))
+        transport = opened.enter_context(
+            closing(await open_transport(config.link.connection, config.link.system_id))
+        )
         imu_bus = opened.enter_context(closing(open_bus(config.sense.imu.bus)))
         gps_port = opened.enter_context(closing(SerialPort(gps.port, gps.baud)))
         range_port = opened.enter_context(closing(SerialPort(range_.port, range_.baud)))
@@ -66,8 +68,19 @@ async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
 
 
 def make_actions(
-    session: Session, send: Callable[[bytes], None], clock: Clock, config: LinkConfig
+    session: Session, send: Callable[[bytes], None], clock: Clock, config: CompanionConfig
 ) -> VehicleActions:
     """Actions by what `link.actions` names."""
-    kind = MavsdkActions if config.actions == "mavsdk" else PymavlinkActions
-    return kind(session, send, clock, config)
+    kind = MavsdkActions if config.link.actions == "mavsdk" else PymavlinkActions
+    return kind(session, send, clock, config.link, attitude_setpoints=_sends_attitudes(config))
+
+
+def make_own_actions(
+    session: Session, send: Callable[[bytes], None], clock: Clock, config: CompanionConfig
+) -> VehicleActions:
+    """Actions by our own session whatever is named, for virtual time."""
+    return PymavlinkActions(session, send, clock, config.link, attitude_setpoints=_sends_attitudes(config))
+
+
+def _sends_attitudes(config: CompanionConfig) -> bool:
+    return config.control.setpoint == "attitude"

@@ -196,6 +196,7 @@ class AutopilotState:
     offboard: bool = False
     ready_to_arm: bool = False
     landed: LandedState = LandedState.UNDEFINED
+    landed_time_s: float = float("-inf")
     attitude: Quaternion | None = None
     attitude_time_s: float = float("-inf")
     position_ned_m: Vector3 | None = None

@@ -18,8 +18,8 @@ from typing import Any, Final, Literal
 
 from pymavlink.dialects.v20 import common
 
-from companion.geometry import IDENTITY, ZERO3, Vector3, vector3
-from companion.messages import PadBeacon, Setpoint
+from companion.geometry import ZERO3, Vector3
+from companion.messages import Setpoint
 
 mavlink: Any = common
 Message = Any
@@ -168,6 +168,35 @@ def _check_sum_is_right(frame: bytearray, message_id: int) -> bool:
     return bool(mavlink.x25crc(covered).crc == int.from_bytes(frame[end : end + _CRC_BYTES], "little"))
 
 
+# ---------------------------------------------------------------- what bytes hold
+
+_COMMANDS: Final = (
+    mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
+    mavlink.MAVLINK_MSG_ID_COMMAND_INT,
+    mavlink.MAVLINK_MSG_ID_SET_MODE,
+)
+
+
+def is_autopilot_heartbeat(message: Message) -> bool:
+    """Whether it is the HEARTBEAT of a flight controller: not a camera's, a ground station's or ours."""
+    return bool(
+        message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        and message.get_srcComponent() == AUTOPILOT_COMPONENT
+        and message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+    )
+
+
+def has_autopilot_heartbeat(data: bytes, system_id: int) -> bool:
+    """Whether whole frames in `data` hold an autopilot's heartbeat, of that system (0: of any)."""
+    messages = Codec(system_id, wanted=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,)).decode(data)
+    return any(is_autopilot_heartbeat(m) and system_id in (0, m.get_srcSystem()) for m in messages)
+
+
+def has_command(data: bytes) -> bool:
+    """Whether whole frames in `data` hold a command or change a mode."""
+    return bool(Codec(0, wanted=_COMMANDS).decode(data))
+
+
 # ---------------------------------------------------------------- messages we build
 
 
@@ -247,42 +276,3 @@ def command_int(
         target_system, target_component, mavlink.MAV_FRAME_GLOBAL, command, 0, 0,
         *filled, latitude_e7, longitude_e7, position[2],
     )  # fmt: skip
-
-
-# ---------------------------------------------------------------- the pad's beacon
-
-_HAS_POSITION: Final = 0b01
-_HAS_VELOCITY: Final = 0b10
-_UNKNOWN_BEACON_STD_M: Final = 5.0
-
-
-def follow_target(beacon: PadBeacon) -> Message:
-    """FOLLOW_TARGET of a pad's own GPS, as the ground station sends it, stamped with its own time."""
-    return mavlink.MAVLink_follow_target_message(
-        int(beacon.time_s * 1000.0), _HAS_POSITION | _HAS_VELOCITY,
-        round(beacon.latitude_deg * 1e7), round(beacon.longitude_deg * 1e7), beacon.altitude_m,
-        list(beacon.velocity_ned_m_s), list(ZERO3), list(IDENTITY), list(ZERO3),
-        [beacon.position_std_m, beacon.position_std_m, beacon.position_std_m], 0,
-    )  # fmt: skip
-
-
-def pad_beacon(message: Message, time_s: float) -> PadBeacon | None:
-    """The beacon in a FOLLOW_TARGET that came at `time_s`; None when it holds no position.
-
-    The sender's clock is not ours, so the time of arrival counts. An accuracy that is not given is 5 m.
-    """
-    if not message.est_capabilities & _HAS_POSITION or (message.lat == 0 and message.lon == 0):
-        return None
-    velocity = tuple(message.vel) if message.est_capabilities & _HAS_VELOCITY else ZERO3
-    std_m = max(message.position_cov[:2])
-    values = (*velocity, message.alt, std_m)
-    if not all(math.isfinite(value) for value in values):
-        return None
-    return PadBeacon(
-        time_s=time_s,
-        latitude_deg=message.lat * 1e-7,
-        longitude_deg=message.lon * 1e-7,
-        altitude_m=message.alt,
-        velocity_ned_m_s=vector3(velocity),
-        position_std_m=std_m if std_m > 0.0 else _UNKNOWN_BEACON_STD_M,
-    )

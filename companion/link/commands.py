@@ -2,11 +2,13 @@
 
 MAVLink's command protocol: COMMAND_LONG or COMMAND_INT is answered by COMMAND_ACK of the same number;
 without an answer it is repeated with `confirmation` counted up; IN_PROGRESS means wait. Two commands of the
-same number to the same target cannot be told apart by their answers, so they go one after the other.
+same number to the same target cannot be told apart by their answers, so they go one after the other; after a
+withdrawn one the next answer is taken for its answer, as long as that may still come.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
@@ -21,6 +23,7 @@ from companion.link.codec import (
 )
 
 NO_ANSWER: Final = "no answer"
+WITHDRAWN: Final = "withdrawn"
 _IN_PROGRESS_S: Final = 3.0
 
 
@@ -61,7 +64,7 @@ def set_message_interval(message_id: int, rate_hz: float, target_system: int) ->
     return Command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, parameters, target_system=target_system)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Pending:
     """A command under way. `outcome` is None until it ends: "accepted", "denied", ... or "no answer"."""
 
@@ -86,29 +89,35 @@ class CommandQueue:
         self._patience_s = patience_s
         self._tries = tries
         self._queues: dict[_Key, deque[Pending]] = {}
+        self._answer_to_withdrawn_until_s: dict[_Key, float] = {}
 
     def submit(self, command: Command) -> Pending:
         """Queue a command; `to_send` sends it."""
         pending = Pending(command)
-        key = (command.target_system, command.number)
-        self._queues.setdefault(key, deque()).append(pending)
+        self._queues.setdefault(_key(command), deque()).append(pending)
         return pending
 
     def withdraw(self, pending: Pending) -> None:
         """Send it no more; it ends as "withdrawn"."""
-        if pending.outcome is None:
-            self._end(pending, "withdrawn")
+        if pending.outcome is not None:
+            return
+        if pending.tries:
+            self._answer_to_withdrawn_until_s[_key(pending.command)] = pending.due_s
+        self._end(pending, WITHDRAWN)
 
     def is_under_way(self, command: Command) -> bool:
         """Whether the very same command waits already."""
-        queue = self._queues.get((command.target_system, command.number), ())
+        queue = self._queues.get(_key(command), ())
         return any(pending.command == command for pending in queue)
 
     def acknowledged(self, message: Message, us: tuple[int, int], now_s: float) -> None:
         """Take a COMMAND_ACK; one meant for another component on the link is left alone."""
         target = (message.target_system, message.target_component)
-        queue = self._queues.get((message.get_srcSystem(), message.command))
-        if not queue or (target not in {us, (us[0], 0), (0, 0)}):
+        key = (message.get_srcSystem(), message.command)
+        if target not in {us, (us[0], 0), (0, 0)} or self._is_to_withdrawn(key, now_s):
+            return
+        queue = self._queues.get(key)
+        if not queue:
             return
         pending = queue[0]
         if pending.tries == 0:
@@ -134,13 +143,21 @@ class CommandQueue:
                 pending.due_s = now_s + self._patience_s
         return messages
 
+    def _is_to_withdrawn(self, key: _Key, now_s: float) -> bool:
+        """Whether an answer is a withdrawn command's; wrongly so costs one repeat, wrongly not a command."""
+        return now_s < self._answer_to_withdrawn_until_s.pop(key, -math.inf)
+
     def _end(self, pending: Pending, outcome: str) -> None:
         pending.outcome = outcome
-        key = (pending.command.target_system, pending.command.number)
+        key = _key(pending.command)
         queue = self._queues[key]
         queue.remove(pending)
         if not queue:
             del self._queues[key]
+
+
+def _key(command: Command) -> _Key:
+    return (command.target_system, command.number)
 
 
 def _result_name(result: int) -> str:

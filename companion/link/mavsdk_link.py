@@ -3,7 +3,8 @@
 MAVSDK has no socket: through its `raw://` connection it gets every byte that we receive, and what it wants
 sent goes out through our transport. It speaks as a component of its own beside ours
 (`link.mavsdk_component_id`), with its own sequence numbers, so that neither the autopilot's answers nor its
-loss count mix the two up.
+loss count mix the two up. Its calls and their repeats cannot be stopped once begun: after `cancel` none of
+its commands leaves our transport until those calls have ended; what may not wait goes out as our own.
 
 It is never given a setpoint, and control is taken by our own mode command: once its offboard plugin runs,
 its thread repeats the last setpoint at 20 Hz though the program that made it has stopped. No telemetry is
@@ -16,7 +17,7 @@ import asyncio
 import contextlib
 import logging
 import math
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any, Final, TypeVar
 
 from mavsdk import LogLevel, log_subscribe
@@ -28,7 +29,9 @@ from mavsdk.plugins.param import ParamError, ParamResult
 
 from companion.clock import Clock
 from companion.config import ConfigError, LinkConfig
-from companion.link.actions import PymavlinkActions, Refused, perform_with
+from companion.link.actions import PymavlinkActions
+from companion.link.codec import has_command
+from companion.link.performing import Handler, Performances, Refused
 from companion.link.session import Session
 from companion.messages import Action, ActionKind, ActionResult
 
@@ -48,7 +51,13 @@ class MavsdkActions:
     """`VehicleActions` by MAVSDK, in real time only: it has a clock and threads of its own."""
 
     def __init__(
-        self, session: Session, send: Callable[[bytes], None], clock: Clock, config: LinkConfig
+        self,
+        session: Session,
+        send: Callable[[bytes], None],
+        clock: Clock,
+        config: LinkConfig,
+        *,
+        attitude_setpoints: bool,
     ) -> None:
         if clock.virtual:
             raise ConfigError("link.actions: mavsdk cannot run in virtual time; expected pymavlink")
@@ -56,12 +65,14 @@ class MavsdkActions:
         self._send = send
         self._clock = clock
         self._config = config
-        self._own = PymavlinkActions(session, send, clock, config)
+        self._own = PymavlinkActions(session, send, clock, config, attitude_setpoints=attitude_setpoints)
+        self._performances = Performances(session, clock)
         self._mavsdk: Any = None
         self._action: Any = None
         self._param: Any = None
         self._calls: set[asyncio.Future[Any]] = set()
-        self._handlers: dict[ActionKind, Callable[[Action], Awaitable[None]]] = {
+        self._withdrawn_calls: set[asyncio.Future[Any]] = set()
+        self._handlers: dict[ActionKind, Handler] = {
             ActionKind.ARM: self._arm,
             ActionKind.TAKE_OFF: self._take_off,
             ActionKind.GO_TO: self._go_to,
@@ -99,7 +110,13 @@ class MavsdkActions:
 
     async def perform(self, action: Action) -> ActionResult:
         """See `VehicleActions`."""
-        return await perform_with(self._handlers[action.kind], action, self._session, self._clock)
+        return await self._performances.perform(self._handlers[action.kind], action)
+
+    def cancel(self) -> None:
+        """See `VehicleActions`."""
+        self._withdrawn_calls |= self._calls
+        self._own.cancel()
+        self._performances.cancel()
 
     async def close(self) -> None:
         """Wait for the calls under way (MAVSDK gives up by itself), then end its threads."""
@@ -150,10 +167,11 @@ class MavsdkActions:
 
     async def _arm(self, action: Action) -> None:
         await self._connect()
-        if self._own.manner() == "ardupilot":
-            await self._own.set_mode("GUIDED")  # it takes off in this mode only
+        await self._own.require_thrust()
+        if self._own.dialogue.manner() == "ardupilot":
+            await self._own.dialogue.set_mode("GUIDED")  # it takes off in this mode only
         await self._try(self._action.arm())
-        await self._own.confirm(lambda: self._session.state.armed, "armed")
+        await self._own.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
     async def _take_off(self, action: Action) -> None:
         await self._connect()
@@ -171,7 +189,7 @@ class MavsdkActions:
         try:
             await self._connect()
             await self._try(self._action.hold())
-            self._own.ask_for_heartbeat()
+            self._own.dialogue.ask_for_heartbeat()
         except Refused:
             await self._own.hold(action)
 
@@ -180,7 +198,7 @@ class MavsdkActions:
         try:
             await self._connect()
             await self._try(self._action.land())
-            self._own.ask_for_heartbeat()
+            self._own.dialogue.ask_for_heartbeat()
         except Refused:
             await self._own.land(action)
 
@@ -189,17 +207,23 @@ class MavsdkActions:
         try:
             await self._connect()
             await self._try(self._action.disarm())
-            await self._own.confirm(lambda: not self._session.state.armed, "disarmed")
+            await self._own.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
         except Refused:
             await self._own.disarm(action)
 
     # ------------------------------------------------------------ MAVSDK
 
     async def _connect(self) -> None:
-        """Make the plugins once MAVSDK has found the autopilot."""
+        """Make the plugins once MAVSDK has found the autopilot.
+
+        Raises:
+            Refused: it has not, or it is still busy with what was withdrawn.
+        """
         if self._mavsdk is None:
             raise Refused("MAVSDK is not running")
-        self._own.manner()
+        if self._withdrawn_calls:
+            raise Refused("MAVSDK is still busy with what was withdrawn")
+        self._own.dialogue.manner()
         if self._action is not None:
             return
         system = await self._call(self._mavsdk.first_autopilot(_DISCOVERY_S))
@@ -224,12 +248,14 @@ class MavsdkActions:
 
     def _forget_call(self, future: asyncio.Future[Any]) -> None:
         self._calls.discard(future)
+        self._withdrawn_calls.discard(future)
         if not future.cancelled():
             future.exception()  # looked at here, in case nobody waits for it any more
 
     def _pass_out(self, data: bytes) -> None:
-        if self._mavsdk is not None:
-            self._send(data)
+        if self._mavsdk is None or (self._withdrawn_calls and has_command(data)):
+            return
+        self._send(data)
 
 
 def _words(error: MavsdkError) -> str:

@@ -46,6 +46,12 @@ CONTROL_MODE: Final[dict[Manner, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDE
 HOLD_MODE: Final[dict[Manner, str]] = {"px4": "AUTO.LOITER", "ardupilot": "BRAKE"}
 LAND_MODE: Final[dict[Manner, str]] = {"px4": "AUTO.LAND", "ardupilot": "LAND"}
 
+# flown by hand: once one of these is heard, the vehicle is somebody else's
+STICK_MODES: Final[dict[Manner, frozenset[str]]] = {
+    "px4": frozenset({"MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED"}),
+    "ardupilot": frozenset({"STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "POSHOLD"}),
+}
+
 _PX4_NAMES: Final = {(main << 16) | (sub << 24): name for name, (main, sub) in PX4_MODES.items()}
 _ARDUCOPTER_NAMES: Final = {number: name for name, number in ARDUCOPTER_MODES.items()}
 

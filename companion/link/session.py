@@ -2,7 +2,8 @@
 
 `receive` takes what came; `tick` returns what is due (call it after every `receive` and at 20 Hz or more):
 heartbeats, clock synchronisation, rate requests, commands and their repeats. Only one autopilot is believed:
-component 1 of `config.system_id`, or the first one heard when that is 0. A pad's beacon may come from anyone.
+component 1 of `config.system_id`, or the first one heard when that is 0. A pad's beacon leads the vehicle, so
+it is taken from the ground station of `config.ground_system_id` alone.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ from companion.config import LinkConfig
 from companion.geometry import Quaternion
 from companion.link import codec
 from companion.link.alignment import HeadingAlignment
+from companion.link.beacon import pad_beacon
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
+from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import TelemetryRates
 from companion.link.telemetry import StatusTexts, add_text, update_state
 from companion.link.timesync import TimeSync, clock_ns
-from companion.messages import AutopilotState, PadBeacon, Setpoint
+from companion.messages import AutopilotState, LandedState, PadBeacon, Setpoint
 
 HEARD: Final = frozenset(
     {
@@ -36,6 +39,7 @@ HEARD: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
         mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
     }
 )
 _STAMPED: Final = frozenset(
@@ -52,6 +56,7 @@ _TIMESYNC_AT_START_S: Final = 0.1
 _TIMESYNC_START_COUNT: Final = 10
 _HOME_S: Final = 2.0
 _OLDEST_STAMP_S: Final = 1.0  # a stamp older than this, or of the future, is not believed
+_OLDEST_LANDED_S: Final = 1.5  # asked for at 5 Hz; an old "on the ground" is no sign of a touchdown
 
 
 class Session:
@@ -64,10 +69,12 @@ class Session:
         self.timesync = TimeSync()
         self.texts_heard = 0
         self.stranger: int | None = None
+        self.beacon_stranger: int | None = None
         self._config = config
         self._system_id = config.system_id
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=HEARD)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
+        self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
         self._replies: list[Message] = []
@@ -95,7 +102,7 @@ class Session:
         for message in self._codec.decode(data):
             message_id = message.get_msgId()
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
-                self.beacon = codec.pad_beacon(message, now_s) or self.beacon
+                self._hear_beacon(message, now_s)
             elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
                 us = (self._codec.system_id, self._codec.component_id)
                 self._commands.acknowledged(message, us, now_s)
@@ -109,14 +116,20 @@ class Session:
         system_id = message.get_srcSystem()
         if system_id == self._system_id:
             return True
-        is_heartbeat = message.get_msgId() == mavlink.MAVLINK_MSG_ID_HEARTBEAT
-        if not is_heartbeat or message.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+        if not codec.is_autopilot_heartbeat(message):
             return False
         if self._system_id == 0:
             self._system_id = self._codec.system_id = system_id
             return True
         self.stranger = system_id
         return False
+
+    def _hear_beacon(self, message: Message, now_s: float) -> None:
+        sender: int = message.get_srcSystem()
+        if sender == self._config.ground_system_id:
+            self.beacon = pad_beacon(message, now_s, self._config.maximum_pad_speed_m_s) or self.beacon
+        else:
+            self.beacon_stranger = sender
 
     def _hear_autopilot(self, message: Message, message_id: int, now_s: float) -> None:
         self._rates.heard(message_id)
@@ -126,6 +139,8 @@ class Session:
                 self.texts_heard += 1
         elif message_id == mavlink.MAVLINK_MSG_ID_TIMESYNC:
             self._hear_timesync(message, now_s)
+        elif message_id == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
+            self._parameters.heard(message)
         else:
             if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
                 self._heartbeat_heard_s = now_s
@@ -154,6 +169,7 @@ class Session:
     def tick(self, now_s: float) -> bytes:
         """What is due to be sent now, as bytes; often empty."""
         self._watch_connection(now_s)
+        self._watch_landed(now_s)
         messages, self._replies = self._replies, []
         if now_s >= self._heartbeat_due_s:
             self._heartbeat_due_s = now_s + _HEARTBEAT_S
@@ -161,6 +177,7 @@ class Session:
         if self.state.connected:
             self._synchronise(messages, now_s)
             self._ask(now_s)
+            messages += self._parameters.to_send(now_s, self._system_id)
         messages += self._commands.to_send(now_s)
         return b"".join(self._codec.encode(message) for message in messages)
 
@@ -185,14 +202,46 @@ class Session:
         """Start a command; `tick` sends it, `Pending.outcome` tells its end."""
         return self._commands.submit(command)
 
-    def withdraw(self, pending: Pending) -> None:
-        """Stop repeating a command nobody waits for any more."""
-        self._commands.withdraw(pending)
+    def read_parameter(self, name: str) -> ParameterRequest:
+        """Ask for an ArduPilot's parameter; `tick` sends it while the autopilot is heard."""
+        return self._request_parameter(ParameterRequest(name))
+
+    def set_parameter(self, name: str, value: float) -> ParameterRequest:
+        """Set an ArduPilot's integer parameter, likewise."""
+        return self._request_parameter(ParameterRequest(name, wanted=value))
+
+    def withdraw(self, pending: Pending | ParameterRequest) -> None:
+        """Stop repeating what nobody waits for any more."""
+        if isinstance(pending, ParameterRequest):
+            self._parameters.withdraw(pending)
+        else:
+            self._commands.withdraw(pending)
+
+    def _request_parameter(self, request: ParameterRequest) -> ParameterRequest:
+        self._parameters.submit(request)
+        return request
+
+    def _watch_landed(self, now_s: float) -> None:
+        """Where it stood or flew a while ago says nothing of now."""
+        state = self.state
+        if state.landed is not LandedState.UNDEFINED and now_s - state.landed_time_s > _OLDEST_LANDED_S:
+            self.state = replace(state, time_s=now_s, landed=LandedState.UNDEFINED)
 
     def _watch_connection(self, now_s: float) -> None:
+        """Forget, at a loss, all that may have changed unseen; mode and armed stay as last heard.
+
+        They hold nothing without `connected`; "disarmed" or another mode made up here would be news of a
+        landing or of a pilot.
+        """
         lost = now_s - self._heartbeat_heard_s > self._config.heartbeat_timeout_s
         if self.state.connected and lost:
-            self.state = replace(self.state, time_s=now_s, connected=False, ready_to_arm=False)
+            self.state = replace(
+                self.state,
+                time_s=now_s,
+                connected=False,
+                ready_to_arm=False,
+                landed=LandedState.UNDEFINED,
+            )
             self.timesync.forget()
             self._rates.forget()
             self._syncs_sent = 0

@@ -101,7 +101,8 @@ def _sys_status(state: AutopilotState, message: Message, time_s: float) -> Autop
 
 
 def _extended_sys_state(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
-    return replace(state, time_s=time_s, landed=_LANDED.get(message.landed_state, LandedState.UNDEFINED))
+    landed = _LANDED.get(message.landed_state, LandedState.UNDEFINED)
+    return replace(state, time_s=time_s, landed=landed, landed_time_s=time_s)
 
 
 def _attitude(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:

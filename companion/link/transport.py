@@ -7,17 +7,23 @@ is worse than none. `read` gives what came, one byte or more, and raises OSError
 from __future__ import annotations
 
 import asyncio
+import logging
+import math
 import os
 from collections import deque
 from typing import Final, Protocol
 
 import serial
 
+from companion.clock import Clock
 from companion.config import CONNECTION_FORM, ConfigError
+from companion.link.codec import has_autopilot_heartbeat
 
 _READ_QUEUE_BYTES: Final = 1 << 16
 _WRITE_QUEUE_BYTES: Final = 2048  # 0.36 s of a line at 57600 baud
 _READ_BYTES: Final = 4096
+_PEER_SILENCE_S: Final = 3.0
+_log = logging.getLogger(__name__)
 
 
 class Transport(Protocol):
@@ -110,9 +116,18 @@ def memory_pair(latency_s: float = 0.002) -> tuple[MemoryTransport, MemoryTransp
 
 
 class UdpTransport(asyncio.DatagramProtocol):
-    """UDP: calling a fixed peer, or listening and answering whoever spoke last. Made by `open_transport`."""
+    """UDP: calling a fixed peer, or listening for one. Made by `open_transport`.
 
-    def __init__(self) -> None:
+    A listener's peer is the first address that an autopilot's heartbeat comes from (of `system_id`; 0: of
+    any). Others are neither heard nor answered, or setpoints would go to whoever spoke last; once the peer
+    has been silent for 3 s, as when a router has restarted at another port, the next such address follows.
+    """
+
+    def __init__(self, system_id: int = 0) -> None:
+        self._clock = Clock()
+        self._system_id = system_id
+        self._peer_heard_s = -math.inf
+        self.strangers = 0
         self._inbox = _Inbox()
         self._socket: asyncio.DatagramTransport | None = None
         self._peer: tuple[str, int] | None = None
@@ -134,7 +149,12 @@ class UdpTransport(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """asyncio: a datagram came."""
-        self._peer = addr
+        now_s = self._clock.now_s()
+        # a calling socket is connected: the system passes on what the peer sent and nothing else
+        if not self._calls and addr != self._peer and not self._may_follow(data, now_s):
+            self._ignore(addr)
+            return
+        self._peer, self._peer_heard_s = addr, now_s
         self._inbox.put(data)
 
     def error_received(self, exc: Exception) -> None:
@@ -161,6 +181,17 @@ class UdpTransport(asyncio.DatagramProtocol):
         """See `Transport`."""
         if self._socket is not None:
             self._socket.close()
+
+    def _may_follow(self, data: bytes, now_s: float) -> bool:
+        """Whether who sent this may be the peer from now on."""
+        silent = now_s - self._peer_heard_s > _PEER_SILENCE_S
+        return silent and has_autopilot_heartbeat(data, self._system_id)
+
+    def _ignore(self, address: tuple[str, int]) -> None:
+        self.strangers += 1
+        if self.strangers == 1:
+            wanted = f"of system {self._system_id}" if self._system_id else "of an autopilot"
+            _log.warning("link: %s:%d is not heard: no heartbeat %s", *address[:2], wanted)
 
 
 class SerialTransport:
@@ -236,8 +267,10 @@ class SerialTransport:
             self._port.close()
 
 
-async def open_transport(spec: str) -> Transport:
+async def open_transport(spec: str, system_id: int = 0) -> Transport:
     """Open `serial:PATH:BAUD`, `udp:HOST:PORT` (we call) or `udpin:HOST:PORT` (we listen).
+
+    A listener takes the autopilot of `system_id` for its peer; 0 takes the first one heard.
 
     Raises:
         ConfigError: the form is none of these, or the port cannot be opened; one line that says why.
@@ -250,7 +283,7 @@ async def open_transport(spec: str) -> Transport:
     try:
         if form["path"] is not None:
             return SerialTransport(form["path"], int(form["baud"]))
-        transport = UdpTransport()
+        transport = UdpTransport(system_id)
         await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
     except (OSError, ValueError, OverflowError) as error:
         raise ConfigError(f"link.connection: {spec}: {_reason(error)}") from error

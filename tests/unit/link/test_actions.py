@@ -11,7 +11,8 @@ import pytest
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import LinkConfig
 from companion.link.actions import PymavlinkActions
-from companion.link.codec import Codec, follow_target, mavlink
+from companion.link.beacon import follow_target
+from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
 from companion.link.transport import Transport, memory_pair
 from companion.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
@@ -55,6 +56,7 @@ def fly(
     config: LinkConfig | None = None,
     ground: Answer | None = None,
     settle_s: float = 1.5,
+    attitude_setpoints: bool = False,
 ) -> list[ActionResult]:
     """Connect, let the telemetry settle, and run a story of actions."""
 
@@ -62,7 +64,9 @@ def fly(
         clock, settings = Clock(), config or LinkConfig()
         ours, theirs = memory_pair()
         session = Session(settings)
-        actions = PymavlinkActions(session, ours.write, clock, settings)
+        actions = PymavlinkActions(
+            session, ours.write, clock, settings, attitude_setpoints=attitude_setpoints
+        )
 
         async def listen() -> None:
             while True:

@@ -9,6 +9,7 @@ import pytest
 
 from companion.geometry import quat_from_euler
 from companion.link import codec
+from companion.link.beacon import follow_target, pad_beacon
 from companion.link.codec import Codec, mavlink
 from companion.messages import PadBeacon, Setpoint
 
@@ -148,8 +149,8 @@ def test_a_command_with_a_position_keeps_its_centimetres() -> None:
 
 def test_a_beacon_comes_through_in_metres() -> None:
     beacon = PadBeacon(5.0, 47.0001234, 8.0005678, 401.5, (1.0, -0.5, 0.1), 1.5)
-    [message] = Codec(1).decode(Codec(255, 190).encode(codec.follow_target(beacon)))
-    back = codec.pad_beacon(message, 9.0)
+    [message] = Codec(1).decode(Codec(255, 190).encode(follow_target(beacon)))
+    back = pad_beacon(message, 9.0, 8.0)
     assert back is not None
     assert back.time_s == 9.0
     assert (back.latitude_deg, back.longitude_deg) == pytest.approx((47.0001234, 8.0005678), abs=1e-7)
@@ -165,7 +166,7 @@ def beacon_message(capabilities: int, latitude_e7: int, altitude_m: float, std_m
 
 
 def test_a_beacon_without_velocity_stands_still_and_without_accuracy_is_poor() -> None:
-    beacon = codec.pad_beacon(beacon_message(0b01, 470000000, 400.0, 0.0), 1.0)
+    beacon = pad_beacon(beacon_message(0b01, 470000000, 400.0, 0.0), 1.0, 8.0)
     assert beacon is not None
     assert beacon.velocity_ned_m_s == (0.0, 0.0, 0.0)
     assert beacon.position_std_m == 5.0
@@ -177,4 +178,4 @@ def test_a_beacon_without_velocity_stands_still_and_without_accuracy_is_poor() -
     ids=["no position", "not a number"],
 )
 def test_a_beacon_that_says_nothing_useful_is_none(message: codec.Message) -> None:
-    assert codec.pad_beacon(message, 1.0) is None
+    assert pad_beacon(message, 1.0, 8.0) is None

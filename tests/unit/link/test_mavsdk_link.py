@@ -12,9 +12,9 @@ import pytest
 
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import ConfigError, LinkConfig
-from companion.link.actions import Refused
 from companion.link.codec import mavlink
 from companion.link.mavsdk_link import MavsdkActions
+from companion.link.performing import Refused
 from companion.link.session import Session
 from companion.link.transport import memory_pair
 from companion.messages import Action, ActionKind, Manner
@@ -35,7 +35,7 @@ async def connected(
     clock, settings = Clock(), config or LinkConfig()
     ours, theirs = memory_pair(0.001)
     session = Session(settings)
-    actions = MavsdkActions(session, ours.write, clock, settings)
+    actions = MavsdkActions(session, ours.write, clock, settings, attitude_setpoints=False)
     await actions.start()
 
     known = asyncio.Event()
@@ -170,7 +170,8 @@ async def test_closing_leaves_no_thread_behind_even_amid_a_call() -> None:
 
 def test_virtual_time_is_refused_in_one_line() -> None:
     async def main() -> None:
-        MavsdkActions(Session(LinkConfig()), lambda data: None, Clock(), LinkConfig())
+        config = LinkConfig()
+        MavsdkActions(Session(config), lambda data: None, Clock(), config, attitude_setpoints=False)
 
     with pytest.raises(ConfigError, match="virtual time; expected pymavlink"):
         run_in_virtual_time(main())

@@ -9,7 +9,8 @@ from pydantic import ValidationError
 
 from companion.config import LinkConfig
 from companion.geometry import quat_from_euler
-from companion.link.codec import Codec, Message, follow_target, heartbeat, mavlink, status_texts, timesync
+from companion.link.beacon import follow_target
+from companion.link.codec import Codec, Message, heartbeat, mavlink, status_texts, timesync
 from companion.link.commands import NO_ANSWER, Command
 from companion.link.session import Session
 from companion.link.streams import TELEMETRY_RATES_HZ

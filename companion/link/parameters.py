@@ -1,0 +1,87 @@
+"""Reading and setting the autopilot's parameters: asked, answered, repeated, given up. Pure (sans I/O).
+
+PARAM_REQUEST_READ and PARAM_SET are both answered by PARAM_VALUE of the same name, and not at all for a name
+that the autopilot does not have. Values go as ArduPilot sends them: integers as numbers, not as bytes in a
+float's place (PX4's way, whose parameters nobody here needs).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+from companion.link.codec import AUTOPILOT_COMPONENT, Message, mavlink
+from companion.link.commands import NO_ANSWER, WITHDRAWN
+
+GUIDED_OPTIONS: Final = "GUID_OPTIONS"
+THRUST_IS_THRUST: Final = 8  # GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET's thrust is no climb rate
+
+
+@dataclass(slots=True, eq=False)
+class ParameterRequest:
+    """A parameter to read, or to set to `wanted`; `value` is the autopilot's newest word on it.
+
+    `outcome` is None until it ends: "accepted", "withdrawn" or "no answer" (none that has the wanted value).
+    """
+
+    name: str
+    wanted: float | None = None
+    value: float | None = None
+    outcome: str | None = None
+    tries: int = 0
+    due_s: float = field(default=0.0)
+
+    def message(self, target_system: int) -> Message:
+        """What asks for it."""
+        target, name = (target_system, AUTOPILOT_COMPONENT), self.name.encode("ascii")
+        if self.wanted is None:
+            return mavlink.MAVLink_param_request_read_message(*target, name, -1)
+        return mavlink.MAVLink_param_set_message(*target, name, self.wanted, mavlink.MAV_PARAM_TYPE_INT32)
+
+    def answered(self, value: float) -> None:
+        """Take the autopilot's value; a late answer to the reading before does not end a setting."""
+        self.value = value
+        if self.wanted is None or value == self.wanted:
+            self.outcome = "accepted"
+
+
+class ParameterRequests:
+    """All requests under way; `patience_s` is waited for an answer, `tries` times."""
+
+    def __init__(self, patience_s: float = 0.5, tries: int = 4) -> None:
+        self._patience_s = patience_s
+        self._tries = tries
+        self._waiting: list[ParameterRequest] = []
+
+    def submit(self, request: ParameterRequest) -> None:
+        """Start a request; `to_send` sends it."""
+        self._waiting.append(request)
+
+    def withdraw(self, request: ParameterRequest) -> None:
+        """Send it no more; it ends as "withdrawn"."""
+        if request.outcome is None:
+            request.outcome = WITHDRAWN
+
+    def heard(self, message: Message) -> None:
+        """Take a PARAM_VALUE of our autopilot's."""
+        if not math.isfinite(message.param_value):
+            return
+        for request in self._waiting:
+            if request.outcome is None and request.tries and request.name == message.param_id:
+                request.answered(message.param_value)
+
+    def to_send(self, now_s: float, target_system: int) -> list[Message]:
+        """The messages due now: first tries, and repeats of what was not answered in time."""
+        messages: list[Message] = []
+        for request in self._waiting:
+            if request.outcome is not None or (request.tries and now_s < request.due_s):
+                continue
+            if request.tries >= self._tries:
+                request.outcome = NO_ANSWER
+                continue
+            messages.append(request.message(target_system))
+            request.tries += 1
+            request.due_s = now_s + self._patience_s
+        self._waiting = [request for request in self._waiting if request.outcome is None]
+        return messages
