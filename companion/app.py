@@ -19,12 +19,14 @@ from typing import Final
 from companion.clock import Clock
 from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
 from companion.control.controller import Controller
+from companion.errands import Errands
 from companion.estimate.estimator import Estimator
 from companion.hardware import ActionsFactory, Hardware
 from companion.link.codec import Severity
 from companion.link.session import Session
 from companion.messages import (
     Action,
+    ActionKind,
     ActionResult,
     ControlReport,
     FrameReport,
@@ -48,7 +50,12 @@ STATUS_PERIOD_S: Final = 0.25
 FRAME_RATE_WINDOW_S: Final = 1.0
 # how long the app goes on recording after the flight has ended, so that the log holds the standstill
 LINGER_S: Final = 1.0
+# the last requests (hold, land, disarm) are repeated after it for this long
+LAST_REQUESTS_S: Final = 12.0
+LAST_HOLD_S: Final = 2.0
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
+# entering one of these voids what was asked before
+NO_MORE_ERRANDS: Final = (*END_PHASES, Phase.HOLD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +116,7 @@ class App:
         self._controller = Controller(config.control, vehicle)
         self.session = Session(config.link)
         self._actions = make_actions(self.session, self._send, self._clock, config)
-        self._action_queue: asyncio.Queue[Action] = asyncio.Queue()
+        self._errands = Errands(self._actions, self._take_result)
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()
         self._phase = Phase.CONNECT
@@ -117,7 +124,7 @@ class App:
         self._latency_ms: float | None = None
         self._last_exposure_s: float | None = None
         self._stop_requested = False
-        self._acting = False
+        self._log_problem_told = False
         self._start_s = self._clock.now_s()
 
     @property
@@ -152,34 +159,50 @@ class App:
             **self._sensing.tasks(),
             "autopilot link": self._receive_task,
             "heartbeat": self._link_task,
-            "actions": self._action_task,
+            "actions": self._errands.run,
             "status": self._status_task,
         }
         async with asyncio.TaskGroup() as group:
             workers = [group.create_task(self._guard(name, work), name=name) for name, work in works.items()]
-            phase = await group.create_task(self._control_task(), name="control")
+            phase = await group.create_task(self._controlled(), name="control")
             for worker in workers:
                 worker.cancel()
         return phase
 
     async def _guard(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
-        """Go on without a device that is gone: the planner knows what a flight without it may still do."""
+        """Go on without what is gone: the planner knows what a flight without it may still do.
+
+        That holds for a fault of ours in that task too: better no GPS than no control.
+        """
         try:
             await work()
-        except OSError as error:
-            self._notice("device_lost", f"{name} lost: {error}", "error")
+        except ConfigError:
+            raise
+        except Exception as error:
+            kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
+            self._notice("device_lost", f"{name} lost: {kind}{error}", "error")
 
     def _notice(self, kind: str, text: str, severity: Severity) -> None:
         self._publish(Notice(self._clock.now_s(), kind, text, severity))
 
     # ------------------------------------------------------------ plan and control
 
+    async def _controlled(self) -> Phase:
+        """The control task; when it fails, the autopilot is asked to hold before the failure is told."""
+        try:
+            return await self._control_task()
+        except Exception:
+            if self.session.state.offboard:
+                self._errands.void()
+                await asyncio.wait_for(self._actions.perform(Action(ActionKind.HOLD)), LAST_HOLD_S)
+            raise
+
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
         period_s = 1.0 / self._config.plan.rate_hz
         next_s = self._clock.now_s()
         ended_s: float | None = None
-        while ended_s is None or self._clock.now_s() < ended_s + LINGER_S or self._acting:
+        while not self._finished(ended_s):
             await self._control_step(self._clock.now_s())
             self._service.alive()
             if ended_s is None and self._phase in END_PHASES:
@@ -188,6 +211,14 @@ class App:
             next_s = max(next_s + period_s, self._clock.now_s())
             await self._clock.sleep_until(next_s)
         return self._phase
+
+    def _finished(self, ended_s: float | None) -> bool:
+        """Whether the flight is over and nothing asked of the autopilot is open, or has been for too long."""
+        if ended_s is None:
+            return False
+        since_s = self._clock.now_s() - ended_s
+        open_requests = self._errands.busy or self._planner.waiting
+        return since_s >= (LAST_REQUESTS_S if open_requests else LINGER_S)
 
     async def _control_step(self, now_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
@@ -218,13 +249,15 @@ class App:
             stop_requested=self._stop_requested,
         )
         plan = self._planner.step(inputs, now_s)
+        if plan.phase in NO_MORE_ERRANDS and plan.phase is not self._phase:
+            self._errands.void()
         self._phase = plan.phase
         self._log.write("plan", plan, now_s)
         for notice in plan.notices:
             self._publish(notice)
         for action in plan.actions:
             self._log.write("action", action, now_s)
-            self._action_queue.put_nowait(action)
+            self._errands.ask(action)
         return plan
 
     def _send_setpoint(self, setpoint: Setpoint, report: ControlReport) -> None:
@@ -256,15 +289,9 @@ class App:
             self._send(self.session.tick(self._clock.now_s()))
             await asyncio.sleep(LINK_TICK_S)
 
-    async def _action_task(self) -> None:
-        """Carry out the mission's requests one after another."""
-        while True:
-            action = await self._action_queue.get()
-            self._acting = True
-            result = await self._actions.perform(action)
-            self._acting = not self._action_queue.empty()
-            self._log.write("action_result", result, self._clock.now_s())
-            self._action_results.append(result)
+    def _take_result(self, result: ActionResult) -> None:
+        self._log.write("action_result", result, self._clock.now_s())
+        self._action_results.append(result)
 
     def _send(self, data: bytes) -> None:
         if data:
@@ -280,12 +307,20 @@ class App:
         self._service.status(f"{self._phase}: {notice.text}")
         self._send(self.session.send_notice(notice.text, notice.severity))
 
+    def _watch_log(self) -> None:
+        """Tell once that the log on disk has a gap or has ended; the flight goes on."""
+        problem = self._log.problem
+        if problem is not None and not self._log_problem_told:
+            self._log_problem_told = True
+            self._notice("record", problem, "warning")
+
     async def _status_task(self) -> None:
         """Hand the newest state to the terminal a few times a second."""
         self._service.ready()
         frame_counts = deque([0], maxlen=round(FRAME_RATE_WINDOW_S / STATUS_PERIOD_S) + 1)
         while True:
             await asyncio.sleep(STATUS_PERIOD_S)
+            self._watch_log()
             frame_counts.append(self._sensing.frame_count)
             span_s = STATUS_PERIOD_S * (len(frame_counts) - 1)
             notices, self._new_notices = self._new_notices, []

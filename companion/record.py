@@ -11,8 +11,11 @@ from __future__ import annotations
 import base64
 import dataclasses
 import json
+import queue
 import struct
+import threading
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
@@ -29,6 +32,9 @@ KEPT_TOPICS: Final = frozenset(
     {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
 )
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
+# half a minute of everything
+QUEUE_SIZE: Final = 20_000
+QUEUE_PATIENCE_S: Final = 0.005
 MCAP_CHUNK_BYTES: Final = 64 * 1024
 FRAME_JPEG_QUALITY: Final = 85
 MAVLINK2_MAGIC: Final = 0xFD
@@ -55,43 +61,46 @@ class FlightLog:
         self._next_frame_s = float("-inf")
         self._folder = folder
         self._made_folder = folder is not None and not folder.exists()
-        self._mcap: _McapFile | None = None
-        self._tlog: _TlogFile | None = None
+        self._files: _Files | None = None
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                self._mcap = _McapFile(folder / LOG_NAMES[0])
-                self._tlog = _TlogFile(folder / LOG_NAMES[1])
+                mcap, tlog = _McapFile(folder / LOG_NAMES[0]), _TlogFile(folder / LOG_NAMES[1])
             except OSError as error:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
+            self._files = _Files(_Disk(), mcap, tlog)
+
+    @property
+    def problem(self) -> str | None:
+        """What has stopped the log on disk, or made it lose messages; None when it is whole."""
+        return None if self._files is None else self._files.disk.problem
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.messages) under a topic."""
         if topic in KEPT_TOPICS:
             self.kept[topic].append(message)
-        if self._mcap is not None:
-            self._mcap.write(topic, message, self._unix_ns(time_s))
+        if (files := self._files) is not None:
+            files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s))
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
-        if self._mcap is None or time_s < self._next_frame_s:
+        if (files := self._files) is None or time_s < self._next_frame_s:
             return
         self._next_frame_s = time_s + self._frame_period_s
-        self._mcap.write_image(frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+        files.disk.put(files.mcap.write_image, frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
 
     def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
         """Log MAVLink bytes as they came or went; a packet cut by a read is joined with its rest."""
-        if self._tlog is not None:
-            self._tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+        if (files := self._files) is not None:
+            files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction)
 
     def close(self) -> None:
         """Finish the files; the log takes nothing after that."""
-        if self._mcap is not None:
-            self._mcap.close()
-            self._mcap = None
-        if self._tlog is not None:
-            self._tlog.close()
-            self._tlog = None
+        if (files := self._files) is not None:
+            self._files = None
+            files.disk.put(files.mcap.close)
+            files.disk.put(files.tlog.close)
+            files.disk.finish()
 
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
@@ -104,6 +113,49 @@ class FlightLog:
 
     def _unix_ns(self, time_s: float) -> int:
         return int((self._start_unix_s + time_s) * 1e9)
+
+
+class _Disk:
+    """Writes in a thread of its own: a card that stalls must not stall the control loop.
+
+    What does not fit into the queue any more waits for a moment, then is dropped and counted. A card that is
+    full ends the log on disk, not the flight.
+    """
+
+    def __init__(self) -> None:
+        self._lost = 0
+        self._failure: str | None = None
+        self._queue: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]] | None] = queue.Queue(QUEUE_SIZE)
+        self._thread = threading.Thread(target=self._work, name="flight-log", daemon=True)
+        self._thread.start()
+
+    @property
+    def problem(self) -> str | None:
+        """What was not written, if anything."""
+        if self._failure is not None:
+            return f"the flight log on disk ends here: {self._failure}"
+        return f"the disk does not keep up: {self._lost} messages lost from the log" if self._lost else None
+
+    def put(self, write: Callable[..., None], *arguments: Any) -> None:
+        """Have `write` called with these arguments."""
+        try:
+            self._queue.put((write, arguments), timeout=QUEUE_PATIENCE_S)
+        except queue.Full:
+            self._lost += 1
+
+    def finish(self) -> None:
+        """Write what is left, and end."""
+        self._queue.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        while (item := self._queue.get()) is not None:
+            write, arguments = item
+            if self._failure is None:
+                try:
+                    write(*arguments)
+                except OSError as error:
+                    self._failure = error.strerror or str(error)
 
 
 class _McapFile:
@@ -161,6 +213,15 @@ class _TlogFile:
 
     def close(self) -> None:
         self._stream.close()
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Files:
+    """What is open, and the thread that writes to it."""
+
+    disk: _Disk
+    mcap: _McapFile
+    tlog: _TlogFile
 
 
 def split_packets(data: bytes) -> tuple[list[bytes], bytes]:

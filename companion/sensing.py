@@ -19,15 +19,16 @@ from companion.config import CompanionConfig
 from companion.estimate.estimator import Estimator
 from companion.hardware import Hardware
 from companion.link.codec import Severity
-from companion.messages import FrameReport, ImuSample, MagSample, RangeSample
+from companion.messages import Frame, FrameReport, ImuSample, MagSample, RangeSample
 from companion.record import FlightLog
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
 from companion.sense.ultrasonic import Ultrasonic
-from companion.sense.vision import Vision
+from companion.sense.vision import Vision, VisionResult
 
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
+FAULT_PERIOD_S: Final = 2.0
 
 
 class Tell(Protocol):
@@ -63,6 +64,7 @@ class Sensing:
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
+        self._fault_told_s = float("-inf")
 
     def tasks(self) -> dict[str, Callable[[], Awaitable[None]]]:
         """What is to run, by the device's name."""
@@ -137,21 +139,36 @@ class Sensing:
             frame = await self._hardware.frames.next()
             self._log.write_frame(frame, self._clock.now_s())
             prior = self._estimator.pad_prior(frame.time_s)
-            seen = await self._clock.run(
-                self._vision.step, frame, prior, modelled_s=self._config.compute.vision_s
-            )
-            now_s = self._clock.now_s()
-            if seen.sighting is not None:
-                self._estimator.add_sighting(seen.sighting)
-                self._log.write("sighting", seen.sighting, now_s)
-            self.frame_count += 1
-            self.last_frame = FrameReport(
-                time_s=frame.time_s,
-                received_s=frame.received_s,
-                done_s=now_s,
-                sequence=frame.sequence,
-                marker_count=seen.marker_count,
-                seen=seen.sighting is not None,
-                searched_whole_frame=seen.searched_whole_frame,
-            )
-            self._log.write("frame_report", self.last_frame, now_s)
+            try:
+                seen = await self._clock.run(
+                    self._vision.step, frame, prior, modelled_s=self._config.compute.vision_s
+                )
+            except Exception as error:
+                # one frame that cannot be understood must not blind the rest of the flight
+                self._tell_fault(f"frame {frame.sequence} skipped: {type(error).__name__}: {error}")
+                continue
+            self._take_seen(frame, seen)
+
+    def _take_seen(self, frame: Frame, seen: VisionResult) -> None:
+        now_s = self._clock.now_s()
+        if seen.sighting is not None:
+            self._estimator.add_sighting(seen.sighting)
+            self._log.write("sighting", seen.sighting, now_s)
+        self.frame_count += 1
+        self.last_frame = FrameReport(
+            time_s=frame.time_s,
+            received_s=frame.received_s,
+            done_s=now_s,
+            sequence=frame.sequence,
+            marker_count=seen.marker_count,
+            seen=seen.sighting is not None,
+            searched_whole_frame=seen.searched_whole_frame,
+        )
+        self._log.write("frame_report", self.last_frame, now_s)
+
+    def _tell_fault(self, text: str) -> None:
+        """Tell a fault that may come with every frame, but not more often than is of use."""
+        now_s = self._clock.now_s()
+        if now_s - self._fault_told_s >= FAULT_PERIOD_S:
+            self._fault_told_s = now_s
+            self._tell("sensor", text, "warning")

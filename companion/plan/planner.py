@@ -50,6 +50,11 @@ class Planner:
             say=self._say,
         )
 
+    @property
+    def waiting(self) -> bool:
+        """Whether something asked of the autopilot is still open."""
+        return self._requests.open
+
     def step(self, inputs: PlanInputs, now_s: float) -> PlanStep:
         """One cycle at now_s: at most one event, then the reference, actions and notices."""
         self._notices = []

@@ -29,6 +29,11 @@ class Requests:
         self._accepted: set[ActionKind] = set()
         self._told: list[Action] = []
 
+    @property
+    def open(self) -> bool:
+        """Whether any request waits for its answer or its next try."""
+        return bool(self._pending)
+
     def ask(self, action: Action, now_s: float) -> None:
         """Open a request, unless one of its kind is open or has been granted since `forget`."""
         if action.kind not in self._pending and action.kind not in self._accepted:

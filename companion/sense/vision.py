@@ -43,7 +43,10 @@ class VisionResult:
 
 
 class Vision:
-    """Detection and pose for one pad, camera and airframe. Stateless between frames, but for whose turn it is in the search."""
+    """Detection and pose for one pad, camera and airframe.
+
+    Stateless between frames, but for whose turn it is in the search.
+    """
 
     def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:
         self._config = config

@@ -1,7 +1,9 @@
 """The flight log: what was written can be read again by other people's tools."""
 
 import base64
+import errno
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -128,3 +130,31 @@ def test_what_others_have_put_into_the_folder_stays(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("windy")
     FlightLog(tmp_path, 0.0).discard()
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_full_disk_ends_the_log_and_says_so_but_raises_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = FlightLog(tmp_path, START_UNIX_S)
+    monkeypatch.setattr("companion.record._TlogFile.write", _raise_full)
+    log.write_mavlink(heartbeats(1)[0], 1.0, "in")
+    log.write("notice", Notice(1.0, "a", "b"), 1.0)
+    log.close()
+    assert log.kept["notice"] == [Notice(1.0, "a", "b")]
+
+
+def test_what_the_disk_lost_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = FlightLog(tmp_path, START_UNIX_S)
+    monkeypatch.setattr("companion.record._McapFile.write", _raise_full)
+    log.write("imu", imu(0.0), 0.0)
+    until_told = threading.Event()
+    for _ in range(200):
+        if log.problem is not None:
+            break
+        until_told.wait(0.01)
+    assert log.problem == "the flight log on disk ends here: No space left on device"
+    log.close()
+
+
+def _raise_full(*_arguments: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
