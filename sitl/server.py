@@ -14,10 +14,13 @@ import asyncio
 import contextlib
 import errno
 import json
+import os
 import sys
 import tempfile
+import threading
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from companion.config import ConfigError
 from companion.messages import Phase
@@ -50,8 +53,9 @@ class UdpLink(asyncio.DatagramProtocol):
             transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
                 lambda: self, local_addr=(host, port)
             )
-        except OSError as error:
-            reason = "already in use" if error.errno == errno.EADDRINUSE else error.strerror
+        except (OSError, OverflowError) as error:
+            in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+            reason = "already in use" if in_use else getattr(error, "strerror", None) or str(error)
             raise ConfigError(f"UDP port {host}:{port}: {reason}; expected a free port") from error
         self._socket = transport
         address: tuple[str, int] = transport.get_extra_info("sockname")
@@ -142,37 +146,68 @@ async def _fly_until_told(simulation: Simulation, folder: Path) -> None:
 async def _final_phase() -> Phase | None:
     """Wait for `finish PHASE` on standard input; None when it ends without."""
     loop = asyncio.get_running_loop()
-    reader = asyncio.StreamReader()
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    while line := (await reader.readline()).decode().split():
-        if line[0] == "finish" and len(line) == 2:
-            return Phase(line[1])
-    return None
+    said: asyncio.Future[str] = loop.create_future()
+
+    def settle(line: str) -> None:
+        if not said.done():
+            said.set_result(line)
+
+    def listen() -> None:
+        # a thread, since a loop cannot watch a standard input that is a file or /dev/null; unbuffered, since
+        # a buffer's lock that a waiting thread holds breaks the end of the interpreter
+        line = b""
+        while b"\n" not in line and (data := os.read(sys.stdin.fileno(), 100)):
+            line += data
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(settle, line.decode(errors="replace"))
+
+    threading.Thread(target=listen, name="standard input", daemon=True).start()
+    word, _, phase = (await said).strip().partition(" ")
+    return Phase(phase) if word == "finish" and phase in set(Phase) else None
 
 
 def _say(message: dict[str, Any]) -> None:
     print(json.dumps(message), flush=True)
 
 
-def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(prog="companion-sitl", description=__doc__.split("\n")[0])
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(f"{message}; see companion-sitl --help")
+
+
+def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """The command line.
+
+    Raises:
+        ConfigError: an option is unknown, or its value is none.
+    """
+    parser = _Parser(prog="companion-sitl", description=__doc__.split("\n")[0])
     parser.add_argument("--scenario", default="line", help="name in configs/scenarios, or a file")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--port", type=int, default=0, help="UDP port; 0 takes a free one")
+    parser.add_argument("--seed", type=_natural, default=0)
+    parser.add_argument("--port", type=_natural, default=0, help="UDP port; 0 takes a free one")
     parser.add_argument("--folder", type=Path, help="where the sockets go; default: a temporary folder")
     return parser.parse_args(arguments)
 
 
-def main() -> None:
+def _natural(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}': expected 0 or a positive integer")
+    return int(text)
+
+
+def main(words: Sequence[str] | None = None) -> None:
     """Entry point."""
-    arguments = parse_arguments()
     try:
+        arguments = parse_arguments(words)
         scenario = load_scenario(arguments.scenario)
         with contextlib.ExitStack() as stack:
             folder = arguments.folder or Path(
                 stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-"))
             )
+            if not os.access(folder, os.W_OK) or not folder.is_dir():
+                raise ConfigError(f"--folder {folder}: expected a folder that can be written to")
             asyncio.run(serve(scenario, arguments.seed, folder, arguments.port))
     except ConfigError as error:
         print(f"companion-sitl: {error}", file=sys.stderr)

@@ -1,8 +1,10 @@
 """One simulated vehicle put together: world, autopilot, sensors, camera and the ground station.
 
 `Simulation.run` drives them on the running loop. In virtual time the loop jumps from tick to tick; in
-real time a tick that comes late is made up for, so that the physics never loses time. What the app may
-have leaves as registers, serial bytes, frames and MAVLink; the truth leaves in `report`, for scoring alone.
+real time a tick that comes a little late is made up for. One that comes very late is not: the world has
+stood still meanwhile, which a flight survives, where a burst of motion would overflow the vehicle's
+buffers. What the app may have leaves as registers, serial bytes, frames and MAVLink; the truth leaves in
+`report`, for scoring alone.
 
 The world counts from 0 at the loop's time `start_s`; stamps that leave it (frames, truth) are loop time.
 """
@@ -40,6 +42,8 @@ from sitl.world import World
 PHYSICS_STEP_S: Final = 1.0 / 400.0
 STEPS_PER_TICK: Final = 2
 TICK_S: Final = PHYSICS_STEP_S * STEPS_PER_TICK
+# well within what the MPU9250's FIFO holds (0.18 s)
+LONGEST_CATCH_UP_S: Final = 0.03
 TRUTH_EVERY_TICKS: Final = 4
 RANGE_EVERY_TICKS: Final = 2
 # the world and the sensors draw from (seed, 0..13)
@@ -154,9 +158,15 @@ class Simulation:
                 # samples that is off by milliseconds is an attitude that does not fit the frames
                 due_s = self._start_s + (self._ticks + 0.5) * TICK_S
                 await self._clock.sleep_until(due_s)
-                self._latest_tick_s = max(self._latest_tick_s, self._clock.now_s() - due_s)
+                self._keep_pace(self._clock.now_s() - due_s)
                 self._tick()
                 self._ticks += 1
+
+    def _keep_pace(self, late_s: float) -> None:
+        """Let the world's time slip by what is too late to make up for."""
+        self._latest_tick_s = max(self._latest_tick_s, late_s)
+        if late_s > LONGEST_CATCH_UP_S:
+            self._start_s += late_s
 
     def report(self, final_phase: Phase) -> SimulationReport:
         """Judge the flight as it stands; `final_phase` is the app's last."""

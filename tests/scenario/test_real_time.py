@@ -16,11 +16,21 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
+from companion.cli import LATE_S
+from sitl.simulation import read_report
 from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")
 LATE = "too busy a machine for real time"
 END_TIMEOUT_S = 30.0
+
+
+@pytest.fixture(autouse=True)
+def machine_with_time_to_spare() -> None:
+    """Real time cannot be kept on a machine with twice the work it has cores for."""
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    if load > 2.0 * cores:
+        pytest.skip(f"load {load:.1f} on {cores} cores: too busy for real time")
 
 
 def fly_in_real_time(folder: Path) -> Flown:
@@ -100,7 +110,7 @@ def test_a_simulator_that_crashes_ends_the_flight_in_one_line(tmp_path: Path) ->
     assert (tmp_path / "flight.mcap").stat().st_size > 0
 
 
-def test_the_vehicle_s_own_command_flies_from_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
+def test_the_vehicle_s_own_command_flies_by_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
     simulator = subprocess.Popen(
         (sys.executable, "-m", "sitl.server", "--scenario", "static", "--folder", str(tmp_path)),
         cwd=ROOT,
@@ -112,13 +122,14 @@ def test_the_vehicle_s_own_command_flies_from_a_settings_file_under_a_service_ma
         assert simulator.stdout is not None
         settings = tmp_path / "companion.yaml"
         settings.write_text(yaml.safe_dump(json.loads(simulator.stdout.readline())))
-        manager.bind(str(tmp_path / "notify"))
         # nobody reads it meanwhile: a service manager that hangs must not hold up a flight
-        os_variables = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
-        flown = run("--no-ui", "--config", settings, "--record", tmp_path / "flights", variables=os_variables)
-        assert flown.code == 0, flown
+        manager.bind(str(tmp_path / "notify"))
+        notify = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        flown = run("--no-ui", "--config", settings, "--record", tmp_path / "flights", variables=notify)
+        said, _ = simulator.communicate("finish landed\n", timeout=20.0)
+        report = read_report(Path(json.loads(said)["report"]))
+        if report.latest_tick_s > LATE_S:
+            pytest.skip(f"the simulator was {report.latest_tick_s:.1f} s late on this machine")
+        assert (flown.code, report.outcome) == (0, "landed"), flown
         assert {manager.recv(1000) for _ in range(3)} >= {b"READY=1", b"WATCHDOG=1"}
-        assert simulator.stdin is not None
-        simulator.stdin.close()
-        assert simulator.wait(timeout=10.0) == 0
     assert (tmp_path / "flights" / "flight-0001" / "flight.mcap").stat().st_size > 0

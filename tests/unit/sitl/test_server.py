@@ -1,0 +1,81 @@
+"""The simulator as a command: what is wrong is said in one line, and it ends with its standard input."""
+
+import json
+import socket
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from companion.config import CONFIG_FOLDER
+from sitl.server import main
+from sitl.simulation import read_report
+
+COMMAND = (sys.executable, "-m", "sitl.server")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--scenario", "nowhere"), "scenarios: no 'nowhere'; expected the path of a .yaml file or one of: "),
+        (("--seed", "-1"), "argument --seed: '-1': expected 0 or a positive integer"),
+        (("--port", "99999"), "UDP port 127.0.0.1:99999: "),
+        (("--wings", "2"), "unrecognized arguments: --wings 2"),
+        (("--folder", "/nowhere"), "--folder /nowhere: expected a folder that can be written to"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    arguments: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"companion-sitl: {expected}")
+
+
+def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        with pytest.raises(SystemExit):
+            main(("--port", str(port)))
+    assert f"UDP port 127.0.0.1:{port}: already in use; expected a free port" in capsys.readouterr().err
+
+
+def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        (*COMMAND, "--folder", str(tmp_path)),
+        cwd=CONFIG_FOLDER.parent,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        endpoints = json.loads(process.stdout.readline())
+        assert endpoints["link"]["connection"].startswith("udp:127.0.0.1:")
+        assert Path(endpoints["sense"]["gps"]["port"]).is_char_device()
+        assert (tmp_path / "camera").is_socket()
+        assert (tmp_path / "registers").is_socket()
+        said, _ = process.communicate("finish search\n", timeout=20.0)
+    assert process.returncode == 0
+    report = read_report(Path(json.loads(said)["report"]))
+    assert report.outcome == "timeout"
+    assert report.touchdown is None
+
+
+def test_it_ends_with_its_standard_input() -> None:
+    done = subprocess.run(
+        COMMAND,
+        cwd=CONFIG_FOLDER.parent,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=20,
+        check=False,
+    )
+    assert done.returncode == 0
+    assert done.stderr == b""
