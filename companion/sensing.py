@@ -29,6 +29,7 @@ from companion.sense.vision import Vision, VisionResult
 
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
+WATCH_PERIOD_S: Final = 1.0
 
 
 class Tell(Protocol):
@@ -73,6 +74,7 @@ class Sensing:
             "gps": self._gps_task,
             "gps configuration": self._gps_configuration_task,
             "ultrasonic": self._range_task,
+            "serial sensors' watch": self._watch_task,
             "camera": self._vision_task,
         }
 
@@ -81,19 +83,24 @@ class Sensing:
     async def _imu_task(self) -> None:
         """Poll the MPU9250; the driver sets the chip up anew after a fault, which is told once."""
         period_s = 1.0 / self._config.sense.imu.poll_hz
-        next_s, fault = self._clock.now_s(), ""
+        next_s, fault = self._clock.now_s(), self._imu.problem
         while True:
             try:
                 # a bus transaction blocks; it takes no virtual time
-                samples = await self._clock.run(self._imu.poll, self._clock.now_s(), modelled_s=0.0)
+                samples = await self._clock.run(self._imu.poll, self._clock.now_s, modelled_s=0.0)
                 self._take_inertial(*samples)
-                fault = "" if samples[0] else fault
+                if samples[0]:
+                    fault = self._tell_change(self._imu.problem, fault)
             except SensorError as error:
-                if str(error) != fault:
-                    fault = str(error)
-                    self._tell("sensor", fault, "warning")
+                fault = self._tell_change(str(error), fault)
             next_s = max(next_s + period_s, self._clock.now_s())
             await self._clock.sleep_until(next_s)
+
+    def _tell_change(self, problem: str | None, told: str | None) -> str | None:
+        """Tell a problem that is not the one told last; returns what counts as told."""
+        if problem is not None and problem != told:
+            self._tell("sensor", problem, "warning")
+        return problem
 
     def _take_inertial(self, imu_samples: list[ImuSample], mag_samples: list[MagSample]) -> None:
         now_s = self._clock.now_s()
@@ -130,6 +137,16 @@ class Sensing:
                 self.last_range = sample
                 self._estimator.add_range(sample)
                 self._log.write("range", sample, self._clock.now_s())
+
+    async def _watch_task(self) -> None:
+        """Tell what is wrong with the serial sensors, each problem once while it lasts."""
+        gps_told: str | None = None
+        range_told: str | None = None
+        while True:
+            await asyncio.sleep(WATCH_PERIOD_S)
+            self._range.watch(self._clock.now_s())
+            gps_told = self._tell_change(self._gps.problem, gps_told)
+            range_told = self._tell_change(self._range.problem, range_told)
 
     # ------------------------------------------------------------ camera
 

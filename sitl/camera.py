@@ -7,7 +7,8 @@ texture coordinates interpolated between: against following every pixel, that is
 (start, middle, end) as a parabola. Blur is one straight stroke for the whole image: the motion, over the
 exposure, of what is in the middle of the pad's part of the image.
 
-World NED with the ground at z = 0; the pad's surface is at the height of its position.
+World NED with the ground at z = 0; the pad's surface is at the height of its position. How the camera
+sits on the airframe is worked out here, apart from the app's code: a sign that is wrong on one side shows.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ import numpy as np
 
 from companion.config import CameraConfig, VehicleConfig
 from companion.geometry import (
-    BODY_FROM_DOWNWARD_CAMERA,
     IDENTITY,
     ZERO3,
     FloatArray,
@@ -83,8 +83,9 @@ class CameraModel:
         self._settings = settings
         self._rng = rng
         self._mount_position = vehicle.camera_position_body_m
-        yaw, tilt = math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
-        self._body_from_camera = quat_multiply(quat_from_euler(0.0, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
+        self._body_from_camera = body_from_camera(
+            math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
+        )
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._pad_texture = pad_texture(pad)
@@ -145,8 +146,8 @@ class CameraModel:
         lever = quat_rotate(scene.vehicle_attitude, self._mount_position)
         camera = subtract(add(scene.vehicle_position_ned_m, lever), origin)
         px, py, pz = quat_rotate(plane_from_world, camera)
-        world_from_camera = quat_multiply(scene.vehicle_attitude, self._body_from_camera)
-        d = matrix_from_quat(quat_multiply(plane_from_world, world_from_camera))
+        plane_from_body = matrix_from_quat(quat_multiply(plane_from_world, scene.vehicle_attitude))
+        d = plane_from_body @ self._body_from_camera
         return np.array([px * d[2] - pz * d[0], py * d[2] - pz * d[1], d[2]]), -pz
 
     def _node_map(self, surface: _Surface) -> FloatArray:
@@ -210,6 +211,29 @@ class CameraModel:
         per_pixel = np.column_stack((middle[1] - middle[0], middle[2] - middle[0])) / NODE_PX
         moved = np.linalg.solve(per_pixel, first[0] - last[0]) * (self._exposure_s / self.span_s)
         return (float(moved[0]), float(moved[1]))
+
+
+def body_from_camera(yaw_rad: float, tilt_rad: float) -> FloatArray:
+    """How the camera sits on the airframe: rotation (3, 3) of camera axes into body axes (FRD).
+
+    The columns are what the camera's axes are on the vehicle: the image's right, the image's down, and
+    where the lens looks. Untilted and unturned, the lens looks down and the image's top edge is forward:
+    right is right, the image's down is back. Tilted, the lens rises from down towards forward and the
+    image's down from back towards down. Turned, forward becomes (cos, sin, 0) and right (-sin, cos, 0):
+    clockwise seen from above.
+    """
+    st, ct = math.sin(tilt_rad), math.cos(tilt_rad)
+    sy, cy = math.sin(yaw_rad), math.cos(yaw_rad)
+    tilted = np.array(
+        [
+            # image right, image down, lens
+            [0.0, -ct, st],  # forward
+            [1.0, 0.0, 0.0],  # right
+            [0.0, st, ct],  # down
+        ]
+    )
+    turned = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(turned @ tilted)
 
 
 def _pad_attitude(scene: ScenePose) -> Quaternion:

@@ -19,10 +19,7 @@ import numpy as np
 from companion.geometry import (
     GRAVITY_M_S2,
     FloatArray,
-    Quaternion,
     Vector3,
-    matrix_from_quat,
-    quat_conjugate,
 )
 from sitl.sensors import NOISE_BLOCK, flawed_rotation
 
@@ -135,7 +132,8 @@ class _NoiseBlocks:
 class ImuSensor:
     """Gyroscope and accelerometer at the centre of mass, up to the output of the digital low-pass filter.
 
-    Step it at a fixed dt (the physics'). The output is in the axes of the sensor.
+    Step it at a fixed dt (the physics'). The output is in the axes of the sensor: `sensor_from_body` (3, 3)
+    turns FRD into them.
     """
 
     def __init__(
@@ -143,7 +141,7 @@ class ImuSensor:
         errors: ImuErrors,
         rng: np.random.Generator,
         dt_s: float,
-        body_from_sensor: Quaternion,
+        sensor_from_body: FloatArray,
         dlpf: int = 2,
     ) -> None:
         self._errors = errors
@@ -164,7 +162,6 @@ class ImuSensor:
             errors.gyro_wander_rad_s,
             steps,
         )
-        sensor_from_body = matrix_from_quat(quat_conjugate(body_from_sensor))
         self._accel_matrix = flawed_rotation(
             sensor_from_body, errors.accel_scale, errors.misalignment_rad, rng
         )

@@ -17,11 +17,8 @@ import numpy as np
 
 from companion.geometry import (
     FloatArray,
-    Quaternion,
     Vector3,
     geodetic_from_ned,
-    matrix_from_quat,
-    quat_conjugate,
 )
 
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
@@ -53,10 +50,9 @@ NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
 class MagSensor:
     """The magnetometer, in the axes of the accelerometer (the AK8963's own are its device's business)."""
 
-    def __init__(self, errors: MagErrors, rng: np.random.Generator, body_from_sensor: Quaternion) -> None:
+    def __init__(self, errors: MagErrors, rng: np.random.Generator, sensor_from_body: FloatArray) -> None:
         self._errors = errors
         self._rng = rng
-        sensor_from_body = matrix_from_quat(quat_conjugate(body_from_sensor))
         self._matrix = flawed_rotation(sensor_from_body, errors.soft_iron, errors.soft_iron, rng)
         self._offset = (errors.hard_iron_ut * rng.standard_normal(3)).tolist()
         direction = rng.standard_normal(3)

@@ -118,11 +118,8 @@ def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker) -> Non
     code = cv2.aruco.generateImageMarker(dictionary, marker.id, cells)
     print_ = np.where(code > 127, PAD_WHITE, PAD_BLACK).astype(np.uint8)
     print_ = np.pad(print_, 1, constant_values=PAD_WHITE).repeat(per_cell, axis=0).repeat(per_cell, axis=1)
-    corners = marker.corners_pad_m()
-    ones = np.column_stack((corners[:3, :2], np.ones(3)))
-    target = (ones @ plane.texel_from_plane.T)[:, :2]
-    fourth = target[0] + target[2] - target[1]
-    bounds = np.vstack((target, fourth))
+    bounds = _print_corners(marker) @ plane.texel_from_plane[:2, :2].T + plane.texel_from_plane[:2, 2]
+    target = bounds[:3]
     low = np.maximum(np.floor(bounds.min(axis=0)).astype(int) - 2, 0)
     high = np.minimum(np.ceil(bounds.max(axis=0)).astype(int) + 3, canvas.shape[::-1])
     first, last = per_cell - 0.5, per_cell * (cells + 1) - 0.5
@@ -138,6 +135,21 @@ def _paint_marker(canvas: GreyImage, plane: TextureLevel, marker: Marker) -> Non
     )
     view = canvas[low[1] : high[1], low[0] : high[0]]
     np.minimum(view, patch, out=view)
+
+
+def _print_corners(marker: Marker) -> FloatArray:
+    """Where the print's corners lie on the board: (4, 2), x and y of the pad (m).
+
+    Top left, top right, bottom right, bottom left of the code as one reads it. It is read from above with
+    the pad's heading (x) up and y to the right, turned clockwise by the marker's yaw. Worked out here and
+    not taken from the pad's own `corners_pad_m`, by which the app finds its way: a mistake in either shows.
+    """
+    yaw = math.radians(marker.yaw_deg)
+    centre = np.array(marker.position_pad_m)
+    up = 0.5 * marker.side_m * np.array([math.cos(yaw), math.sin(yaw)])
+    # a quarter of a turn clockwise, from x (up) to y (right), takes (x, y) to (-y, x)
+    right = np.array([-up[1], up[0]])
+    return np.array([centre + up - right, centre + up + right, centre - up + right, centre - up - right])
 
 
 def _tileable_noise(size: int, rng: np.random.Generator) -> GreyImage:

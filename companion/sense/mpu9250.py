@@ -3,25 +3,28 @@
 Accelerometer, temperature and gyroscope come through the FIFO, so that no sample is lost between polls;
 the magnetometer through EXT_SENS_DATA (see `ak8963`). Registers: RM-MPU-9250A-00 rev. 1.6; scales:
 PS-MPU-9250A-01 rev. 1.1. Sensor axes: right-handed, z out of the chip's top, turned into FRD by
-`ImuConfig.body_from_sensor_deg`. The driver reads no clock and never sleeps: waits of the bring-up pass
-between polls.
+`ImuConfig.body_from_sensor_deg`. The driver never sleeps: waits of the bring-up pass between polls.
+
+Faults cost as little as they can: a bus transaction that fails is made up for by the next poll (the FIFO
+holds the samples), a magnetometer that fails costs magnetometer samples alone, and only what lasts has the
+chip set up anew.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from typing import Final
 
 from companion.config import ImuConfig
 from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler
 from companion.messages import ImuSample, MagSample
-from companion.sense.ak8963 import BLOCK_BYTES, Ak8963, Waits
+from companion.sense.ak8963 import Ak8963, BringUp, Waits
+from companion.sense.fifo import FRAME_BYTES, Fifo, SamplesLostError
 from companion.sense.i2c import RegisterBus, SensorError
 from companion.sense.sample_clock import SampleClock
 
-FIFO_BYTES: Final = 512
-FRAME_BYTES: Final = 14  # accelerometer, temperature, gyroscope: seven big-endian 16-bit words
 IDENTITIES: Final = {0x71: "MPU9250", 0x73: "MPU9255"}
 
 # filter_hz -> DLPF_CFG and the gyroscope's delay (s), register map table of CONFIG. The accelerometer's
@@ -31,31 +34,25 @@ _GYRO_RANGE: Final = {250: 0, 500: 1, 1000: 2, 2000: 3}
 _ACCEL_RANGE: Final = {2: 0, 4: 1, 8: 2, 16: 3}
 
 _SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
-_FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG, _EXT_SENS_DATA = 0x23, 0x24, 0x37, 0x49
+_FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG = 0x23, 0x24, 0x37
 _USER_CTRL, _PWR_MGMT_1, _PWR_MGMT_2 = 0x6A, 0x6B, 0x6C
-_FIFO_COUNT, _FIFO_R_W, _WHO_AM_I = 0x72, 0x74, 0x75
+_WHO_AM_I = 0x75
 
 _RESET: Final = 0x80
 _CLOCK_PLL: Final = 0x01
 _FIFO_STOPS_WHEN_FULL: Final = 0x40
 _FIFO_ACCEL_TEMP_GYRO: Final = 0xF8
-_USER_FIFO: Final = 0x40
 _USER_MASTER: Final = 0x20
-_USER_FIFO_RESET: Final = 0x04
-_MASTER_400_KHZ: Final = 0x5D  # wait for the external data, stop between reads, 400 kHz
+# stop between reads, 400 kHz; not waiting for the external data: a dead magnetometer holds nothing up
+_MASTER_400_KHZ: Final = 0x1D
 
-_BURST_BYTES: Final = 28  # two frames: what an SMBus adapter reads at once
 _SILENT_S: Final = 0.25
 _STUCK_S: Final = 0.5
-_MAG_SILENT_S: Final = 1.0
+_BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 50 ms at 100 Hz, of the FIFO's 180 ms
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
 
 Rows = tuple[float, float, float, float, float, float, float, float, float]
-
-
-class FifoOverflowError(SensorError):
-    """The FIFO was polled too late: samples are lost, the sensor is well."""
 
 
 class Mpu9250:
@@ -66,24 +63,29 @@ class Mpu9250:
         self._address = config.address
         self._name = f"MPU9250 at 0x{config.address:02x}"
         self._config = config
-        self._mag = Ak8963(bus, config.address)
+        self._mag = Ak8963(bus, config.address, config.mag_rate_hz)
+        self._fifo = Fifo(bus, config.address)
         self._clock = SampleClock(1.0 / config.rate_hz)
         self._delay_s = _FILTER[config.filter_hz][1]
         self._accel = _rows(config, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
         self._gyro = _rows(config, math.radians(config.gyro_range_deg_s) / 32768.0)
         self._field = _rows(config, 1.0)
-        self._bring_up: Waits | None = None
+        self._bring_up: BringUp | None = None
         self._ready = False
-        self._resume_s = -math.inf
+        self._failed_polls = 0
         self._last_sample_s = -math.inf
-        self._last_mag_s = -math.inf
         self._last_frame = b""
         self._same_frames = 0
 
     @property
     def ready(self) -> bool:
-        """Whether the bring-up is through and samples flow."""
+        """Whether the bring-up is through and inertial samples flow."""
         return self._ready
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong beside flowing samples, in one line: the magnetometer's fault."""
+        return None if self._mag.problem is None else f"{self._name}: {self._mag.problem}"
 
     def configure(self) -> None:
         """Check the chip's identity and have the polls that follow set it up from a reset.
@@ -97,30 +99,43 @@ class Mpu9250:
             raise self._failed(error) from error
         self._begin_bring_up()
 
-    def poll(self, now_s: float) -> tuple[list[ImuSample], list[MagSample]]:
+    def poll(self, now: Callable[[], float]) -> tuple[list[ImuSample], list[MagSample]]:
         """All samples since the last poll, oldest first, stamped with when they were measured.
 
-        Empty while the chip is being set up (about 0.4 s after `configure` or a fault).
+        Empty while the chip is being set up (about 0.2 s after `configure` or a fault), and when a bus
+        transaction has failed that the next poll makes up for. The magnetometer follows some 0.3 s later,
+        or never: see `problem`.
+
+        Args:
+            now: tells the time (s). It is asked here, on whatever thread this runs, at the moment that the
+                samples' times hang on.
 
         Raises:
-            FifoOverflowError: the FIFO was full and has been reset; sampling goes on.
-            SensorError: bus fault, silence or stuck data; the next poll begins to set the chip up anew.
+            SamplesLostError: the FIFO was full or out of step and has been emptied; sampling goes on.
+            SensorError: the bus fails again and again, silence or stuck data; the next poll begins to set
+                the chip up anew.
         """
         try:
             if self._ready:
-                return self._drain(now_s)
-            self._continue_bring_up(now_s)
-        except FifoOverflowError:
-            raise
-        except (OSError, SensorError) as error:
+                samples = self._drain(now)
+                self._failed_polls = 0
+                return samples
+            self._continue_bring_up(now())
+        except SamplesLostError as error:
+            self._clock.restart()
+            raise SamplesLostError(f"{self._name}: {error}") from error
+        except OSError as error:
+            self._failed_polls += 1
+            if not self._ready or self._failed_polls > _BUS_PATIENCE_POLLS:
+                raise self._failed(error) from error
+        except SensorError as error:
             raise self._failed(error) from error
         return [], []
 
     # ------------------------------------------------------------ bring-up
 
     def _begin_bring_up(self) -> None:
-        self._bring_up = self._steps()
-        self._resume_s = -math.inf
+        self._bring_up = BringUp(self._steps())
         self._ready = False
 
     def _failed(self, error: Exception) -> SensorError:
@@ -132,15 +147,11 @@ class Mpu9250:
     def _continue_bring_up(self, now_s: float) -> None:
         if self._bring_up is None:
             self._begin_bring_up()
-        if now_s < self._resume_s:
-            return
         assert self._bring_up is not None
-        wait_s = next(self._bring_up, None)
-        if wait_s is not None:
-            self._resume_s = now_s + wait_s
-            return
-        self._ready = True
-        self._last_sample_s = self._last_mag_s = now_s
+        if self._bring_up.advance(now_s):
+            self._ready = True
+            self._failed_polls = 0
+            self._last_sample_s = now_s
 
     def _check_identity(self) -> None:
         identity = self._read(_WHO_AM_I, 1)[0]
@@ -158,9 +169,10 @@ class Mpu9250:
         self._write(_INT_PIN_CFG, 0x00)
         self._write(_I2C_MST_CTRL, _MASTER_400_KHZ)
         self._write(_USER_CTRL, _USER_MASTER)
-        yield from self._mag.bring_up(self._config.mag_rate_hz)
         self._write(_FIFO_EN, _FIFO_ACCEL_TEMP_GYRO)
-        self._reset_fifo()
+        self._fifo.reset()
+        self._clock.restart()
+        self._mag.restart()
 
     def _write_settings(self) -> None:
         config = self._config
@@ -180,51 +192,33 @@ class Mpu9250:
         if taken != settings:
             raise SensorError(f"settings not taken: wrote {settings.hex()}, read {taken.hex()}")
 
-    def _reset_fifo(self) -> None:
-        self._write(_USER_CTRL, _USER_MASTER | _USER_FIFO_RESET)
-        self._write(_USER_CTRL, _USER_MASTER | _USER_FIFO)
-        self._clock.restart()
-
     # ------------------------------------------------------------ samples
 
-    def _drain(self, now_s: float) -> tuple[list[ImuSample], list[MagSample]]:
-        count = self._fifo_count()
-        if count > FIFO_BYTES - FRAME_BYTES:
-            self._reset_fifo()
+    def _drain(self, now: Callable[[], float]) -> tuple[list[ImuSample], list[MagSample]]:
+        now_s = now()
+        try:
+            frames = self._fifo.waiting()
+        except SamplesLostError:
             self._last_sample_s = now_s
-            raise FifoOverflowError(f"{self._name}: FIFO overflow, samples lost")
-        frames = count // FRAME_BYTES
-        if frames == 0:
-            if now_s - self._last_sample_s > _SILENT_S:
-                raise SensorError(f"no sample for {now_s - self._last_sample_s:.2f} s")
-            return [], []
-        return self._read_imu(now_s, frames), self._read_mag(now_s)
+            raise
+        if not frames and now_s - self._last_sample_s > _SILENT_S:
+            raise SensorError(f"no sample for {now_s - self._last_sample_s:.2f} s")
+        imu_samples = self._read_imu(now_s, frames) if frames else []
+        decoded = self._mag.poll(now_s, copied=frames > 0)
+        return imu_samples, [] if decoded is None else [self._mag_sample(now_s, *decoded)]
 
-    def _fifo_count(self) -> int:
-        high, low = self._read(_FIFO_COUNT, 2)
-        count = (high & 0x1F) << 8 | low
-        if count > FIFO_BYTES:
-            raise SensorError(f"FIFO count {count} of {FIFO_BYTES}: the bus reads all ones")
-        return count
-
-    def _read_imu(self, now_s: float, frames: int) -> list[ImuSample]:
-        data = self._read_fifo(frames * FRAME_BYTES)
+    def _read_imu(self, now_s: float, waiting: int) -> list[ImuSample]:
+        data = self._fifo.read(waiting)
+        frames = len(data) // FRAME_BYTES
         self._check_alive(data, frames)
         self._last_sample_s = now_s
         words = struct.unpack(f">{7 * frames}h", data)
-        times = self._clock.stamp(now_s, frames)
+        # what a bus fault has left in the FIFO is newer than what was read
+        times = self._clock.stamp(now_s - (waiting - frames) * self._clock.period_s, frames)
         return [self._sample(time_s, words, 7 * k) for k, time_s in enumerate(times)]
-
-    def _read_fifo(self, length: int) -> bytes:
-        if length <= _BURST_BYTES:
-            return self._read(_FIFO_R_W, length)
-        starts = range(0, length, _BURST_BYTES)
-        return b"".join(self._read(_FIFO_R_W, min(_BURST_BYTES, length - start)) for start in starts)
 
     def _check_alive(self, data: bytes, frames: int) -> None:
         newest = data[-FRAME_BYTES:]
-        if newest == b"\xff" * FRAME_BYTES:
-            raise SensorError("the FIFO reads all ones")
         # a live sensor's noise spans many steps: the same 14 bytes again and again are a dead one's
         if newest != self._last_frame or data != newest * frames:
             self._same_frames = 0
@@ -244,18 +238,11 @@ class Mpu9250:
             temperature / 333.87 + 21.0,
         )
 
-    def _read_mag(self, now_s: float) -> list[MagSample]:
-        decoded = self._mag.decode(self._read(_EXT_SENS_DATA, BLOCK_BYTES))
-        if decoded is None:
-            if now_s - self._last_mag_s > _MAG_SILENT_S:
-                raise SensorError(f"AK8963: nothing new for {now_s - self._last_mag_s:.1f} s")
-            return []
-        self._last_mag_s = now_s
-        field, newest = decoded
+    def _mag_sample(self, now_s: float, field_ut: Vector3, newest: bool) -> MagSample:
         # copied at the newest sample, or at the one before; measured up to one sample earlier than that
         copies_ago = 1.0 if newest else 2.0
         time_s = now_s - copies_ago * self._clock.period_s - _MAG_MEASUREMENT_S
-        return [MagSample(time_s, _turn(self._field, *field))]
+        return MagSample(time_s, _turn(self._field, *field_ut))
 
     # ------------------------------------------------------------ bus
 

@@ -88,9 +88,14 @@ class _Epoch:
 
 
 class Neo6m:
-    """One receiver. Send what `pending` returns, feed what comes, several times a second each."""
+    """One receiver. Send what `pending` returns, feed what comes, several times a second each.
+
+    `problem` says in one line what is wrong with receiver or line, None when all is well, as of
+    the last `pending`.
+    """
 
     def __init__(self, config: GpsConfig) -> None:
+        self._baud = config.baud
         self._latency_s = config.latency_s
         self._splitter = FrameSplitter(config.baud)
         self._commands = configuration(config)
@@ -105,6 +110,10 @@ class Neo6m:
         self._nmea_3d = True
         self._ubx_clock = EpochClock()
         self._nmea_clock = EpochClock()
+        self._unanswered: str | None = None
+        self._refused: str | None = None
+        self._started_s: float | None = None
+        self._heard_s = self._message_s = self._fix_s = -math.inf  # when the last one came
         self.problem: str | None = None
 
     @property
@@ -122,14 +131,29 @@ class Neo6m:
         """
         if self.configured:
             self._watch_for_silence(now_s)
+        self.problem = self._line_problem(now_s) or self._unanswered or self._refused
         if self.configured or (self._asked_s is not None and now_s - self._asked_s < ANSWER_TIMEOUT_S):
             return b""
         if self._tries >= TRIES:
-            self.problem = f"NEO-6M: no answer to {_name(self._commands[self._next])}"
+            self._unanswered = f"NEO-6M: no answer to {_name(self._commands[self._next])}"
+            self.problem = self.problem or self._unanswered
             self._next = self._tries = 0
         self._tries += 1
         self._asked_s = now_s
         return self._commands[self._next]
+
+    def _line_problem(self, now_s: float) -> str | None:
+        """The first thing that is missing on the way from the receiver's power to a fix."""
+        if self._started_s is None:
+            self._started_s = now_s
+        since_s = now_s - SILENCE_S
+        if since_s < self._started_s:
+            return None
+        if self._heard_s < since_s:
+            return "NEO-6M: nothing received: check its power and wiring"
+        if self._message_s < since_s:
+            return f"NEO-6M: no message in what is received: check that it sends at {self._baud} baud"
+        return "NEO-6M: no fix" if self._fix_s < since_s else None
 
     def _watch_for_silence(self, now_s: float) -> None:
         if self._ubx_seen or self._quiet_since_s is None:
@@ -143,7 +167,8 @@ class Neo6m:
         if self.configured or self._asked_s is None or message[6:8] != self._commands[self._next][2:4]:
             return
         if message[2:4] == _ACK_NAK:
-            self.problem = f"NEO-6M: refuses {_name(self._commands[self._next])}"
+            self._refused = f"NEO-6M: refuses {_name(self._commands[self._next])}"
+        self._unanswered = None
         self._next += 1
         self._tries = 0
         self._asked_s = None
@@ -153,9 +178,12 @@ class Neo6m:
     def feed(self, data: bytes, received_s: float) -> list[GpsFix]:
         """Fixes completed by `data`, whose last byte came at `received_s`. No fix is no message."""
         fixes = []
+        self._heard_s = received_s
         for message in self._splitter.feed(data, received_s):
+            self._message_s = received_s
             fix = self._feed_ubx(message) if message.is_ubx else self._feed_nmea(message)
             if fix is not None:
+                self._fix_s = received_s
                 fixes.append(fix)
         return fixes
 

@@ -7,25 +7,43 @@ range, is "no echo".
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from companion.config import RangeConfig
 from companion.messages import RangeSample
 
 FRAME_BYTES: Final = 4
+SILENCE_S: Final = 1.0  # ten frames and more: it sends them whether or not there is an echo
 SPEED_OF_SOUND_M_S: Final = 340.0  # what the sensor itself reckons with
 _HEADER: Final = 0xFF
 _BITS_PER_BYTE: Final = 10
 
 
 class Ultrasonic:
-    """Finds frames in what comes, byte by byte or in heaps; garbage between them does no harm."""
+    """Finds frames in what comes, byte by byte or in heaps; garbage between them does no harm.
+
+    `problem` says in one line what is wrong with sensor or line, None when all is well, as of the last
+    `watch`.
+    """
 
     def __init__(self, config: RangeConfig) -> None:
         self._minimum_m = config.minimum_m
         self._maximum_m = config.maximum_m
         self._byte_s = _BITS_PER_BYTE / config.baud
         self._buffer = bytearray()
+        self._started_s: float | None = None
+        self._heard_s = self._frame_s = -math.inf  # when the last one came
+        self.problem: str | None = None
+
+    def watch(self, now_s: float) -> None:
+        """Bring `problem` up to date; call it about once a second."""
+        if self._started_s is None:
+            self._started_s = now_s
+        self.problem = None
+        if now_s - max(self._started_s, self._frame_s) > SILENCE_S:
+            heard = now_s - self._heard_s <= SILENCE_S
+            self.problem = f"ultrasonic: {'no frame in what is' if heard else 'nothing'} received"
 
     def feed(self, data: bytes, received_s: float) -> list[RangeSample]:
         """Echoes in the bytes so far; `received_s` is when the last of `data` came.
@@ -34,6 +52,7 @@ class Ultrasonic:
         the frame's first bit less half the sound's way there and back.
         """
         self._buffer += data
+        self._heard_s = received_s
         samples = []
         while True:
             start = self._buffer.find(_HEADER)
@@ -48,6 +67,7 @@ class Ultrasonic:
                 # a 0xFF inside a frame, or a damaged one: the next 0xFF may begin a whole one
                 del self._buffer[:1]
                 continue
+            self._frame_s = received_s
             after = len(self._buffer) - FRAME_BYTES
             del self._buffer[:FRAME_BYTES]
             distance_m = (high << 8 | low) / 1000.0

@@ -21,7 +21,10 @@ _FULL_SCALE_UT: Final = 4912.0
 
 
 class Ak8963Device:
-    """The magnetometer's registers. `adjustment` are the fuse ROM's three bytes."""
+    """The magnetometer's registers. `adjustment` are the fuse ROM's three bytes.
+
+    `silent` is a dead one, or a broken bond: it acknowledges nothing.
+    """
 
     def __init__(
         self,
@@ -33,6 +36,7 @@ class Ak8963Device:
         self._adjustment = adjustment
         self._per_ut = [1.0 / (0.15 * ((value - 128) * 0.5 / 128.0 + 1.0)) for value in adjustment]
         self._clock = 1.0 + clock_error
+        self.silent = False
         self.reset()
 
     def reset(self) -> None:

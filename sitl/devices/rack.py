@@ -5,7 +5,6 @@ Each sensor has a random stream of its own, so that a fault in one does not chan
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -17,7 +16,6 @@ from companion.geometry import (
     Vector3,
     add,
     cross,
-    quat_from_euler,
     quat_rotate,
     quat_rotate_inverse,
     tilt_from_quat,
@@ -31,6 +29,16 @@ from sitl.inertial import ImuErrors, ImuSensor
 from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 
 OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
+# How the simulated chip is soldered in: face up, its x axis forward. Its axes are right-handed with z out of
+# its face, so y is left and z up. Not taken from the app's settings: those are what the app believes.
+SENSOR_FROM_BODY: Final = np.array(
+    [
+        # forward, right, down
+        [1.0, 0.0, 0.0],  # chip x
+        [0.0, -1.0, 0.0],  # chip y
+        [0.0, 0.0, -1.0],  # chip z
+    ]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +87,12 @@ class SensorRack:
         imu_config, gps_config = imu_config or ImuConfig(), gps_config or GpsConfig()
         errors = errors or SensorErrors()
         streams = [np.random.default_rng((seed, k)) for k in range(4)]
-        mount = quat_from_euler(*(math.radians(angle) for angle in imu_config.body_from_sensor_deg))
         clock_errors = streams[0].uniform(-OSCILLATOR_TOLERANCE, OSCILLATOR_TOLERANCE, 2).tolist()
         self.imu = Mpu9250Device(
-            ImuSensor(errors.imu, streams[0], dt_s, mount),
-            Ak8963Device(MagSensor(errors.magnetometer, streams[1], mount), clock_error=clock_errors[1]),
+            ImuSensor(errors.imu, streams[0], dt_s, SENSOR_FROM_BODY),
+            Ak8963Device(
+                MagSensor(errors.magnetometer, streams[1], SENSOR_FROM_BODY), clock_error=clock_errors[1]
+            ),
             address=imu_config.address,
             clock_error=clock_errors[0],
         )

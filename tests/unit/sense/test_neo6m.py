@@ -222,7 +222,6 @@ def test_one_command_at_a_time_and_the_next_after_its_answer() -> None:
         receiver.feed(acknowledge(sent[-1]), k + 0.2)
     assert sent == commands
     assert receiver.configured
-    assert receiver.problem is None
     assert receiver.pending(20.0) == b""
 
 
@@ -237,18 +236,45 @@ def test_an_answer_to_something_else_is_no_answer() -> None:
 def test_a_lost_answer_is_asked_for_again_and_silence_is_told() -> None:
     receiver = Neo6m(GpsConfig())
     first = receiver.pending(0.0)
-    assert [receiver.pending(1.0 + k) for k in range(4)] == [first] * 4
-    assert receiver.problem is None
+    for k in range(4):
+        receiver.feed(rmc() + gga(), 0.9 + k)
+        assert receiver.pending(1.0 + k) == first
+        assert receiver.problem is None
+    receiver.feed(rmc() + gga(), 5.9)
     assert receiver.pending(6.0) == first
     assert receiver.problem == "NEO-6M: no answer to CFG-MSG"
+    receiver.feed(acknowledge(first), 6.1)
+    receiver.pending(6.2)
+    assert receiver.problem is None
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "nothing received: check its power and wiring"),
+        (b"\x00\xf8\x80", "no message in what is received: check that it sends at 9600 baud"),
+        (ubx(5, 1, bytes((6, 0x13))), "no fix"),
+    ],
+)
+def test_the_first_thing_that_is_missing_is_told_and_forgotten_when_it_comes(data: bytes, words: str) -> None:
+    receiver = Neo6m(GpsConfig())
+    for k in range(20):
+        if data:
+            receiver.feed(data, 0.2 * k)
+        receiver.pending(0.2 * k + 0.1)
+        assert receiver.problem is None or k >= 14
+    assert receiver.problem == f"NEO-6M: {words}"
+    receiver.feed(rmc() + gga(), 4.1)
+    receiver.pending(4.2)
+    assert receiver.problem is None
 
 
 def test_a_refused_command_is_told_and_passed_over() -> None:
     receiver = Neo6m(GpsConfig())
     first = receiver.pending(0.0)
     receiver.feed(acknowledge(first, kind=0), 0.1)
-    assert receiver.problem == "NEO-6M: refuses CFG-MSG"
     assert receiver.pending(0.2) == configuration(GpsConfig())[1]
+    assert receiver.problem == "NEO-6M: refuses CFG-MSG"
 
 
 # ---------------------------------------------------------------- with the simulated receiver

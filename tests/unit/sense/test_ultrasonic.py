@@ -78,3 +78,36 @@ def test_anything_at_all_survives(pieces: list[bytes]) -> None:
     # whatever came: three frames later at the latest it is in step again
     tail = [sample.distance_m for _ in range(3) for sample in parser.feed(frame(1.234), 2.0)]
     assert tail[-1] == 1.234
+
+
+# ---------------------------------------------------------------- faults
+
+
+def test_a_sensor_that_says_nothing_is_told_and_forgotten_when_it_speaks() -> None:
+    parser = Ultrasonic(RangeConfig())
+    parser.watch(10.0)
+    parser.watch(10.9)
+    assert parser.problem is None
+    parser.watch(11.1)
+    assert parser.problem == "ultrasonic: nothing received"
+    parser.feed(frame(1.0), 11.5)
+    parser.watch(12.0)
+    assert parser.problem is None
+    parser.watch(13.0)
+    assert parser.problem == "ultrasonic: nothing received"
+
+
+def test_no_echo_is_no_fault() -> None:
+    parser = Ultrasonic(RangeConfig())
+    for k in range(30):
+        assert parser.feed(frame(None), 0.1 * k) == []
+        parser.watch(0.1 * k)
+        assert parser.problem is None
+
+
+def test_bytes_that_make_no_frame_are_told() -> None:
+    parser = Ultrasonic(RangeConfig())
+    for k in range(30):
+        parser.feed(b"\x12\x34", 0.1 * k)
+        parser.watch(0.1 * k)
+    assert parser.problem == "ultrasonic: no frame in what is received"

@@ -11,7 +11,7 @@ import pytest
 
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import GpsConfig, ImuConfig, RangeConfig
-from companion.geometry import GRAVITY_M_S2, IDENTITY, Vector3, quat_from_euler
+from companion.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
 from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
@@ -33,9 +33,9 @@ FIELD: Vector3 = (20.0, 0.0, 40.0)
 
 def make_chip(clock_error: float = 0.0) -> Mpu9250Device:
     rng = np.random.default_rng(1)
-    magnetometer = Ak8963Device(MagSensor(NO_MAG_ERRORS, rng, IDENTITY), clock_error=0.0)
+    magnetometer = Ak8963Device(MagSensor(NO_MAG_ERRORS, rng, np.eye(3)), clock_error=0.0)
     return Mpu9250Device(
-        ImuSensor(NO_IMU_ERRORS, rng, STEP_S, IDENTITY), magnetometer, clock_error=clock_error
+        ImuSensor(NO_IMU_ERRORS, rng, STEP_S, np.eye(3)), magnetometer, clock_error=clock_error
     )
 
 
@@ -168,7 +168,7 @@ def step_magnetometer(mag: Ak8963Device, seconds: float, field: Vector3 = FIELD,
 
 
 def make_magnetometer() -> Ak8963Device:
-    return Ak8963Device(MagSensor(NO_MAG_ERRORS, np.random.default_rng(1), IDENTITY), clock_error=0.0)
+    return Ak8963Device(MagSensor(NO_MAG_ERRORS, np.random.default_rng(1), np.eye(3)), clock_error=0.0)
 
 
 def test_the_magnetometer_sleeps_until_it_is_told_to_measure() -> None:
@@ -349,7 +349,7 @@ def fly(
     async def inertial(driver: Mpu9250, clock: Clock) -> None:
         for k in range(1_000_000):
             await clock.sleep_until(0.01 * k)
-            new_imu, new_mag = driver.poll(clock.now_s())
+            new_imu, new_mag = driver.poll(clock.now_s)
             imu.extend(new_imu)
             mag.extend(new_mag)
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.geometry import GRAVITY_M_S2, IDENTITY, Vector3, ned_from_geodetic, quat_from_euler
+from companion.geometry import GRAVITY_M_S2, Vector3, ned_from_geodetic
 from sitl.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuSensor, LowPass
 from sitl.sensors import (
     NO_GPS_ERRORS,
@@ -33,7 +33,7 @@ def imu_run(
 ) -> tuple[
     np.ndarray[tuple[int, ...], np.dtype[np.float64]], np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 ]:
-    sensor = ImuSensor(errors, np.random.default_rng(seed), DT_S, IDENTITY)
+    sensor = ImuSensor(errors, np.random.default_rng(seed), DT_S, np.eye(3))
     samples = [sensor.sample(REST, STILL, throttle) for _ in range(steps)]
     return np.array([s[0] for s in samples]), np.array([s[1] for s in samples])
 
@@ -42,7 +42,7 @@ def imu_run(
 
 
 def test_without_errors_the_imu_feels_the_truth_in_its_own_axes() -> None:
-    mount = quat_from_euler(math.pi, 0.0, 0.0)
+    mount = np.diag((1.0, -1.0, -1.0))
     sensor = ImuSensor(NO_IMU_ERRORS, np.random.default_rng(1), DT_S, mount)
     force, rate = sensor.sample((1.0, 2.0, 3.0), (0.1, 0.2, 0.3), 0.8)
     assert force == pytest.approx((1.0, -2.0, -3.0))
@@ -112,15 +112,16 @@ def test_the_same_seed_gives_the_same_flight() -> None:
 
 @pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])
 def test_the_magnetometer_feels_the_field_in_the_accelerometers_axes(yaw_deg: int) -> None:
-    mount = quat_from_euler(0.0, 0.0, math.radians(yaw_deg))
+    turned = math.radians(yaw_deg)
+    c, s = math.cos(turned), math.sin(turned)
+    mount = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     sensor = MagSensor(NO_MAG_ERRORS, np.random.default_rng(1), mount)
     north_in_sensor = sensor.sample((20.0, 0.0, 40.0), 0.5)
-    yaw = math.radians(yaw_deg)
-    assert north_in_sensor == pytest.approx((20.0 * math.cos(yaw), -20.0 * math.sin(yaw), 40.0), abs=1e-9)
+    assert north_in_sensor == pytest.approx((20.0 * c, -20.0 * s, 40.0), abs=1e-9)
 
 
 def test_magnetometer_noise_and_the_motors_current() -> None:
-    sensor = MagSensor(MagErrors(), np.random.default_rng(2), IDENTITY)
+    sensor = MagSensor(MagErrors(), np.random.default_rng(2), np.eye(3))
     idle = np.array([sensor.sample((20.0, 0.0, 40.0), 0.0) for _ in range(3000)])
     full = np.array([sensor.sample((20.0, 0.0, 40.0), 1.0) for _ in range(3000)])
     assert idle.std(axis=0) == pytest.approx(np.full(3, 0.6), rel=0.1)
