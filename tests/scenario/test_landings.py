@@ -11,7 +11,9 @@ from tests.scenario.flying import fly, scenario_file
 
 SHIPPED = sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
 LATERAL_M = 0.15
-ATTITUDE: dict[str, Any] = {"companion": {"control": {"setpoint": "attitude"}}}
+ATTITUDE: dict[str, Any] = {
+    "companion": {"control": {"setpoint": "attitude"}, "link": {"set_parameters": True}}
+}
 ARDUPILOT: dict[str, Any] = {"autopilot": "ardupilot"}
 
 

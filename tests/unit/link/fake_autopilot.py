@@ -30,6 +30,8 @@ class FakeAutopilot:
     believes_in_air: bool = False
     refuses: dict[int, str] = field(default_factory=dict)
     deaf_to: dict[int, int] = field(default_factory=dict)
+    deaf_to_parameters: int = 0
+    keeps_parameters: bool = False
     rates_hz: dict[int, float] = field(default_factory=dict)
     heard: list[Message] = field(default_factory=list)
     parameters: dict[str, float] = field(default_factory=lambda: {"MIS_TAKEOFF_ALT": 2.5})
@@ -57,7 +59,7 @@ class FakeAutopilot:
             elif kind == "TIMESYNC" and message.tc1 == 0:
                 answers.append(timesync(round((now_s + self.clock_offset_s) * 1e9), message.ts1))
             elif kind in {"PARAM_SET", "PARAM_REQUEST_READ"}:
-                answers.append(self._parameter(message))
+                answers += self._parameter(message)
         return self._pack(answers)
 
     def tick(self, now_s: float) -> bytes:
@@ -139,14 +141,16 @@ class FakeAutopilot:
             return {4: "GUIDED", 9: "LAND", 17: "BRAKE"}[main]
         return {(6, 0): "OFFBOARD", (4, 3): "AUTO.LOITER", (4, 6): "AUTO.LAND"}[(main, sub)]
 
-    def _parameter(self, message: Message) -> Message:
+    def _parameter(self, message: Message) -> list[Message]:
         name = message.param_id
-        if message.get_type() == "PARAM_SET":
+        if self.deaf_to_parameters > 0:
+            self.deaf_to_parameters -= 1
+            return []
+        if not self.keeps_parameters and message.get_type() == "PARAM_SET":
             self.parameters[name] = message.param_value
         value = self.parameters.get(name, 0.0)
-        return mavlink.MAVLink_param_value_message(
-            name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32, len(self.parameters), 0
-        )
+        kind = mavlink.MAV_PARAM_TYPE_REAL32
+        return [mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0)]
 
     def _pack(self, messages: list[Message]) -> bytes:
         return b"".join(self.codec.encode(message) for message in messages)

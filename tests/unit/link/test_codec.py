@@ -158,9 +158,17 @@ def test_a_beacon_comes_through_in_metres() -> None:
     assert back.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.1))
 
 
-def beacon_message(capabilities: int, latitude_e7: int, altitude_m: float, std_m: float) -> codec.Message:
+def beacon_message(
+    capabilities: int,
+    latitude_e7: int,
+    altitude_m: float,
+    std_m: float,
+    *,
+    north_m_s: float = 3.0,
+    longitude_e7: int = 80000000,
+) -> codec.Message:
     return mavlink.MAVLink_follow_target_message(
-        0, capabilities, latitude_e7, 80000000, altitude_m, [3.0, 0.0, 0.0], [0.0] * 3,
+        0, capabilities, latitude_e7, longitude_e7, altitude_m, [north_m_s, 0.0, 0.0], [0.0] * 3,
         [1.0, 0.0, 0.0, 0.0], [0.0] * 3, [std_m] * 3, 0,
     )  # fmt: skip
 
@@ -174,8 +182,16 @@ def test_a_beacon_without_velocity_stands_still_and_without_accuracy_is_poor() -
 
 @pytest.mark.parametrize(
     "message",
-    [beacon_message(0b10, 470000000, 400.0, 1.0), beacon_message(0b11, 470000000, math.nan, 1.0)],
-    ids=["no position", "not a number"],
+    [
+        beacon_message(0b10, 470000000, 400.0, 1.0),
+        beacon_message(0b11, 470000000, math.nan, 1.0),
+        beacon_message(0b11, 470000000, 400.0, math.inf),
+        beacon_message(0b11, 470000000, 400.0, 1.0, north_m_s=math.nan),
+        beacon_message(0b11, 470000000, 400.0, 1.0, north_m_s=-8.1),
+        beacon_message(0b11, 910000000, 400.0, 1.0),
+        beacon_message(0b11, 0, 0.0, 1.0, longitude_e7=0),
+    ],
+    ids=["no position", "no altitude", "no accuracy", "no velocity", "too fast", "not on Earth", "no fix"],
 )
 def test_a_beacon_that_says_nothing_useful_is_none(message: codec.Message) -> None:
     assert pad_beacon(message, 1.0, 8.0) is None

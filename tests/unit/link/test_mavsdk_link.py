@@ -69,6 +69,14 @@ async def connected(
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
+async def heard(autopilot: FakeAutopilot, number: int) -> None:
+    for _ in range(1000):
+        if autopilot.commands(number):
+            return
+        await asyncio.sleep(0.01)
+    raise AssertionError(f"command {number} was not heard")
+
+
 def threads_of_this_process() -> set[str]:
     return {task.name for task in Path("/proc/self/task").iterdir()}
 
@@ -149,6 +157,38 @@ async def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where
         result = await asyncio.wait_for(actions.perform(Action(ActionKind.DISARM, force=asked)), 10.0)
     assert result.accepted is (asked and allowed)
     assert autopilot.armed is not (asked and allowed)
+
+
+async def test_cancelling_stops_mavsdks_repeats_and_holding_waits_for_nothing() -> None:
+    autopilot = FakeAutopilot(mode="OFFBOARD", deaf_to={mavlink.MAV_CMD_NAV_TAKEOFF: 99})
+    async with connected(autopilot) as actions:
+        task = asyncio.ensure_future(actions.perform(Action(ActionKind.TAKE_OFF, height_m=5.0)))
+        await heard(autopilot, mavlink.MAV_CMD_NAV_TAKEOFF)
+        actions.cancel()
+        result = await asyncio.wait_for(task, 5.0)
+        assert (result.accepted, result.text) == (False, "withdrawn")
+        result = await asyncio.wait_for(actions.perform(Action(ActionKind.HOLD)), 5.0)
+        assert result.accepted
+        assert autopilot.mode == "AUTO.LOITER"
+        await asyncio.sleep(1.5)
+        assert len(autopilot.commands(mavlink.MAV_CMD_NAV_TAKEOFF)) == 1
+    [command] = autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)
+    assert command.get_srcComponent() == 191
+
+
+async def test_mavsdk_is_asked_again_once_what_was_withdrawn_has_ended() -> None:
+    autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 1})
+    async with connected(autopilot) as actions:
+        task = asyncio.ensure_future(actions.perform(Action(ActionKind.ARM)))
+        await heard(autopilot, mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+        actions.cancel()
+        await task
+        assert not (busy := await actions.perform(Action(ActionKind.ARM))).accepted
+        assert busy.text == "MAVSDK is still busy with what was withdrawn"
+        async with asyncio.timeout(10.0):
+            while not (await actions.perform(Action(ActionKind.ARM))).accepted:
+                assert not autopilot.armed
+    assert autopilot.armed
 
 
 async def test_closing_leaves_no_thread_behind_even_amid_a_call() -> None:

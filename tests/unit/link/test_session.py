@@ -230,6 +230,58 @@ def test_a_beacon_from_the_ground_station_is_heard() -> None:
     assert (session.beacon.time_s, session.beacon.altitude_m) == (3.0, 401.0)
 
 
+@pytest.mark.parametrize("sender", [(254, 190), (1, 1), (1, 191)])
+def test_a_beacon_from_anyone_else_is_not_believed(sender: tuple[int, int]) -> None:
+    session = Session(LinkConfig())
+    beacon = PadBeacon(0.0, 47.0, 8.0, 401.0, (1.0, 0.0, 0.0), 1.0)
+    session.receive(Codec(*sender).encode(follow_target(beacon)), 3.0)
+    assert session.beacon is None
+    assert session.beacon_stranger == sender[0]
+
+
+@pytest.mark.parametrize("ground_system_id", [255, 77])
+def test_a_beacon_faster_than_any_pad_leaves_the_last_good_one(ground_system_id: int) -> None:
+    session = Session(LinkConfig(ground_system_id=ground_system_id, maximum_pad_speed_m_s=3.0))
+    ground = Codec(ground_system_id, 190)
+    for time_s, north_m_s in ((1.0, 2.9), (2.0, 3.1), (3.0, 1000.0)):
+        beacon = PadBeacon(0.0, 47.0, 8.0, 401.0, (north_m_s, 0.0, 0.0), 1.0)
+        session.receive(ground.encode(follow_target(beacon)), time_s)
+    assert session.beacon is not None
+    assert session.beacon.time_s == 1.0
+
+
+def on_the_ground(session: Session, autopilot: FakeAutopilot, now_s: float) -> None:
+    landed = autopilot.message(mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, now_s)
+    session.receive(autopilot.codec.encode(landed), now_s)
+
+
+def test_an_old_landed_state_is_none() -> None:
+    session, autopilot = Session(LinkConfig()), FakeAutopilot()
+    session.receive(autopilot.tick(0.0), 0.0)
+    on_the_ground(session, autopilot, 0.5)
+    session.tick(1.9)
+    assert (session.state.landed, session.state.landed_time_s) == ("on_ground", 0.5)
+    session.tick(2.1)
+    assert session.state.landed == "undefined"
+    assert session.state.connected
+    on_the_ground(session, autopilot, 2.2)
+    session.tick(2.3)
+    assert session.state.landed == "on_ground"
+
+
+def test_a_lost_link_makes_up_no_landing_no_disarming_and_no_pilot() -> None:
+    session, autopilot = (
+        Session(LinkConfig(heartbeat_timeout_s=1.0)),
+        FakeAutopilot(mode="OFFBOARD", armed=True),
+    )
+    session.receive(autopilot.tick(0.0), 0.0)
+    on_the_ground(session, autopilot, 0.9)
+    session.tick(1.1)
+    state = session.state
+    assert (state.connected, state.landed, state.ready_to_arm) == (False, "undefined", False)
+    assert (state.armed, state.offboard, state.mode) == (True, True, "OFFBOARD")
+
+
 def test_setpoints_are_turned_into_the_autopilots_heading() -> None:
     session, autopilot = Session(LinkConfig()), FakeAutopilot(heading_rad=math.radians(95.0))
     session.receive(autopilot.tick(0.0), 0.0)
@@ -350,6 +402,73 @@ def test_a_withdrawn_command_is_not_repeated() -> None:
     session.withdraw(pending)
     assert "COMMAND_LONG" not in {m.get_type() for m in Codec(1).decode(session.tick(5.0))}
     assert pending.outcome == "withdrawn"
+
+
+def test_a_late_answer_to_a_withdrawn_command_is_not_the_next_ones() -> None:
+    session = Session(LinkConfig())
+    first = session.command(ARM)
+    session.tick(0.0)
+    session.withdraw(first)
+    second = session.command(Command(ARM.number, (0.0, 0.0)))
+    session.tick(0.1)
+    session.receive(ack(mavlink.MAV_RESULT_DENIED, (1, 191)), 0.2)
+    assert second.outcome is None
+    session.receive(ack(0, (1, 191)), 0.3)
+    assert second.accepted
+
+
+def test_a_withdrawn_command_that_was_lost_costs_the_next_one_a_repeat_at_most() -> None:
+    session = Session(LinkConfig())
+    session.tick(0.0)
+    session.withdraw(session.command(ARM))  # never sent: no answer to wait for
+    second = session.command(ARM)
+    session.tick(0.1)
+    session.receive(ack(0, (1, 191)), 0.2)
+    assert second.accepted
+    third = session.command(ARM)
+    session.tick(1.0)
+    session.withdraw(third)
+    fourth = session.command(ARM)
+    session.tick(1.2)
+    session.receive(ack(0, (1, 191)), 1.3)
+    sent = [m.get_type() for m in Codec(1).decode(session.tick(1.75))]
+    assert "COMMAND_LONG" in sent
+    session.receive(ack(0, (1, 191)), 1.8)
+    assert fourth.accepted
+
+
+def parameter(name: bytes, value: float) -> bytes:
+    message = mavlink.MAVLink_param_value_message(name, value, mavlink.MAV_PARAM_TYPE_INT32, 9, 0)
+    return Codec(1, 1).encode(message)
+
+
+def test_a_parameter_is_read_by_its_name() -> None:
+    session = Session(LinkConfig())
+    session.receive(FakeAutopilot().tick(0.0), 0.0)
+    request = session.read_parameter("GUID_OPTIONS")
+    asked = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "PARAM_REQUEST_READ"]
+    assert [(m.param_id, m.param_index, m.target_system) for m in asked] == [("GUID_OPTIONS", -1, 1)]
+    session.receive(parameter(b"GUID_TIMEOUT", 3.0), 0.2)
+    session.receive(parameter(b"GUID_OPTIONS", math.nan), 0.2)
+    assert request.value is None
+    session.receive(parameter(b"GUID_OPTIONS", 9.0), 0.2)
+    assert (request.outcome, request.value) == ("accepted", 9.0)
+
+
+def test_a_setting_ends_with_the_value_wanted_and_not_with_an_older_one() -> None:
+    session = Session(LinkConfig(command_tries=2, command_patience_s=0.2))
+    session.receive(FakeAutopilot().tick(0.0), 0.0)
+    request = session.set_parameter("GUID_OPTIONS", 8)
+    session.tick(0.1)
+    session.receive(parameter(b"GUID_OPTIONS", 0.0), 0.15)
+    outcomes = [request.outcome]
+    session.receive(parameter(b"GUID_OPTIONS", 8.0), 0.2)
+    assert [*outcomes, request.outcome] == [None, "accepted"]
+    refused = session.set_parameter("GUID_OPTIONS", 9)
+    for now_s in (0.3, 0.55, 0.8):
+        session.tick(now_s)
+        session.receive(parameter(b"GUID_OPTIONS", 8.0), now_s)
+    assert (refused.outcome, refused.value) == (NO_ANSWER, 8.0)
 
 
 # ---------------------------------------------------------------- settings
