@@ -83,26 +83,26 @@ def test_anything_at_all_survives(pieces: list[bytes]) -> None:
 # ---------------------------------------------------------------- faults
 
 
+def problem_at(parser: Ultrasonic, now_s: float) -> str | None:
+    parser.watch(now_s)
+    return parser.problem
+
+
 def test_a_sensor_that_says_nothing_is_told_and_forgotten_when_it_speaks() -> None:
     parser = Ultrasonic(RangeConfig())
-    parser.watch(10.0)
-    parser.watch(10.9)
-    assert parser.problem is None
-    parser.watch(11.1)
-    assert parser.problem == "ultrasonic: nothing received"
+    assert problem_at(parser, 10.0) is None
+    assert problem_at(parser, 10.9) is None
+    assert problem_at(parser, 11.1) == "ultrasonic: nothing received"
     parser.feed(frame(1.0), 11.5)
-    parser.watch(12.0)
-    assert parser.problem is None
-    parser.watch(13.0)
-    assert parser.problem == "ultrasonic: nothing received"
+    assert problem_at(parser, 12.0) is None
+    assert problem_at(parser, 13.0) == "ultrasonic: nothing received"
 
 
 def test_no_echo_is_no_fault() -> None:
     parser = Ultrasonic(RangeConfig())
     for k in range(30):
         assert parser.feed(frame(None), 0.1 * k) == []
-        parser.watch(0.1 * k)
-        assert parser.problem is None
+        assert problem_at(parser, 0.1 * k) is None
 
 
 def test_bytes_that_make_no_frame_are_told() -> None:

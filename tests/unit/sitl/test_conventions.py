@@ -212,6 +212,9 @@ class NoLine:
         """Nothing."""
         return b""
 
+    def close(self) -> None:
+        """Nothing to close."""
+
 
 QUIET = SensorErrors(
     imu=ImuErrors(
