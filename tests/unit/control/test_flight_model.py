@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from control_plants import vehicle_config
 from scipy.linalg import expm
 
 from companion.control.flight_model import Motion, advance, advance_axis, discretise, lags
+from tests.unit.control.control_plants import vehicle_config
 
 TAU_S = 0.18
 LAGS_S = (0.18, 0.12, 0.05)

@@ -4,7 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from plan_harness import (
+
+from companion.config import MissionConfig, PlanConfig
+from companion.geometry import Vector3, ned_from_geodetic
+from companion.messages import ActionKind, Phase, PlanStep
+from tests.unit.plan.plan_harness import (
     HOME,
     LEG_M,
     ORIGIN_NED_M,
@@ -18,10 +22,6 @@ from plan_harness import (
     line,
     still,
 )
-
-from companion.config import MissionConfig, PlanConfig
-from companion.geometry import Vector3, ned_from_geodetic
-from companion.messages import ActionKind, Phase, PlanStep
 
 PADS: dict[str, Path] = {
     "still": still(),
