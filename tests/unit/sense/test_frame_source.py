@@ -95,7 +95,7 @@ async def connected(path: Path, camera: CameraConfig) -> tuple[FrameServer, Sock
 async def test_frames_cross_the_socket_unchanged(tmp_path: Path, camera: CameraConfig) -> None:
     server, source = await connected(tmp_path / "frames", camera)
     image = np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8)
-    server.deliver(Frame(12.5, 12.5, 41, image))
+    server.send(image, 41, 12.5)
     frame = await asyncio.wait_for(source.next(), 5.0)
     assert (frame.sequence, frame.time_s) == (41, 12.5)
     assert np.array_equal(frame.image, image)
@@ -109,12 +109,12 @@ async def test_the_newest_frame_wins_and_a_slow_client_never_holds_the_server_up
     server, source = await connected(tmp_path / "frames", camera)
     image = np.zeros((480, 640), np.uint8)
     for sequence in range(50):  # without a pause: most cannot be taken and are dropped
-        server.deliver(Frame(float(sequence), float(sequence), sequence, image))
+        server.send(image, sequence, float(sequence))
     first = await asyncio.wait_for(source.next(), 5.0)
     assert first.sequence < 49
     for sequence in range(100, 103):  # with pauses: all are taken, and the last is what the reader gets
         await asyncio.sleep(0.1)
-        server.deliver(Frame(float(sequence), float(sequence), sequence, image))
+        server.send(image, sequence, float(sequence))
     await asyncio.sleep(0.05)
     newest = await asyncio.wait_for(source.next(), 5.0)
     assert newest.sequence == 102
