@@ -268,7 +268,7 @@ def test_a_cancelled_action_is_not_repeated() -> None:
 def cancel_after(
     autopilot: FakeAutopilot, wait_s: float, *asked: Action, attitude_setpoints: bool = False
 ) -> list[ActionResult]:
-    """Begin the first action, cancel it, perform the rest at once; wait for repeats that must not come."""
+    """Begin the first, cancel it, perform the rest at once, and wait for repeats that must not come."""
 
     async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
         loop = asyncio.get_running_loop()
