@@ -13,6 +13,7 @@ import pytest
 
 from companion.clock import Clock
 from companion.config import CameraConfig, ConfigError
+from companion.messages import Frame
 from companion.sense.camera import SocketCamera, V4l2Camera, exposure_time_s, open_camera
 from sitl.frame_server import FrameServer
 
@@ -95,7 +96,7 @@ async def connected(path: Path, camera: CameraConfig) -> tuple[FrameServer, Sock
 async def test_frames_cross_the_socket_unchanged(tmp_path: Path, camera: CameraConfig) -> None:
     server, source = await connected(tmp_path / "frames", camera)
     image = np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8)
-    server.send(image, 41, 12.5)
+    server.deliver(Frame(12.5, 12.5, 41, image))
     frame = await asyncio.wait_for(source.next(), 5.0)
     assert (frame.sequence, frame.time_s) == (41, 12.5)
     assert np.array_equal(frame.image, image)
@@ -109,12 +110,12 @@ async def test_the_newest_frame_wins_and_a_slow_client_never_holds_the_server_up
     server, source = await connected(tmp_path / "frames", camera)
     image = np.zeros((480, 640), np.uint8)
     for sequence in range(50):  # without a pause: most cannot be taken and are dropped
-        server.send(image, sequence, float(sequence))
+        server.deliver(Frame(float(sequence), float(sequence), sequence, image))
     first = await asyncio.wait_for(source.next(), 5.0)
     assert first.sequence < 49
     for sequence in range(100, 103):  # with pauses: all are taken, and the last is what the reader gets
         await asyncio.sleep(0.1)
-        server.send(image, sequence, float(sequence))
+        server.deliver(Frame(float(sequence), float(sequence), sequence, image))
     await asyncio.sleep(0.05)
     newest = await asyncio.wait_for(source.next(), 5.0)
     assert newest.sequence == 102
@@ -134,7 +135,7 @@ async def test_frames_of_another_size_than_the_calibrations_are_refused(
     tmp_path: Path, camera: CameraConfig
 ) -> None:
     server, source = await connected(tmp_path / "frames", camera)
-    server.send(np.zeros((240, 320), np.uint8), 0, 0.0)
+    server.deliver(Frame(0.0, 0.0, 0, np.zeros((240, 320), np.uint8)))
     with pytest.raises(ConfigError, match="320x240, expected the calibration's 640x480"):
         await asyncio.wait_for(source.next(), 5.0)
     source.close()
