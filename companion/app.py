@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -194,7 +195,9 @@ class App:
         except Exception:
             if self.session.state.offboard:
                 self._errands.void()
-                await asyncio.wait_for(self._actions.perform(Action(ActionKind.HOLD)), LAST_HOLD_S)
+                hold = self._actions.perform(Action(ActionKind.HOLD))
+                with suppress(TimeoutError):
+                    self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
             raise
 
     async def _control_task(self) -> Phase:

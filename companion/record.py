@@ -30,6 +30,7 @@ from companion.messages import Frame
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(
     {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
+    | {"action_result"}
 )
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
 # half a minute of everything

@@ -1,8 +1,10 @@
 """What pushes the vehicle besides the command: an observer per axis, for tracking without a lasting offset.
 
 State per axis: velocity v, flown acceleration a, disturbance d, the measured acceleration's bias b, and s,
-the late measurement of a. They move by v' = a, a' = (u + d - a)/tau, s' = (a - s)/tau_s; d and b are slow random
-walks; measured are v and s + b (eq. 38 with w = d).
+the late measurement of a. They move by
+    v' = a,  a' = (u + d - a)/tau,  s' = (a - s)/tau_s,  d and b slow random walks;
+measured are v and s + b (eq. 38 with w = d).
+
 A stationary Kalman gain (eq. 17 at its limit). The bias is there because the measured
 acceleration carries the attitude's error times g: without it that error would pass for a disturbance.
 

@@ -1,0 +1,92 @@
+"""What breaks in flight: the app stays alive, and the flight lands or ends where a person can take over."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from companion.config import CONFIG_FOLDER
+from companion.control.controller import Controller
+from companion.desk import DeskFlight, Trial, desk_settings, fly
+from companion.messages import ActionKind, Outcome
+from companion.record import FlightLog
+from companion.sense.neo6m import Neo6m
+from companion.sense.vision import Vision
+from sitl.devices.mpu9250 import Mpu9250Device
+
+# by then the vehicle is on its way down to the pad
+IN_DESCENT_S = 26.0
+
+
+def fly_static() -> tuple[DeskFlight, FlightLog]:
+    trial = Trial.load("static", 0)
+    log = FlightLog(None, start_unix_s=0.0)
+    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    return fly(settings, trial, log, lambda _status: None, fast=True), log
+
+
+def texts(log: FlightLog) -> str:
+    return "\n".join(notice.text for notice in log.kept["notice"])
+
+
+def failing(
+    method: Callable[..., Any], error: Exception, fails: Callable[[tuple[Any, ...]], bool]
+) -> Callable[..., Any]:
+    """The method, which raises when `fails` says so of its arguments."""
+
+    def changed(*arguments: Any, **named: Any) -> Any:
+        if fails(arguments):
+            raise error
+        return method(*arguments, **named)
+
+    return changed
+
+
+def test_frames_that_cannot_be_understood_are_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = failing(
+        Vision.step, ValueError("torn"), lambda a: IN_DESCENT_S < a[1].time_s < IN_DESCENT_S + 0.3
+    )
+    monkeypatch.setattr(Vision, "step", broken)
+    flight, log = fly_static()
+    assert flight.report.outcome is Outcome.LANDED, flight.report.failures
+    assert "skipped: ValueError: torn" in texts(log)
+
+
+def test_a_gps_that_is_unplugged_over_the_pad_does_not_keep_from_landing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    unplugged = failing(Neo6m.feed, OSError(errno.EIO, "unplugged"), lambda a: a[2] > IN_DESCENT_S)
+    monkeypatch.setattr(Neo6m, "feed", unplugged)
+    flight, log = fly_static()
+    assert flight.report.outcome is Outcome.LANDED, flight.report.failures
+    assert "gps lost: [Errno 5] unplugged" in texts(log)
+
+
+def test_bus_errors_now_and_then_do_not_keep_from_landing(monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 0
+
+    def every_fortieth(_arguments: tuple[Any, ...]) -> bool:
+        nonlocal count
+        count += 1
+        return count > 1000 and count % 40 == 0
+
+    nack = failing(Mpu9250Device.read, OSError(errno.EREMOTEIO, "no answer"), every_fortieth)
+    monkeypatch.setattr(Mpu9250Device, "read", nack)
+    flight, _ = fly_static()
+    assert flight.report.outcome is Outcome.LANDED, flight.report.failures
+
+
+def test_a_control_loop_that_fails_leaves_the_vehicle_holding(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = FlightLog(None, start_unix_s=0.0)
+    trial = Trial.load("static", 0)
+    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    fails = failing(Controller.step, RuntimeError("a bug"), lambda a: a[4] > IN_DESCENT_S)
+    monkeypatch.setattr(Controller, "step", fails)
+    with pytest.raises(ExceptionGroup, match="unhandled errors") as caught:
+        fly(settings, trial, log, lambda _status: None, fast=True)
+    assert caught.group_contains(RuntimeError, match="a bug")
+    held = [result for result in log.kept["action_result"] if result.kind is ActionKind.HOLD]
+    assert [result.accepted for result in held] == [True]
