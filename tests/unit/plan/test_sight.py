@@ -1,8 +1,8 @@
 import pytest
-from plan_harness import ORIGIN_NED_M, World, still
 
 from companion.messages import PadState
 from companion.plan.sight import PadKnowledge, Sightings, look, pad_motion
+from tests.unit.plan.plan_harness import ORIGIN_NED_M, World, still
 
 
 def pad(time_s: float = 10.0, seen_s: float = 9.9) -> PadState:

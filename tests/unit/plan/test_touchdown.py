@@ -1,5 +1,4 @@
 import pytest
-from plan_harness import LEG_M, VEHICLE
 
 from companion.config import GuidanceConfig, TouchdownConfig
 from companion.geometry import ZERO3, Vector3
@@ -9,6 +8,7 @@ from companion.plan.min_jerk import Motion
 from companion.plan.mission import Event
 from companion.plan.sight import Sight
 from companion.plan.touchdown import Held, Touchdown, aligned, contact_signs, gentle
+from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()
 WAIT_M = LEG_M + 0.35

@@ -1,13 +1,13 @@
 from dataclasses import replace
 
 import pytest
-from plan_harness import World, still
 
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.messages import AutopilotState, Manner, Phase
 from companion.plan.inputs import PlanInputs
 from companion.plan.mission import Event
 from companion.plan.watch import Watch, is_pilots
+from tests.unit.plan.plan_harness import World, still
 
 CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
 FLYING = AutopilotState(0.0, connected=True, manner="px4", armed=True, mode="OFFBOARD", offboard=True)
