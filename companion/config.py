@@ -383,6 +383,7 @@ class SearchConfig(StrictModel):
     trust_s: float = Field(default=12.0, ge=1.0, le=120.0)  # a word of where the pad is, until it is stale
     lead_s: float = Field(default=5.0, ge=0.0, le=30.0)  # and how far its velocity is carried on
     climb_m: float = Field(default=6.0, ge=0.0, le=30.0)
+    floor_m: float = Field(default=1.5, ge=0.5, le=10.0)  # over home and the last echoes, the pad unseen
     sightings: int = Field(default=5, ge=1, le=100)
     sightings_window_s: float = Field(default=0.5, ge=0.1, le=5.0)
 
@@ -399,6 +400,8 @@ class LandingConfig(StrictModel):
     retries: int = Field(default=3, ge=0, le=20)
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
     lost_unseen_s: float = Field(default=2.0, gt=0.0, le=10.0)
+    ground_near_m: float = Field(default=1.5, gt=0.0, le=4.0)  # echoes this near, and the pad thought to lie
+    ground_doubt_m: float = Field(default=0.8, gt=0.1, le=4.0)  # so much lower: break off, climb and search
 
 
 class TouchdownConfig(StrictModel):

@@ -26,7 +26,6 @@ class Departure:
 
     def __init__(self, config: MissionConfig) -> None:
         self._config = config
-        self._ground_down_m: float | None = None
         self._settled = Held()
         self._reminded_s = -math.inf
         self._waypoint: tuple[Vector3, Vector3, Vector3] | None = None
@@ -40,21 +39,25 @@ class Departure:
             return Action(kind, position=(latitude, longitude, self._config.take_off_height_m))
         return Action(kind)
 
-    def lift_off(self, vehicle: VehicleState | None) -> None:
-        """Remember the ground by our own estimate."""
-        self._ground_down_m = None if vehicle is None else vehicle.position_ned_m[2]
+    def lift_off(self) -> None:
+        """Begin to watch the climb."""
         self._settled = Held()
 
     def step(
-        self, phase: Phase, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
+        self,
+        phase: Phase,
+        vehicle: VehicleState | None,
+        autopilot: AutopilotState,
+        height_m: float | None,
+        now_s: float,
     ) -> tuple[Finding, str]:
-        """What is found in one of these phases, and what to tell of the waiting."""
+        """What is found in one of these phases, and what to tell of the waiting; height over home."""
         if phase is Phase.CONNECT:
             return self._connect(vehicle, autopilot, now_s)
         if phase is Phase.ARM:
             return ((Event.ARMED, "motors turn") if autopilot.armed else None), ""
         if phase is Phase.TAKE_OFF:
-            return self._take_off(vehicle, autopilot, now_s), ""
+            return self._take_off(vehicle, autopilot, height_m, now_s), ""
         return self._to_waypoint(vehicle, autopilot), ""
 
     def _connect(
@@ -68,9 +71,10 @@ class Departure:
         self._reminded_s = now_s
         return None, f"waiting for {', '.join(missing)}"
 
-    def _take_off(self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float) -> Finding:
+    def _take_off(
+        self, vehicle: VehicleState | None, autopilot: AutopilotState, height_m: float | None, now_s: float
+    ) -> Finding:
         wanted_m = self._config.take_off_height_m
-        height_m = self._height_m(vehicle, autopilot)
         if height_m is None or autopilot.landed is LandedState.ON_GROUND:
             return None
         climb_m_s = 0.0 if vehicle is None else -vehicle.velocity_ned_m_s[2]
@@ -79,14 +83,6 @@ class Departure:
         if height_m >= wanted_m - min(_NEARLY_UP_M, 0.1 * wanted_m) or settled:
             return Event.AIRBORNE, f"{height_m:.1f} m up"
         return None
-
-    def _height_m(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> float | None:
-        """Height over home as the autopilot has it, by our climb when it does not say."""
-        if autopilot.global_position is not None and autopilot.home is not None:
-            return autopilot.global_position[2] - autopilot.home[2]
-        if vehicle is None or self._ground_down_m is None:
-            return None
-        return self._ground_down_m - vehicle.position_ned_m[2]
 
     def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> Finding:
         if vehicle is None or vehicle.origin is None or autopilot.home is None:

@@ -15,6 +15,7 @@ from companion.config import PlanConfig, VehicleConfig
 from companion.geometry import yaw_from_quat
 from companion.messages import Action, ActionKind, LandedState, Phase
 from companion.plan.departure import Departure
+from companion.plan.ground import Ground
 from companion.plan.guidance import Guide
 from companion.plan.inputs import PlanInputs
 from companion.plan.landing import Landing
@@ -42,12 +43,14 @@ class Flight:
         *,
         guide: Guide,
         pad: PadKnowledge,
+        ground: Ground,
         requests: Requests,
         watch: Watch,
         say: Say,
     ) -> None:
         self._config, self._leg_m = config, vehicle.leg_height_m
-        self._guide, self._pad, self._requests, self._watch, self._say = guide, pad, requests, watch, say
+        self._guide, self._pad, self._ground = guide, pad, ground
+        self._requests, self._watch, self._say = requests, watch, say
         self.departure = Departure(config.mission)
         self.search = Search(config.search, guide)
         self._landing = Landing(config.landing, vehicle, guide)
@@ -80,7 +83,8 @@ class Flight:
 
     def minimum_height_m(self, now_s: float) -> float | None:
         """What the controller may not go below, over the pad."""
-        if self._guide.active and self._phase in {Phase.APPROACH, Phase.DESCEND}:
+        by_pad = self._guide.active and self._guide.origin == "pad"
+        if by_pad and self._phase in {Phase.APPROACH, Phase.DESCEND}:
             return self._landing.minimum_height_m(now_s)
         return None
 
@@ -98,7 +102,8 @@ class Flight:
         """Go over to another phase."""
         previous, self._phase = self._phase, phase
         if self._phase is Phase.TAKE_OFF:
-            self.departure.lift_off(inputs.vehicle)
+            self._ground.stands_here(inputs.vehicle)
+            self.departure.lift_off()
         elif self._phase is Phase.SEARCH:
             self._enter_search(previous, inputs, now_s)
         elif self._phase is Phase.APPROACH:
@@ -117,11 +122,26 @@ class Flight:
         if not self._guide.active:
             self._guide.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._stand_still(inputs, now_s)
-        sight = None if previous is Phase.WAYPOINT else self._pad.sight
-        missing_m = 0.0 if sight is None else self._config.mission.take_off_height_m - sight.height_m
-        climb_m = self.search.begin(missing_m, now_s)
+        missing_m = 0.0 if previous is Phase.WAYPOINT else self._missing_m()
+        climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
         if climb_m > _WORTH_TELLING_M:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
+
+    def _missing_m(self) -> float:
+        """How far (m) below the height of searching; over home or what gave the last echoes.
+
+        The pad's estimate counts only where neither is known: it may be what went wrong.
+        """
+        clearance_m = self._ground.clearance_m
+        if clearance_m is None:
+            clearance_m = math.inf if self._pad.sight is None else self._pad.sight.height_m
+        return self._config.mission.take_off_height_m - clearance_m
+
+    def _lowest_down_m(self) -> float:
+        """Down (m, EKF's NED) of the floor while no pad is in view; inf when no height is known."""
+        floor_m = min(self._config.search.floor_m, self._config.mission.take_off_height_m)
+        down_m = self._ground.floor_down_m(floor_m)
+        return math.inf if down_m is None else down_m
 
     def _enter_approach(self, previous: Phase, now_s: float) -> None:
         if self._guide.origin == "local" and self._pad.motion is not None:
@@ -163,7 +183,9 @@ class Flight:
     def _depart(self, inputs: PlanInputs, now_s: float) -> Finding:
         if self._phase is Phase.WAYPOINT and self._pad.steady(now_s):
             return Event.PAD_SEEN, "on the way to the waypoint"
-        finding, waiting_for = self.departure.step(self._phase, inputs.vehicle, inputs.autopilot, now_s)
+        finding, waiting_for = self.departure.step(
+            self._phase, inputs.vehicle, inputs.autopilot, self._ground.over_home_m, now_s
+        )
         if waiting_for:
             self._say("waiting", waiting_for, now_s, "info")
         return finding
@@ -173,6 +195,9 @@ class Flight:
             return None
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
+        climb_m = self.search.keep_above(self._lowest_down_m())
+        if climb_m > 0.0:
+            self._say("climb", f"climbing {climb_m:.1f} m: too near to the ground", now_s, "warning")
         step = self.search.step(actual, self._watch.in_control, self._pad.steady(now_s), now_s)
         if step.ask_for_control:
             self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
@@ -185,16 +210,37 @@ class Flight:
             )
         return (Event.PAD_SEEN, self._pad.in_words()) if step.seen else None
 
-    def _come_in(self, _inputs: PlanInputs, now_s: float) -> Finding:
-        self._keep_near_pad(now_s)
+    def _come_in(self, inputs: PlanInputs, now_s: float) -> Finding:
+        wrong = self._ground_near()
+        if wrong is not None:
+            return wrong
+        self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._phase is Phase.APPROACH else self._landing.descend
-        return fly(self._pad.sight, now_s)
+        finding = fly(self._pad, self._lowest_down_m(), now_s)
+        if self._landing.climb_m > _WORTH_TELLING_M:
+            climb_m = self._landing.climb_m
+            self._say("climb", f"climbing {climb_m:.1f} m while the pad is unseen", now_s, "warning")
+        return finding
+
+    def _ground_near(self) -> Finding:
+        """Whether the echoes say that there is no room for the pad where it is believed to be."""
+        c, surface_m, sight = self._config.landing, self._ground.surface_m, self._pad.sight
+        if sight is None or surface_m is None or surface_m > c.ground_near_m:
+            return None
+        if sight.height_m - surface_m < c.ground_doubt_m:
+            return None
+        self._pad.distrust()
+        self.search.whereabouts.distrust()
+        return Event.GROUND_NEAR, f"{surface_m:.1f} m below, the pad was thought {sight.height_m:.1f} m below"
 
     def _touch_down(self, inputs: PlanInputs, now_s: float) -> Finding:
         finding: Finding = None
         was_committed = self._touchdown.committed
         if not was_committed:
-            self._keep_near_pad(now_s)
+            wrong = self._ground_near()
+            if wrong is not None:
+                return wrong
+            self._keep_near_pad(inputs, now_s)
         if not (self._touchdown.on_pad and self._watch.released):
             finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
         if self._touchdown.committed and not was_committed:
@@ -231,9 +277,12 @@ class Flight:
 
     # ------------------------------------------------------------ helpers
 
-    def _keep_near_pad(self, now_s: float) -> None:
+    def _keep_near_pad(self, inputs: PlanInputs, now_s: float) -> None:
+        """Unseen, the guide flies in the EKF's NED, and what moves there is the vehicle alone."""
         sight = self._pad.sight
-        if sight is not None and sight.age_s <= self._config.landing.pause_unseen_s:
+        if self._guide.origin == "local" and inputs.vehicle is not None:
+            self._keep_near(vehicle_motion(inputs.vehicle, now_s), now_s)
+        elif sight is not None and sight.age_s <= self._config.landing.pause_unseen_s:
             self._keep_near(sight.motion, now_s)
 
     def _keep_near(self, actual: Motion, now_s: float) -> None:

@@ -26,6 +26,10 @@ SpeedLaw = Callable[[float, float, float], float]
 _CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 _MOST_STRETCHES = 4
 _KEPT_SHARE = 0.9
+# Levelling off is a safety matter, and takes no view of the pad away: quicker than the plan's own limits.
+_LEVEL_OFF_M_S2 = 3.0
+_TOO_LOW_M = 0.15
+_PEAK = 1.875  # a quintic's greatest speed over its mean
 
 
 class Guide:
@@ -36,6 +40,7 @@ class Guide:
         self._count, self._step_s = horizon_steps + 1, step_s
         self.origin: Origin = "local"
         self._trajectory: Trajectory | None = None
+        self._level: Trajectory | None = None
         self.heading_rad = 0.0
         self._turned_s: float | None = None
         self.speed_m_s = 0.0
@@ -54,7 +59,8 @@ class Guide:
         """
         if self._trajectory is None:
             raise RuntimeError("no reference yet: start one first")
-        return self._trajectory.at(now_s)
+        motion = self._trajectory.at(now_s)
+        return motion if self._level is None else _with_down(motion, self._level.at(now_s))
 
     def resting_place_m(self) -> Vector3:
         """Where the reference ends.
@@ -62,7 +68,8 @@ class Guide:
         Raises:
             RuntimeError: there is no reference.
         """
-        return self.at(math.inf if self._trajectory is None else self._trajectory.end_s).position_m
+        ends_s = [t.end_s for t in (self._trajectory, self._level) if t is not None]
+        return self.at(max(ends_s, default=math.inf)).position_m
 
     def start(self, origin: Origin, motion: Motion, now_s: float) -> None:
         """Begin afresh at a state, coming to rest in the frame."""
@@ -115,8 +122,30 @@ class Guide:
         moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
         duration_s = distance / speed + self._config.minimum_time_s
         relative = self._within_limits(moving, max(duration_s, self._left_s(now_s)), now_s)
-        self._trajectory = _carried(relative, target)
+        self._trajectory, self._level = _carried(relative, target), None
         self.speed_m_s, self.time_to_go_s = speed, relative.duration_s
+
+    def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
+        """As `fly_to`, but the height is kept: any climb or sink is stopped, at once and by itself.
+
+        Once level, it climbs to `lowest_down_m` (of the present frame) if it is lower than that; returns the
+        climb (m) that begins with this cycle, else 0.
+        """
+        climb_m = 0.0
+        start, level = self.at(now_s), self._level
+        x, y, _ = target.position_m
+        vx, vy, _ = target.velocity_m_s
+        self.fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0)), now_s)
+        z, rate, change = (m[2] for m in (start.position_m, start.velocity_m_s, start.acceleration_m_s2))
+        upright = Motion((0.0, 0.0, z), (0.0, 0.0, rate), (0.0, 0.0, change))
+        if level is None:
+            level = brake(upright, now_s, _LEVEL_OFF_M_S2)
+        elif now_s >= level.end_s and z - lowest_down_m > _TOO_LOW_M:
+            climb_m = z - lowest_down_m
+            duration_s = self._config.minimum_time_s + _PEAK * climb_m / self._config.vertical_speed_m_s
+            level = plan(upright, Motion((0.0, 0.0, lowest_down_m)), now_s, duration_s)
+        self._level = level
+        return climb_m
 
     def sink(self, speed_m_s: float, blend_s: float, now_s: float) -> float:
         """From here straight down to a constant speed that goes on; returns how far (m) the blend takes."""
@@ -139,7 +168,12 @@ class Guide:
         """The rows over the horizon, (horizon_steps + 1, 3) each."""
         if self._trajectory is None:
             return None
-        position, velocity, acceleration = self._trajectory.rows(now_s, self._count, self._step_s)
+        rows = self._trajectory.rows(now_s, self._count, self._step_s)
+        if self._level is not None:
+            upright = self._level.rows(now_s, self._count, self._step_s)
+            for row, vertical in zip(rows, upright, strict=True):
+                row[:, 2] = vertical[:, 2]
+        position, velocity, acceleration = rows
         return Reference(
             now_s,
             self.origin,
@@ -152,7 +186,7 @@ class Guide:
         )
 
     def _follow(self, trajectory: Trajectory, now_s: float) -> None:
-        self._trajectory = trajectory
+        self._trajectory, self._level = trajectory, None
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
 
     def _left_s(self, now_s: float) -> float:
@@ -193,6 +227,13 @@ class Guide:
                 abs(a[2]) / max(c.vertical_acceleration_m_s2, lift),
             )
         return max(speed, math.sqrt(acceleration))
+
+
+def _with_down(motion: Motion, vertical: Motion) -> Motion:
+    """A motion whose third axis is another's."""
+    (x, y, _), (vx, vy, _), (ax, ay, _) = motion.position_m, motion.velocity_m_s, motion.acceleration_m_s2
+    z, vz, az = vertical.position_m[2], vertical.velocity_m_s[2], vertical.acceleration_m_s2[2]
+    return Motion((x, y, z), (vx, vy, vz), (ax, ay, az))
 
 
 def _flat(v: Vector3) -> float:

@@ -1,8 +1,9 @@
 """Coming in over the pad: approach down a slope, then straight down inside a cone.
 
 The guide's frame is the pad's: vehicle minus pad, NED axes, m and s; heights of targets count from the
-vehicle's reference point. Descent stops, and the way is kept, while the pad is unseen or the vehicle is
-outside the cone.
+vehicle's reference point. Descent stops while the vehicle is outside the cone. While the pad is unseen the
+guide's frame is the EKF's NED: over the pad's predicted place, but at a height that does not depend on it,
+since the prediction of a height from few sightings sinks or rises without end.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from companion.config import LandingConfig, VehicleConfig
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 from companion.plan.mission import Event
-from companion.plan.sight import Sight
+from companion.plan.sight import PadKnowledge, Sight
 from companion.plan.touchdown import Finding
 
 _CENTRED_MARGIN_M = 0.7
@@ -33,6 +34,8 @@ class Landing:
         self.goal_m = self._leg_m + config.approach_height_m
         self.paused = False
         self._begun_s = 0.0
+        self._blind_down_m = math.inf
+        self.climb_m = 0.0  # a climb that begins with this cycle since the pad is unseen
 
     def begin(self, height_m: float, again: bool, now_s: float) -> None:
         """Start an approach from a height; `again` after a failed touchdown: only as high as that needs.
@@ -45,14 +48,19 @@ class Landing:
         self.paused = False
         self._begun_s = now_s
 
-    def approach(self, sight: Sight | None, now_s: float) -> Finding:
-        """Towards the point above the pad, down a slope that keeps the pad in view."""
+    def approach(self, pad: PadKnowledge, lowest_down_m: float, now_s: float) -> Finding:
+        """Towards the point above the pad, down a slope that keeps the pad in view.
+
+        Unseen it goes on over the predicted place, no lower than `lowest_down_m` (EKF's NED).
+        """
+        sight = pad.sight
         if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
             return self._lost(sight)
-        seen = sight.age_s <= self._config.pause_unseen_s
-        self._go(self._slope_m(sight, now_s) if seen else max(self.goal_m, self._level(now_s)), now_s)
+        if not self._by_sight(pad, sight, self.goal_m, lowest_down_m, now_s):
+            return None
+        self._go(self._slope_m(sight, now_s), now_s)
         near = abs(sight.height_m - self.goal_m) <= min(_CENTRED_MARGIN_M, 0.25 * self.goal_m)
-        if seen and near and self._inside(sight) and sight.lateral_speed_m_s <= _CENTRED_SPEED_M_S:
+        if near and self._inside(sight) and sight.lateral_speed_m_s <= _CENTRED_SPEED_M_S:
             return Event.CENTRED, f"{sight.height_m:.1f} m above the pad"
         return None
 
@@ -62,19 +70,22 @@ class Landing:
         aside_m = max(math.hypot(x, y), sight.lateral_m)
         return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
 
-    def descend(self, sight: Sight | None, now_s: float) -> Finding:
+    def descend(self, pad: PadKnowledge, lowest_down_m: float, now_s: float) -> Finding:
         """Straight down to where touchdown starts, only while inside the cone and seeing the pad."""
+        sight = pad.sight
         if sight is None or sight.age_s > self._config.lost_unseen_s:
             return self._lost(sight)
         wait_m = self._leg_m + self._config.wait_height_m
-        seen = sight.age_s <= self._config.pause_unseen_s
-        go_on = seen and self._inside(sight, _BACK_INSIDE if self.paused else 1.0)
+        if not self._by_sight(pad, sight, 0.0, lowest_down_m, now_s):
+            self.paused = True
+            return None
+        go_on = self._inside(sight, _BACK_INSIDE if self.paused else 1.0)
         if go_on:
             self._go(wait_m, now_s)
         elif not self.paused:
             self._guide.rest(self._guide.at(now_s), now_s)  # and stays at rest over the pad
         self.paused = not go_on
-        if seen and sight.height_m <= wait_m + _LOW_MARGIN_M:
+        if sight.height_m <= wait_m + _LOW_MARGIN_M:
             return Event.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
         return None
 
@@ -82,14 +93,32 @@ class Landing:
         """What the controller may not go below; never above where the reference is."""
         return max(0.0, min(self._leg_m + _FLOOR_M, -self._guide.at(now_s).position_m[2] - 0.05))
 
+    def _by_sight(
+        self, pad: PadKnowledge, sight: Sight, goal_m: float, lowest_down_m: float, now_s: float
+    ) -> bool:
+        """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
+
+        A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
+        """
+        assert pad.motion is not None
+        self.climb_m = 0.0
+        if sight.age_s <= self._config.pause_unseen_s:
+            self._guide.change_frame("pad", pad.motion, now_s)
+            self._blind_down_m = math.inf
+            return True
+        if self._guide.origin == "pad":
+            self._guide.change_frame("local", pad.motion, now_s)
+            self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
+        self.climb_m = self._guide.fly_level(pad.motion, min(lowest_down_m, self._blind_down_m), now_s)
+        return False
+
+    def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:
+        """Down of the goal, if that is higher than here, by no more than a retry climbs."""
+        here_m = self._guide.at(now_s).position_m[2]
+        return max(pad.position_m[2] - goal_m, here_m - self._config.retry_height_m)
+
     def _go(self, height_m: float, now_s: float) -> None:
         self._guide.fly_to(Motion((0.0, 0.0, -height_m)), now_s)
-
-    def _level(self, now_s: float) -> float:
-        """The height at which the reference can come to a stop."""
-        now = self._guide.at(now_s)
-        sink = max(0.0, now.velocity_m_s[2])
-        return -now.position_m[2] - 0.5 * sink
 
     def _inside(self, sight: Sight, share: float = 1.0) -> bool:
         above_m = max(0.0, sight.height_m - self._leg_m)

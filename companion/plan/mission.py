@@ -31,6 +31,7 @@ class Event(StrEnum):
     CONTACT = "contact"  # several signs say that the feet stand on the pad
     DISARMED = "disarmed"
     PAD_LOST = "pad_lost"
+    GROUND_NEAR = "ground_near"  # far nearer than the pad is believed to be: that belief is wrong
     MISALIGNED = "misaligned"  # touchdown cannot be had from here: climb and try again
     OUT_OF_TRIES = "out_of_tries"
     CONNECTED = "connected"  # the link is back
@@ -89,6 +90,9 @@ _OWN: dict[tuple[Phase, Event], Transition] = {
     (_AP, Event.TIMEOUT): Transition(_S, _ASK_PAD),
     (_D, Event.LOW): Transition(_TD),
     (_D, Event.PAD_LOST): Transition(_S, _ASK_PAD),
+    (_AP, Event.GROUND_NEAR): Transition(_S, _ASK_PAD),
+    (_D, Event.GROUND_NEAR): Transition(_S, _ASK_PAD),
+    (_TD, Event.GROUND_NEAR): Transition(_S, _ASK_PAD),
     (_D, Event.MISALIGNED): Transition(_AP),
     (_D, Event.TIMEOUT): Transition(_AP),
     (_D, Event.OUT_OF_TRIES): Transition(Phase.HOLD),

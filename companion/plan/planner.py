@@ -13,6 +13,7 @@ from typing import Final
 from companion.config import PlanConfig, VehicleConfig
 from companion.messages import ActionKind, LandedState, Notice, Phase, PlanStep
 from companion.plan.flight import Flight, Severity
+from companion.plan.ground import Ground
 from companion.plan.guidance import Guide, SpeedLaw
 from companion.plan.inputs import PlanInputs
 from companion.plan.mission import FINAL, Event, transition
@@ -39,12 +40,14 @@ class Planner:
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._watch = Watch(mission)
         self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
+        self._ground = Ground(vehicle.range_position_body_m)
         self._guide = Guide(config.guidance, fuzzy, horizon_steps, step_s)
         self._flight = Flight(
             config,
             vehicle,
             guide=self._guide,
             pad=self._pad,
+            ground=self._ground,
             requests=self._requests,
             watch=self._watch,
             say=self._say,
@@ -79,6 +82,7 @@ class Planner:
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
+        self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
         if inputs.vehicle is None:
             return
         self._flight.search.hear(inputs.beacon, inputs.vehicle.origin)

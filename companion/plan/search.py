@@ -18,6 +18,10 @@ from companion.plan.min_jerk import Motion
 
 # The reference counts as at a corner when this close: the next one is taken up without a halt.
 _CORNER_M = 1.0
+# A floor is heeded in steps, lest its noise be flown.
+_FLOOR_STEP_M = 0.3
+# A search that begins with a climb comes to rest first.
+_STOPPED_S = 0.6
 # Slower than this a pad has no course to speak of; turning faster than that is noise.
 _COURSE_M_S = 0.3
 _FASTEST_TURN_RAD_S = 1.0
@@ -104,6 +108,10 @@ class Whereabouts:
         rate = _bounded((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
         self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
 
+    def distrust(self) -> None:
+        """The last sight proved wrong."""
+        self._sight = None
+
     def likely(self, now_s: float) -> Motion:
         """Where the pad should be now; at rest where the search began when there is no word."""
         newest = self._newest(now_s)
@@ -154,15 +162,33 @@ class Search:
         """Ask for the pad's position at the next step, however lately that was done."""
         self._next_request_s = -math.inf
 
-    def begin(self, climb_m: float, now_s: float) -> float:
-        """Start from the reference; returns the climb (m), bounded, that the search will make."""
-        climb_m = max(0.0, min(self._config.climb_m, climb_m))
+    def begin(self, climb_m: float, lowest_down_m: float, now_s: float) -> float:
+        """Start from the reference; returns the climb (m), bounded, that the search will make.
+
+        It ends no lower than lowest_down_m (EKF's NED), and that bounds it too.
+        """
         here = self._guide.at(now_s).position_m
         self.whereabouts.start = Lead(-math.inf, here)
-        self._down_m = here[2] - climb_m
+        wished_m = max(0.0, min(self._config.climb_m, climb_m))
+        self._down_m = min(here[2] - wished_m, lowest_down_m)
+        self._hold_m = self._guide.resting_place_m()
+        climb_m = here[2] - self._down_m
+        self._most_up_m = self._down_m - self._config.climb_m
         self._corner, self._arrived_s = 0, None
         self._begun_s = now_s
         return climb_m
+
+    def keep_above(self, lowest_down_m: float) -> float:
+        """Raise the height of searching over a floor (EKF's NED) that rose; returns the climb (m), if any.
+
+        All such climbs of a search together are bounded: a floor that goes on rising is a fault.
+        """
+        floor_m = max(lowest_down_m, self._most_up_m)
+        climb_m = self._down_m - floor_m
+        if climb_m < _FLOOR_STEP_M:
+            return 0.0
+        self._down_m = floor_m - _FLOOR_STEP_M
+        return climb_m + _FLOOR_STEP_M
 
     def step(self, actual: Motion, in_control: bool, steady: bool, now_s: float) -> SearchStep:
         """One cycle; `actual` is the vehicle in the EKF's NED, `steady` whether the pad is in view."""
@@ -181,6 +207,8 @@ class Search:
         flying = now_s - max(self._begun_s, self._control_s) >= self._config.hold_s
         if flying:
             self._guide.fly_to(self._target(now_s), now_s)
+        elif in_control and now_s - self._begun_s >= _STOPPED_S:
+            self._guide.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
         return SearchStep(request_pad=request, flying=flying)
 
     def _target(self, now_s: float) -> Motion:

@@ -28,6 +28,8 @@ class Sight:
     pad_acceleration_ned_m_s2: Vector3
     pad_heading_rad: float
     age_s: float  # since the pad was last seen
+    position_std_m: float = 0.0
+    velocity_std_m_s: float = 0.0
 
     @property
     def height_m(self) -> float:
@@ -63,6 +65,8 @@ def look(pad: PadState | None, now_s: float) -> Sight | None:
         pad_acceleration_ned_m_s2=pad.acceleration_ned_m_s2,
         pad_heading_rad=pad.heading_rad + pad.heading_rate_rad_s * lead_s,
         age_s=max(0.0, now_s - pad.seen_time_s),
+        position_std_m=pad.position_std_m,
+        velocity_std_m_s=pad.velocity_std_m_s,
     )
 
 
@@ -94,6 +98,10 @@ class Sightings:
         if pad is not None and (not self._times_s or pad.seen_time_s > self._times_s[-1]):
             self._times_s.append(pad.seen_time_s)
 
+    def forget(self) -> None:
+        """Begin to count anew."""
+        self._times_s.clear()
+
     def steady(self, now_s: float) -> bool:
         """Whether the last `count` sightings all lie within the window before now."""
         times = self._times_s
@@ -118,6 +126,10 @@ class PadKnowledge:
     def steady(self, now_s: float) -> bool:
         """Whether the pad is in view, not just for a frame."""
         return self.motion is not None and self._sightings.steady(now_s)
+
+    def distrust(self) -> None:
+        """What was seen proved wrong: only new sightings count."""
+        self._sightings.forget()
 
     def in_words(self) -> str:
         """Where it is, for a notice."""

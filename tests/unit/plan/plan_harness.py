@@ -197,6 +197,8 @@ class World:
         self.acceleration: Vector3 = ZERO3
         self.blind: Callable[[float, float], bool] = lambda _t, _height: False
         self.noise_m = 0.0
+        self.blind_drift_m_s = 0.0  # the believed pad falls so fast while unseen
+        self.lie_m: Callable[[float], float] = lambda _t: 0.0  # the believed pad lies so much too low
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
         self.beacon_after_s: float | None = None
         self.vehicle_known = True
@@ -313,7 +315,10 @@ class World:
         """The pad as last seen, led on at its velocity, with the filter's noise."""
         lead_s = self.now_s - then_s
         relative = [p + v * lead_s - q for p, v, q in zip(pad, velocity, self.position, strict=True)]
+        relative[2] += self.blind_drift_m_s * lead_s + self.lie_m(self.now_s)
         noisy = [r + n * (1.0 + 0.4 * abs(relative[2])) for r, n in zip(relative, self._drift, strict=True)]
+        if lead_s > 0.0:
+            velocity = (velocity[0], velocity[1], velocity[2] + self.blind_drift_m_s)
         relative_velocity = [a - b for a, b in zip(velocity, self.velocity, strict=True)]
         return PadState(
             time_s=self.now_s,

@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -174,3 +175,49 @@ def test_asking_for_the_state_of_no_reference_is_an_error() -> None:
     assert not g.active
     with pytest.raises(RuntimeError, match="no reference"):
         g.at(0.0)
+
+
+def level_flight(lowest_down_m: float) -> tuple[Guide, list[Motion]]:
+    """From a climb or sink of 1 m/s on, towards a point that moves and (by its own word) rises."""
+    g = guide()
+    g.start("local", Motion((0.0, 0.0, -4.0), (0.5, 0.0, 0.0)), 0.0)
+    g.sink(1.0, 0.3, 0.0)
+    way = []
+    for k in range(9, 240):
+        now = k * CYCLE_S
+        g.fly_level(Motion((3.0 + 0.5 * now, 1.0, 9.0), (0.5, 0.0, -2.0)), lowest_down_m, now)
+        way.append(g.at(now))
+    return g, way
+
+
+def test_level_flight_stops_a_sink_at_once_and_goes_on_horizontally() -> None:
+    _, way = level_flight(math.inf)
+    begun_m = way[0].position_m[2]
+    assert max(m.position_m[2] for m in way) < begun_m + 0.45
+    # within a second it stands, and then keeps that height to the millimetre
+    settled = [m.position_m[2] for m in way[30:]]
+    assert max(settled) - min(settled) < 1e-3
+    assert way[-1].position_m[:2] == pytest.approx((3.0 + 0.5 * 239 * CYCLE_S, 1.0), abs=0.05)
+    assert way[-1].velocity_m_s[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_level_flight_climbs_to_its_floor_without_a_step() -> None:
+    g, way = level_flight(-5.0)
+    assert way[-1].position_m[2] == pytest.approx(-5.0, abs=0.02)
+    assert min(m.position_m[2] for m in way) > -5.05
+    assert max(abs(m.velocity_m_s[2]) for m in way) <= CONFIG.vertical_speed_m_s + 0.01
+    for before, after in pairwise(way):
+        assert norm(subtract(after.velocity_m_s, before.velocity_m_s)) < 4.0 * CYCLE_S
+    now = 239 * CYCLE_S
+    reference = g.reference(now, None)
+    assert reference is not None
+    for k, row in enumerate(reference.position_m):
+        assert row == pytest.approx(g.at(now + k * reference.step_s).position_m, abs=1e-9)
+
+
+def test_level_flight_ends_with_the_next_plan() -> None:
+    g, way = level_flight(math.inf)
+    now = 240 * CYCLE_S
+    g.fly_to(Motion((5.0, 1.0, -6.0)), now)
+    assert g.at(now).position_m[2] == pytest.approx(way[-1].position_m[2], abs=1e-3)
+    assert g.resting_place_m() == pytest.approx((5.0, 1.0, -6.0))

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from companion.config import MissionConfig, PlanConfig
+from companion.config import LandingConfig, MissionConfig, PlanConfig
 from companion.geometry import Vector3, ned_from_geodetic
-from companion.messages import ActionKind, Phase, PlanStep
+from companion.messages import ActionKind, Phase, PlanStep, RangeSample
 from tests.unit.plan.plan_harness import (
     HOME,
     LEG_M,
@@ -239,11 +239,93 @@ def test_unseen_for_long_it_holds_asks_and_climbs_no_more_than_announced() -> No
     assert flight.phase is Phase.LANDED
     order = [phase for _, phase in flight.phases]
     assert order.count(Phase.SEARCH) == 2
-    announced = float(flight.told("climb")[0].split()[1])
+    announced = next(
+        float(text.split()[1]) for text in flight.told("climb") if text.endswith("look for the pad")
+    )
     lost = [i for i, s in enumerate(flight.steps) if s.phase is Phase.SEARCH and s.time_s > 24.0]
     climbed = max(flight.heights_m[i] for i in lost) - flight.heights_m[lost[0]]
     assert climbed <= announced + 0.3
     assert max(flight.heights_m[i] for i in lost) < 7.5
+
+
+@pytest.mark.parametrize("drift_m_s", [-0.8, 0.8])
+@pytest.mark.parametrize("phase", [Phase.APPROACH, Phase.DESCEND])
+def test_unseen_it_keeps_its_height_whatever_is_believed_of_the_pads(phase: Phase, drift_m_s: float) -> None:
+    # GIVEN a pad that seems to rise or fall ever on while it is unseen
+    w = world(circle())
+    w.blind_drift_m_s = drift_m_s
+    w.fly(60.0, until=lambda x: x.flight.phases != [] and x.flight.phase is phase)
+    blind_s = w.now_s + 1.0
+    w.blind = lambda t, _h: blind_s < t < blind_s + 1.9
+    w.fly(1.5, until=lambda _w: False)
+    before_m, aside_m = w.position[2], []
+    # WHEN it has been so for longer than is borne in silence
+    while w.now_s < blind_s + 1.9:
+        w.cycle()
+        # THEN it comes to rest in height
+        assert -0.35 < w.position[2] - before_m < 1.2
+        pad = w.pad(w.now_s)
+        aside_m.append(math.hypot(w.position[0] - pad[0], w.position[1] - pad[1]))
+    assert abs(w.velocity[2]) < 0.15
+    # over the place where the pad goes on to, and lands once it is seen again
+    assert aside_m[-1] < aside_m[0] + 1.0
+    assert w.fly(120.0).phase is Phase.LANDED
+
+
+def test_unseen_low_over_the_ground_it_climbs_to_the_floor_and_says_so() -> None:
+    w = world(still(), PlanConfig(landing=LandingConfig(lost_unseen_s=9.0)))
+    w.fly(60.0, until=lambda x: x.flight.phases != [] and x.flight.phase is Phase.DESCEND)
+    w.fly(20.0, until=lambda x: -x.position[2] < 1.4)
+    gone_s = w.now_s
+    w.blind = lambda t, _h: gone_s < t < gone_s + 6.0
+    lowest_m = 9.0
+    while w.now_s < gone_s + 6.0:
+        w.cycle()
+        lowest_m = min(lowest_m, -w.position[2])
+    # no echo disturbs: over the pad the echoes' surface is the higher one
+    assert lowest_m > 0.7
+    assert w.flight.heights_m[-1] == pytest.approx(1.5, abs=0.2)
+    assert w.flight.told("climb") == [w.flight.told("climb")[0]]
+    assert w.flight.told("climb")[0].endswith("m while the pad is unseen")
+    assert w.fly(120.0).phase is Phase.LANDED
+
+
+@pytest.mark.parametrize("lie_m", [1.5, 4.0])
+def test_echoes_that_contradict_the_pads_height_break_the_landing_off(lie_m: float) -> None:
+    # GIVEN a pad that is seen, but believed to lie far lower than it does, until the first alarm
+    w = world(still())
+    w.lie_m = lambda t: lie_m if t > 12.0 and not w.flight.told("climb") else 0.0
+    lowest_m = 9.0
+
+    def each(x: World, _: PlanStep) -> None:
+        nonlocal lowest_m
+        if (x.flight.told("climb") and x.flight.phase is Phase.SEARCH) or x.flight.phase is Phase.DESCEND:
+            lowest_m = min(lowest_m, x.flight.heights_m[-1] - LEG_M)
+
+    w.each = each
+    flight = w.fly(60.0, until=lambda x: x.flight.told("climb") != [])
+    # THEN it stops clear of the surface, says what is wrong and that it climbs
+    assert flight.phase is Phase.SEARCH
+    assert "ground near" in flight.told("phase")[-1]
+    w.fly(1.5, until=lambda _w: False)
+    assert lowest_m > 0.3
+    w.fly(5.0, until=lambda _w: False)
+    # and once the estimate is right, it lands
+    assert w.fly(120.0).phase is Phase.LANDED
+
+
+def test_one_false_echo_does_not_break_the_landing_off() -> None:
+    w = world(still())
+    rng = np.random.default_rng(3)
+    echo = w._echo
+
+    def spiky() -> RangeSample | None:
+        sample = echo()
+        return RangeSample(w.now_s, 0.3) if rng.random() < 0.02 else sample
+
+    w._echo = spiky  # type: ignore[method-assign]
+    flight = w.fly(120.0)
+    assert [phase for _, phase in flight.phases] == GOOD
 
 
 def test_blind_for_the_last_centimetres_it_still_lands() -> None:

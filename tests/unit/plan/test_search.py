@@ -22,7 +22,7 @@ def searching() -> tuple[Search, Guide]:
     guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
     guide.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
     search = Search(CONFIG, guide)
-    search.begin(0.0, 0.0)
+    search.begin(0.0, math.inf, 0.0)
     return search, guide
 
 
@@ -155,9 +155,9 @@ def test_without_any_word_it_spirals_out_and_stays_within_its_radius() -> None:
 
 def test_the_climb_of_a_search_is_bounded() -> None:
     search, guide = searching()
-    assert search.begin(50.0, 0.0) == CONFIG.climb_m
-    assert search.begin(-3.0, 0.0) == 0.0
-    assert search.begin(2.0, 0.0) == 2.0
+    assert search.begin(50.0, math.inf, 0.0) == CONFIG.climb_m
+    assert search.begin(-3.0, math.inf, 0.0) == 0.0
+    assert search.begin(2.0, math.inf, 0.0) == 2.0
     for k in range(300):
         search.step(guide.at(k / 30.0), True, False, k / 30.0)
     assert guide.at(10.0).position_m[2] == pytest.approx(-9.0, abs=0.05)
@@ -172,3 +172,24 @@ def test_a_word_far_from_the_old_one_is_a_surprise() -> None:
     assert w.hear(again, ORIGIN)
     assert not w.hear(again, ORIGIN)
     assert not w.hear(beacon(5.0, 99.0, 0.0, (1.0, 0.0, 0.0)), None)
+
+
+def test_a_search_that_begins_below_the_floor_climbs_to_it_however_small_the_bound() -> None:
+    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
+    guide.start("local", Motion((0.0, 0.0, -0.5)), 0.0)
+    search = Search(CONFIG.model_copy(update={"climb_m": 0.5}), guide)
+    assert search.begin(0.0, -1.5, 0.0) == pytest.approx(1.0)
+    for k in range(150):
+        search.step(guide.at(k / 30.0), True, False, k / 30.0)
+    assert guide.at(5.0).position_m[2] == pytest.approx(-1.5, abs=0.05)
+
+
+def test_a_floor_that_rises_is_kept_above_in_steps_and_not_without_end() -> None:
+    search, _ = searching()
+    assert search.keep_above(-6.9) == 0.0
+    assert search.keep_above(-7.2) == 0.0  # within a step
+    first = search.keep_above(-7.4)
+    assert first == pytest.approx(0.7)
+    assert search.keep_above(-7.6) == 0.0
+    total = first + sum(search.keep_above(-8.0 - k) for k in range(50))
+    assert total == pytest.approx(CONFIG.climb_m, abs=0.31)
