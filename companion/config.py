@@ -287,7 +287,7 @@ class EkfConfig(StrictModel):
 class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
-    horizontal_jerk_m_s3_rthz: float = Field(default=0.8, gt=0.0, le=50.0)
+    horizontal_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
     vertical_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
     horizontal_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)  # of the pad's acceleration
     vertical_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
@@ -297,7 +297,7 @@ class PadFilterConfig(StrictModel):
     sighting_noise_scale: float = Field(default=1.5, ge=0.1, le=20.0)
     sighting_noise_floor_m: float = Field(default=0.001, ge=0.0, le=1.0)
     attitude_jitter_deg: float = Field(default=0.05, ge=0.0, le=10.0)  # the attitude error's fast part
-    exposure_jitter_s: float = Field(default=0.002, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
+    exposure_jitter_s: float = Field(default=0.005, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     first_climb_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # pads drive, but hardly rise
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
