@@ -287,7 +287,7 @@ class EkfConfig(StrictModel):
 class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
-    horizontal_jerk_m_s3_rthz: float = Field(default=0.8, gt=0.0, le=50.0)
+    horizontal_jerk_m_s3_rthz: float = Field(default=0.5, gt=0.0, le=50.0)
     vertical_jerk_m_s3_rthz: float = Field(default=0.3, gt=0.0, le=50.0)
     acceleration_time_constant_s: float = Field(default=3.0, ge=0.1, le=100.0)
     vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.08, gt=0.0, le=5.0)
@@ -296,6 +296,7 @@ class PadFilterConfig(StrictModel):
     sighting_noise_scale: float = Field(default=1.5, ge=0.1, le=20.0)
     sighting_noise_floor_m: float = Field(default=0.005, ge=0.0, le=1.0)
     attitude_jitter_deg: float = Field(default=0.05, ge=0.0, le=10.0)  # the attitude error's fast part
+    exposure_time_std_s: float = Field(default=0.008, ge=0.0, le=0.05)  # camera's clock against the IMU's
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
     range_maximum_height_m: float = Field(default=2.5, gt=0.0, le=10.0)

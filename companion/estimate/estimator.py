@@ -22,12 +22,14 @@ from companion.geometry import (
     Quaternion,
     Vector3,
     add,
+    cross,
     matrix_from_quat,
     quat_conjugate,
     quat_from_euler,
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
+    scale,
     tilt_from_quat,
     vector3,
     yaw_from_quat,
@@ -175,7 +177,9 @@ class Estimator:
         """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
 
         The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
-        filter down and gain nothing.
+        filter down and gain nothing. Camera and IMU agree on the time to a few milliseconds only: while the
+        vehicle turns, that moves a far pad by centimetres, and a filter that believes them feeds the vehicle's
+        own swaying back as the pad's motion.
         """
         rotation = matrix_from_quat(attitude)
         position = quat_rotate(attitude, sighting.pad_position_body_m)
@@ -183,10 +187,14 @@ class Estimator:
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
+        late = scale(
+            cross(quat_rotate(attitude, self._vehicle.rate_body_rad_s), position),
+            self._config.pad.exposure_time_std_s,
+        )
         turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
         return PadFix(
             position_ned_m=position,
-            covariance_ned_m2=covariance + jitter * (lever @ lever.T),
+            covariance_ned_m2=covariance + jitter * (lever @ lever.T) + np.outer(late, late),
             heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
             heading_std_rad=math.sqrt(max(turn_variance, 0.0) + jitter),
             vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
