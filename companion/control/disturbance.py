@@ -1,10 +1,10 @@
 """What pushes the vehicle besides the command: an observer per axis, for tracking without a lasting offset.
 
 State per axis: velocity v, flown acceleration a, disturbance d, the measured acceleration's bias b and what
-the late measurement shows of the acceleration, s, with v' = a, a' = (u + d - a)/tau, s' = (a - s)/tau_s, d and
-b slow random walks; measured are v and s + b (eq. 38 with w = d).
-A stationary Kalman gain (eq. 17 at its limit). The bias is there because the measured
-acceleration carries the attitude's error times g: without it that error would pass for a disturbance.
+the late measurement shows of the acceleration, s, with v' = a, a' = (u + d - a)/tau, s' = (a - s)/tau_s, and
+slow random walks d and b; measured are v and s + b (eq. 38 with w = d).
+A stationary Kalman gain (eq. 17 at its limit). The bias is there because the measured acceleration carries
+the attitude's error times g: without it that error would pass for a disturbance.
 
 How fast the disturbance may walk is bounded by what the model leaves out: attitude and motors answer at
 second and third order, which at 2 Hz looks like a push of the command's own size. An observer that follows it
@@ -26,7 +26,7 @@ from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
 # random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
-DISTURBANCE_WALK = 0.35
+DISTURBANCE_WALK = 0.3
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01

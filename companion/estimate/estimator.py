@@ -18,11 +18,11 @@ from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
 from companion.estimate.vehicle_estimator import VehicleEstimator
 from companion.geometry import (
+    ZERO3,
     FloatArray,
     Quaternion,
     Vector3,
     add,
-    cross,
     matrix_from_quat,
     quat_conjugate,
     quat_from_euler,
@@ -30,6 +30,7 @@ from companion.geometry import (
     quat_rotate,
     quat_rotate_inverse,
     scale,
+    subtract,
     tilt_from_quat,
     vector3,
     yaw_from_quat,
@@ -178,8 +179,8 @@ class Estimator:
 
         The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
         filter down and gain nothing. Camera and IMU agree on the time to a few milliseconds only: while the
-        vehicle turns, that moves a far pad by centimetres, and a filter that believes them feeds the vehicle's
-        own swaying back as the pad's motion.
+        vehicle turns, that moves a far pad by centimetres, and a filter that believes them feeds the
+        vehicle's own swaying back as the pad's motion.
         """
         rotation = matrix_from_quat(attitude)
         position = quat_rotate(attitude, sighting.pad_position_body_m)
@@ -187,10 +188,7 @@ class Estimator:
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
-        late = scale(
-            cross(quat_rotate(attitude, self._vehicle.rate_body_rad_s), position),
-            self._config.pad.exposure_time_std_s,
-        )
+        late = np.array(self._moved_by_lateness(sighting))
         turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
         return PadFix(
             position_ned_m=position,
@@ -199,6 +197,15 @@ class Estimator:
             heading_std_rad=math.sqrt(max(turn_variance, 0.0) + jitter),
             vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
         )
+
+    def _moved_by_lateness(self, sighting: PadSighting) -> Vector3:
+        """How far (m, NED) the pad moves when the sighting's time is off by one standard deviation."""
+        late_s, position = self._config.pad.exposure_time_std_s, sighting.pad_position_body_m
+        before = self._motion.attitude(sighting.time_s - late_s)
+        after = self._motion.attitude(sighting.time_s + late_s)
+        if before is None or after is None:
+            return ZERO3
+        return scale(subtract(quat_rotate(after, position), quat_rotate(before, position)), 0.5)
 
     def _tilt_share_m(self, position: Vector3) -> float:
         """What the attitude's error makes of the relative position in NED (m)."""

@@ -156,11 +156,6 @@ class VehicleEstimator:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
         return None if self._ekf is None else self._ekf.rotation_covariance()
 
-    @property
-    def rate_body_rad_s(self) -> Vector3:
-        """Body rate of the newest sample, without its bias."""
-        return self._rate
-
     def velocity(self, time_s: float) -> Vector3:
         """Velocity NED (m/s) at a time near the newest sample's; zero before the alignment."""
         if self._ekf is None:

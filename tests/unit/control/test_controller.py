@@ -116,7 +116,7 @@ def test_local_references_go_by_the_vehicles_own_position() -> None:
 
 def test_a_reference_by_the_pad_without_a_pad_is_a_stop() -> None:
     fly, speed = controller(), 1.0
-    for k in range(30):
+    for k in range(45):
         now = k * PERIOD_S
         vehicle = _vehicle(now, velocity_ned_m_s=(speed, 0.0, 0.0))
         answer = fly.step(_plan(now, _hover(now)), vehicle, None, now)

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
-
 from control_plants import vehicle_config
+from scipy.linalg import expm
 
 from companion.control.flight_model import Motion, advance, advance_axis, discretise, lags
 
