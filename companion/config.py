@@ -288,7 +288,7 @@ class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
     horizontal_jerk_m_s3_rthz: float = Field(default=0.5, gt=0.0, le=50.0)
-    vertical_jerk_m_s3_rthz: float = Field(default=0.3, gt=0.0, le=50.0)
+    vertical_jerk_m_s3_rthz: float = Field(default=0.6, gt=0.0, le=50.0)
     acceleration_time_constant_s: float = Field(default=3.0, ge=0.1, le=100.0)
     vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.08, gt=0.0, le=5.0)
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
