@@ -28,7 +28,7 @@ from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
 # random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
-DISTURBANCE_WALK = 0.25
+DISTURBANCE_WALK = 0.3
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01

@@ -16,23 +16,21 @@ import numpy as np
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.controller import Controller
 from companion.geometry import (
-    GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
     FloatArray,
-    Quaternion,
     Vector3,
     add,
-    quat_conjugate,
-    quat_from_rotation_vector,
-    quat_multiply,
-    quat_normalise,
-    quat_rotate,
-    rotation_vector_from_quat,
     scale,
     subtract,
 )
 from companion.messages import ControlReport, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from tests.unit.control.control_vehicles import (
+    AttitudeAutopilot,
+    SwayingAutopilot,
+    Vehicle,
+    VelocityAutopilot,
+)
 
 PHYSICS_STEP_S = 0.004
 LINK_DELAY_S = 0.04
@@ -51,7 +49,8 @@ def vehicle_config(**changes: float) -> VehicleConfig:
         "camera_position_body_m": (0.03, 0.0, 0.08),
         "range_position_body_m": (-0.03, 0.0, 0.08),
         "leg_height_m": 0.18,
-        "acceleration_time_constant_s": 0.18,
+        "acceleration_time_constant_s": 0.11,
+        "thrust_time_constant_s": 0.04,
         "hover_thrust": 0.5,
     }
     return VehicleConfig.model_validate(values | changes)
@@ -144,72 +143,6 @@ def reference_rows(
     )
 
 
-# ---------------------------------------------------------------- vehicles
-
-
-@dataclass
-class Vehicle:
-    """A point mass with an attitude; `push` is the acceleration that wind makes."""
-
-    position: Vector3
-    velocity: Vector3 = ZERO3
-    acceleration: Vector3 = ZERO3
-    attitude: Quaternion = IDENTITY
-
-    def move(self, force: Vector3, push: Vector3, dt_s: float) -> None:
-        self.acceleration = add(force, push)
-        self.velocity = add(self.velocity, scale(self.acceleration, dt_s))
-        self.position = add(self.position, scale(self.velocity, dt_s))
-
-
-@dataclass
-class VelocityAutopilot:
-    """Horizontal and vertical velocity loops with an integral, then attitude and motors as a lag."""
-
-    gain: Vector3 = (2.5, 2.5, 3.0)
-    integral_gain: Vector3 = (0.5, 0.5, 1.0)
-    lag_s: float = 0.15
-    bias_m_s: float = 0.05
-    _integral: Vector3 = ZERO3
-    _flown: Vector3 = ZERO3
-
-    def force(self, vehicle: Vehicle, setpoint: Setpoint, time_s: float, dt_s: float) -> Vector3:
-        wander = math.tau * time_s / 30.0
-        estimate = add(
-            vehicle.velocity,
-            (self.bias_m_s * math.cos(wander), self.bias_m_s * math.sin(wander), 0.5 * self.bias_m_s),
-        )
-        error = subtract(setpoint.velocity_ned_m_s, estimate)
-        gained = (self.integral_gain[i] * error[i] * dt_s for i in range(3))
-        self._integral = add(self._integral, tuple(gained))  # type: ignore[arg-type]
-        wanted = tuple(
-            setpoint.acceleration_ned_m_s2[i] + self.gain[i] * error[i] + self._integral[i] for i in range(3)
-        )
-        change = scale(subtract(wanted, self._flown), dt_s / self.lag_s)  # type: ignore[arg-type]
-        self._flown = add(self._flown, change)
-        return self._flown
-
-
-@dataclass
-class AttitudeAutopilot:
-    """Attitude and thrust followed with a lag; the thrust is worth `thrust_scale` times what is asked."""
-
-    hover_thrust: float = 0.5
-    thrust_scale: float = 0.9
-    lag_s: float = 0.15
-    _thrust: float = 0.5
-
-    def force(self, vehicle: Vehicle, setpoint: Setpoint, _time_s: float, dt_s: float) -> Vector3:
-        assert setpoint.attitude is not None
-        assert setpoint.thrust is not None
-        error = quat_multiply(quat_conjugate(vehicle.attitude), setpoint.attitude)
-        turn = scale(rotation_vector_from_quat(error), dt_s / self.lag_s)
-        vehicle.attitude = quat_normalise(quat_multiply(vehicle.attitude, quat_from_rotation_vector(turn)))
-        self._thrust += (setpoint.thrust - self._thrust) * dt_s / 0.05
-        push = self._thrust / self.hover_thrust * self.thrust_scale * GRAVITY_M_S2
-        return add(quat_rotate(vehicle.attitude, (0.0, 0.0, -push)), (0.0, 0.0, GRAVITY_M_S2))
-
-
 # ---------------------------------------------------------------- the loop
 
 
@@ -223,6 +156,7 @@ class Flight:
     relative_velocity_m_s: list[Vector3] = field(default_factory=list)
     setpoints: list[Setpoint] = field(default_factory=list)
     reports: list[ControlReport] = field(default_factory=list)
+    acceleration_m_s2: list[Vector3] = field(default_factory=list)
 
     def error_m(self, after_s: float) -> FloatArray:
         """Offset minus reference (n, 3) from a time on."""
@@ -240,7 +174,7 @@ class Loop:
     """Flies `controller` on `autopilot` over `pad` along `offset` (the vehicle minus the pad)."""
 
     controller: Controller
-    autopilot: VelocityAutopilot | AttitudeAutopilot
+    autopilot: VelocityAutopilot | AttitudeAutopilot | SwayingAutopilot
     pad: PadMotion
     offset: Callable[[float], Motion3]
     wind: Wind = lambda _t: ZERO3
@@ -250,12 +184,17 @@ class Loop:
     noise: float = 1.0
     minimum_height_m: float | None = None
     seed: int = 1
+    link_delay_s: float = LINK_DELAY_S
+    # what is told of the acceleration: its low-pass filter, and its age besides
+    sensor_lag_s: float = 0.0
+    sensor_delay_s: float = 0.0
 
     def fly(self, duration_s: float) -> Flight:
         rng = np.random.default_rng(self.seed)
         start = self.offset(0.0)[0]
         pad = self.pad(0.0)
         vehicle = Vehicle(add(pad[0], start), pad[1])
+        self._shown: deque[Vector3] = deque([ZERO3], maxlen=1 + round(self.sensor_delay_s / PHYSICS_STEP_S))
         flight, pending = Flight(), deque[tuple[float, Setpoint]]()
         current = self._resting(vehicle)
         steps, control_s = round(duration_s / PHYSICS_STEP_S), 0.0
@@ -264,12 +203,18 @@ class Loop:
             if now_s >= control_s - 1e-9:
                 control_s += self.control_period_s
                 setpoint = self._control(vehicle, now_s, rng, flight)
-                pending.append((now_s + LINK_DELAY_S, setpoint))
+                pending.append((now_s + self.link_delay_s, setpoint))
             while pending and pending[0][0] <= now_s:
                 current = pending.popleft()[1]
             force = self.autopilot.force(vehicle, current, now_s, PHYSICS_STEP_S)
             vehicle.move(force, self.wind(now_s), PHYSICS_STEP_S)
+            self._sense(vehicle.acceleration)
         return flight
+
+    def _sense(self, acceleration: Vector3) -> None:
+        share = PHYSICS_STEP_S / (PHYSICS_STEP_S + self.sensor_lag_s)
+        change = scale(subtract(acceleration, self._shown[-1]), share)
+        self._shown.append(add(self._shown[-1], change))
 
     def _resting(self, vehicle: Vehicle) -> Setpoint:
         if isinstance(self.autopilot, AttitudeAutopilot):
@@ -287,9 +232,7 @@ class Loop:
             rate_body_rad_s=ZERO3,
             position_ned_m=add(vehicle.position, (0.4, -0.3, 0.2)),
             velocity_ned_m_s=velocity,
-            acceleration_ned_m_s2=add(
-                add(vehicle.acceleration, self.acceleration_bias), tuple(0.2 * noise[6:9])
-            ),
+            acceleration_ned_m_s2=add(add(self._shown[0], self.acceleration_bias), tuple(0.2 * noise[6:9])),
             gyro_bias_rad_s=ZERO3,
             accel_bias_m_s2=ZERO3,
             attitude_std_rad=0.01,
@@ -320,6 +263,7 @@ class Loop:
         flight.relative_velocity_m_s.append(subtract(vehicle.velocity, pad[1]))
         flight.setpoints.append(setpoint)
         flight.reports.append(report)
+        flight.acceleration_m_s2.append(vehicle.acceleration)
         return setpoint
 
 
