@@ -352,6 +352,8 @@ class MissionConfig(StrictModel):
     arrival_radius_m: float = Field(default=1.5, ge=0.2, le=20.0)
     arrival_speed_m_s: float = Field(default=0.8, ge=0.1, le=5.0)
     align_heading: bool = True
+    fence_m: float = Field(default=150.0, ge=10.0, le=2000.0)  # from home; no beacon is followed beyond
+    largest_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=10.0)  # of our velocity, away from the pad
     total_timeout_s: float = Field(default=180.0, ge=10.0, le=3600.0)
     action_retry_s: float = Field(default=2.0, ge=0.2, le=30.0)
     action_answer_s: float = Field(default=6.0, ge=0.5, le=60.0)

@@ -63,6 +63,9 @@ class Departure:
     def _connect(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
     ) -> tuple[Finding, str]:
+        if autopilot.connected and autopilot.armed:
+            # after a restart in the air too: whoever flies it, or lands it next, asked for no take-off
+            return (Event.PILOT_TOOK_OVER, "armed already, and not by us"), ""
         missing = [text for text, there in _needs(vehicle, autopilot) if not there]
         if not missing:
             return (Event.READY, "the autopilot may be armed"), ""
@@ -111,7 +114,6 @@ def _needs(vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tup
         ("the autopilot", autopilot.connected),
         ("its home position", autopilot.home is not None),
         ("it to be ready to arm", autopilot.ready_to_arm),
-        ("it to be disarmed: it is armed already", not autopilot.armed),
         ("our own alignment", vehicle is not None and vehicle.aligned),
         ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
     )

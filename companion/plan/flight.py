@@ -77,6 +77,11 @@ class Flight:
         """Whether the feet stand on the pad."""
         return self._phase is Phase.TOUCHDOWN and self._touchdown.on_pad
 
+    @property
+    def committed(self) -> bool:
+        """Whether the vehicle is on its last way down, or down: nothing is gentler than to finish it."""
+        return self._phase is Phase.TOUCHDOWN and self._touchdown.committed
+
     def fly(self, inputs: PlanInputs, now_s: float) -> Finding:
         """Let the phase steer the reference for this cycle; returns what it finds."""
         return self._flown_by[self._phase](inputs, now_s)
@@ -234,15 +239,13 @@ class Flight:
         return Event.GROUND_NEAR, f"{surface_m:.1f} m below, the pad was thought {sight.height_m:.1f} m below"
 
     def _touch_down(self, inputs: PlanInputs, now_s: float) -> Finding:
-        finding: Finding = None
         was_committed = self._touchdown.committed
         if not was_committed:
             wrong = self._ground_near()
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
-        if not (self._touchdown.on_pad and self._watch.released):
-            finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
+        finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
         if self._touchdown.committed and not was_committed:
             self._say("commit", "going down", now_s, "info")
         if self._touchdown.on_pad and finding is None:
@@ -258,7 +261,9 @@ class Flight:
             self._watch.let_go()
             self._requests.ask(Action(ActionKind.LAND), now_s)
         agrees = inputs.autopilot.landed is LandedState.ON_GROUND
-        if agrees or stood_s >= 2.0 * after_s:
+        # by force only where the autopilot lands as we asked it to, and the feet are seen or heard to be down
+        sure = self._touchdown.still_down(self._pad.sight, inputs.range, now_s)
+        if agrees or (stood_s >= 2.0 * after_s and sure and inputs.autopilot.mode.endswith("LAND")):
             self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:

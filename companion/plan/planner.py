@@ -11,6 +11,7 @@ import math
 from typing import Final
 
 from companion.config import PlanConfig, VehicleConfig
+from companion.geometry import ned_from_geodetic
 from companion.messages import ActionKind, LandedState, Notice, Phase, PlanStep
 from companion.plan.flight import Flight, Severity
 from companion.plan.ground import Ground
@@ -37,6 +38,7 @@ class Planner:
         self.phase = Phase.CONNECT
         self._since_s = math.nan
         self._notices: list[Notice] = []
+        self._fence_m, self._fence_told = mission.fence_m, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._watch = Watch(mission)
         self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
@@ -85,9 +87,23 @@ class Planner:
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
         if inputs.vehicle is None:
             return
-        self._flight.search.hear(inputs.beacon, inputs.vehicle.origin)
+        if self._within_fence(inputs):
+            self._flight.search.hear(inputs.beacon, inputs.vehicle.origin)
         if self._pad.motion is not None and inputs.pad is not None:
             self._flight.search.whereabouts.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
+
+    def _within_fence(self, inputs: PlanInputs) -> bool:
+        """Whether the beacon lies where we may fly; one that does not is told once and not followed."""
+        beacon, home = inputs.beacon, inputs.autopilot.home
+        if beacon is None or home is None:
+            return beacon is not None
+        north, east, _ = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, home)
+        distance_m, fence_m = math.hypot(north, east), self._fence_m
+        if distance_m > fence_m and not self._fence_told:
+            self._fence_told = True
+            words = f"the pad's beacon lies {distance_m:.0f} m from home: not followed beyond {fence_m:.0f} m"
+            self._say("fence", words, beacon.time_s, "warning")
+        return distance_m <= fence_m
 
     def _find(self, inputs: PlanInputs, now_s: float) -> Finding:
         """The gravest thing that happened, else what the phase finds."""
@@ -97,7 +113,13 @@ class Planner:
         granted = self.phase is Phase.SEARCH and self._requests.granted(ActionKind.TAKE_CONTROL)
         taken_over = self._watch.note(inputs.autopilot, granted)
         grave = self._watch.event(
-            self.phase, self._since_s, inputs, now_s, taken_over=taken_over, on_pad=self._flight.on_pad
+            self.phase,
+            self._since_s,
+            inputs,
+            now_s,
+            taken_over=taken_over,
+            on_pad=self._flight.on_pad,
+            committed=self._flight.committed,
         )
         if grave is not None:
             return grave

@@ -136,6 +136,15 @@ class Touchdown:
         """Whether the feet stand on the pad."""
         return self.contact_s is not None
 
+    def still_down(self, sight: Sight | None, echo: RangeSample | None, now_s: float) -> bool:
+        """Whether a fresh sight or echo shows the feet on the pad now."""
+        feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
+        seen = sight is not None and sight.age_s <= _FRESH_S and sight.height_m <= feet_m
+        heard = echo is not None and now_s - echo.time_s <= _FRESH_S
+        return seen or (
+            echo is not None and heard and echo.distance_m <= feet_m - self._vehicle.range_position_body_m[2]
+        )
+
     def step(
         self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
     ) -> Finding:

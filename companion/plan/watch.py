@@ -7,12 +7,13 @@ that is final. Before that, a change into one of a pilot's modes means the same.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from companion.config import MissionConfig
 from companion.messages import AutopilotState, Manner, Phase, VehicleState
 from companion.plan.inputs import PlanInputs
-from companion.plan.mission import FINAL, OUR_CONTROL, Event
+from companion.plan.mission import BY_THE_PAD, FINAL, OUR_CONTROL, Event
 from companion.plan.touchdown import Finding
 
 _STALE_ESTIMATE_S = 0.5
@@ -53,7 +54,8 @@ class Watch:
         if control_granted and autopilot.offboard:
             self.in_control = True
         if self.released:
-            return False
+            # on the pad we have asked for LAND ourselves; any other mode is somebody's choice
+            return entered and not autopilot.mode.upper().endswith("LAND")
         return not autopilot.offboard if self.in_control else entered
 
     def let_go(self) -> None:
@@ -80,31 +82,40 @@ class Watch:
         *,
         taken_over: bool,
         on_pad: bool,
+        committed: bool,
     ) -> Finding:
         """The gravest thing that happened, if any; nothing any more once the mission has ended."""
         autopilot = inputs.autopilot
         if self._started_s is None:
             self._started_s = now_s
+        if phase is Phase.CONNECT:
+            self._started_s = now_s  # waiting on the ground is not flying
         if phase in FINAL:
             return None
         heard, flying = autopilot.connected, _in_air(phase)
         signs = (
-            (heard and (flying or phase is Phase.HOLD) and not autopilot.armed, Event.DISARMED, "motors off"),
+            _motors_off(phase, autopilot, flying, on_pad),
             (
                 heard and taken_over and phase is not Phase.CONNECT,
                 Event.PILOT_TOOK_OVER,
                 f"mode {autopilot.mode or 'unknown'} was not asked for",
             ),
-            (inputs.stop_requested, Event.STOP, "asked for"),
+            (inputs.stop_requested and not committed, Event.STOP, "asked for"),
             (flying and not heard and not on_pad, Event.LINK_LOST, "nothing heard from the autopilot"),
             (
-                phase in OUR_CONTROL and not on_pad and not _usable(inputs.vehicle, now_s),
+                phase in OUR_CONTROL
+                and not on_pad
+                and not _usable(inputs.vehicle, now_s, self._speed_std_m_s(phase)),
                 Event.ESTIMATE_LOST,
                 "the vehicle's own estimate is gone",
             ),
         )
         found = next(((event, words) for happened, event, words in signs if happened), None)
         return found or self._time(phase, since_s, now_s)
+
+    def _speed_std_m_s(self, phase: Phase) -> float:
+        """How uncertain our velocity may be: over the pad it is the camera that tells."""
+        return math.inf if phase in BY_THE_PAD else self._config.largest_speed_std_m_s
 
     def _time(self, phase: Phase, since_s: float, now_s: float) -> Finding:
         assert self._started_s is not None
@@ -120,5 +131,19 @@ def _in_air(phase: Phase) -> bool:
     return phase not in FINAL | {Phase.CONNECT, Phase.ARM, Phase.HOLD}
 
 
-def _usable(vehicle: VehicleState | None, now_s: float) -> bool:
-    return vehicle is not None and vehicle.aligned and now_s - vehicle.time_s <= _STALE_ESTIMATE_S
+def _motors_off(
+    phase: Phase, autopilot: AutopilotState, flying: bool, on_pad: bool
+) -> tuple[bool, Event, str]:
+    off = autopilot.connected and (flying or phase is Phase.HOLD) and not autopilot.armed
+    if phase is Phase.TOUCHDOWN and not on_pad:
+        return off, Event.PILOT_TOOK_OVER, "motors off before the touchdown"
+    return off, Event.DISARMED, "motors off"
+
+
+def _usable(vehicle: VehicleState | None, now_s: float, speed_std_m_s: float) -> bool:
+    return (
+        vehicle is not None
+        and vehicle.aligned
+        and now_s - vehicle.time_s <= _STALE_ESTIMATE_S
+        and vehicle.velocity_std_m_s <= speed_std_m_s
+    )
