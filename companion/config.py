@@ -378,7 +378,7 @@ class SearchConfig(StrictModel):
 
     stream_s: float = Field(default=0.5, ge=0.1, le=5.0)  # setpoints before control is asked for
     hold_s: float = Field(default=0.7, ge=0.0, le=30.0)
-    request_s: float = Field(default=5.0, ge=1.0, le=60.0)
+    request_s: float = Field(default=1.5, ge=1.0, le=60.0)
     dwell_s: float = Field(default=2.0, ge=0.0, le=30.0)  # over the pad's likely place, before the spiral
     spacing_m: float = Field(default=4.0, ge=0.5, le=30.0)
     radius_m: float = Field(default=12.0, ge=1.0, le=200.0)
@@ -388,6 +388,9 @@ class SearchConfig(StrictModel):
     floor_m: float = Field(default=1.5, ge=0.5, le=10.0)  # over home and the last echoes, the pad unseen
     sightings: int = Field(default=5, ge=1, le=100)
     sightings_window_s: float = Field(default=0.5, ge=0.1, le=5.0)
+    velocity_std_m_s: float = Field(default=0.5, gt=0.0, le=5.0)  # the pad's velocity, to take it up
+    stopping_m_s2: float = Field(default=2.0, gt=0.0, le=10.0)  # braking over the pad, it shall stay in view:
+    view_slope: float = Field(default=0.4, gt=0.0, le=2.0)  # metres aside for each metre of height
 
 
 class LandingConfig(StrictModel):
@@ -401,7 +404,7 @@ class LandingConfig(StrictModel):
     retry_height_m: float = Field(default=1.5, ge=0.3, le=5.0)
     retries: int = Field(default=3, ge=0, le=20)
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
-    lost_unseen_s: float = Field(default=2.0, gt=0.0, le=10.0)
+    lost_unseen_s: float = Field(default=3.0, gt=0.0, le=10.0)
     ground_near_m: float = Field(default=1.5, gt=0.0, le=4.0)  # echoes this near, and the pad thought to lie
     ground_doubt_m: float = Field(default=0.8, gt=0.1, le=4.0)  # so much lower: break off, climb and search
 
@@ -416,13 +419,15 @@ class TouchdownConfig(StrictModel):
     gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
     patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.22, ge=0.05, le=0.4)
+    fastest_contact_m_s: float = Field(default=0.35, ge=0.05, le=1.0)  # sinking faster, higher up than this:
+    break_off_above_m: float = Field(default=0.1, ge=0.03, le=1.0)  # rise and wait again
     blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
     blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
     overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
     escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
     contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
-    land_after_s: float = Field(default=3.0, ge=0.5, le=30.0)
+    land_after_s: float = Field(default=2.0, ge=0.5, le=30.0)
 
 
 class PlanConfig(StrictModel):

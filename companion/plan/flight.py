@@ -18,7 +18,7 @@ from companion.plan.departure import Departure
 from companion.plan.ground import Ground
 from companion.plan.guidance import Guide
 from companion.plan.inputs import PlanInputs
-from companion.plan.landing import Landing
+from companion.plan.landing import Landing, Unseen
 from companion.plan.min_jerk import Motion
 from companion.plan.mission import BY_THE_PAD, Event
 from companion.plan.requests import Requests
@@ -133,10 +133,7 @@ class Flight:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
 
     def _missing_m(self) -> float:
-        """How far (m) below the height of searching; over home or what gave the last echoes.
-
-        The pad's estimate counts only where neither is known: it may be what went wrong.
-        """
+        """How far (m) below the height of searching; the pad's estimate may be what went wrong."""
         clearance_m = self._ground.clearance_m
         if clearance_m is None:
             clearance_m = math.inf if self._pad.sight is None else self._pad.sight.height_m
@@ -203,7 +200,7 @@ class Flight:
         climb_m = self.search.keep_above(self._lowest_down_m())
         if climb_m > 0.0:
             self._say("climb", f"climbing {climb_m:.1f} m: too near to the ground", now_s, "warning")
-        step = self.search.step(actual, self._watch.in_control, self._pad.steady(now_s), now_s)
+        step = self.search.step(actual, self._watch.in_control, self._pad, now_s)
         if step.ask_for_control:
             self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
         if step.request_pad:
@@ -221,7 +218,10 @@ class Flight:
             return wrong
         self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._phase is Phase.APPROACH else self._landing.descend
-        finding = fly(self._pad, self._lowest_down_m(), now_s)
+        place = self.search.whereabouts.likely(now_s)
+        finding = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
+        if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
+            self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         if self._landing.climb_m > _WORTH_TELLING_M:
             climb_m = self._landing.climb_m
             self._say("climb", f"climbing {climb_m:.1f} m while the pad is unseen", now_s, "warning")
@@ -248,6 +248,8 @@ class Flight:
         finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
         if self._touchdown.committed and not was_committed:
             self._say("commit", "going down", now_s, "info")
+        elif was_committed and not self._touchdown.committed:
+            self._say("break_off", "sinking too fast: waiting again over the pad", now_s, "warning")
         if self._touchdown.on_pad and finding is None:
             self._shut_down(inputs, now_s)
         return finding

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 from companion.config import GuidanceConfig
@@ -155,6 +156,13 @@ class Guide:
         self._follow(plan(start, final, now_s, blend_s), now_s)
         self.speed_m_s = speed_m_s
         return depth_m
+
+    def shift_down(self, depth_m: float) -> None:
+        """Move the reference down as a whole; its speed and acceleration stay."""
+        if self._trajectory is not None:
+            x, y, (place, *rest) = self._trajectory.axes
+            z = (place + depth_m, rest[0], rest[1], rest[2], rest[3], rest[4])
+            self._trajectory = replace(self._trajectory, axes=(x, y, z))
 
     def turn(self, heading_rad: float | None, now_s: float) -> None:
         """Slew the heading towards one, or keep it."""

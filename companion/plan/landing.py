@@ -9,6 +9,7 @@ since the prediction of a height from few sightings sinks or rises without end.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from companion.config import LandingConfig, VehicleConfig
 from companion.plan.guidance import Guide
@@ -23,6 +24,14 @@ _LOW_MARGIN_M = 0.08
 # Once outside the cone the vehicle has to come back this far inside before it goes on down.
 _BACK_INSIDE = 0.8
 _FLOOR_M = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """What the vehicle goes by while the pad is unseen: its likely place, and a floor; EKF's NED."""
+
+    place: Motion
+    lowest_down_m: float
 
 
 class Landing:
@@ -48,15 +57,12 @@ class Landing:
         self.paused = False
         self._begun_s = now_s
 
-    def approach(self, pad: PadKnowledge, lowest_down_m: float, now_s: float) -> Finding:
-        """Towards the point above the pad, down a slope that keeps the pad in view.
-
-        Unseen it goes on over the predicted place, no lower than `lowest_down_m` (EKF's NED).
-        """
+    def approach(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> Finding:
+        """Towards the point above the pad, down a slope that keeps the pad in view."""
         sight = pad.sight
         if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
             return self._lost(sight)
-        if not self._by_sight(pad, sight, self.goal_m, lowest_down_m, now_s):
+        if not self._by_sight(pad, sight, self.goal_m, unseen, now_s):
             return None
         self._go(self._slope_m(sight, now_s), now_s)
         near = abs(sight.height_m - self.goal_m) <= min(_CENTRED_MARGIN_M, 0.25 * self.goal_m)
@@ -70,20 +76,20 @@ class Landing:
         aside_m = max(math.hypot(x, y), sight.lateral_m)
         return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
 
-    def descend(self, pad: PadKnowledge, lowest_down_m: float, now_s: float) -> Finding:
+    def descend(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> Finding:
         """Straight down to where touchdown starts, only while inside the cone and seeing the pad."""
         sight = pad.sight
         if sight is None or sight.age_s > self._config.lost_unseen_s:
             return self._lost(sight)
         wait_m = self._leg_m + self._config.wait_height_m
-        if not self._by_sight(pad, sight, 0.0, lowest_down_m, now_s):
+        if not self._by_sight(pad, sight, 0.0, unseen, now_s):
             self.paused = True
             return None
         go_on = self._inside(sight, _BACK_INSIDE if self.paused else 1.0)
         if go_on:
             self._go(wait_m, now_s)
-        elif not self.paused:
-            self._guide.rest(self._guide.at(now_s), now_s)  # and stays at rest over the pad
+        else:
+            self._guide.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
         self.paused = not go_on
         if sight.height_m <= wait_m + _LOW_MARGIN_M:
             return Event.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
@@ -93,9 +99,7 @@ class Landing:
         """What the controller may not go below; never above where the reference is."""
         return max(0.0, min(self._leg_m + _FLOOR_M, -self._guide.at(now_s).position_m[2] - 0.05))
 
-    def _by_sight(
-        self, pad: PadKnowledge, sight: Sight, goal_m: float, lowest_down_m: float, now_s: float
-    ) -> bool:
+    def _by_sight(self, pad: PadKnowledge, sight: Sight, goal_m: float, unseen: Unseen, now_s: float) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
 
         A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
@@ -109,7 +113,9 @@ class Landing:
         if self._guide.origin == "pad":
             self._guide.change_frame("local", pad.motion, now_s)
             self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
-        self.climb_m = self._guide.fly_level(pad.motion, min(lowest_down_m, self._blind_down_m), now_s)
+        self.climb_m = self._guide.fly_level(
+            unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
+        )
         return False
 
     def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:

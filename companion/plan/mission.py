@@ -75,7 +75,9 @@ _OWN: dict[tuple[Phase, Event], Transition] = {
     (_A, Event.REFUSED): _LET_GO,
     (_A, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.DISARM,)),
     (_T, Event.AIRBORNE): Transition(_W, (ActionKind.GO_TO,)),
-    (_T, Event.REFUSED): Transition(Phase.ABORT, (ActionKind.DISARM,)),
+    # if only the answer was lost it may be climbing: landing is right in the air and on the ground, where
+    # the disarming, refused in the air, ends it at once
+    (_T, Event.REFUSED): Transition(Phase.ABORT, (ActionKind.LAND, ActionKind.DISARM)),
     (_T, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.LAND,)),
     (_W, Event.ARRIVED): Transition(_S),
     (_W, Event.PAD_SEEN): Transition(_S),

@@ -1,8 +1,7 @@
 """Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else).
 
-What is known of the pad's place is a `Lead`: the ground station's beacon, the last sight, or the point where
-the search began; the newest counts. It is led along its arc for a while only. Everything is in the EKF's
-NED, m, s and rad; the height is chosen on entry and kept.
+A pad in view is taken up only when it will stay there: one seen in passing is flown back to first. Everything
+is in the EKF's NED, m, s and rad; the height is chosen on entry and kept, but for a floor that rises.
 """
 
 from __future__ import annotations
@@ -11,10 +10,13 @@ import math
 from dataclasses import dataclass
 
 from companion.config import SearchConfig
-from companion.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angle
+from companion.geometry import Vector3
 from companion.messages import PadBeacon
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
+from companion.plan.sight import PadKnowledge, Sight
+from companion.plan.touchdown import Held
+from companion.plan.whereabouts import Lead, Whereabouts
 
 # The reference counts as at a corner when this close: the next one is taken up without a halt.
 _CORNER_M = 1.0
@@ -22,9 +24,8 @@ _CORNER_M = 1.0
 _FLOOR_STEP_M = 0.3
 # A search that begins with a climb comes to rest first.
 _STOPPED_S = 0.6
-# Slower than this a pad has no course to speak of; turning faster than that is noise.
-_COURSE_M_S = 0.3
-_FASTEST_TURN_RAD_S = 1.0
+# A pad steadily in view for so long is taken up however it moves.
+_LONG_IN_VIEW_S = 3.0
 
 
 def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
@@ -37,98 +38,6 @@ def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
     turn, side = divmod(corner - 1, 4)
     near, far = turn * spacing_m, (turn + 1) * spacing_m
     return ((far, -near), (far, far), (-far, far), (-far, -far))[side]
-
-
-@dataclass(frozen=True, slots=True)
-class Lead:
-    """Where the pad was at a time, and how it moved; horizontal, EKF's NED."""
-
-    time_s: float
-    position_ned_m: Vector3
-    velocity_ned_m_s: Vector3 = ZERO3
-    turn_rate_rad_s: float = 0.0
-
-    def at(self, now_s: float, longest_s: float) -> Motion:
-        """Where it should be now, along an arc; after longest_s it is taken to stand where it was by then."""
-        age_s = now_s - self.time_s
-        t = max(0.0, min(age_s, longest_s))
-        p, v, w = self.position_ned_m, self.velocity_ned_m_s, self.turn_rate_rad_s
-        angle = w * t
-        along = math.sin(angle) / w if abs(angle) > 1e-4 else t
-        across = (1.0 - math.cos(angle)) / w if abs(angle) > 1e-4 else 0.5 * angle * t
-        place = (p[0] + along * v[0] - across * v[1], p[1] + across * v[0] + along * v[1], 0.0)
-        if age_s >= longest_s:
-            return Motion(place)
-        c, s = math.cos(angle), math.sin(angle)
-        return Motion(place, (c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0))
-
-
-def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
-    """Rate (rad/s, clockwise from above) at which the course turned since an earlier word."""
-    if before is None or time_s - before.time_s < 0.5:
-        return 0.0 if before is None else before.turn_rate_rad_s
-    old = before.velocity_ned_m_s
-    if min(math.hypot(old[0], old[1]), math.hypot(velocity[0], velocity[1])) < _COURSE_M_S:
-        return 0.0
-    turned = wrap_angle(math.atan2(velocity[1], velocity[0]) - math.atan2(old[1], old[0]))
-    return _bounded(turned / (time_s - before.time_s))
-
-
-def _bounded(rate_rad_s: float) -> float:
-    return max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, rate_rad_s))
-
-
-class Whereabouts:
-    """The newest word of where the pad is."""
-
-    def __init__(self, config: SearchConfig) -> None:
-        self._config = config
-        self._beacon: Lead | None = None
-        self._beacon_heard: PadBeacon | None = None
-        self._sight: Lead | None = None
-        self.start = Lead(-math.inf, ZERO3)
-
-    def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> bool:
-        """Take in the beacon; `origin` is the EKF's (deg, deg, m). Returns whether it was a surprise."""
-        if beacon is None or origin is None or beacon == self._beacon_heard:
-            return False
-        self._beacon_heard = beacon
-        position = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, origin)
-        velocity = beacon.velocity_ned_m_s
-        rate = turn_rate(self._beacon, beacon.time_s, velocity)
-        expected = self.likely(beacon.time_s).position_m
-        self._beacon = Lead(beacon.time_s, position, velocity, rate)
-        return math.dist(expected[:2], position[:2]) > self._config.spacing_m
-
-    def remember(self, pad: Motion, seen_s: float, now_s: float) -> None:
-        """Keep the last sight of the pad; `pad` is what the filter leads it to now."""
-        p, v, a = pad.position_m, pad.velocity_m_s, pad.acceleration_m_s2
-        age_s = now_s - seen_s
-        flat = v[0] * v[0] + v[1] * v[1]
-        rate = _bounded((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
-        self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
-
-    def distrust(self) -> None:
-        """The last sight proved wrong."""
-        self._sight = None
-
-    def likely(self, now_s: float) -> Motion:
-        """Where the pad should be now; at rest where the search began when there is no word."""
-        newest = self._newest(now_s)
-        if newest is self.start:
-            return Motion(newest.position_ned_m)
-        return newest.at(now_s, self._config.lead_s)
-
-    def source(self, now_s: float) -> str:
-        """What it goes by, in words."""
-        newest = self._newest(now_s)
-        if newest is self.start:
-            return "no word of it yet"
-        return "by its beacon" if newest is self._beacon else "by the last sight"
-
-    def _newest(self, now_s: float) -> Lead:
-        words = [w for w in (self._beacon, self._sight) if w and now_s - w.time_s <= self._config.trust_s]
-        return max(words, key=lambda word: word.time_s, default=self.start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +61,7 @@ class Search:
         self._arrived_s: float | None = None
         self._begun_s = self._control_s = self._next_request_s = -math.inf
         self._had_control = False
+        self._in_view = Held()
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
         """Take in the beacon; one that is far from where the pad was thought starts the spiral again."""
@@ -176,6 +86,7 @@ class Search:
         self._most_up_m = self._down_m - self._config.climb_m
         self._corner, self._arrived_s = 0, None
         self._begun_s = now_s
+        self._in_view = Held()
         return climb_m
 
     def keep_above(self, lowest_down_m: float) -> float:
@@ -190,8 +101,36 @@ class Search:
         self._down_m = floor_m - _FLOOR_STEP_M
         return climb_m + _FLOOR_STEP_M
 
-    def step(self, actual: Motion, in_control: bool, steady: bool, now_s: float) -> SearchStep:
-        """One cycle; `actual` is the vehicle in the EKF's NED, `steady` whether the pad is in view."""
+    def ask_again(self, unseen_s: float, now_s: float) -> bool:
+        """Whether to ask for the pad's position outside of a search.
+
+        That is while the pad is unseen, and once while it is seen: to learn by how much the beacon is off.
+        """
+        wanted = not self.whereabouts.beacon_compared or unseen_s > 0.5
+        return wanted and self._request_due(now_s)
+
+    def _request_due(self, now_s: float) -> bool:
+        if now_s < self._next_request_s:
+            return False
+        self._next_request_s = now_s + self._config.request_s
+        return True
+
+    def _takes_up(self, pad: PadKnowledge, now_s: float) -> bool:
+        """Whether the pad is in view and will stay so: its velocity known, and no overshoot out of view."""
+        steady = pad.steady(now_s)
+        long = self._in_view.for_s(steady, now_s) >= _LONG_IN_VIEW_S
+        return steady and pad.sight is not None and (long or self._stays_in_view(pad.sight))
+
+    def _stays_in_view(self, sight: Sight) -> bool:
+        c = self._config
+        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
+        stop_s = math.hypot(vx, vy) / (2.0 * c.stopping_m_s2)
+        overshoot_m = math.hypot(x + stop_s * vx, y + stop_s * vy)
+        return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= c.view_slope * sight.height_m
+
+    def step(self, actual: Motion, in_control: bool, pad: PadKnowledge, now_s: float) -> SearchStep:
+        """One cycle; `actual` is the vehicle in the EKF's NED."""
+        seen = self._takes_up(pad, now_s)
         if not in_control:
             # setpoints first, then the question: PX4 wants to see them before it obeys
             self._had_control = False
@@ -199,12 +138,11 @@ class Search:
         if not self._had_control:
             self._had_control, self._control_s = True, now_s
             self._guide.take_up(actual, now_s)
-        if steady:
+        if seen:
             return SearchStep(seen=True)
-        request = now_s >= self._next_request_s
-        if request:
-            self._next_request_s = now_s + self._config.request_s
-        flying = now_s - max(self._begun_s, self._control_s) >= self._config.hold_s
+        request = not pad.steady(now_s) and self._request_due(now_s)
+        held_s = now_s - max(self._begun_s, self._control_s)
+        flying = held_s >= self._config.hold_s or self.whereabouts.seen_lately(now_s)
         if flying:
             self._guide.fly_to(self._target(now_s), now_s)
         elif in_control and now_s - self._begun_s >= _STOPPED_S:

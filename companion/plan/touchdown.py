@@ -5,6 +5,8 @@ Relative to the pad, NED axes, m and s.
 
 Why a moment is gentle when the pad's acceleration is small: the vehicle follows an acceleration with a lag
 (about 0.2 s), so that its speed relative to the pad is off by acceleration x lag, whatever the pad's speed.
+On the last way down the speed counts, not the height: what was lost while the pad fell away is not made up
+for, since that would be a faster contact. Sinking too fast all the same, the vehicle rises and waits again.
 """
 
 from __future__ import annotations
@@ -27,6 +29,10 @@ _STALLED_BELOW_M = 0.08
 _AWAY_M = 0.25
 _AWAY_S = 0.3
 _SIGNS_NEEDED = 2
+# The reference gives way to the vehicle's height with this time constant, in its cycles of planning.
+_GIVE_WAY_S = 0.3
+_LONGEST_CYCLE_S = 0.1
+_TOO_FAST_S = 0.1
 
 Finding = tuple[Event, str] | None
 
@@ -124,7 +130,8 @@ class Touchdown:
         self._since_s, self._slack = now_s, slack
         self._contact_due_s: float | None = None
         self.contact_s: float | None = None
-        self._settled, self._touching, self._away = Held(), Held(), Held()
+        self._settled, self._touching, self._away, self._too_fast = Held(), Held(), Held(), Held()
+        self._sunk_s = now_s
 
     @property
     def committed(self) -> bool:
@@ -175,6 +182,7 @@ class Touchdown:
 
     def _commit(self, now_s: float) -> None:
         c = self._config
+        self._sunk_s = now_s
         blended_m = self._guide.sink(c.contact_speed_m_s, c.blend_s, now_s)
         left_m = self._guide.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / c.contact_speed_m_s
@@ -198,9 +206,22 @@ class Touchdown:
             return Event.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > v.leg_height_m + 2.0 * c.contact_margin_m
-        if high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
+        self._give_way(sight if high else None, now_s)
+        fast = sight.age_s <= _FRESH_S and sight.velocity_m_s[2] > c.fastest_contact_m_s
+        above_m = sight.height_m - v.leg_height_m
+        if above_m > c.break_off_above_m and self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S:
+            self._contact_due_s = None  # and `_wait` rises from the reference's own state
+            self._settled, self._too_fast = Held(), Held()
+        elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
         return None
+
+    def _give_way(self, sight: Sight | None, now_s: float) -> None:
+        """Let the reference's height drift to the vehicle's; not near the pad, where it may stand."""
+        share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
+        self._sunk_s = now_s
+        if sight is not None and sight.age_s <= _FRESH_S:
+            self._guide.shift_down(share * (sight.position_m[2] - self._guide.at(now_s).position_m[2]))
 
     def _stay_down(self, now_s: float) -> None:
         self._guide.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)

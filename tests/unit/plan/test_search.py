@@ -1,4 +1,6 @@
 import math
+from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -7,10 +9,28 @@ from companion.geometry import geodetic_from_ned
 from companion.messages import PadBeacon
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
-from companion.plan.search import Lead, Search, Whereabouts, square_spiral, turn_rate
+from companion.plan.search import Search, square_spiral
+from companion.plan.sight import PadKnowledge
+from companion.plan.whereabouts import Lead, Whereabouts, turn_rate
+from tests.unit.plan.plan_harness import World, still
 
 ORIGIN = (47.0, 8.0, 400.0)
 CONFIG = SearchConfig()
+UNSEEN = PadKnowledge(1, 0.5)
+
+
+def in_view(
+    aside_m: float = 0.0, speed_m_s: float = 0.0, velocity_std_m_s: float = 0.1, now_s: float = 0.0
+) -> PadKnowledge:
+    """A pad 7 m below, `aside_m` south of the vehicle, which flies north at a speed."""
+    w = World(still())
+    w.now_s, w.position, w.velocity = now_s, (10.6 + aside_m, 0.8, -7.3), (speed_m_s, 0.0, 0.0)
+    w._sense()
+    given = w.inputs()
+    assert given.pad is not None
+    known = PadKnowledge(1, 0.5)
+    known.update(replace(given.pad, velocity_std_m_s=velocity_std_m_s), given.vehicle, now_s)
+    return known
 
 
 def beacon(time_s: float, north: float, east: float, velocity: tuple[float, float, float]) -> PadBeacon:
@@ -97,7 +117,7 @@ def test_the_last_sight_counts_from_when_it_was_seen_not_from_what_the_filter_ma
 def test_setpoints_stream_before_control_is_asked_for() -> None:
     search, guide = searching()
     here = guide.at(0.0)
-    asked = [t / 30.0 for t in range(30) if search.step(here, False, False, t / 30.0).ask_for_control]
+    asked = [t / 30.0 for t in range(30) if search.step(here, False, UNSEEN, t / 30.0).ask_for_control]
     assert asked[0] == pytest.approx(CONFIG.stream_s, abs=0.04)
     assert guide.active
 
@@ -107,18 +127,20 @@ def test_it_holds_asks_at_once_and_every_few_seconds() -> None:
     requests, first_move = [], None
     for k in range(600):
         now = k / 30.0
-        step = search.step(guide.at(now), True, False, now)
+        step = search.step(guide.at(now), True, UNSEEN, now)
         if step.request_pad:
             requests.append(now)
         if step.flying and first_move is None:
             first_move = now
-    assert requests == pytest.approx([0.0, 5.0, 10.0, 15.0], abs=0.15)
+    expected = [CONFIG.request_s * k for k in range(14)]
+    assert requests == pytest.approx(expected, abs=0.5)
+    assert min(b - a for a, b in pairwise(requests)) >= CONFIG.request_s
     assert first_move == pytest.approx(CONFIG.hold_s, abs=0.04)
 
 
 def test_a_pad_in_view_ends_the_search_without_a_request() -> None:
     search, guide = searching()
-    step = search.step(guide.at(0.0), True, True, 0.0)
+    step = search.step(guide.at(0.0), True, in_view(), 0.0)
     assert step.seen
     assert not step.request_pad
 
@@ -130,7 +152,7 @@ def test_it_flies_to_the_beacon_and_goes_along_with_it() -> None:
         now = k / 30.0
         if k % 90 == 30:
             search.hear(beacon(now, 12.0 + 1.0 * now, -6.0, (1.0, 0.0, 0.0)), ORIGIN)
-        search.step(guide.at(now), True, False, now)
+        search.step(guide.at(now), True, UNSEEN, now)
         north, east, down = guide.at(now).position_m
         if math.hypot(north - 12.0 - now, east + 6.0) < 1.0:
             along += abs(guide.at(now).velocity_m_s[0] - 1.0) < 0.3
@@ -144,7 +166,7 @@ def test_without_any_word_it_spirals_out_and_stays_within_its_radius() -> None:
     farthest, quadrants = 0.0, set()
     for k in range(3000):
         now = k / 30.0
-        search.step(guide.at(now), True, False, now)
+        search.step(guide.at(now), True, UNSEEN, now)
         north, east, _ = guide.at(now).position_m
         farthest = max(farthest, math.hypot(north, east))
         if farthest > 3.0:
@@ -159,7 +181,7 @@ def test_the_climb_of_a_search_is_bounded() -> None:
     assert search.begin(-3.0, math.inf, 0.0) == 0.0
     assert search.begin(2.0, math.inf, 0.0) == 2.0
     for k in range(300):
-        search.step(guide.at(k / 30.0), True, False, k / 30.0)
+        search.step(guide.at(k / 30.0), True, UNSEEN, k / 30.0)
     assert guide.at(10.0).position_m[2] == pytest.approx(-9.0, abs=0.05)
 
 
@@ -180,7 +202,7 @@ def test_a_search_that_begins_below_the_floor_climbs_to_it_however_small_the_bou
     search = Search(CONFIG.model_copy(update={"climb_m": 0.5}), guide)
     assert search.begin(0.0, -1.5, 0.0) == pytest.approx(1.0)
     for k in range(150):
-        search.step(guide.at(k / 30.0), True, False, k / 30.0)
+        search.step(guide.at(k / 30.0), True, UNSEEN, k / 30.0)
     assert guide.at(5.0).position_m[2] == pytest.approx(-1.5, abs=0.05)
 
 
@@ -193,3 +215,79 @@ def test_a_floor_that_rises_is_kept_above_in_steps_and_not_without_end() -> None
     assert search.keep_above(-7.6) == 0.0
     total = first + sum(search.keep_above(-8.0 - k) for k in range(50))
     assert total == pytest.approx(CONFIG.climb_m, abs=0.31)
+
+
+@pytest.mark.parametrize(
+    ("known", "taken"),
+    [
+        (in_view(), True),
+        (in_view(velocity_std_m_s=0.51), False),
+        (in_view(aside_m=2.7), True),
+        (in_view(aside_m=2.9), False),
+        # stops v^2/4 farther on: 1 m at 2 m/s, 6 m at 5 m/s
+        (in_view(aside_m=1.7, speed_m_s=2.0), True),
+        (in_view(aside_m=1.9, speed_m_s=2.0), False),
+        (in_view(aside_m=-2.0, speed_m_s=2.0), True),
+        (in_view(speed_m_s=5.0), False),
+    ],
+)
+def test_a_pad_is_taken_up_when_it_is_known_and_will_stay_in_view(known: PadKnowledge, taken: bool) -> None:
+    search, guide = searching()
+    step = search.step(guide.at(0.0), True, known, 0.0)
+    assert step.seen is taken
+    assert not step.request_pad
+
+
+def test_a_pad_in_view_for_long_is_taken_up_however_it_moves() -> None:
+    search, guide = searching()
+    for now, taken in ((0.0, False), (2.9, False), (3.1, True)):
+        known = in_view(velocity_std_m_s=2.0, now_s=now)
+        assert search.step(guide.at(now), True, known, now).seen is taken
+
+
+def test_a_pad_seen_in_passing_is_flown_back_to_at_once() -> None:
+    search, guide = searching()
+    search.whereabouts.remember(Motion((5.0, 0.0, -0.3), (0.5, 0.0, 0.0)), 0.0, 0.0)
+    assert search.step(guide.at(0.0), True, UNSEEN, 0.0).flying
+    assert not searching()[0].step(guide.at(0.0), True, UNSEEN, 0.0).flying
+    for k in range(120):
+        search.step(guide.at(k / 30.0), True, UNSEEN, k / 30.0)
+    assert guide.at(4.0).position_m[0] > 5.5
+
+
+def test_the_beacons_offset_is_learnt_from_a_sight_and_kept() -> None:
+    w = Whereabouts(CONFIG)
+    w.start = Lead(-math.inf, (0.0, 0.0, -7.0))
+    # GIVEN a pad at 1 m/s and a beacon 3 m north and 2 m west of it
+    w.remember(Motion((10.0, 5.0, 0.0), (1.0, 0.0, 0.0)), 1.0, 1.0)
+    compared = [w.beacon_compared]
+    w.hear(beacon(2.0, 14.0, 3.0, (1.0, 0.0, 0.0)), ORIGIN)
+    compared.append(w.beacon_compared)
+    assert compared == [False, True]
+    assert w.likely(2.0).position_m[:2] == pytest.approx((11.0, 5.0), abs=1e-3)
+    # THEN it still holds when the sight is long gone
+    w.hear(beacon(9.0, 21.0, 3.0, (1.0, 0.0, 0.0)), ORIGIN)
+    assert w.likely(9.0).position_m[:2] == pytest.approx((18.0, 5.0), abs=1e-3)
+
+
+def test_neither_an_old_sight_nor_a_far_one_says_how_far_the_beacon_is_off() -> None:
+    for seen_s, north in ((0.4, 12.0), (1.9, 40.0)):
+        w = Whereabouts(CONFIG)
+        w.start = Lead(-math.inf, (0.0, 0.0, -7.0))
+        w.remember(Motion((10.0, 5.0, 0.0)), seen_s, seen_s)
+        w.hear(beacon(2.0, north, 5.0, (0.0, 0.0, 0.0)), ORIGIN)
+        assert not w.beacon_compared
+        assert w.likely(2.0).position_m[:2] == pytest.approx((north, 5.0), abs=1e-3)
+
+
+def test_until_the_beacon_is_compared_its_position_is_asked_for_every_so_often() -> None:
+    search, _ = searching()
+    asked = [k / 30.0 for k in range(90) if search.ask_again(0.0, k / 30.0)]
+    assert asked == pytest.approx([0.0, 1.5], abs=0.04)
+
+
+def test_once_compared_it_is_asked_for_while_the_pad_is_unseen_only() -> None:
+    search, _ = searching()
+    search.whereabouts.remember(Motion((0.0, 0.0, 0.0)), 1.0, 1.0)
+    search.hear(beacon(1.5, 1.0, 0.0, (0.0, 0.0, 0.0)), ORIGIN)
+    assert [search.ask_again(unseen_s, 20.0) for unseen_s in (0.0, 1.0)] == [False, True]

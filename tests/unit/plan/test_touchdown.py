@@ -210,3 +210,70 @@ def test_held_counts_from_the_last_break() -> None:
     assert held.for_s(True, 1.5) == 0.5
     assert held.for_s(False, 1.6) < 0.0
     assert held.for_s(True, 2.0) == 0.0
+
+
+def descent(touchdown: Touchdown, lags_m: float, sink_m_s: float, count: int = 15) -> Guide:
+    """Cycles of a vehicle that is so much above the reference and sinks at its own speed."""
+    guide = touchdown._guide
+    for k in range(count):
+        now = 1.2 + k * CYCLE_S
+        height = -guide.at(now).position_m[2] + lags_m
+        touchdown.step(sight(height=height, velocity=(0.0, 0.0, sink_m_s)), None, LandedState.IN_AIR, now)
+    return guide
+
+
+def test_on_the_last_way_down_the_reference_gives_way_to_the_vehicles_height_but_not_its_speed() -> None:
+    free, held = sinking(), sinking()
+    lower = descent(free, 0.0, 0.2)
+    higher = descent(held, 0.05, 0.2)
+    gained = lower.at(1.7).position_m[2] - higher.at(1.7).position_m[2]
+    # 0.05 m with a time constant of 0.3 s, over half a second
+    assert gained == pytest.approx(0.05 * 0.5 / 0.3, rel=0.2)
+    assert higher.at(1.7).velocity_m_s == lower.at(1.7).velocity_m_s
+
+
+def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
+    touchdown = sinking()
+    for k in range(60):
+        now = 1.0 + k * CYCLE_S
+        touchdown.step(sight(height=LEG_M + 0.03), None, LandedState.IN_AIR, now)
+    assert touchdown._guide.at(3.0).position_m[2] > -LEG_M + 0.05
+
+
+@pytest.mark.parametrize(
+    ("height", "sink_m_s", "broken"),
+    [
+        (LEG_M + 0.2, 0.36, True),
+        (LEG_M + 0.2, 0.34, False),
+        (LEG_M + 0.09, 0.36, False),
+        (LEG_M + 0.11, 0.36, True),
+    ],
+)
+def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
+    height: float, sink_m_s: float, broken: bool
+) -> None:
+    touchdown = sinking()
+    fast = sight(height=height, velocity=(0.0, 0.0, sink_m_s))
+    for k in range(6):
+        assert touchdown.step(fast, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+        if not touchdown.committed:
+            break
+    assert touchdown.committed is not broken
+    if broken:
+        # and rises to where it waits, without a step, and may commit again
+        before = touchdown._guide.at(1.2)
+        for k in range(6, 80):
+            touchdown.step(sight(height=height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        after = touchdown._guide.at(3.5)
+        assert before.velocity_m_s[2] > 0.0
+        assert after.position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
+        assert wait(touchdown, sight(), 9.0)[1] is None
+
+
+def test_one_fast_sample_is_no_reason_to_break_off() -> None:
+    touchdown = sinking()
+    for k in range(9):
+        speed = 0.5 if k % 3 == 0 else 0.2
+        seen = sight(height=0.4, velocity=(0.0, 0.0, speed))
+        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed
