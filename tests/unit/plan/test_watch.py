@@ -27,8 +27,9 @@ def found(
     *,
     taken_over: bool = False,
     on_pad: bool = False,
+    committed: bool = False,
 ) -> Event | None:
-    finding = watch.event(phase, 45.0, given, 50.0, taken_over=taken_over, on_pad=on_pad)
+    finding = watch.event(phase, 45.0, given, 50.0, taken_over=taken_over, on_pad=on_pad, committed=committed)
     return finding[0] if finding else None
 
 
@@ -104,6 +105,35 @@ def test_each_trouble_in_flight(
     assert found(Watch(CONFIG), given, taken_over=taken_over, on_pad=on_pad) is event
 
 
+def test_a_stop_on_the_last_way_down_waits_for_the_touchdown() -> None:
+    given = inputs(stop=True)
+    assert found(Watch(CONFIG), given, Phase.TOUCHDOWN) is Event.STOP
+    assert found(Watch(CONFIG), given, Phase.TOUCHDOWN, committed=True) is None
+
+
+def test_motors_that_stop_before_the_touchdown_are_no_landing() -> None:
+    off = inputs(replace(FLYING, armed=False))
+    assert found(Watch(CONFIG), off, Phase.TOUCHDOWN) is Event.PILOT_TOOK_OVER
+    assert found(Watch(CONFIG), off, Phase.TOUCHDOWN, on_pad=True) is Event.DISARMED
+
+
+def test_a_pilot_is_heeded_on_the_pad_too_and_our_own_land_is_not_a_pilot() -> None:
+    watch = Watch(CONFIG)
+    watch.note(FLYING, control_granted=True)
+    watch.let_go()
+    assert not watch.note(replace(FLYING, mode="AUTO.LAND", offboard=False), control_granted=False)
+    watch.note(replace(FLYING, mode="OFFBOARD"), control_granted=False)
+    assert watch.note(replace(FLYING, mode="POSCTL", offboard=False), control_granted=False)
+
+
+def test_a_velocity_that_nobody_knows_ends_a_search_but_not_a_descent() -> None:
+    given = inputs()
+    assert given.vehicle is not None
+    lost = replace(given, vehicle=replace(given.vehicle, velocity_std_m_s=2.0))
+    assert found(Watch(CONFIG), lost, Phase.SEARCH) is Event.ESTIMATE_LOST
+    assert found(Watch(CONFIG), lost, Phase.DESCEND) is None
+
+
 def test_on_the_ground_before_take_off_being_disarmed_is_no_event() -> None:
     assert found(Watch(CONFIG), inputs(replace(FLYING, armed=False)), Phase.ARM) is None
 
@@ -120,7 +150,9 @@ def test_time_on_both_sides_of_its_bounds() -> None:
     def at(now_s: float, since_s: float) -> Event | None:
         w.now_s = now_s
         given = replace(inputs(), vehicle=w.inputs().vehicle)
-        finding = watch.event(Phase.APPROACH, since_s, given, now_s, taken_over=False, on_pad=False)
+        finding = watch.event(
+            Phase.APPROACH, since_s, given, now_s, taken_over=False, on_pad=False, committed=False
+        )
         return finding[0] if finding else None
 
     assert at(10.0, 10.0) is None
