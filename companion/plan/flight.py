@@ -29,6 +29,7 @@ from companion.plan.watch import Watch
 
 _LAST_TRY_SLACK: Final = 1.6
 _WORTH_TELLING_M: Final = 0.2
+_FORCE_AFTER: Final = 1.5
 Severity = Literal["info", "warning", "error"]
 Say = Callable[[str, str, float, Severity], None]
 
@@ -200,6 +201,7 @@ class Flight:
             self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
         if step.request_pad:
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
+        if step.worth_telling:
             doing = "searching" if step.flying else "holding"
             known = self.search.whereabouts.source(now_s)
             self._say(
@@ -260,7 +262,7 @@ class Flight:
             self._watch.let_go()
             self._requests.ask(Action(ActionKind.LAND), now_s)
         agrees = inputs.autopilot.landed is LandedState.ON_GROUND
-        if agrees or stood_s >= 2.0 * after_s:
+        if agrees or stood_s >= _FORCE_AFTER * after_s:
             self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:
