@@ -29,7 +29,6 @@ from companion.plan.watch import Watch
 
 _LAST_TRY_SLACK: Final = 1.6
 _WORTH_TELLING_M: Final = 0.2
-_FORCE_AFTER: Final = 1.5
 Severity = Literal["info", "warning", "error"]
 Say = Callable[[str, str, float, Severity], None]
 
@@ -262,7 +261,7 @@ class Flight:
             self._watch.let_go()
             self._requests.ask(Action(ActionKind.LAND), now_s)
         agrees = inputs.autopilot.landed is LandedState.ON_GROUND
-        if agrees or stood_s >= _FORCE_AFTER * after_s:
+        if agrees or stood_s >= 2.0 * after_s:
             self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:

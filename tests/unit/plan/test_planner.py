@@ -201,7 +201,7 @@ def test_an_autopilot_that_never_finds_itself_landed_is_let_land_and_then_forced
     contact = next(s.time_s for s in flight.steps if s.on_ground)
     last = {a.kind: (s.time_s, a.force) for s in flight.steps for a in s.actions}
     assert last[ActionKind.LAND][0] - contact == pytest.approx(2.0, abs=0.05)
-    assert last[ActionKind.DISARM][0] - contact == pytest.approx(3.0, abs=0.05)
+    assert last[ActionKind.DISARM][0] - contact == pytest.approx(4.0, abs=0.05)
     assert last[ActionKind.DISARM][1]
 
 
