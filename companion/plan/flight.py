@@ -205,6 +205,7 @@ class Flight:
             self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
         if step.request_pad:
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
+        if step.worth_telling:
             doing = "searching" if step.flying else "holding"
             known = self.search.whereabouts.source(now_s)
             self._say(

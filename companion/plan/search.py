@@ -26,6 +26,7 @@ _FLOOR_STEP_M = 0.3
 _STOPPED_S = 0.6
 # A pad steadily in view for so long is taken up however it moves.
 _LONG_IN_VIEW_S = 3.0
+_TELL_S = 5.0
 
 
 def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
@@ -46,6 +47,7 @@ class SearchStep:
 
     ask_for_control: bool = False
     request_pad: bool = False
+    worth_telling: bool = False
     seen: bool = False
     flying: bool = False
 
@@ -59,7 +61,7 @@ class Search:
         self._down_m = 0.0
         self._corner = 0
         self._arrived_s: float | None = None
-        self._begun_s = self._control_s = self._next_request_s = -math.inf
+        self._begun_s = self._control_s = self._next_request_s = self._told_s = -math.inf
         self._had_control = False
         self._in_view = Held()
 
@@ -85,7 +87,7 @@ class Search:
         climb_m = here[2] - self._down_m
         self._most_up_m = self._down_m - self._config.climb_m
         self._corner, self._arrived_s = 0, None
-        self._begun_s = now_s
+        self._begun_s, self._told_s = now_s, -math.inf
         self._in_view = Held()
         return climb_m
 
@@ -147,7 +149,10 @@ class Search:
             self._guide.fly_to(self._target(now_s), now_s)
         elif in_control and now_s - self._begun_s >= _STOPPED_S:
             self._guide.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
-        return SearchStep(request_pad=request, flying=flying)
+        tell = request and now_s - self._told_s >= _TELL_S
+        if tell:
+            self._told_s = now_s
+        return SearchStep(request_pad=request, worth_telling=tell, flying=flying)
 
     def _target(self, now_s: float) -> Motion:
         """The pad's likely place first, then the corners of a spiral about it, moving as it does."""

@@ -112,6 +112,7 @@ class FakeAutopilot:
     connected: bool = True
     heard: list[tuple[float, ActionKind]] = field(default_factory=list)
     ready_from_s: float = 2.0
+    doubts: bool = False  # never finds that it has landed
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
         kind = action.kind
@@ -128,7 +129,7 @@ class FakeAutopilot:
         if kind is ActionKind.ARM:
             self.armed = True
         elif kind is ActionKind.DISARM:
-            if self.landed is not LandedState.ON_GROUND:
+            if self.landed is not LandedState.ON_GROUND and not action.force:
                 return False
             self.armed = False
         elif kind is ActionKind.TAKE_OFF:
@@ -406,7 +407,7 @@ class World:
             self.position = (self.position[0], self.position[1], surface - LEG_M)
             self.velocity = velocity
         pressed = not self.autopilot.armed or step.on_ground or self.autopilot.mode == "LAND"
-        if pressed and self.now_s - self._contact_s > 1.0:
+        if pressed and not self.autopilot.doubts and self.now_s - self._contact_s > 1.0:
             self.autopilot.landed = LandedState.ON_GROUND
             if self.autopilot.mode == "LAND":
                 self.autopilot.armed = False

@@ -192,6 +192,19 @@ def test_on_the_pad_it_says_so_and_disarms_once_the_autopilot_agrees() -> None:
     assert flight.told("contact")
 
 
+def test_an_autopilot_that_never_finds_itself_landed_is_let_land_and_then_forced() -> None:
+    w = world(heave())
+    flight = w.fly(60.0, until=lambda x: x.flight.told("commit") != [])
+    w.autopilot.doubts = True
+    w.fly(30.0)
+    assert flight.phase is Phase.LANDED
+    contact = next(s.time_s for s in flight.steps if s.on_ground)
+    last = {a.kind: (s.time_s, a.force) for s in flight.steps for a in s.actions}
+    assert last[ActionKind.LAND][0] - contact == pytest.approx(2.0, abs=0.05)
+    assert last[ActionKind.DISARM][0] - contact == pytest.approx(4.0, abs=0.05)
+    assert last[ActionKind.DISARM][1]
+
+
 # ---------------------------------------------------------------- trouble on the way
 
 
