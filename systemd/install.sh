@@ -49,4 +49,5 @@ chown -R root:companion "$SETTINGS"
 
 install -m 0644 "$SOURCE/systemd/companion.service" "$UNIT"
 systemctl daemon-reload
-echo "installed; look through $SETTINGS/companion.yaml, then: systemctl enable --now companion"
+echo "installed; look through $SETTINGS/companion.yaml, then, props off the first time: systemctl start companion"
+echo "one start is one flight; do not enable it at boot: it would take off whenever the Pi is powered"
