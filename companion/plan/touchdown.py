@@ -107,12 +107,13 @@ def contact_signs(
         and reference.position_m[2] - sight.position_m[2] >= _STALLED_BELOW_M
         and abs(sight.velocity_m_s[2]) <= _STALLED_M_S
     )
-    short_echo = (
-        echo is not None
-        and now_s - echo.time_s <= _FRESH_S
-        and echo.distance_m <= feet_m - vehicle.range_position_body_m[2]
-    )
+    short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
     return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
+
+
+def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> bool:
+    """Whether a fresh echo came from no farther than that."""
+    return echo is not None and now_s - echo.time_s <= _FRESH_S and echo.distance_m <= distance_m
 
 
 class Touchdown:
@@ -147,10 +148,7 @@ class Touchdown:
         """Whether a fresh sight or echo shows the feet on the pad now."""
         feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
         seen = sight is not None and sight.age_s <= _FRESH_S and sight.height_m <= feet_m
-        heard = echo is not None and now_s - echo.time_s <= _FRESH_S
-        return seen or (
-            echo is not None and heard and echo.distance_m <= feet_m - self._vehicle.range_position_body_m[2]
-        )
+        return seen or _echo_within(echo, feet_m - self._vehicle.range_position_body_m[2], now_s)
 
     def step(
         self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
