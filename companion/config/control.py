@@ -1,0 +1,65 @@
+"""Settings of the controller and of the last gate."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from companion.config.reading import StrictModel
+
+
+class LimitsConfig(StrictModel):
+    """The last gate: nothing beyond these leaves for the autopilot."""
+
+    horizontal_speed_m_s: float = Field(default=6.0, gt=0.0, le=20.0)
+    climb_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
+    descent_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
+    horizontal_acceleration_m_s2: float = Field(default=4.0, gt=0.0, le=10.0)
+    vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
+    tilt_deg: float = Field(default=25.0, gt=0.0, le=45.0)
+    jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
+    heading_rate_deg_s: float = Field(default=45.0, gt=0.0, le=180.0)
+    minimum_thrust: float = Field(default=0.05, ge=0.0, le=0.5)
+    maximum_thrust: float = Field(default=0.9, gt=0.5, le=1.0)
+
+
+class TrackingConfig(StrictModel):
+    """The MPC's weights along one direction, each as the deviation that costs 1 (eq. 39)."""
+
+    position_m: float = Field(gt=0.0, le=10.0)
+    velocity_m_s: float = Field(gt=0.0, le=10.0)
+    acceleration_m_s2: float = Field(gt=0.0, le=100.0)
+    effort_m_s2: float = Field(gt=0.0, le=100.0)  # command off what the reference needs
+    effort_change_m_s2: float = Field(gt=0.0, le=100.0)  # the same, from one step to the next
+
+
+class ControlConfig(StrictModel):
+    """The MPC and what it sends."""
+
+    setpoint: Literal["velocity", "attitude"] = "velocity"
+    rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
+    horizon_steps: int = Field(default=20, ge=5, le=100)
+    step_s: float = Field(default=0.1, ge=0.01, le=0.5)
+    command_delay_s: float = Field(default=0.03, ge=0.0, le=0.2)  # from the decision to the autopilot's loop
+    velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)  # beyond the delay
+    autopilot_velocity_gain_1_s: float = Field(default=2.2, ge=0.5, le=10.0)
+    autopilot_climb_gain_1_s: float = Field(default=4.0, ge=0.5, le=10.0)
+    acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)  # sensor and its filters
+    lasting_disturbance_s: float = Field(default=1.0, ge=0.1, le=20.0)  # what lasts so long is for v_sp
+    maximum_disturbance_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
+    maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
+    horizontal_reach_m: float = Field(default=2.0, gt=0.0, le=20.0)  # a reference farther off is drawn nearer
+    vertical_reach_m: float = Field(default=0.7, gt=0.0, le=20.0)
+    pad_acceleration_decay_s: float = Field(default=1.0, ge=0.05, le=10.0)
+    ground_descent_m_s: float = Field(default=0.6, ge=0.1, le=1.5)
+    ground_acceleration_m_s2: float = Field(default=0.5, ge=0.0, le=3.0)
+    ground_thrust: float = Field(default=0.1, ge=0.0, le=0.3)
+    maximum_iterations: int = Field(default=400, ge=50, le=10000)
+    horizontal: TrackingConfig = TrackingConfig(
+        position_m=0.15, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=0.8
+    )
+    vertical: TrackingConfig = TrackingConfig(
+        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
+    )
+    limits: LimitsConfig = LimitsConfig()

@@ -1,0 +1,103 @@
+"""Settings of the estimators: alignment, orientation, the EKF and the pad filter."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from companion.config.reading import StrictModel, Vector
+
+
+class AlignmentConfig(StrictModel):
+    """The first attitude and the gyroscope's bias, from standing still before arming."""
+
+    still_s: float = Field(default=2.0, ge=0.5, le=20.0)
+    timeout_s: float = Field(default=15.0, ge=1.0, le=120.0)  # then start without: larger uncertainty
+    still_rate_rad_s: float = Field(default=0.02, gt=0.0, le=0.2)  # standard deviation that counts as still
+    still_force_m_s2: float = Field(default=0.25, gt=0.0, le=2.0)
+
+
+class OrientationConfig(StrictModel):
+    """The orientation pre-filter (eqs. 14-16); error rates are of the quaternion: half of rad/s."""
+
+    kind: Literal["complementary", "madgwick"] = "complementary"
+    gyro_error_rate: float = Field(default=0.01, gt=0.0, le=1.0)
+    heading_error_rate: float = Field(default=0.01, gt=0.0, le=1.0)
+    accel_average_s: float = Field(default=2.0, ge=0.0, le=20.0)
+    accel_gate_m_s2: float = Field(default=0.8, gt=0.0, le=10.0)
+    mag_gate: float = Field(default=0.15, gt=0.0, le=1.0)  # share of the field's size
+    dip_gate_deg: float = Field(default=10.0, gt=0.0, le=90.0)
+
+
+class EkfConfig(StrictModel):
+    """The 31-state EKF (Table 5): noises are standard deviations of one sample unless the name says more."""
+
+    imu_samples_per_step: int = Field(default=2, ge=1, le=10)
+    gyro_noise_rad_s: float = Field(default=0.005, gt=0.0, le=1.0)
+    accel_noise_m_s2: float = Field(default=1.0, gt=0.0, le=20.0)
+    mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
+    mag_noise_ut: float = Field(default=1.5, gt=0.0, le=20.0)
+    orientation_rate_hz: float = Field(default=10.0, ge=0.5, le=50.0)
+    orientation_tilt_noise_deg: float = Field(default=12.0, gt=0.0, le=90.0)
+    orientation_heading_noise_deg: float = Field(default=20.0, gt=0.0, le=180.0)
+    gps_position_noise_m: float = Field(default=3.0, gt=0.0, le=50.0)  # floor: a fix's error wanders, slowly
+    gps_velocity_noise_m_s: float = Field(default=0.1, gt=0.0, le=5.0)  # floor
+    gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
+    gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
+    remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
+    rate_time_constant_s: float = Field(default=5.0, ge=0.05, le=100.0)
+    angular_acceleration_rad_s2_rthz: float = Field(default=0.2, gt=0.0, le=50.0)
+    acceleration_time_constant_s: float = Field(default=1.0, ge=0.05, le=100.0)
+    jerk_m_s3_rthz: float = Field(default=4.0, gt=0.0, le=100.0)
+    accel_bias_std_m_s2: float = Field(default=0.12, gt=0.0, le=2.0)
+    accel_bias_walk_m_s2_rts: float = Field(default=0.002, ge=0.0, le=1.0)
+    gyro_bias_walk_rad_s_rts: float = Field(default=2e-5, ge=0.0, le=0.1)
+    field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)
+    field_walk_ut_rts: float = Field(default=0.005, ge=0.0, le=5.0)
+    mag_bias_std_ut: float = Field(default=1.0, gt=0.0, le=50.0)
+    mag_bias_walk_ut_rts: float = Field(default=0.02, ge=0.0, le=5.0)
+
+
+class PadFilterConfig(StrictModel):
+    """The relative motion of the pad; `_rthz` is a density per root of hertz."""
+
+    horizontal_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
+    vertical_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
+    horizontal_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)  # of the pad's acceleration
+    vertical_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
+    vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.08, gt=0.0, le=5.0)
+    heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
+    heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
+    sighting_noise_scale: float = Field(default=1.5, ge=0.1, le=20.0)
+    sighting_noise_floor_m: float = Field(default=0.001, ge=0.0, le=1.0)
+    attitude_jitter_deg: float = Field(default=0.05, ge=0.0, le=10.0)  # the attitude error's fast part
+    exposure_jitter_s: float = Field(default=0.005, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
+    first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
+    first_climb_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # pads drive, but hardly rise
+    range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
+    range_maximum_height_m: float = Field(default=2.5, gt=0.0, le=10.0)
+    range_maximum_tilt_deg: float = Field(default=20.0, gt=0.0, le=60.0)
+    patience_s: float = Field(default=0.5, gt=0.0, le=10.0)  # sightings refused for so long: start again
+    remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
+    forget_s: float = Field(default=10.0, ge=1.0, le=60.0)  # unseen for so long: no pad
+
+
+class EstimateConfig(StrictModel):
+    """Orientation filters, the 31-state EKF and the pad filter. Declination and dip follow from the field."""
+
+    madgwick_gain: float = Field(default=0.06, ge=0.0, le=2.0)
+    magnetic_field_ned_ut: Vector = (20.9, 0.6, 42.9)
+    acceleration_filter_s: float = Field(default=0.02, ge=0.0, le=1.0)
+    alignment: AlignmentConfig = AlignmentConfig()
+    orientation: OrientationConfig = OrientationConfig()
+    ekf: EkfConfig = EkfConfig()
+    pad: PadFilterConfig = PadFilterConfig()
+
+    @field_validator("magnetic_field_ned_ut")
+    @classmethod
+    def _has_a_north(cls, field: Vector) -> Vector:
+        if math.hypot(field[0], field[1]) < 1.0:
+            raise ValueError(f"expected a horizontal field of at least 1 µT to tell north by, found {field}")
+        return field

@@ -1,0 +1,119 @@
+"""Settings of the planner: mission, guidance, search, landing and touchdown."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from companion.config.reading import StrictModel
+
+
+class PhaseTimesConfig(StrictModel):
+    """How long each phase may last: every state ends by time."""
+
+    connect_s: float = Field(default=90.0, ge=5.0, le=3600.0)
+    arm_s: float = Field(default=25.0, ge=2.0, le=300.0)
+    take_off_s: float = Field(default=40.0, ge=5.0, le=300.0)
+    waypoint_s: float = Field(default=60.0, ge=5.0, le=1800.0)
+    search_s: float = Field(default=60.0, ge=5.0, le=600.0)
+    approach_s: float = Field(default=30.0, ge=5.0, le=300.0)
+    descend_s: float = Field(default=30.0, ge=5.0, le=300.0)
+    touchdown_s: float = Field(default=45.0, ge=5.0, le=300.0)
+    hold_s: float = Field(default=10.0, ge=1.0, le=300.0)
+
+
+class MissionConfig(StrictModel):
+    """The flight: where to look for the pad, when to ask again, when to give up."""
+
+    take_off_height_m: float = Field(default=7.0, ge=1.0, le=50.0)
+    waypoint_ned_m: tuple[float, float] = (10.0, 0.0)
+    arrival_radius_m: float = Field(default=1.5, ge=0.2, le=20.0)
+    arrival_speed_m_s: float = Field(default=0.8, ge=0.1, le=5.0)
+    align_heading: bool = True
+    fence_m: float = Field(default=150.0, ge=10.0, le=2000.0)  # from home; no beacon is followed beyond
+    largest_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=10.0)  # of our velocity, away from the pad
+    total_timeout_s: float = Field(default=180.0, ge=10.0, le=3600.0)
+    action_retry_s: float = Field(default=2.0, ge=0.2, le=30.0)
+    action_answer_s: float = Field(default=6.0, ge=0.5, le=60.0)
+    action_attempts: int = Field(default=4, ge=1, le=20)
+    phases: PhaseTimesConfig = PhaseTimesConfig()
+
+
+class GuidanceConfig(StrictModel):
+    """What the reference may ask for, relative to the pad: a fixed camera must keep it in view."""
+
+    minimum_time_s: float = Field(default=1.0, ge=0.3, le=5.0)  # T_min of eq. 37
+    horizontal_speed_m_s: float = Field(default=3.0, gt=0.0, le=10.0)
+    vertical_speed_m_s: float = Field(default=1.2, gt=0.0, le=5.0)
+    horizontal_acceleration_m_s2: float = Field(default=2.0, gt=0.0, le=5.0)
+    vertical_acceleration_m_s2: float = Field(default=0.8, gt=0.0, le=5.0)
+    heading_rate_deg_s: float = Field(default=30.0, gt=0.0, le=180.0)
+    stray_m: float = Field(default=0.8, ge=0.1, le=5.0)  # reference to estimate, beyond it starts afresh
+
+
+class SearchConfig(StrictModel):
+    """Looking for the pad; Algorithm 1's other branch."""
+
+    stream_s: float = Field(default=0.5, ge=0.1, le=5.0)  # setpoints before control is asked for
+    hold_s: float = Field(default=0.7, ge=0.0, le=30.0)
+    request_s: float = Field(default=1.5, ge=1.0, le=60.0)
+    dwell_s: float = Field(default=2.0, ge=0.0, le=30.0)  # over the pad's likely place, before the spiral
+    spacing_m: float = Field(default=4.0, ge=0.5, le=30.0)
+    radius_m: float = Field(default=12.0, ge=1.0, le=200.0)
+    trust_s: float = Field(default=12.0, ge=1.0, le=120.0)  # a word of where the pad is, until it is stale
+    lead_s: float = Field(default=5.0, ge=0.0, le=30.0)  # and how far its velocity is carried on
+    climb_m: float = Field(default=6.0, ge=0.0, le=30.0)
+    floor_m: float = Field(default=1.5, ge=0.5, le=10.0)  # over home and the last echoes, the pad unseen
+    sightings: int = Field(default=5, ge=1, le=100)
+    sightings_window_s: float = Field(default=0.5, ge=0.1, le=5.0)
+    velocity_std_m_s: float = Field(default=0.5, gt=0.0, le=5.0)  # the pad's velocity, to take it up
+    stopping_m_s2: float = Field(default=2.0, gt=0.0, le=10.0)  # braking over the pad, it shall stay in view:
+    view_slope: float = Field(default=0.4, gt=0.0, le=2.0)  # metres aside for each metre of height
+
+
+class LandingConfig(StrictModel):
+    """Approach and descent over the pad; heights are of the feet over the pad."""
+
+    approach_height_m: float = Field(default=3.0, ge=1.0, le=20.0)
+    approach_slope: float = Field(default=0.35, gt=0.0, le=3.0)  # metres aside for each metre of height
+    cone_slope: float = Field(default=0.2, gt=0.0, le=1.0)
+    cone_floor_m: float = Field(default=0.10, gt=0.0, le=1.0)
+    wait_height_m: float = Field(default=0.35, ge=0.1, le=2.0)
+    retry_height_m: float = Field(default=1.5, ge=0.3, le=5.0)
+    retries: int = Field(default=3, ge=0, le=20)
+    pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
+    lost_unseen_s: float = Field(default=3.0, gt=0.0, le=10.0)
+    ground_near_m: float = Field(default=1.5, gt=0.0, le=4.0)  # echoes this near, and the pad thought to lie
+    ground_doubt_m: float = Field(default=0.8, gt=0.1, le=4.0)  # so much lower: break off, climb and search
+
+
+class TouchdownConfig(StrictModel):
+    """The last third of a metre: when to commit, how fast, and what counts as contact."""
+
+    lateral_m: float = Field(default=0.06, gt=0.0, le=0.5)
+    lateral_speed_m_s: float = Field(default=0.12, gt=0.0, le=1.0)
+    settled_s: float = Field(default=0.2, ge=0.0, le=5.0)
+    gentle_horizontal_m_s2: float = Field(default=0.7, gt=0.0, le=5.0)
+    gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
+    patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
+    contact_speed_m_s: float = Field(default=0.22, ge=0.05, le=0.4)
+    fastest_contact_m_s: float = Field(default=0.35, ge=0.05, le=1.0)  # sinking faster, higher up than this:
+    break_off_above_m: float = Field(default=0.1, ge=0.03, le=1.0)  # rise and wait again
+    blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
+    blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
+    overdue_s: float = Field(default=1.5, ge=0.3, le=10.0)
+    escape_lateral_m: float = Field(default=0.18, gt=0.0, le=1.0)
+    contact_margin_m: float = Field(default=0.02, gt=0.0, le=0.2)
+    contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
+    land_after_s: float = Field(default=2.0, ge=0.5, le=30.0)
+
+
+class PlanConfig(StrictModel):
+    """The planner."""
+
+    rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
+    fuzzy: str = "landing"
+    mission: MissionConfig = MissionConfig()
+    guidance: GuidanceConfig = GuidanceConfig()
+    search: SearchConfig = SearchConfig()
+    landing: LandingConfig = LandingConfig()
+    touchdown: TouchdownConfig = TouchdownConfig()

@@ -1,0 +1,106 @@
+"""Reading settings: YAML into strict models, and one line for what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+CONFIG_FOLDER = Path(__file__).resolve().parent.parent.parent / "configs"
+
+
+class ConfigError(Exception):
+    """Something in a settings file that a user can mend; the text is the one line to show."""
+
+
+class StrictModel(BaseModel):
+    """Base of all settings: unknown keys are refused, values cannot change after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Model = TypeVar("Model", bound=BaseModel)
+Vector = tuple[float, float, float]
+
+
+def find_file(folder: str, name: str | Path) -> Path:
+    """Path of a settings file given by path, or by name within configs/<folder>.
+
+    Raises:
+        ConfigError: no such file; the line lists the names there are.
+    """
+    path = Path(name)
+    if path.suffix in {".yaml", ".yml"} and path.is_file():
+        return path
+    shipped = CONFIG_FOLDER / folder / f"{name}.yaml"
+    if path.suffix == "" and shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in (CONFIG_FOLDER / folder).glob("*.yaml")))
+    raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping.
+
+    Raises:
+        ConfigError: unreadable, not YAML (with line and column), or not a mapping.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        problem = getattr(error, "problem", None) or "not readable"
+        raise ConfigError(f"{path}{where}: broken YAML: {problem}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: expected a mapping of keys to values, found {type(data).__name__}")
+    return data
+
+
+def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:
+    """Build a model from plain data.
+
+    Raises:
+        ConfigError: one line with the source, the key, what was expected and what was found.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(_one_line(error, source)) from error
+
+
+def load_model(model: type[Model], path: Path) -> Model:
+    """Read one settings file into its model.
+
+    Raises:
+        ConfigError: see `read_yaml` and `validate`.
+    """
+    return validate(model, read_yaml(path), str(path))
+
+
+def merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    """Deep merge of two plain trees; lists and scalars of the second replace the first's."""
+    merged = dict(base)
+    for key, value in overrides.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _one_line(error: ValidationError, source: str) -> str:
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"]) or "(top)"
+    if first["type"] == "extra_forbidden":
+        return f"{source}: unknown key '{key}'"
+    text = first["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
+    found = "" if first["type"] in {"missing", "value_error"} else f", found {first['input']!r}"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    return f"{source}: {key}: {text}{found}{more}"

@@ -1,0 +1,87 @@
+"""Settings of the sensors: buses, ports, rates and the eyes."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from companion.config.reading import StrictModel, Vector
+
+
+class ImuConfig(StrictModel):
+    """MPU9250: its bus ("i2c:1", or "socket:PATH" for a simulator in another process), ranges and rates.
+
+    `body_from_sensor_deg` (roll, pitch, yaw) turns sensor axes into body FRD. The default is a chip that
+    lies face up with its x axis forward: z up and y left become z down and y right.
+    """
+
+    bus: str = "i2c:1"
+    address: int = Field(default=0x68, ge=0x68, le=0x69)
+    rate_hz: int = Field(default=200, ge=50, le=1000)
+    poll_hz: int = Field(default=100, ge=20, le=500)
+    gyro_range_deg_s: Literal[250, 500, 1000, 2000] = 500
+    accel_range_g: Literal[2, 4, 8, 16] = 8
+    filter_hz: Literal[184, 92, 41, 20] = 92
+    mag_rate_hz: Literal[8, 100] = 100
+    body_from_sensor_deg: Vector = (180.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _rates_fit_the_chip(self) -> ImuConfig:
+        if 1000 % self.rate_hz:
+            raise ValueError(f"rate_hz {self.rate_hz}: expected a divisor of 1000")
+        # the FIFO holds 36 samples: let one poll be skipped without a loss
+        if 2 * self.rate_hz > 36 * self.poll_hz:
+            raise ValueError(
+                f"poll_hz {self.poll_hz}: expected at least {-(-self.rate_hz // 18)} for rate_hz"
+            )
+        return self
+
+
+class GpsConfig(StrictModel):
+    """NEO-6M on a serial port.
+
+    `latency_s` is from the instant a fix is valid to the first bit of its first message, at the quickest.
+    """
+
+    port: str = "/dev/ttyAMA0"
+    baud: Literal[9600, 38400, 57600, 115200] = 9600
+    rate_hz: int = Field(default=5, ge=1, le=5)
+    latency_s: float = Field(default=0.12, ge=0.0, le=0.5)
+    antenna_position_body_m: Vector = (0.0, 0.0, -0.05)
+
+
+class RangeConfig(StrictModel):
+    """Downward ultrasonic on a serial port: JSN-SR04T in serial mode, A02YYUW or alike (4-byte frames)."""
+
+    port: str = "/dev/ttyAMA1"
+    baud: Literal[9600] = 9600
+    minimum_m: float = Field(default=0.03, ge=0.02, le=0.5)
+    maximum_m: float = Field(default=4.5, ge=0.5, le=10.0)
+
+
+class VisionConfig(StrictModel):
+    """Marker detection and pose."""
+
+    source: str = "v4l2:0"  # "v4l2:N", or "socket:PATH" for frames from another process
+    minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
+    maximum_markers: int = Field(default=12, ge=1, le=100)  # refined and used in one frame
+    region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected
+    region_margin_sigma: float = Field(default=3.0, ge=1.0, le=10.0)  # of the expected position
+    corner_noise_px: float = Field(default=0.2, gt=0.0, le=5.0)
+    scale_error: float = Field(
+        default=0.003, ge=0.0, le=0.1
+    )  # of the calibration, as a share of the distance
+    level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of the pad and of our attitude together
+    relative_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=20.0)  # for a rolling shutter's shear
+    turn_rate_std_rad_s: float = Field(default=0.4, gt=0.0, le=10.0)
+    maximum_reprojection_error_px: float = Field(default=2.0, gt=0.0, le=10.0)
+
+
+class SenseConfig(StrictModel):
+    """All sensors."""
+
+    imu: ImuConfig = ImuConfig()
+    gps: GpsConfig = GpsConfig()
+    range: RangeConfig = RangeConfig()
+    vision: VisionConfig = VisionConfig()

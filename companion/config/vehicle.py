@@ -1,0 +1,39 @@
+"""Settings of what sits on the vehicle: the camera and the airframe."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from companion.config.reading import StrictModel, Vector
+
+
+class CameraConfig(StrictModel):
+    """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3)."""
+
+    name: str
+    width_px: int = Field(ge=160, le=4096)
+    height_px: int = Field(ge=120, le=3072)
+    fx_px: float = Field(gt=50.0, lt=20000.0)
+    fy_px: float = Field(gt=50.0, lt=20000.0)
+    cx_px: float = Field(gt=0.0, lt=4096.0)
+    cy_px: float = Field(gt=0.0, lt=3072.0)
+    distortion: tuple[float, float, float, float, float]
+    rate_hz: float = Field(ge=5.0, le=240.0)
+    exposure_s: float = Field(default=0.004, ge=0.00002, le=0.05)  # short and fixed: see what moves sharply
+    readout_s: float = Field(
+        default=0.0, ge=0.0, le=0.05
+    )  # first to last row of a rolling shutter; 0: global
+
+
+class VehicleConfig(StrictModel):
+    """Where things sit on the airframe (FRD from the centre of mass) and how it answers."""
+
+    name: str
+    camera_position_body_m: Vector
+    camera_yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
+    camera_tilt_deg: float = Field(default=0.0, ge=-45.0, le=45.0)
+    range_position_body_m: Vector
+    leg_height_m: float = Field(ge=0.02, le=1.0)
+    acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)
+    thrust_time_constant_s: float = Field(default=0.04, ge=0.01, le=1.0)
+    hover_thrust: float = Field(ge=0.1, le=0.9)
