@@ -47,8 +47,9 @@ class EkfConfig(StrictModel):
     gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
-    rate_time_constant_s: float = Field(default=5.0, ge=0.05, le=100.0)
-    angular_acceleration_rad_s2_rthz: float = Field(default=0.2, gt=0.0, le=50.0)
+    gyro_scale_error: float = Field(default=0.005, ge=0.0, le=0.1)  # scale and misalignment, of the rate
+    unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)  # before the first fix; each reading
+    angular_acceleration_rad_s2_rthz: float = Field(default=5.0, gt=0.0, le=50.0)
     acceleration_time_constant_s: float = Field(default=1.0, ge=0.05, le=100.0)
     jerk_m_s3_rthz: float = Field(default=4.0, gt=0.0, le=100.0)
     accel_bias_std_m_s2: float = Field(default=0.12, gt=0.0, le=2.0)

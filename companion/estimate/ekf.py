@@ -4,17 +4,16 @@ Asynchronous: each input predicts to its own time and updates. The filter can be
 snapshot (gating.Timeline does, for a fix that arrives late), so `x` and `P` are replaced and never changed
 in place. NED and FRD, SI units, µT.
 
-Process noise is white and drives the rate, the acceleration, the biases and the field. Half of a step's
-noise enters before the transition and half after it: with that the covariance between rate and attitude is
-what makes the gyroscope's update integrate by the trapezoid rule and not by rectangles; the same holds for
-acceleration, velocity and position.
+The IMU drives attitude, velocity and position; its noise enters there. White noise also drives the rate,
+the acceleration, the biases and the field. Between two steps of the IMU nothing moves: a fix is compared
+with the state extrapolated to its own time.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -61,6 +60,11 @@ class GpsStep:
 
 EkfInput = ImuStep | GpsStep
 
+LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
+UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
+UNSEEN_ACCELERATION_M_S2: Final = 4.0
+_EYE4: Final = np.eye(4)
+
 
 class EkfSnapshot(NamedTuple):
     """All of the filter; the arrays are never written to again."""
@@ -79,10 +83,11 @@ class VehicleEkf:
     def __init__(self, config: EkfConfig, antenna_body_m: Vector3, start: InitialState) -> None:
         self._config = config
         self._antenna_body_m = antenna_body_m
-        self._half_noise = 0.5 * noise_density(config)
+        self._noise = noise_density(config)
         self._imu_noise = np.diag([config.gyro_noise_rad_s**2] * 3 + [config.accel_noise_m_s2**2] * 3)
         self._mag_noise = config.mag_noise_ut**2 * np.eye(3)
         self._still_noise = np.diag([0.002**2] * 3)
+        self._unaided_noise = np.diag([config.unaided_speed_m_s**2] * 3)
         self._rest_noise = np.diag([0.05**2] * 3)
         self.time_s = start.time_s
         self.x = initial_state(start)
@@ -102,12 +107,13 @@ class VehicleEkf:
         self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s = snapshot
 
     def apply(self, time_s: float, item: EkfInput) -> None:
-        """Predict to time_s and take the input in."""
-        self.predict(time_s)
+        """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
         if isinstance(item, GpsStep):
-            self._take_gps(item)
-        else:
-            self._take_imu(item)
+            self._take_gps(time_s, item)
+            return
+        u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
+        self.predict(time_s, u, item.samples)
+        self._take_imu(item)
 
     # ------------------------------------------------------------ state
 
@@ -155,25 +161,39 @@ class VehicleEkf:
 
     # ------------------------------------------------------------ eq. 17
 
-    def predict(self, time_s: float) -> None:
-        """x⁻ = f(x⁺), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing."""
+    def predict(self, time_s: float, u: model.InertialInput, samples: int = 1) -> None:
+        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing."""
         dt_s = time_s - self.time_s
         if dt_s <= 0.0:
             return
-        config, n = self._config, model.MOVING
-        self.x, A = model.transition(
-            self.x, dt_s, config.rate_time_constant_s, config.acceleration_time_constant_s
-        )
+        n, m = model.MOVING, model.COUPLED
         P = self.P.copy()
+        turn_variance, push_variance = self._inertial_noise(u, dt_s, samples)
+        q = self.x[model.QUATERNION]
+        P[model.QUATERNION, model.QUATERNION] += 0.25 * turn_variance * (_EYE4 - np.outer(q, q))
         diagonal = P.reshape(-1)[:: model.STATES + 1]
-        noise = self._half_noise * dt_s
-        diagonal += noise
-        P[:n] = A @ P[:n]
-        P[:, :n] = P[:, :n] @ A.T
-        diagonal += noise
+        diagonal[model.VELOCITY] += push_variance
+        diagonal += self._noise * dt_s
+        self.x, A = model.transition(self.x, u, dt_s, self._config.acceleration_time_constant_s)
+        P[:n] = A @ P[:m]
+        P[:, :n] = P[:, :m] @ A.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P
         self.time_s = time_s
+
+    def _inertial_noise(self, u: model.InertialInput, dt_s: float, samples: int) -> tuple[float, float]:
+        """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
+
+        Scale errors and misalignment are proportional to the rate; a motion keeps its direction for about
+        a second. A step longer than any in a healthy stream has seen only its ends.
+        """
+        config = self._config
+        unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
+        x, y, z = u.rate_body_rad_s
+        scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
+        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
+        push = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
+        return turn + (UNSEEN_RATE_RAD_S * unseen_s) ** 2, push + (UNSEEN_ACCELERATION_M_S2 * unseen_s) ** 2
 
     def _update(self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, gated: bool) -> bool:
         """Joseph form; False when the innovation fails its chi-square test."""
@@ -214,17 +234,34 @@ class VehicleEkf:
 
     def _take_imu(self, step: ImuStep) -> None:
         expected, C = model.imu_model(self.x)
-        measured = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2)
-        self._update("imu", measured - expected, C, self._imu_noise / step.samples, gated=False)
+        innovation = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2) - expected
+        R = self._imu_noise / step.samples
+        self._update("imu", innovation, C, self._without_blows(innovation, C, R), gated=False)
         if step.field_body_ut is not None:
             expected, C = model.mag_model(self.x)
             self._update("mag", np.array(step.field_body_ut) - expected, C, self._mag_noise, gated=True)
         if step.attitude is not None:
             self._take_attitude(step.attitude, step.tilt_noise_rad, step.heading_noise_rad)
+            if not self.has_position:
+                self._take_zero(model.VELOCITY, self._unaided_noise)
         if step.still:
             self._take_zero(model.RATE, self._still_noise)
         if step.at_rest:
             self._take_zero(model.VELOCITY, self._rest_noise)
+
+    def _without_blows(self, innovation: FloatArray, C: FloatArray, R: FloatArray) -> FloatArray:
+        """R with more noise on a specific force that does not fit: a blow, or a sensor that clips.
+
+        The innovation then counts as if it lay on the bound of its test (Huber's way): a blow cannot throw
+        the attitude, and a force that stays is still believed in the end.
+        """
+        S = C[3:] @ self.P @ C[3:].T + R[3:, 3:]
+        excess = normalised_innovation_squared(innovation[3:], S) / CHI_SQUARE_999[3]
+        if excess <= 1.0:
+            return R
+        doubted = R.copy()
+        doubted[3:, 3:] += (excess - 1.0) * S
+        return doubted
 
     def _take_attitude(self, attitude: Quaternion, tilt_noise_rad: float, heading_noise_rad: float) -> None:
         expected, C = model.attitude_model(self.x)
@@ -241,24 +278,24 @@ class VehicleEkf:
         C[:, states] = np.eye(3)
         self._update("still", -self.x[states], C, R, gated=False)
 
-    def _take_gps(self, fix: GpsStep) -> None:
-        patience_s = self._config.gps_patience_s
+    def _take_gps(self, time_s: float, fix: GpsStep) -> None:
+        patience_s, later_s = self._config.gps_patience_s, time_s - self.time_s
         if not self.has_position:
-            self._start_from(fix)
+            self._start_from(time_s, fix)
             return
-        expected, C = model.gps_velocity_model(self.x, self._antenna_body_m)
+        expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
         R = np.diag(np.square(fix.velocity_std_m_s))
         fits = self._update("gps_velocity", np.array(fix.velocity_ned_m_s) - expected, C, R, gated=True)
-        expected, C = model.gps_position_model(self.x, self._antenna_body_m)
+        expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
         R = np.diag(np.square(fix.position_std_m))
         fits &= self._update("gps_position", np.array(fix.position_ned_m) - expected, C, R, gated=True)
         if fits:
-            self.gps_time_s = self.time_s
+            self.gps_time_s = time_s
         kinds = ("gps_velocity", "gps_position")
-        if any(self.gates[kind].shut_out(self.time_s, patience_s) for kind in kinds):
-            self._start_from(fix)
+        if any(self.gates[kind].shut_out(time_s, patience_s) for kind in kinds):
+            self._start_from(time_s, fix)
 
-    def _start_from(self, fix: GpsStep) -> None:
+    def _start_from(self, time_s: float, fix: GpsStep) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong."""
         q, x = self.attitude, self.x.copy()
         x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
@@ -268,7 +305,7 @@ class VehicleEkf:
         P[states, :] = P[:, states] = 0.0
         P[states, states] = np.diag(np.square(fix.position_std_m + fix.velocity_std_m_s))
         self.x, self.P = x, P
-        self.has_position, self.gps_time_s = True, self.time_s
+        self.has_position, self.gps_time_s = True, time_s
         fresh = {
             kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")
         }

@@ -5,7 +5,8 @@ quaternion 0:4, Euler angles 4:7 (rad), angular velocity 7:10 (body, rad/s), pos
 velocity 13:16, acceleration 16:19, accelerometer bias 19:22 (m/s²), gyroscope bias 22:25 (rad/s),
 geomagnetic field 25:28 (NED, µT), magnetometer bias 28:31 (body, µT). (The table counts from 1.)
 
-Angular velocity and acceleration are first-order Markov processes and the IMU is a measurement of them.
+The IMU does two things: as the input u it turns and pushes attitude, velocity and position, and as a
+measurement it tells angular velocity and acceleration, a random walk and a first-order Markov process.
 The Euler angles are a function of the quaternion: in the transition their rows are the quaternion's rows
 times d(Euler)/d(quaternion), so that state and covariance stay consistent.
 Every function returns plain values and Jacobians; none changes its arguments.
@@ -14,6 +15,7 @@ Every function returns plain values and Jacobians; none changes its arguments.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -34,6 +36,7 @@ from companion.geometry import (
 
 STATES: Final = 31
 MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
+COUPLED: Final = 25  # and what they change by stands in the first columns, up to the gyroscope's bias
 QUATERNION: Final = slice(0, 4)
 EULER: Final = slice(4, 7)
 RATE: Final = slice(7, 10)
@@ -46,6 +49,7 @@ FIELD: Final = slice(25, 28)
 MAG_BIAS: Final = slice(28, 31)
 
 _EYE3: Final = np.eye(3)
+_A_CONSTANT: Final = np.eye(MOVING, COUPLED)
 
 
 def quaternion_of(x: FloatArray) -> Quaternion:
@@ -136,36 +140,53 @@ def turn_and_jacobian(rotation: Vector3) -> tuple[Quaternion, FloatArray]:
     return (cosine, s * a, s * b, s * c), jacobian
 
 
-def transition(
-    x: FloatArray, dt_s: float, rate_tau_s: float, accel_tau_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """State (31,) after dt_s, and A (19, 19): the Jacobian of its first 19 rows; the others stay (eq. 17).
+@dataclass(frozen=True, slots=True)
+class InertialInput:
+    """What the IMU felt over a step, u of eq. 17: the constant rate and specific force (body) that would
+    have turned and pushed the vehicle as the samples did."""
 
-    The Markov processes fade during the step, so attitude and velocity grow by their integral, which is a
-    little less than rate * dt; the gyroscope's update, correlated with the attitude, puts the rest back.
+    rate_body_rad_s: Vector3
+    specific_force_body_m_s2: Vector3
+
+
+def transition(
+    x: FloatArray, u: InertialInput, dt_s: float, accel_tau_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """State (31,) after dt_s, and A (19, 25): the Jacobian of its first 19 rows by its first 25 (eq. 17).
+
+    The other rows stay. Attitude, velocity and position are turned and pushed by the IMU less its biases
+    (strapdown): no model of how fast a rate may change stands between the gyroscope and the attitude. The
+    states of rate and acceleration, which the IMU measures, are a random walk and a Markov process.
     """
-    rate_fade, accel_fade = math.exp(-dt_s / rate_tau_s), math.exp(-dt_s / accel_tau_s)
-    rate_dt, accel_dt = rate_tau_s * (1 - rate_fade), accel_tau_s * (1 - accel_fade)
-    accel_dt2 = accel_tau_s * (dt_s - accel_dt)
-    q, rate = quaternion_of(x), x[RATE].tolist()
-    turn, d_turn = turn_and_jacobian((rate[0] * rate_dt, rate[1] * rate_dt, rate[2] * rate_dt))
-    q_after = quat_normalise(quat_multiply(q, turn))
+    q = quaternion_of(x)
+    bias, accel_bias = x[GYRO_BIAS].tolist(), x[ACCEL_BIAS].tolist()
+    rx, ry, rz = (r - b for r, b in zip(u.rate_body_rad_s, bias, strict=True))
+    fx, fy, fz = (f - b for f, b in zip(u.specific_force_body_m_s2, accel_bias, strict=True))
+    turn, d_turn = turn_and_jacobian((rx * dt_s, ry * dt_s, rz * dt_s))
+    half, d_half = turn_and_jacobian((0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s))
+    q_after, q_mid = quat_normalise(quat_multiply(q, turn)), quat_multiply(q, half)
+    an, ae, ad = quat_rotate(q_mid, (fx, fy, fz))
+    push = np.array((an * dt_s, ae * dt_s, (ad + GRAVITY_M_S2) * dt_s))
+    fade = math.exp(-dt_s / accel_tau_s)
     after = x.copy()
     after[QUATERNION] = q_after
     after[EULER] = euler_from_quat(q_after)
-    after[RATE] *= rate_fade
-    after[POSITION] += dt_s * x[VELOCITY] + accel_dt2 * x[ACCELERATION]
-    after[VELOCITY] += accel_dt * x[ACCELERATION]
-    after[ACCELERATION] *= accel_fade
-    A = np.zeros((MOVING, MOVING))
+    after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * push)
+    after[VELOCITY] += push
+    after[ACCELERATION] *= fade
+    A = _A_CONSTANT.copy()
+    left = left_matrix(q)
     A[QUATERNION, QUATERNION] = right_matrix(turn)
-    A[QUATERNION, RATE] = left_matrix(q) @ d_turn * rate_dt
+    A[QUATERNION, GYRO_BIAS] = left @ d_turn * -dt_s
     A[EULER] = euler_jacobian(q_after) @ A[QUATERNION]
-    for axis in range(3):
-        A[7 + axis, 7 + axis] = rate_fade
-        A[10 + axis, 10 + axis] = A[13 + axis, 13 + axis] = 1.0
-        A[10 + axis, 13 + axis], A[10 + axis, 16 + axis] = dt_s, accel_dt2
-        A[13 + axis, 16 + axis], A[16 + axis, 16 + axis] = accel_dt, accel_fade
+    d_force = rotation_jacobian(q_mid, (fx, fy, fz)) * dt_s
+    A[VELOCITY, QUATERNION] = d_force @ right_matrix(half)
+    A[VELOCITY, GYRO_BIAS] = d_force @ (left @ d_half) * (-0.5 * dt_s)
+    A[VELOCITY, ACCEL_BIAS] = _inverse_rotation(q_mid).T * -dt_s
+    A[POSITION] = (0.5 * dt_s) * A[VELOCITY]
+    A[POSITION, POSITION] = _EYE3
+    A[POSITION, VELOCITY] = dt_s * _EYE3
+    A[ACCELERATION, ACCELERATION] = fade * _EYE3
     return after, A
 
 
@@ -194,24 +215,30 @@ def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     return x[MAG_BIAS] + quat_rotate_inverse(q, field), C
 
 
-def gps_position_model(x: FloatArray, antenna_body_m: Vector3) -> tuple[FloatArray, FloatArray]:
-    """Antenna's position p + R l: values (3,) NED in m and Jacobian (3, 31)."""
+def gps_position_model(
+    x: FloatArray, antenna_body_m: Vector3, later_s: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Antenna's position p + v t + R l, t = later_s after the state's time: (3,) NED in m, and (3, 31)."""
     q = quaternion_of(x)
     C = np.zeros((3, STATES))
     C[:, POSITION] = _EYE3
+    C[:, VELOCITY] = later_s * _EYE3
     C[:, QUATERNION] = rotation_jacobian(q, antenna_body_m)
-    return x[POSITION] + quat_rotate(q, antenna_body_m), C
+    return x[POSITION] + later_s * x[VELOCITY] + quat_rotate(q, antenna_body_m), C
 
 
-def gps_velocity_model(x: FloatArray, antenna_body_m: Vector3) -> tuple[FloatArray, FloatArray]:
-    """Antenna's velocity v + R (ω × l): values (3,) NED in m/s and Jacobian (3, 31)."""
+def gps_velocity_model(
+    x: FloatArray, antenna_body_m: Vector3, later_s: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Antenna's velocity v + a t + R (ω × l), t = later_s after the state's time: (3,) m/s, and (3, 31)."""
     q, lever = quaternion_of(x), cross(vector3(x[RATE]), antenna_body_m)
     lx, ly, lz = antenna_body_m
     C = np.zeros((3, STATES))
     C[:, VELOCITY] = _EYE3
+    C[:, ACCELERATION] = later_s * _EYE3
     C[:, QUATERNION] = rotation_jacobian(q, lever)
     C[:, RATE] = _inverse_rotation(q).T @ np.array([[0.0, lz, -ly], [-lz, 0.0, lx], [ly, -lx, 0.0]])
-    return x[VELOCITY] + quat_rotate(q, lever), C
+    return x[VELOCITY] + later_s * x[ACCELERATION] + quat_rotate(q, lever), C
 
 
 def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:

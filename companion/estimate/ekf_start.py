@@ -62,7 +62,7 @@ def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
     P[model.EULER, model.EULER] = P[model.EULER, model.QUATERNION] @ J.T
     diagonal = P.reshape(-1)[:: model.STATES + 1]
     diagonal[:7] += TINY_VARIANCE
-    diagonal[model.RATE] = 0.5 * config.rate_time_constant_s * config.angular_acceleration_rad_s2_rthz**2
+    diagonal[model.RATE] = 0.1**2
     diagonal[model.POSITION] = 1.0
     diagonal[model.VELOCITY] = 0.1**2
     diagonal[model.ACCELERATION] = 0.5**2

@@ -19,6 +19,7 @@ from companion.estimate.gating import Timeline
 from companion.estimate.madgwick import align
 from companion.estimate.motion import MotionHistory
 from companion.estimate.orientation import Orientation, new_orientation
+from companion.estimate.strapdown import Strapdown
 from companion.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -26,11 +27,11 @@ from companion.geometry import (
     Quaternion,
     Vector3,
     add,
-    cross,
     ned_from_geodetic,
     norm,
     quat_integrate,
     quat_rotate,
+    quat_rotate_inverse,
     scale,
     subtract,
     vector3,
@@ -43,25 +44,19 @@ LONGEST_STEP_S = 0.1  # a gap in the IMU's stream is integrated up to here
 
 
 class _Mean:
-    """The mean of vectors and of their times since it was last taken."""
+    """The mean of vectors since it was last taken."""
 
     def __init__(self) -> None:
         self.count = 0
         self._sum: Vector3 = ZERO3
-        self._first_s = 0.0
-        self._ages_s = 0.0
 
-    def add(self, time_s: float, value: Vector3) -> None:
-        if not self.count:
-            self._first_s = time_s
+    def add(self, value: Vector3) -> None:
         self._sum = add(self._sum, value)
-        self._ages_s += time_s - self._first_s
         self.count += 1
 
-    def take(self) -> tuple[float, Vector3]:
-        k = 1.0 / self.count
-        result = (self._first_s + self._ages_s * k, scale(self._sum, k))
-        self.count, self._sum, self._ages_s = 0, ZERO3, 0.0
+    def take(self) -> Vector3:
+        result = scale(self._sum, 1.0 / self.count)
+        self.count, self._sum = 0, ZERO3
         return result
 
 
@@ -79,7 +74,8 @@ class VehicleEstimator:
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
         self.newest_s = -math.inf
-        self._rates, self._forces, self._fields = _Mean(), _Mean(), _Mean()
+        self._strapdown, self._fields = Strapdown(), _Mean()
+        self._last_raw: tuple[Vector3, Vector3] | None = None
         self._rate: Vector3 = ZERO3
         self._gyro_bias: Vector3 = ZERO3
         self._accel_bias: Vector3 = ZERO3
@@ -121,7 +117,7 @@ class VehicleEstimator:
         self._orientation.update_mag(sample.field_body_ut, dt_s)
         if self._orientation.mag_trusted:
             self._mag_trusted_s = sample.time_s
-        self._fields.add(sample.time_s, sample.field_body_ut)
+        self._fields.add(quat_rotate(self._attitude_near(sample.time_s), sample.field_body_ut))
         return True
 
     def add_gps(self, fix: GpsFix) -> bool:
@@ -173,7 +169,7 @@ class VehicleEstimator:
         variance = ekf.P.diagonal()
         return VehicleState(
             time_s=now_s,
-            attitude=quat_integrate(self._attitude, self._rate, max(now_s - self.newest_s, 0.0)),
+            attitude=self._attitude_near(max(now_s, self.newest_s)),
             rate_body_rad_s=self._rate,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
@@ -227,11 +223,18 @@ class VehicleEstimator:
     def _move(self, sample: ImuSample, dt_s: float) -> None:
         """Attitude and acceleration at the sample's time."""
         assert self._orientation is not None
-        rate = subtract(sample.rate_body_rad_s, self._gyro_bias)
-        force = subtract(sample.specific_force_body_m_s2, self._accel_bias)
-        self._rate = rate
-        self._attitude = quat_integrate(self._attitude, rate, dt_s)
-        self._orientation.update_imu(rate, force, dt_s)
+        raw = (sample.rate_body_rad_s, sample.specific_force_body_m_s2)
+        last_rate, last_force = self._last_raw or raw
+        self._last_raw = raw
+        # between two samples both are linear
+        mean_rate = scale(add(last_rate, raw[0]), 0.5)
+        mean_force = scale(add(last_force, raw[1]), 0.5)
+        self._strapdown.add(dt_s, mean_rate, mean_force)
+        turned = subtract(mean_rate, self._gyro_bias)
+        self._attitude = quat_integrate(self._attitude, turned, dt_s)
+        self._orientation.update_imu(turned, subtract(mean_force, self._accel_bias), dt_s)
+        self._rate = subtract(raw[0], self._gyro_bias)
+        force = subtract(raw[1], self._accel_bias)
         fn, fe, fd = quat_rotate(self._attitude, force)
         acceleration = (fn, fe, fd + GRAVITY_M_S2)
         self.motion.add(sample.time_s, self._attitude, acceleration)
@@ -243,19 +246,16 @@ class VehicleEstimator:
 
     def _collect(self, sample: ImuSample) -> None:
         """Give the EKF a step when enough samples have come."""
-        self._rates.add(sample.time_s, sample.rate_body_rad_s)
-        self._forces.add(sample.time_s, sample.specific_force_body_m_s2)
-        samples = self._rates.count
-        if samples < self._config.ekf.imu_samples_per_step:
+        if self._strapdown.samples < self._config.ekf.imu_samples_per_step:
             return
         assert self._timeline is not None
         assert self._ekf is not None
-        (time_s, rate), (_, force) = self._rates.take(), self._forces.take()
+        time_s, felt = sample.time_s, self._strapdown.take()
         with_attitude = time_s - self._orientation_step_s >= 1.0 / self._config.ekf.orientation_rate_hz
         step = ImuStep(
-            rate_body_rad_s=rate,
-            specific_force_body_m_s2=force,
-            samples=samples,
+            rate_body_rad_s=felt.rate_body_rad_s,
+            specific_force_body_m_s2=felt.specific_force_body_m_s2,
+            samples=felt.samples,
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=self._tilt_noise_rad(),
@@ -267,16 +267,19 @@ class VehicleEstimator:
         self._timeline.add(time_s, step)
         self._gyro_bias = vector3(self._ekf.x[model.GYRO_BIAS])
         self._accel_bias = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self._attitude = quat_integrate(self._ekf.attitude, self._rate, self.newest_s - self._ekf.time_s)
+        self._attitude = self._ekf.attitude
 
     def _field_at(self, time_s: float) -> Vector3 | None:
-        """The mean field since the last time, turned to time_s by the gyroscope; None out of turn."""
+        """The field since the last time, averaged in NED and seen by the body now; None out of turn."""
         due = time_s - self._field_step_s >= 1.0 / self._config.ekf.mag_rate_hz - 1e-6
         if not (self._fields.count and due):
             return None
         self._field_step_s = time_s
-        measured_s, field = self._fields.take()
-        return add(field, scale(cross(field, self._rate), time_s - measured_s))
+        return quat_rotate_inverse(self._attitude, self._fields.take())
+
+    def _attitude_near(self, time_s: float) -> Quaternion:
+        """Attitude at a time near the newest sample's."""
+        return quat_integrate(self._attitude, self._rate, time_s - self.newest_s)
 
     def _orientation_at(self, time_s: float) -> Quaternion:
         assert self._orientation is not None
