@@ -29,10 +29,10 @@ from companion.slots import Slot
 from sitl import camera as lens
 from sitl import exposure
 from sitl.autopilot import Autopilot
+from sitl.breaking import Breakable, FaultSchedule, FrameLine
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
 from sitl.endpoint import MavlinkEndpoint
-from sitl.faults import Breakable, FaultSchedule, FrameLine
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
 from sitl.scenario import Scenario, SensorSettings

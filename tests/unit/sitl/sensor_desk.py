@@ -16,9 +16,10 @@ from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
 from companion.sense.ultrasonic import Ultrasonic
+from sitl.breaking import Breakable, FaultSchedule, FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack, SensorTruth
-from sitl.faults import Breakable, Fault, FaultSchedule, FrameLine
+from sitl.faults import Fault
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)

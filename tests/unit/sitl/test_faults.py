@@ -13,11 +13,11 @@ import yaml
 from companion.config import ConfigError
 from companion.geometry import GRAVITY_M_S2
 from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
+from sitl.breaking import FrameLine
 from sitl.faults import (
     AccelClips,
     Fault,
     FrameLate,
-    FrameLine,
     FrameLost,
     GpsLost,
     GyroBiasStep,
