@@ -33,6 +33,7 @@ from companion.config import (
     read_yaml,
 )
 from companion.pad import Marker, Pad
+from sitl.faults import Fault, FaultTimes
 from sitl.pad_motion import Motion
 from sitl.scenario import Scenario
 
@@ -196,6 +197,7 @@ def groups_of(model: type[BaseModel]) -> dict[str, list[Setting]]:
 def tables() -> dict[str, dict[str, list[Setting]]]:
     """Every table of the pages: by name, then by group."""
     motions = {motion.model_fields["kind"].annotation.__args__[0]: motion for motion in get_args(Motion)}
+    times = groups_of(FaultTimes)[""]
     return {
         "companion": groups_of(CompanionConfig),
         "camera": groups_of(CameraConfig),
@@ -204,6 +206,11 @@ def tables() -> dict[str, dict[str, list[Setting]]]:
         "scenario": groups_of(Scenario),
         "motion": {kind: groups_of(motion).get("", []) for kind, motion in motions.items()},
         "meet": groups_of(motions["static"]),
+        "fault_times": {"": times},
+        "fault": {
+            fault.model_fields["kind"].annotation.__args__[0]: groups_of(fault)[""][len(times) :]
+            for fault in get_args(Fault)
+        },
     }
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from companion.geometry import (
     GRAVITY_M_S2,
+    ZERO3,
     FloatArray,
     Vector3,
 )
@@ -168,6 +169,10 @@ class ImuSensor:
         self._gyro_matrix = flawed_rotation(sensor_from_body, errors.gyro_scale, errors.misalignment_rad, rng)
         self._rotor_rad = float(rng.uniform(0.0, math.tau))
         self._settled = False
+        # for faults: a rate (body axes) that is not there, where the element saturates, stronger vibration
+        self.rate_offset_rad_s: Vector3 = ZERO3
+        self.accel_limit_m_s2 = math.inf
+        self.vibration_factor = 1.0
         self.set_filter(dlpf)
 
     def set_filter(self, dlpf: int) -> None:
@@ -186,6 +191,8 @@ class ImuSensor:
         a, g = self._accel_noise.next(), self._gyro_noise.next()
         fx, fy, fz = specific_force_body
         p, q, r = rate_body
+        dp, dq, dr = self.rate_offset_rad_s
+        p, q, r = p + dp, q + dq, r + dr
         m = self._accel_matrix
         ax = m[0] * fx + m[1] * fy + m[2] * fz + a[0]
         ay = m[3] * fx + m[4] * fy + m[5] * fz + a[1]
@@ -201,10 +208,13 @@ class ImuSensor:
         if throttle > 0.0 and self._errors.vibration_m_s2:
             once, quarter, twice = self._rotors(throttle)
             # sqrt(2) makes an rms of an amplitude; the blades' share is half the imbalance's
-            k = math.sqrt(2.0) * throttle
+            k = math.sqrt(2.0) * throttle * self.vibration_factor
             va, vg = self._errors.vibration_m_s2 * k, self._errors.vibration_rad_s * k
             ax, ay, az = ax + va * once, ay + va * quarter, az + va * (0.5 * once + 0.75 * twice)
             gx, gy, gz = gx + vg * quarter, gy + vg * once, gz + 0.5 * vg * twice
+        limit = self.accel_limit_m_s2
+        if limit < math.inf:
+            ax, ay, az = (max(-limit, min(limit, a)) for a in (ax, ay, az))
         return self._accel_filter.step(ax, ay, az), self._gyro_filter.step(gx, gy, gz)
 
     def _rotors(self, throttle: float) -> Vector3:

@@ -1,4 +1,4 @@
-"""Named scenarios: the pad's motion, the weather, the sensors' quality and what counts as a landing.
+"""Named scenarios: the pad's motion, the weather, the sensors' quality and faults, and what is a landing.
 
 A scenario with a seed is one flight, repeatable to the bit. `companion` holds what the operator knows and
 would set in the app: overrides of its settings. All else stays in the simulator.
@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.contact import ContactParameters
+from sitl.faults import Fault
 from sitl.pad_motion import Angle, Heading, HeaveMotion, Motion, StaticMotion
 from sitl.quadrotor import QuadrotorParameters
 from sitl.wind import WindSettings
@@ -105,6 +106,7 @@ class Scenario(StrictModel):
     camera: CameraSettings = CameraSettings()
     sensors: SensorSettings = SensorSettings()
     beacon: BeaconSettings = BeaconSettings()
+    faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
     companion: dict[str, Any] = Field(default_factory=dict)
 

@@ -16,8 +16,10 @@ from typing import Final
 import numpy as np
 
 from companion.geometry import (
+    ZERO3,
     FloatArray,
     Vector3,
+    add,
     geodetic_from_ned,
 )
 
@@ -58,13 +60,14 @@ class MagSensor:
         direction = rng.standard_normal(3)
         self._current = (errors.current_ut * direction / np.linalg.norm(direction)).tolist()
         self._noise: list[list[float]] = []
+        self.stray_field_ut: Vector3 = ZERO3  # for faults: a field besides the earth's, body axes
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
         """Field (µT) in sensor axes from the true field in body axes."""
         if not self._noise:
             self._noise = (self._errors.noise_ut * self._rng.standard_normal((NOISE_BLOCK, 3))).tolist()
         n, o, c, m = self._noise.pop(), self._offset, self._current, self._matrix
-        x, y, z = field_body_ut
+        x, y, z = add(field_body_ut, self.stray_field_ut)
         return (
             m[0] * x + m[1] * y + m[2] * z + o[0] + c[0] * throttle + n[0],
             m[3] * x + m[4] * y + m[5] * z + o[1] + c[1] * throttle + n[1],
@@ -151,6 +154,7 @@ class RangeSensor:
     def __init__(self, errors: RangeErrors, rng: np.random.Generator) -> None:
         self._errors = errors
         self._rng = rng
+        self.extra_spikes = 0.0  # for faults: a larger share of wrong echoes than usual
 
     def sample(self, height_m: float, tilt_rad: float = 0.0) -> float | None:
         """Distance (m) of the first echo, or None: of a sensor `height_m` over a flat floor, tilted.
@@ -160,9 +164,10 @@ class RangeSensor:
         e = self._errors
         lost, spike, noise = self._rng.random(), self._rng.random(), self._rng.standard_normal()
         distance_m = height_m / max(0.2, math.cos(max(0.0, tilt_rad - e.half_beam_rad)))
-        if spike < e.spikes:
+        spikes = max(e.spikes, self.extra_spikes)
+        if spike < spikes:
             # the shells' edges ring, or a neighbour's rotor does: an echo from anywhere in between
-            distance_m *= spike / e.spikes
+            distance_m *= spike / spikes
         distance_m += (e.noise_m + e.noise_share * distance_m) * float(noise)
         if lost < e.lost or distance_m > e.maximum_m:
             return None

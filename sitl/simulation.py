@@ -29,6 +29,7 @@ from companion.slots import Slot
 from sitl import camera as lens
 from sitl import exposure
 from sitl.autopilot import Autopilot
+from sitl.breaking import Breakable, FaultSchedule, FrameLine
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
 from sitl.endpoint import MavlinkEndpoint
@@ -48,6 +49,7 @@ TRUTH_EVERY_TICKS: Final = 4
 RANGE_EVERY_TICKS: Final = 2
 # the world and the sensors draw from (seed, 0..13)
 SIMULATION_STREAM: Final = 20
+FAULT_STREAM: Final = 21
 # latitude (deg), longitude (deg), altitude (m) of the world's origin, and the field there (WMM 2025, rounded)
 HOME: Final[Vector3] = (47.0, 8.0, 400.0)
 MAGNETIC_FIELD_NED_UT: Final[Vector3] = (20.9, 0.6, 42.9)
@@ -141,6 +143,8 @@ class Simulation:
         )
         self.imu_bus = self._rack.imu
         self._range_m = OUT_OF_RANGE_M
+        self._frame_line = FrameLine(np.random.default_rng((seed, FAULT_STREAM)))
+        self._faults = FaultSchedule(scenario.faults, Breakable(self._rack, self._frame_line))
         self._camera = _Camera(scenario, self._vehicle, self._world, next(streams), next(streams))
         self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
@@ -212,6 +216,7 @@ class Simulation:
         world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
         state = world.state
+        self._faults.step(world.time_s)
         self._rack.step(
             world.time_s,
             SensorTruth(
@@ -234,11 +239,15 @@ class Simulation:
         return self._range_m
 
     def _expose(self, now_s: float) -> None:
-        """Render what has been exposed; it arrives after the scenario's latency."""
+        """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
         taken = self._camera.step(now_s)
         if taken is None:
             return
         frame, delivery_s = taken
+        held_up_s = self._frame_line.delay_s(frame.sequence)
+        if held_up_s is None:
+            return
+        delivery_s += held_up_s
         frame = replace(frame, time_s=self._start_s + frame.time_s)
 
         def deliver() -> None:

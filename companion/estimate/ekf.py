@@ -126,6 +126,15 @@ class VehicleEkf:
         """Covariance (3, 3) of the attitude as a small rotation about NED axes (rad²)."""
         return model.rotation_covariance(self.attitude, self.P[model.QUATERNION, model.QUATERNION])
 
+    def motion_covariance(self) -> FloatArray:
+        """Covariance (9, 9): small rotation about NED axes (rad), velocity NED (m/s), position NED (m)."""
+        states = [*range(model.STATES)[model.VELOCITY], *range(model.STATES)[model.POSITION]]
+        J = np.zeros((9, model.STATES))
+        J[0:3, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)
+        J[range(3, 9), states] = 1.0
+        covariance: FloatArray = J @ self.P @ J.T
+        return covariance
+
     def state_dict(self) -> dict[str, object]:
         """All of the filter as plain numbers, exact in JSON; give it to `from_state` to go on from here."""
         return {

@@ -257,9 +257,15 @@ def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> F
 
 def rotation_covariance(q: Quaternion, quaternion_covariance: FloatArray) -> FloatArray:
     """Covariance (3, 3) of the small rotation about NED axes (rad²): the inverse of `attitude_covariance`."""
-    G = 2.0 * right_matrix(q)[:, 1:]
-    covariance: FloatArray = G.T @ quaternion_covariance @ G
+    J = rotation_from_quaternion(q)
+    covariance: FloatArray = J @ quaternion_covariance @ J.T
     return covariance
+
+
+def rotation_from_quaternion(q: Quaternion) -> FloatArray:
+    """d(small rotation about NED axes, rad)/dq at q, (3, 4)."""
+    jacobian: FloatArray = 2.0 * right_matrix(q)[:, 1:].T
+    return jacobian
 
 
 def _inverse_rotation(q: Quaternion) -> FloatArray:

@@ -152,6 +152,10 @@ class VehicleEstimator:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""
         return None if self._ekf is None else self._ekf.rotation_covariance()
 
+    def covariance(self) -> FloatArray | None:
+        """Covariance (9, 9) of `VehicleEkf.motion_covariance`; None before the alignment."""
+        return None if self._ekf is None else self._ekf.motion_covariance()
+
     def velocity(self, time_s: float) -> Vector3:
         """Velocity NED (m/s) at a time near the newest sample's; zero before the alignment."""
         if self._ekf is None:

@@ -52,6 +52,8 @@ class Mpu9250Device:
         self._clock = 1.0 + clock_error
         self.temperature_c = temperature_c
         self.fault: Fault = "none"
+        self.nack_every = 0  # one transaction in so many is not acknowledged; 0: all are
+        self._transactions = 0
         self.nacks_to_come = 0  # so many transactions are not acknowledged, as glitches on the bus make them
         self._previous: tuple[float, Vector3, Vector3] | None = None
         self._next_s = -math.inf
@@ -188,6 +190,9 @@ class Mpu9250Device:
     def _check(self, address: int) -> None:
         glitch = self.nacks_to_come > 0
         self.nacks_to_come -= glitch
+        if self.nack_every:
+            self._transactions += 1
+            glitch |= self._transactions % self.nack_every == 0
         if glitch or address != self._address or self.fault == "nack":
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
 

@@ -88,16 +88,17 @@ class SensorRack:
         errors = errors or SensorErrors()
         streams = [np.random.default_rng((seed, k)) for k in range(4)]
         clock_errors = streams[0].uniform(-OSCILLATOR_TOLERANCE, OSCILLATOR_TOLERANCE, 2).tolist()
+        self.inertial = ImuSensor(errors.imu, streams[0], dt_s, SENSOR_FROM_BODY)
+        self.magnetometer = MagSensor(errors.magnetometer, streams[1], SENSOR_FROM_BODY)
+        self.echo = RangeSensor(errors.range, streams[3])
         self.imu = Mpu9250Device(
-            ImuSensor(errors.imu, streams[0], dt_s, SENSOR_FROM_BODY),
-            Ak8963Device(
-                MagSensor(errors.magnetometer, streams[1], SENSOR_FROM_BODY), clock_error=clock_errors[1]
-            ),
+            self.inertial,
+            Ak8963Device(self.magnetometer, clock_error=clock_errors[1]),
             address=imu_config.address,
             clock_error=clock_errors[0],
         )
         self.gps = Neo6mDevice(GpsSensor(errors.gps, streams[2], home), gps_config.latency_s)
-        self.range = UltrasonicDevice(RangeSensor(errors.range, streams[3]))
+        self.range = UltrasonicDevice(self.echo)
         self._field_ned_ut = field_ned_ut
         self._antenna_body_m = gps_config.antenna_position_body_m
         self._gps_port = gps_port

@@ -10,24 +10,17 @@ import numpy as np
 import pytest
 
 from companion.clock import Clock, run_in_virtual_time
-from companion.config import GpsConfig, ImuConfig, RangeConfig
-from companion.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
-from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.neo6m import Neo6m
-from companion.sense.ultrasonic import Ultrasonic
+from companion.geometry import GRAVITY_M_S2, Vector3
 from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
 from sitl.devices.ports import MemoryPort
-from sitl.devices.rack import SensorRack, SensorTruth
 from sitl.devices.ultrasonic import UltrasonicDevice, frame
 from sitl.inertial import NO_IMU_ERRORS, ImuSensor
 from sitl.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS, GpsSensor, MagSensor, RangeSensor
+from tests.unit.sitl.sensor_desk import FORCE, STEP_S, fly
 
-STEP_S = 1.0 / 400.0
 CHIP = 0x68
-FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
 FIELD: Vector3 = (20.0, 0.0, 40.0)
 
 
@@ -328,68 +321,8 @@ def test_unplugging_wakes_the_reader_with_an_error() -> None:
 # ---------------------------------------------------------------- all of them, with the drivers
 
 
-def fly(
-    seed: int, seconds: float
-) -> tuple[list[ImuSample], list[MagSample], list[GpsFix], list[RangeSample]]:
-    """The vehicle turns and drifts eastward 2 m over the floor; what do the app's drivers make of it?"""
-    imu: list[ImuSample] = []
-    mag: list[MagSample] = []
-    fixes: list[GpsFix] = []
-    echoes: list[RangeSample] = []
-
-    async def world(rack: SensorRack, clock: Clock) -> None:
-        for k in range(round(seconds / STEP_S)):
-            attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)
-            truth = SensorTruth(
-                FORCE, (0.0, 0.0, 0.3), attitude, (0.0, k * STEP_S, -2.0), (0.0, 1.0, 0.0), 1.9, 0.5
-            )
-            rack.step(k * STEP_S, truth)
-            await clock.sleep_until((k + 1) * STEP_S)
-
-    async def inertial(driver: Mpu9250, clock: Clock) -> None:
-        for k in range(1_000_000):
-            await clock.sleep_until(0.01 * k)
-            new_imu, new_mag = driver.poll(clock.now_s)
-            imu.extend(new_imu)
-            mag.extend(new_mag)
-
-    async def position(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
-        while True:
-            port.app.write(driver.pending(clock.now_s()))
-            data = await port.app.read()
-            fixes.extend(driver.feed(data, clock.now_s()))
-
-    async def distance(driver: Ultrasonic, port: MemoryPort, clock: Clock) -> None:
-        while True:
-            data = await port.app.read()
-            echoes.extend(driver.feed(data, clock.now_s()))
-
-    async def main() -> None:
-        clock = Clock()
-        gps_line, range_line = MemoryPort(9600), MemoryPort(9600)
-        rack = SensorRack(
-            seed,
-            STEP_S,
-            home=(47.0, 8.0, 400.0),
-            field_ned_ut=(20.9, 0.6, 42.9),
-            gps_port=gps_line,
-            range_port=range_line,
-        )
-        tasks = [
-            asyncio.create_task(inertial(Mpu9250(rack.imu, ImuConfig()), clock)),
-            asyncio.create_task(position(Neo6m(GpsConfig()), gps_line, clock)),
-            asyncio.create_task(distance(Ultrasonic(RangeConfig()), range_line, clock)),
-        ]
-        await world(rack, clock)
-        for task in tasks:
-            task.cancel()
-
-    run_in_virtual_time(main())
-    return imu, mag, fixes, echoes
-
-
 def test_what_the_app_gets_is_the_world_with_the_sensors_errors() -> None:
-    imu, mag, fixes, echoes = fly(seed=1, seconds=12.0)
+    imu, mag, fixes, echoes, _ = fly(seed=1, seconds=12.0)
     late = [s for s in imu if s.time_s > 2.0]
     assert len(late) == pytest.approx(2000, rel=0.02)
     force = np.mean([s.specific_force_body_m_s2 for s in late], axis=0)

@@ -1,0 +1,100 @@
+"""A vehicle that stands in the air with all its sensors, heard through the app's own drivers."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from companion.clock import Clock, run_in_virtual_time
+from companion.config import GpsConfig, ImuConfig, RangeConfig
+from companion.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
+from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
+from companion.sense.i2c import SensorError
+from companion.sense.mpu9250 import Mpu9250
+from companion.sense.neo6m import Neo6m
+from companion.sense.ultrasonic import Ultrasonic
+from sitl.breaking import Breakable, FaultSchedule, FrameLine
+from sitl.devices.ports import MemoryPort
+from sitl.devices.rack import SensorRack, SensorTruth
+from sitl.faults import Fault
+
+STEP_S = 1.0 / 400.0
+FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
+
+
+class Heard(NamedTuple):
+    """What the drivers made of it."""
+
+    imu: list[ImuSample]
+    mag: list[MagSample]
+    fixes: list[GpsFix]
+    echoes: list[RangeSample]
+    problems: list[str]
+
+
+def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
+    """The vehicle turns and drifts eastward 2 m over the floor; what do the app's drivers make of it?"""
+    imu: list[ImuSample] = []
+    mag: list[MagSample] = []
+    fixes: list[GpsFix] = []
+    echoes: list[RangeSample] = []
+    problems: list[str] = []
+
+    async def world(rack: SensorRack, clock: Clock) -> None:
+        schedule = FaultSchedule(faults, Breakable(rack, FrameLine(np.random.default_rng(0))))
+        for k in range(round(seconds / STEP_S)):
+            schedule.step(k * STEP_S)
+            attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)
+            truth = SensorTruth(
+                FORCE, (0.0, 0.0, 0.3), attitude, (0.0, k * STEP_S, -2.0), (0.0, 1.0, 0.0), 1.9, 0.5
+            )
+            rack.step(k * STEP_S, truth)
+            await clock.sleep_until((k + 1) * STEP_S)
+
+    async def inertial(driver: Mpu9250, clock: Clock) -> None:
+        for k in range(1_000_000):
+            await clock.sleep_until(0.01 * k)
+            try:
+                new_imu, new_mag = driver.poll(clock.now_s)
+            except SensorError as error:
+                problems.append(str(error))
+                continue
+            imu.extend(new_imu)
+            mag.extend(new_mag)
+
+    async def position(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
+        while True:
+            port.app.write(driver.pending(clock.now_s()))
+            data = await port.app.read()
+            fixes.extend(driver.feed(data, clock.now_s()))
+
+    async def distance(driver: Ultrasonic, port: MemoryPort, clock: Clock) -> None:
+        while True:
+            data = await port.app.read()
+            echoes.extend(driver.feed(data, clock.now_s()))
+
+    async def main() -> None:
+        clock = Clock()
+        gps_line, range_line = MemoryPort(9600), MemoryPort(9600)
+        rack = SensorRack(
+            seed,
+            STEP_S,
+            home=(47.0, 8.0, 400.0),
+            field_ned_ut=(20.9, 0.6, 42.9),
+            gps_port=gps_line,
+            range_port=range_line,
+        )
+        tasks = [
+            asyncio.create_task(inertial(Mpu9250(rack.imu, ImuConfig()), clock)),
+            asyncio.create_task(position(Neo6m(GpsConfig()), gps_line, clock)),
+            asyncio.create_task(distance(Ultrasonic(RangeConfig()), range_line, clock)),
+        ]
+        await world(rack, clock)
+        for task in tasks:
+            task.cancel()
+
+    run_in_virtual_time(main())
+    return Heard(imu, mag, fixes, echoes, problems)
