@@ -36,14 +36,20 @@ class EkfConfig(StrictModel):
 
     imu_samples_per_step: int = Field(default=2, ge=1, le=10)
     gyro_noise_rad_s: float = Field(default=0.005, gt=0.0, le=1.0)
-    accel_noise_m_s2: float = Field(default=1.0, gt=0.0, le=20.0)
+    accel_noise_m_s2: float = Field(default=0.2, gt=0.0, le=20.0)
     mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
-    mag_noise_ut: float = Field(default=1.5, gt=0.0, le=20.0)
+    mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
+    mag_dip_noise_ut: float = Field(default=20.0, gt=0.0, le=100.0)  # of the field along its own plane
+    mag_wander_s: float = Field(default=0.4, ge=0.0, le=100.0)  # for so long a field's error stays
+    mag_patience_s: float = Field(default=20.0, gt=0.0, le=600.0)  # refused for so long: doubt the heading
     orientation_rate_hz: float = Field(default=10.0, ge=0.5, le=50.0)
     orientation_tilt_noise_deg: float = Field(default=12.0, gt=0.0, le=90.0)
     orientation_heading_noise_deg: float = Field(default=20.0, gt=0.0, le=180.0)
-    gps_position_noise_m: float = Field(default=3.0, gt=0.0, le=50.0)  # floor: a fix's error wanders, slowly
-    gps_velocity_noise_m_s: float = Field(default=0.1, gt=0.0, le=5.0)  # floor
+    orientation_patience_s: float = Field(default=3.0, gt=0.0, le=60.0)  # refused for so long: start from it
+    gps_accuracy_factor: float = Field(default=0.27, gt=0.0, le=5.0)  # standard deviation of what is claimed
+    gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)  # floor
+    gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)  # for so long a position's error stays
+    gps_velocity_noise_m_s: float = Field(default=0.08, gt=0.0, le=5.0)  # floor
     gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
@@ -51,8 +57,8 @@ class EkfConfig(StrictModel):
     unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)  # before the first fix; each reading
     angular_acceleration_rad_s2_rthz: float = Field(default=5.0, gt=0.0, le=50.0)
     acceleration_time_constant_s: float = Field(default=1.0, ge=0.05, le=100.0)
-    jerk_m_s3_rthz: float = Field(default=4.0, gt=0.0, le=100.0)
-    accel_bias_std_m_s2: float = Field(default=0.12, gt=0.0, le=2.0)
+    jerk_m_s3_rthz: float = Field(default=40.0, gt=0.0, le=100.0)
+    accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
     accel_bias_walk_m_s2_rts: float = Field(default=0.002, ge=0.0, le=1.0)
     gyro_bias_walk_rad_s_rts: float = Field(default=2e-5, ge=0.0, le=0.1)
     field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)

@@ -14,6 +14,7 @@ from companion.config import AlignmentConfig
 from companion.geometry import ZERO3, Vector3, add, norm, scale, subtract
 
 BLOCK_S: Final = 0.1
+LARGEST_BIAS_RAD_S: Final = math.radians(10.0)  # zero-rate output of the MPU9250: up to 5 deg/s an axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +86,14 @@ class StaticAligner:
     def __init__(self, config: AlignmentConfig) -> None:
         self._config = config
         self._start_s: float | None = None
+        self._last_field: Vector3 | None = None
         self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
         self._count = self._blocks = self._fields = 0
-        self._all_still = True
 
     def add_field(self, field_body_ut: Vector3) -> None:
         """Take one magnetometer sample."""
         self._field = add(self._field, field_body_ut)
+        self._last_field = field_body_ut
         self._fields += 1
 
     def add_block(self, time_s: float, block: Block) -> Alignment | None:
@@ -99,22 +101,37 @@ class StaticAligner:
         if self._start_s is None:
             self._start_s = time_s
         late = time_s - self._start_s > self._config.timeout_s
-        if not (block.still or late):
+        if not self._stands(block):
             self._restart()
-            return None
+            if not late or self._last_field is None:
+                return None
+            # no stand-still comes: what is felt now, for a mean over a motion is the attitude of no instant
+            return Alignment(
+                block.rate_body_rad_s, block.specific_force_body_m_s2, self._last_field, block.samples, False
+            )
         n = block.samples
         self._rate = add(self._rate, scale(block.rate_body_rad_s, n))
         self._force = add(self._force, scale(block.specific_force_body_m_s2, n))
         self._count += n
         self._blocks += 1
-        self._all_still &= block.still
         if self._blocks * BLOCK_S < self._config.still_s or not self._fields:
             return None
         k = 1.0 / self._count
         field = scale(self._field, 1.0 / self._fields)
-        return Alignment(scale(self._rate, k), scale(self._force, k), field, self._count, self._all_still)
+        return Alignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
+
+    def _stands(self, block: Block) -> bool:
+        """Still within the block, and the same as in the blocks before: a slow sway is quiet, but changes."""
+        config = self._config
+        if not block.still or norm(block.rate_body_rad_s) > LARGEST_BIAS_RAD_S:
+            return False
+        if not self._count:
+            return True
+        k = 1.0 / self._count
+        rate_change = norm(subtract(block.rate_body_rad_s, scale(self._rate, k)))
+        force_change = norm(subtract(block.specific_force_body_m_s2, scale(self._force, k)))
+        return rate_change < config.still_rate_rad_s and force_change < config.still_force_m_s2
 
     def _restart(self) -> None:
         self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
         self._count = self._blocks = self._fields = 0
-        self._all_still = True

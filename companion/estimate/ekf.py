@@ -27,7 +27,15 @@ from companion.estimate.ekf_start import (
     noise_density,
 )
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
-from companion.geometry import FloatArray, Quaternion, Vector3, euler_from_quat, quat_normalise, quat_rotate
+from companion.geometry import (
+    FloatArray,
+    Quaternion,
+    Vector3,
+    euler_from_quat,
+    quat_normalise,
+    quat_rotate,
+    quat_rotate_inverse,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +71,7 @@ EkfInput = ImuStep | GpsStep
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
+_EYE3: Final = np.eye(3)
 _EYE4: Final = np.eye(4)
 
 
@@ -85,7 +94,7 @@ class VehicleEkf:
         self._antenna_body_m = antenna_body_m
         self._noise = noise_density(config)
         self._imu_noise = np.diag([config.gyro_noise_rad_s**2] * 3 + [config.accel_noise_m_s2**2] * 3)
-        self._mag_noise = config.mag_noise_ut**2 * np.eye(3)
+        self._mag_doubt = config.mag_noise_ut**2 * _EYE3
         self._still_noise = np.diag([0.002**2] * 3)
         self._unaided_noise = np.diag([config.unaided_speed_m_s**2] * 3)
         self._rest_noise = np.diag([0.05**2] * 3)
@@ -204,17 +213,23 @@ class VehicleEkf:
         push = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
         return turn + (UNSEEN_RATE_RAD_S * unseen_s) ** 2, push + (UNSEEN_ACCELERATION_M_S2 * unseen_s) ** 2
 
-    def _update(self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, gated: bool) -> bool:
-        """Joseph form; False when the innovation fails its chi-square test."""
+    def _update(
+        self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, doubt: FloatArray | None
+    ) -> bool:
+        """Joseph form with noise R; False when the innovation fails its chi-square test with noise `doubt`.
+
+        The two differ where R is larger to make up for errors that are alike in many samples.
+        """
         P = self.P
         PCt = P @ C.T
-        S = C @ PCt + R
-        if gated:
-            passed = normalised_innovation_squared(innovation, S) <= CHI_SQUARE_999[len(innovation)]
+        CPCt = C @ PCt
+        if doubt is not None:
+            test = normalised_innovation_squared(innovation, CPCt + doubt)
+            passed = test <= CHI_SQUARE_999[len(innovation)]
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
                 return False
-        K = PCt @ np.linalg.inv(S)
+        K = PCt @ np.linalg.inv(CPCt + R)
         x = self.x + K @ innovation
         L = -(K @ C)
         L.reshape(-1)[:: model.STATES + 1] += 1.0
@@ -245,10 +260,9 @@ class VehicleEkf:
         expected, C = model.imu_model(self.x)
         innovation = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2) - expected
         R = self._imu_noise / step.samples
-        self._update("imu", innovation, C, self._without_blows(innovation, C, R), gated=False)
+        self._update("imu", innovation, C, self._without_blows(innovation, C, R), None)
         if step.field_body_ut is not None:
-            expected, C = model.mag_model(self.x)
-            self._update("mag", np.array(step.field_body_ut) - expected, C, self._mag_noise, gated=True)
+            self._take_field(step.field_body_ut)
         if step.attitude is not None:
             self._take_attitude(step.attitude, step.tilt_noise_rad, step.heading_noise_rad)
             if not self.has_position:
@@ -280,12 +294,57 @@ class VehicleEkf:
         rotation = np.diag([tilt_noise_rad**2, tilt_noise_rad**2, heading_noise_rad**2])
         # along the quaternion's length there is nothing to learn: any noise that keeps R regular
         R = model.attitude_covariance(self.attitude, rotation) + 1e-2 * np.outer(expected, expected)
-        self._update("orientation", measured - expected, C, R, gated=True)
+        self._update("orientation", measured - expected, C, R, R)
+        if self.gates["orientation"].shut_out(self.time_s, self._config.orientation_patience_s):
+            self._start_attitude(attitude, rotation)
+
+    def _take_field(self, field_body_ut: Vector3) -> None:
+        expected, C = model.mag_model(self.x)
+        R = self._mag_noise()
+        self._update("mag", np.array(field_body_ut) - expected, C, R, self._mag_doubt)
+        gate = self.gates["mag"]
+        if gate.shut_out(self.time_s, self._config.mag_patience_s):
+            # a field that fits in size and dip for so long is right, and the heading wrong
+            self._doubt_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
+            self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
+
+    def _mag_noise(self) -> FloatArray:
+        """R (3, 3) in µT²: what is wrong with a field stays, so that many samples tell little more than one.
+
+        Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone.
+        """
+        config = self._config
+        alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
+        across = alike * config.mag_noise_ut**2
+        along = max(alike * config.mag_dip_noise_ut**2, across)
+        north, east, _ = self.x[model.FIELD].tolist()
+        size = math.hypot(north, east)
+        # the direction that turns the heading: level, square to the field
+        u = np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
+        return along * _EYE3 - (along - across) * np.outer(u, u)
+
+    def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
+        """Take the orientation filter's attitude: the filter's own has proved wrong."""
+        x, P = self.x.copy(), self.P.copy()
+        x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
+        P[:7, :] = P[:, :7] = 0.0
+        self.x, self.P = x, P
+        self._doubt_rotation(rotation_variance)
+        gate = self.gates["orientation"]
+        self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}
+
+    def _doubt_rotation(self, rotation_variance: FloatArray) -> None:
+        """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
+        P, q = self.P.copy(), self.attitude
+        J = np.vstack((_EYE4, model.euler_jacobian(q)))
+        P[:7, :7] += J @ model.attitude_covariance(q, rotation_variance) @ J.T
+        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
+        self.P = P
 
     def _take_zero(self, states: slice, R: FloatArray) -> None:
         C = np.zeros((3, model.STATES))
         C[:, states] = np.eye(3)
-        self._update("still", -self.x[states], C, R, gated=False)
+        self._update("still", -self.x[states], C, R, None)
 
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
         patience_s, later_s = self._config.gps_patience_s, time_s - self.time_s
@@ -294,10 +353,13 @@ class VehicleEkf:
             return
         expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
         R = np.diag(np.square(fix.velocity_std_m_s))
-        fits = self._update("gps_velocity", np.array(fix.velocity_ned_m_s) - expected, C, R, gated=True)
+        fits = self._update("gps_velocity", np.array(fix.velocity_ned_m_s) - expected, C, R, R)
         expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
+        # the error of a position wanders slowly: so many fixes in a row tell no more than one
+        alike = max(2.0 * self._config.gps_wander_s / max(time_s - self.gps_time_s, 0.05), 1.0)
         R = np.diag(np.square(fix.position_std_m))
-        fits &= self._update("gps_position", np.array(fix.position_ned_m) - expected, C, R, gated=True)
+        innovation = np.array(fix.position_ned_m) - expected
+        fits &= self._update("gps_position", innovation, C, alike * R, R)
         if fits:
             self.gps_time_s = time_s
         kinds = ("gps_velocity", "gps_position")

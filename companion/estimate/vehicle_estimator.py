@@ -40,6 +40,8 @@ from companion.messages import GpsFix, ImuSample, MagSample, VehicleState
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
+SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
+SETTLING_NOISE_RAD = 1.0
 LONGEST_STEP_S = 0.1  # a gap in the IMU's stream is integrated up to here
 
 
@@ -81,8 +83,10 @@ class VehicleEstimator:
         self._accel_bias: Vector3 = ZERO3
         self._attitude: Quaternion = (1.0, 0.0, 0.0, 0.0)
         self._acceleration: Vector3 = ZERO3
+        self._felt: Vector3 = ZERO3
         self._disturbance_m_s2 = 0.0
         self._resting = False
+        self._settled_s = -math.inf
         self._still_block = False
         self._mag_s = self._field_step_s = self._orientation_step_s = self._mag_trusted_s = -math.inf
 
@@ -117,7 +121,7 @@ class VehicleEstimator:
         self._orientation.update_mag(sample.field_body_ut, dt_s)
         if self._orientation.mag_trusted:
             self._mag_trusted_s = sample.time_s
-        self._fields.add(quat_rotate(self._attitude_near(sample.time_s), sample.field_body_ut))
+            self._fields.add(quat_rotate(self._attitude_near(sample.time_s), sample.field_body_ut))
         return True
 
     def add_gps(self, fix: GpsFix) -> bool:
@@ -127,14 +131,14 @@ class VehicleEstimator:
         place = (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
         origin = self.origin or place
         config = self._config.ekf
-        across = max(fix.horizontal_accuracy_m, config.gps_position_noise_m)
-        along = max(fix.vertical_accuracy_m, 1.5 * config.gps_position_noise_m)
-        speed = max(fix.speed_accuracy_m_s, config.gps_velocity_noise_m_s)
+        across = max(config.gps_accuracy_factor * fix.horizontal_accuracy_m, config.gps_position_noise_m)
+        along = max(config.gps_accuracy_factor * fix.vertical_accuracy_m, 1.5 * config.gps_position_noise_m)
+        speed = max(config.gps_accuracy_factor * fix.speed_accuracy_m_s, config.gps_velocity_noise_m_s)
         step = GpsStep(
             position_ned_m=ned_from_geodetic(*place, origin),
             velocity_ned_m_s=fix.velocity_ned_m_s,
             position_std_m=(across, across, along),
-            velocity_std_m_s=(speed, speed, speed),
+            velocity_std_m_s=(speed, speed, 1.4 * speed),
         )
         if not self._timeline.add(fix.time_s, step):
             return False
@@ -211,8 +215,8 @@ class VehicleEstimator:
             attitude=attitude,
             gyro_bias_rad_s=self._gyro_bias,
             field_ned_ut=field,
-            tilt_std_rad=math.radians(2.0 if found.still else 10.0),
-            heading_std_rad=math.radians(4.0 if found.still else 15.0),
+            tilt_std_rad=math.radians(2.0 if found.still else 15.0),
+            heading_std_rad=math.radians(4.0 if found.still else 40.0),
             gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
         )
         self._orientation = new_orientation(config, attitude)
@@ -221,6 +225,7 @@ class VehicleEstimator:
         self._attitude = attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
+        self._settled_s = time_s if found.still else time_s + SETTLING_S
 
     # ------------------------------------------------------------ IMU
 
@@ -244,9 +249,13 @@ class VehicleEstimator:
         self.motion.add(sample.time_s, self._attitude, acceleration)
         k = dt_s / (self._config.acceleration_filter_s + dt_s)
         self._acceleration = add(self._acceleration, scale(subtract(acceleration, self._acceleration), k))
-        # the pre-filter remembers an acceleration for as long as it averages
+        # the pre-filter remembers an acceleration for as long as it averages; seen with its own attitude, so
+        # that a wrong one of the EKF does not look like an acceleration and shut out what would mend it
+        gn, ge, gd = quat_rotate(self._orientation.attitude, force)
+        felt = (gn, ge, gd + GRAVITY_M_S2)
+        self._felt = add(self._felt, scale(subtract(felt, self._felt), k))
         fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
-        self._disturbance_m_s2 = max(norm(self._acceleration), self._disturbance_m_s2 * fade)
+        self._disturbance_m_s2 = max(norm(self._felt), self._disturbance_m_s2 * fade)
 
     def _collect(self, sample: ImuSample) -> None:
         """Give the EKF a step when enough samples have come."""
@@ -292,10 +301,14 @@ class VehicleEstimator:
 
     def _tilt_noise_rad(self) -> float:
         """In flight the accelerometer measures thrust and drag, not gravity: doubt it as both differ."""
-        base = math.radians(self._config.ekf.orientation_tilt_noise_deg)
+        base = math.radians(self._config.ekf.orientation_tilt_noise_deg) + self._unsettled_rad()
         gravity_error_m_s2 = self._orientation.gravity_error_m_s2 if self._orientation else 0.0
         return base + 3.0 * (self._disturbance_m_s2 + gravity_error_m_s2) / GRAVITY_M_S2
 
     def _heading_noise_rad(self, time_s: float) -> float:
-        base = math.radians(self._config.ekf.orientation_heading_noise_deg)
+        base = math.radians(self._config.ekf.orientation_heading_noise_deg) + self._unsettled_rad()
         return base if time_s - self._mag_trusted_s < MAG_TIMEOUT_S else base + 3.0
+
+    def _unsettled_rad(self) -> float:
+        """The pre-filter mends a bad start slowly, the EKF at once: until then it shall not hold it back."""
+        return SETTLING_NOISE_RAD if self.newest_s < self._settled_s else 0.0
