@@ -19,6 +19,7 @@ import numpy as np
 
 from companion.config import EkfConfig
 from companion.estimate import ekf_model as model
+from companion.estimate.bias_watch import BiasWatch
 from companion.estimate.ekf_start import (
     TINY_VARIANCE,
     InitialState,
@@ -71,6 +72,10 @@ EkfInput = ImuStep | GpsStep
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
+SUSPICION_S: Final = 2.0  # for so long after a suspicion the field tells the bias
+SUSPICION_FIELD_UT: Final = 1.5
+SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
+SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 _EYE3: Final = np.eye(3)
 _EYE4: Final = np.eye(4)
 
@@ -84,6 +89,8 @@ class EkfSnapshot(NamedTuple):
     gates: dict[str, Gate]
     has_position: bool
     gps_time_s: float
+    watch: BiasWatch
+    suspected_s: float
 
 
 class VehicleEkf:
@@ -104,16 +111,22 @@ class VehicleEkf:
         self.gates: dict[str, Gate] = {}
         self.has_position = False
         self.gps_time_s = -math.inf
+        self.watch = BiasWatch()
+        self.suspected_s = -math.inf
 
     # ------------------------------------------------------------ replayable
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
-        return EkfSnapshot(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s)
+        return EkfSnapshot(
+            *(self.time_s, self.x, self.P, self.gates, self.has_position),
+            *(self.gps_time_s, self.watch, self.suspected_s),
+        )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
-        self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s = snapshot
+        self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
+        self.gps_time_s, self.watch, self.suspected_s = snapshot[5:]
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
@@ -153,6 +166,12 @@ class VehicleEkf:
             "gates": {kind: list(gate) for kind, gate in self.gates.items()},
             "has_position": self.has_position,
             "gps_time_s": self.gps_time_s if math.isfinite(self.gps_time_s) else None,
+            "watch": [
+                self.watch.field_ut,
+                [list(entry) for entry in self.watch.history],
+                self.watch.fix_excess,
+            ],
+            "suspected_s": self.suspected_s if math.isfinite(self.suspected_s) else None,
         }
 
     @classmethod
@@ -173,8 +192,11 @@ class VehicleEkf:
         ekf.time_s = float(state["time_s"])  # type: ignore[arg-type]
         ekf.gates = {kind: Gate(*values) for kind, values in state["gates"].items()}  # type: ignore[attr-defined]
         ekf.has_position = bool(state["has_position"])
-        gps_time_s = state["gps_time_s"]
+        gps_time_s, suspected_s = state["gps_time_s"], state["suspected_s"]
         ekf.gps_time_s = -math.inf if gps_time_s is None else float(gps_time_s)  # type: ignore[arg-type]
+        ekf.suspected_s = -math.inf if suspected_s is None else float(suspected_s)  # type: ignore[arg-type]
+        field_ut, history, excess = state["watch"]  # type: ignore[misc]
+        ekf.watch = BiasWatch(field_ut, tuple((t, ut, tuple(q)) for t, ut, q in history), excess)
         return ekf
 
     # ------------------------------------------------------------ eq. 17
@@ -300,28 +322,45 @@ class VehicleEkf:
 
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)
-        R = self._mag_noise()
-        self._update("mag", np.array(field_body_ut) - expected, C, R, self._mag_doubt)
+        innovation, level = np.array(field_body_ut) - expected, self._across_the_field()
+        self._update("mag", innovation, C, self._mag_noise(level), self._mag_doubt)
+        self.watch = self.watch.after_field(self.time_s, float(innovation @ level), self.attitude)
+        if self.watch.heading_drifts:
+            self._suspect_bias()
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, self._config.mag_patience_s):
             # a field that fits in size and dip for so long is right, and the heading wrong
             self._doubt_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
 
-    def _mag_noise(self) -> FloatArray:
+    def _across_the_field(self) -> FloatArray:
+        """Unit vector (3,) in the body, level and square to the field: along it a field turns with the heading."""
+        north, east, _ = self.x[model.FIELD].tolist()
+        size = math.hypot(north, east)
+        return np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
+
+    def _mag_noise(self, level: FloatArray) -> FloatArray:
         """R (3, 3) in µT²: what is wrong with a field stays, so that many samples tell little more than one.
 
-        Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone.
+        Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone. When
+        the bias is under suspicion the field's change counts, and that is as good as its noise.
         """
         config = self._config
         alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
-        across = alike * config.mag_noise_ut**2
-        along = max(alike * config.mag_dip_noise_ut**2, across)
-        north, east, _ = self.x[model.FIELD].tolist()
-        size = math.hypot(north, east)
-        # the direction that turns the heading: level, square to the field
-        u = np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
-        return along * _EYE3 - (along - across) * np.outer(u, u)
+        along = alike * max(config.mag_dip_noise_ut, config.mag_noise_ut) ** 2
+        suspected = self.time_s - self.suspected_s < SUSPICION_S
+        across = SUSPICION_FIELD_UT**2 if suspected else alike * config.mag_noise_ut**2
+        return along * _EYE3 - (along - across) * np.outer(level, level)
+
+    def _suspect_bias(self) -> None:
+        """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
+        if self.time_s - self.suspected_s < SUSPICION_S:
+            return
+        self.suspected_s = self.time_s
+        self._doubt_rotation(SUSPECTED_TURN_RAD**2 * _EYE3)
+        P = self.P.copy()
+        P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * _EYE3
+        self.P, self.watch = P, BiasWatch()
 
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
         """Take the orientation filter's attitude: the filter's own has proved wrong."""
@@ -353,7 +392,9 @@ class VehicleEkf:
             return
         expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
         R = np.diag(np.square(fix.velocity_std_m_s))
-        fits = self._update("gps_velocity", np.array(fix.velocity_ned_m_s) - expected, C, R, R)
+        innovation = np.array(fix.velocity_ned_m_s) - expected
+        self._watch_fix(innovation, C @ self.P @ C.T + R)
+        fits = self._update("gps_velocity", innovation, C, R, R)
         expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
         # the error of a position wanders slowly: so many fixes in a row tell no more than one
         alike = max(2.0 * self._config.gps_wander_s / max(time_s - self.gps_time_s, 0.05), 1.0)
@@ -365,6 +406,11 @@ class VehicleEkf:
         kinds = ("gps_velocity", "gps_position")
         if any(self.gates[kind].shut_out(time_s, patience_s) for kind in kinds):
             self._start_from(time_s, fix)
+
+    def _watch_fix(self, innovation: FloatArray, S: FloatArray) -> None:
+        self.watch = self.watch.after_fix(normalised_innovation_squared(innovation, S) / len(innovation))
+        if self.watch.velocity_drifts:
+            self._suspect_bias()
 
     def _start_from(self, time_s: float, fix: GpsStep) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong."""
