@@ -89,15 +89,15 @@ def consistency(
 def recovery_s(
     times_s: FloatArray, errors: FloatArray, level: float, from_s: float, calm_s: float = 2.0
 ) -> float:
-    """Time from `from_s` until the errors (n,) are below a level and stay there for `calm_s` (or the end).
+    """Time from `from_s` until the errors (n,) are below a level, to stay there for `calm_s` at least.
 
-    0 when they never left; infinite when they do not come back.
+    0 when they never left; infinite when they do not come back, or when the flight ends before that is sure.
     """
     after = times_s >= from_s
     times, high = times_s[after], ~(errors[after] <= level)
-    if not len(times):
-        return float("inf")
-    for time_s in times[~high]:
+    if not high.any():
+        return 0.0 if len(times) else float("inf")
+    for time_s in times[~high & (times <= times[-1] - calm_s)]:
         if not high[(times >= time_s) & (times <= time_s + calm_s)].any():
-            return max(float(time_s - from_s), 0.0) if high[: np.searchsorted(times, time_s)].any() else 0.0
+            return float(time_s - from_s) if high[: np.searchsorted(times, time_s)].any() else 0.0
     return float("inf")

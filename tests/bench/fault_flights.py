@@ -70,10 +70,10 @@ CASES: Final = (
     ),
     FaultCase("none, near", NEAR, None, pad=True),
     FaultCase(
-        "range spikes, 30 % for 5 s",
+        "range spikes, 30 % of the echoes",
         NEAR,
-        {"kind": "range_spikes", "start_s": 20.0, "duration_s": 5.0},
-        judged_from_s=25.0,
+        {"kind": "range_spikes", "start_s": 16.0, "share": 0.3},
+        judged_from_s=16.0,
         pad=True,
     ),
     FaultCase(

@@ -44,8 +44,19 @@ from companion.result import TruthTrack
 from tests.bench.samples import Answer, Samples, ask, rms, samples_of
 
 __all__ = [
-    *("INPUTS", "Event", "Samples", "Stream", "feed", "fly_stream", "load", "new_estimator"),
-    *("rerun", "rms", "save", "settings_of", "stream_path"),
+    "INPUTS",
+    "Event",
+    "Samples",
+    "Stream",
+    "feed",
+    "fly_stream",
+    "load",
+    "new_estimator",
+    "rerun",
+    "rms",
+    "save",
+    "settings_of",
+    "stream_path",
 ]
 
 INPUTS: Final[dict[str, type[Any]]] = {
