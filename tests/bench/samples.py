@@ -37,7 +37,7 @@ class Samples:
     pad_velocity_m_s: FloatArray  # (n, 3) relative
     pad_ned_velocity_m_s: FloatArray  # (n, 3) of the pad over ground
     pad_heading_rad: FloatArray  # (n,)
-    pad_covariance: FloatArray  # (n, 9, 9) relative position, relative velocity, acceleration
+    pad_covariance: FloatArray  # (n, 6, 6) relative position, relative velocity
     seen_for_s: FloatArray  # (n,) how long the pad has been in view without a gap; NaN: not in view
     airborne: Any = field(repr=False)  # (n,) bool: from take-off to touchdown
 
@@ -95,7 +95,7 @@ def samples_of(answers: Sequence[Answer], truth: Sequence[Truth], airborne_s: tu
     covered = track.covers(np.array([answer.vehicle.time_s for answer in answers]))
     rows = [answer for answer, inside in zip(answers, covered, strict=True) if inside]
     times = np.array([row.vehicle.time_s for row in rows])
-    empty = np.full((9, 9), np.nan)
+    empty = np.full((6, 6), np.nan)
     covariances = [empty if row.pad_covariance is None else row.pad_covariance for row in rows]
     pads = [row.pad for row in rows]
     return Samples(
@@ -104,7 +104,7 @@ def samples_of(answers: Sequence[Answer], truth: Sequence[Truth], airborne_s: tu
         covariance=np.array([row.covariance for row in rows]).reshape(-1, 9, 9),
         **_pad_errors(pads, track, times),
         pad_heading_rad=_heading_errors(pads, truth, times),
-        pad_covariance=np.array(covariances).reshape(-1, 9, 9),
+        pad_covariance=np.array(covariances).reshape(-1, 6, 6),
         seen_for_s=_seen_for(pads, times),
         airborne=(times > airborne_s[0]) & (times < airborne_s[1]),
     )
