@@ -6,7 +6,8 @@ Flies each scenario under many seeds in virtual time with rendering, then measur
 with the truth: attitude, velocity, the pad's velocity while seen for 2 s, and the NEES of both filters with
 the 95 % band of its mean over the seeds; then the faults in closed loop; then the costs. Ends in one line
 that says which bars hold; the exit status is 0 when all do. `--streams` keeps the flights: those already
-there are not flown again, but the estimators run over them again as they are now.
+there are not flown again, but the estimators run over them again as they are now (in closed loop only the
+flights know what an estimator does: empty the folder for that).
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def flown_with_fault(index: int, seed: int, folder: Path | None) -> FaultFlight:
     """One flight of `CASES`, measured."""
     case = CASES[index]
     trial = trial_of(case, seed)
-    stream = obtain(trial, f"fault{index}", folder)
+    stream = obtain(trial, case.slug, folder)
     return FaultFlight(case, seed, stream.outcome, rerun(stream, settings_of(trial)))
 
 

@@ -2,11 +2,12 @@
 
 Faults of the inertial half fall on a long way to the waypoint, so that even half a minute is over before the
 pad comes into view; those of the pad's half fall on the descent. Each flight is compared with the same one
-without the fault: the largest error of that one is the usual level.
+without the fault: the largest error of that one from the fault's time on is the usual level.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -23,6 +24,7 @@ from tests.bench.samples import Samples
 BASE: Final = "figure_8"
 LARGEST_ATTITUDE_DEG: Final = 5.0
 RECOVERY_S: Final = 5.0
+USUAL_MARGIN: Final = 1.25  # two flights differ, fault or not
 # the autopilot flies there in about half a minute
 FAR: Final[dict[str, Any]] = {
     "pad": {"motion": {"meet": {"point_ned_m": [110.0, 0.0], "time_s": 60.0}}},
@@ -43,6 +45,11 @@ class FaultCase:
     fault: dict[str, Any] | None
     judged_from_s: float = 0.0
     pad: bool = False  # whether the pad's errors are what it is about
+
+    @property
+    def slug(self) -> str:
+        """The name as a file's."""
+        return "fault_" + "_".join(re.findall(r"[a-z0-9]+", self.name.lower()))
 
 
 CASES: Final = (
@@ -88,7 +95,7 @@ CASES: Final = (
 
 @dataclass(frozen=True)
 class FaultFlight:
-    """One flight's errors: `largest` from the fault's start to touchdown, `recovery_s` from its end."""
+    """One flight's errors, from take-off to touchdown."""
 
     case: FaultCase
     seed: int
@@ -110,17 +117,21 @@ class FaultFlight:
             found["pad m/s"] = np.where(seen, velocity, 0.0)
         return found
 
-    def largest(self) -> dict[str, float]:
-        """From the fault's start on."""
-        times = self.times_s
-        since = times >= (self.case.fault["start_s"] if self.case.fault else 0.0)
-        return {name: float(np.max(values[since], initial=0.0)) for name, values in self.errors().items()}
+    def largest(self, since_s: float) -> dict[str, float]:
+        """The largest of each error from a time on."""
+        after = self.times_s >= since_s
+        return {name: float(np.max(values[after], initial=0.0)) for name, values in self.errors().items()}
+
+    def largest_since_fault(self) -> dict[str, float]:
+        """The largest of each error from the fault's start (without one: from take-off) to touchdown."""
+        return self.largest(0.0 if self.case.fault is None else self.case.fault["start_s"])
 
     def recovery_s(self, usual: FaultFlight) -> dict[str, float]:
-        """Time (s) until each error is back under the undisturbed flight's largest."""
-        levels = usual.largest()
+        """Time (s) until each error is back at what it usually is at that stage of the flight."""
+        assert self.case.fault is not None
+        levels = usual.largest(self.case.fault["start_s"])
         return {
-            name: recovery_s(self.times_s, values, levels[name], self.case.judged_from_s)
+            name: recovery_s(self.times_s, values, USUAL_MARGIN * levels[name], self.case.judged_from_s)
             for name, values in self.errors().items()
         }
 

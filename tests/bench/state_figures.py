@@ -113,7 +113,7 @@ def fault_bars(flights: Sequence[FaultFlight]) -> dict[str, bool]:
     faulted = [flight for flight in flights if flight.case.fault is not None]
     recoveries = [max(flight.recovery_s(usual_for(flight, flights)).values()) for flight in faulted]
     return {
-        "no divergence": all(f.largest()["attitude °"] < LARGEST_ATTITUDE_DEG for f in faulted),
+        "no divergence": all(f.largest_since_fault()["attitude °"] < LARGEST_ATTITUDE_DEG for f in faulted),
         "recovery": all(time_s <= RECOVERY_S for time_s in recoveries),
         "landings with faults": all(flight.outcome == "landed" for flight in faulted),
     }

@@ -94,9 +94,9 @@ def fault_table(flights: Sequence[FaultFlight]) -> Table:
 
 
 def _worst(own: Sequence[FaultFlight], flights: Sequence[FaultFlight], name: str) -> str:
-    if name not in own[0].largest():
+    if name not in own[0].largest_since_fault():
         return "-"
-    largest = f"{max(flight.largest()[name] for flight in own):.2f}"
+    largest = f"{max(flight.largest_since_fault()[name] for flight in own):.2f}"
     if own[0].case.fault is None:
         return largest
     back_s = max(flight.recovery_s(usual_for(flight, flights))[name] for flight in own)
