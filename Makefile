@@ -1,13 +1,17 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
-# make bench   where the time goes, and the landing campaign's bars
+# make bench   where the time goes, the estimators' bars and the landing campaign's
+# make bench-state  the estimators' alone: errors, consistency, faults, costs
 PYTHON ?= python3
 VENV   ?= .venv
 SEEDS  ?= 10
+# the estimators' consistency is judged over twice as many
+STATE_SEEDS ?= 20
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench clean
+.PHONY: sitl test lint bench bench-state clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -35,8 +39,12 @@ test: lint
 bench: $(VENV)/.dev
 	@status=0; \
 	$(BIN)/python tests/bench/bench_time.py || status=1; \
+	$(BENCH_STATE) || status=1; \
 	$(BIN)/python -m sitl.campaign --seeds $(SEEDS) || status=1; \
 	exit $$status
+
+bench-state: $(VENV)/.dev
+	$(BENCH_STATE)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -15,16 +15,7 @@ import numpy as np
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import (
-    POSITION,
-    VELOCITY,
-    HeightFix,
-    PadEstimate,
-    PadFilter,
-    PadFix,
-    PadInput,
-    PadSnapshot,
-)
+from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
 from companion.estimate.vehicle_estimator import VehicleEstimator
 from companion.geometry import (
     FloatArray,
@@ -154,21 +145,19 @@ class Estimator:
         return self._vehicle.covariance()
 
     def pad_covariance(self, time_s: float) -> FloatArray | None:
-        """Covariance (9, 9) of `pad` at a time; None when there is no pad.
+        """Covariance (6, 6) of `pad` at a time; None when there is no pad.
 
-        Order: relative position (m), relative velocity (m/s), the pad's acceleration (m/s²), all NED. The
-        attitude's error turns what the camera sees about the vehicle: its share is in.
+        Order: relative position (m), relative velocity (m/s), NED. The attitude's error turns what the
+        camera sees about the vehicle: its share is in.
         """
         estimate, rotation = self._pad_at(time_s), self._vehicle.rotation_covariance()
-        if estimate is None:
+        if estimate is None or rotation is None:
             return None
-        if rotation is None:
-            return estimate.P
-        levers = np.zeros((9, 3))
-        for rows in (POSITION, VELOCITY):
-            x, y, z = vector3(estimate.x[rows])
-            levers[rows] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-        covariance: FloatArray = estimate.P + levers @ rotation @ levers.T
+        levers = np.zeros((6, 3))
+        for row in (0, 3):
+            x, y, z = vector3(estimate.x[row : row + 3])
+            levers[row : row + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        covariance: FloatArray = estimate.P[:6, :6] + levers @ rotation @ levers.T
         return covariance
 
     def pad_prior(self, time_s: float) -> PadPrior | None:

@@ -7,7 +7,6 @@ order in which it came, and the truth. `rerun` drives a new Estimator, with othe
 a stream, as it flew or edited (a fault put in offline), and gives its errors against the truth with the
 filters' own covariances; unedited and with the settings that flew, it repeats what flew to the bit.
 
-Errors are truth minus estimate; the attitude's is the rotation vector (rad, NED axes) of R_true R_estᵀ.
 Times are the virtual loop's (s), which the world counts by, too.
 """
 
@@ -18,19 +17,16 @@ import pickle
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
-import numpy as np
 
 from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_model
 from companion.desk import Trial, desk_settings, fly
 from companion.estimate.estimator import Estimator
-from companion.geometry import FloatArray, ned_from_geodetic, quat_conjugate, quat_multiply
-from companion.geometry import rotation_vector_from_quat as rotation_vector
 from companion.messages import (
     GpsFix,
     ImuSample,
@@ -45,7 +41,23 @@ from companion.messages import (
 from companion.pad import load_pad
 from companion.record import FlightLog
 from companion.result import TruthTrack
-from sitl.simulation import HOME
+from tests.bench.samples import Answer, Samples, ask, rms, samples_of
+
+__all__ = [
+    "INPUTS",
+    "Event",
+    "Samples",
+    "Stream",
+    "feed",
+    "fly_stream",
+    "load",
+    "new_estimator",
+    "rerun",
+    "rms",
+    "save",
+    "settings_of",
+    "stream_path",
+]
 
 INPUTS: Final[dict[str, type[Any]]] = {
     "imu": ImuSample,
@@ -57,7 +69,6 @@ INPUTS: Final[dict[str, type[Any]]] = {
 # the vehicle's state is asked for in every control cycle: kept in its place among the inputs, as a question
 KEPT: Final[dict[str, type[Any]]] = {**INPUTS, "vehicle": VehicleState, "pad": PadState}
 AIRBORNE_M: Final = 0.5  # higher than that over its start the vehicle has taken off
-SEEN_GAP_S: Final = 0.5  # unseen for so long, the pad is out of view
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,56 +120,6 @@ class Stream:
             if (changed := edit(event) if event.topic in INPUTS else event) is not None
         ]
         return replace(self, events=tuple(sorted(events, key=lambda event: event.arrival_s)))
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Errors (truth minus estimate) and covariances at n times; see the fields for shapes.
-
-    Where there is no estimate, errors are NaN: positions before the first fix, all of the pad's without one.
-    """
-
-    time_s: FloatArray  # (n,)
-    rotation_rad: FloatArray  # (n, 3) about NED axes
-    velocity_m_s: FloatArray  # (n, 3)
-    position_m: FloatArray  # (n, 3) by way of latitude and longitude
-    covariance: FloatArray  # (n, 9, 9) rotation, velocity, position
-    pad_position_m: FloatArray  # (n, 3) relative
-    pad_velocity_m_s: FloatArray  # (n, 3) relative
-    pad_ned_velocity_m_s: FloatArray  # (n, 3) of the pad over ground
-    pad_heading_rad: FloatArray  # (n,)
-    pad_covariance: FloatArray  # (n, 9, 9) relative position, relative velocity, acceleration
-    seen_for_s: FloatArray  # (n,) how long the pad has been in view without a gap; NaN: not in view
-    airborne: Any = field(repr=False)  # (n,) bool: from take-off to touchdown
-
-    @property
-    def attitude_deg(self) -> FloatArray:
-        """(n,) angle between true and estimated attitude."""
-        angle: FloatArray = np.degrees(np.linalg.norm(self.rotation_rad, axis=1))
-        return angle
-
-    @property
-    def inclination_deg(self) -> FloatArray:
-        """(n,) its share about horizontal axes."""
-        angle: FloatArray = np.degrees(np.linalg.norm(self.rotation_rad[:, :2], axis=1))
-        return angle
-
-    @property
-    def heading_deg(self) -> FloatArray:
-        """(n,) its share about the vertical, signed."""
-        heading: FloatArray = np.degrees(self.rotation_rad[:, 2])
-        return heading
-
-    def where(self, mask: Any) -> Samples:
-        """The samples that a boolean mask (n,) chooses."""
-        return Samples(**{item.name: getattr(self, item.name)[mask] for item in fields(self)})
-
-
-def rms(rows: FloatArray) -> float:
-    """Root mean square of values (n,), or of the lengths of rows (n, 3); NaN without any."""
-    lengths = rows if rows.ndim == 1 else np.linalg.norm(rows, axis=1)
-    lengths = lengths[np.isfinite(lengths)]
-    return float(np.sqrt(np.mean(lengths**2))) if len(lengths) else float("nan")
 
 
 # ---------------------------------------------------------------- flying
@@ -257,14 +218,16 @@ def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float 
         rate_hz: of the samples, which fall on the control cycles that flew.
     """
     estimator = new_estimator(config or settings_of(Trial.load(stream.scenario, stream.seed)))
-    recorder, next_s = _Recorder(stream, estimator), 0.0
+    answers: list[Answer] = []
+    next_s = 0.0
     for event in stream.events:
         if event.topic in INPUTS:
             feed(estimator, event)
         elif event.topic == "vehicle" and event.arrival_s >= next_s - 1e-6:
             next_s = max(next_s + 1.0 / rate_hz, event.arrival_s)
-            recorder.sample(event.arrival_s)
-    return recorder.samples()
+            answer = ask(estimator, event.arrival_s)
+            answers += [] if answer is None else [answer]
+    return samples_of(answers, stream.truth, stream.airborne_s)
 
 
 def feed(estimator: Estimator, event: Event) -> None:
@@ -277,109 +240,6 @@ def feed(estimator: Estimator, event: Event) -> None:
         "sighting": estimator.add_sighting,
     }
     take[event.topic](event.message)
-
-
-@dataclass
-class _Answers:
-    """What the estimator has answered; a row each."""
-
-    vehicle: VehicleState
-    covariance: FloatArray
-    pad: PadState | None
-    pad_covariance: FloatArray | None
-
-
-class _Recorder:
-    """Asks the estimator, and compares with the truth at the end."""
-
-    def __init__(self, stream: Stream, estimator: Estimator) -> None:
-        self._stream = stream
-        self._estimator = estimator
-        self._rows: list[_Answers] = []
-
-    def sample(self, now_s: float) -> None:
-        """Ask for everything, as a control cycle does."""
-        vehicle, covariance = self._estimator.vehicle(now_s), self._estimator.vehicle_covariance()
-        if vehicle is None or covariance is None:
-            return
-        pad, pad_covariance = self._estimator.pad(now_s), self._estimator.pad_covariance(now_s)
-        self._rows.append(_Answers(vehicle, covariance, pad, pad_covariance))
-
-    def samples(self) -> Samples:
-        """Errors and covariances of all rows within the track of the truth."""
-        track, rows = self._stream.track, self._rows
-        rows = [row for row in rows if bool(track.covers(np.array([row.vehicle.time_s]))[0])]
-        times = np.array([row.vehicle.time_s for row in rows])
-        start_s, end_s = self._stream.airborne_s
-        return Samples(
-            time_s=times,
-            **_vehicle_errors([row.vehicle for row in rows], track, times),
-            covariance=np.array([row.covariance for row in rows]).reshape(-1, 9, 9),
-            **self._pad_errors(rows, times),
-            airborne=(times > start_s) & (times < end_s),
-        )
-
-    def _pad_errors(self, rows: Sequence[_Answers], times: FloatArray) -> dict[str, FloatArray]:
-        track, nothing = self._stream.track, (np.nan,) * 3
-        pads = [row.pad for row in rows]
-        place = np.array([p.relative_position_ned_m if p else nothing for p in pads]).reshape(-1, 3)
-        speed = np.array([p.relative_velocity_ned_m_s if p else nothing for p in pads]).reshape(-1, 3)
-        over_ground = np.array([p.velocity_ned_m_s if p else nothing for p in pads]).reshape(-1, 3)
-        heading = np.array([p.heading_rad if p else np.nan for p in pads])
-        pad_velocity = track.at("pad_velocity", times)
-        truth_times = [t.time_s for t in self._stream.truth]
-        headings = np.unwrap([t.pad_heading_rad for t in self._stream.truth])
-        turned = np.interp(times, truth_times, headings) - heading
-        empty = np.full((9, 9), np.nan)
-        covariances = [empty if row.pad_covariance is None else row.pad_covariance for row in rows]
-        return {
-            "pad_position_m": track.at("pad_position", times) - track.at("position", times) - place,
-            "pad_velocity_m_s": pad_velocity - track.at("velocity", times) - speed,
-            "pad_ned_velocity_m_s": pad_velocity - over_ground,
-            "pad_heading_rad": (turned + np.pi) % (2.0 * np.pi) - np.pi,
-            "pad_covariance": np.array(covariances).reshape(-1, 9, 9),
-            "seen_for_s": _seen_for(pads, times),
-        }
-
-
-def _vehicle_errors(
-    vehicles: Sequence[VehicleState], track: TruthTrack, times: FloatArray
-) -> dict[str, FloatArray]:
-    rotations = [
-        rotation_vector(quat_multiply(_quaternion(true), quat_conjugate(vehicle.attitude)))
-        for true, vehicle in zip(track.at("attitude", times), vehicles, strict=True)
-    ]
-    velocity = np.array([v.velocity_ned_m_s for v in vehicles]).reshape(-1, 3)
-    position = np.array([_from_home(v) for v in vehicles]).reshape(-1, 3)
-    return {
-        "rotation_rad": np.array(rotations).reshape(-1, 3),
-        "velocity_m_s": track.at("velocity", times) - velocity,
-        "position_m": track.at("position", times) - position,
-    }
-
-
-def _quaternion(values: FloatArray) -> tuple[float, float, float, float]:
-    w, x, y, z = values.tolist()
-    return (w, x, y, z)
-
-
-def _from_home(vehicle: VehicleState) -> FloatArray:
-    """The EKF counts from its first fix, the world from home."""
-    if vehicle.origin is None:
-        return np.full(3, np.nan)
-    return np.add(vehicle.position_ned_m, ned_from_geodetic(*vehicle.origin, HOME))
-
-
-def _seen_for(pads: Sequence[PadState | None], times: FloatArray) -> FloatArray:
-    """As in the result contract: in view without a gap of half a second."""
-    spans, since = np.full(len(pads), np.nan), None
-    for row, (pad, time_s) in enumerate(zip(pads, times.tolist(), strict=True)):
-        if pad is None or time_s - pad.seen_time_s > SEEN_GAP_S:
-            since = None
-            continue
-        since = time_s if since is None else since
-        spans[row] = time_s - since
-    return spans
 
 
 # ---------------------------------------------------------------- command line

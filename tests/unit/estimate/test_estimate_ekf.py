@@ -21,6 +21,7 @@ from companion.geometry import (
     quat_from_euler,
     quat_integrate,
     quat_multiply,
+    quat_normalise,
     quat_rotate_inverse,
     rotation_vector_from_quat,
     scale,
@@ -214,3 +215,19 @@ def test_snapshot_does_not_change_while_the_filter_goes_on() -> None:
     busy(ekf, 100, 200)
     assert np.array_equal(snapshot.x, x)
     assert np.array_equal(snapshot.P, P)
+
+
+def test_the_motions_covariance_is_that_of_errors_drawn_from_the_states() -> None:
+    ekf = new_ekf(quat_from_euler(0.1, -0.2, 2.0))
+    busy(ekf, 1, 200)
+    rng = np.random.default_rng(3)
+    drawn = []
+    for state in rng.multivariate_normal(ekf.x, ekf.P, 20000, method="cholesky"):
+        q = quat_normalise(model.quaternion_of(state))
+        rotation = rotation_vector_from_quat(quat_multiply(q, quat_conjugate(ekf.attitude)))
+        moved = [state[part] - ekf.x[part] for part in (model.VELOCITY, model.POSITION)]
+        drawn.append(np.concatenate([rotation, *moved]))
+    found, claimed = np.cov(np.array(drawn).T), ekf.motion_covariance()
+    scale_of = np.sqrt(np.outer(claimed.diagonal(), claimed.diagonal()))
+    assert (found / scale_of) == pytest.approx(claimed / scale_of, abs=0.03)
+    assert claimed[:3, :3] == pytest.approx(ekf.rotation_covariance())
