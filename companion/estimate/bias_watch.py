@@ -13,39 +13,56 @@ Immutable: a filter keeps one in its snapshots and replaces it.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from itertools import pairwise
+from typing import Any, Final, NamedTuple
 
 from companion.geometry import Quaternion
 
-WINDOW_S: Final = 2.0
+WINDOW_S: Final = 2.4
 MEAN_SHARE: Final = 0.2  # of a new field in its fading mean: some 5 samples
-DRIFT_UT: Final = 0.7  # over the window: 2 degrees of heading in Europe, 1.3 at the equator
+DRIFT_UT: Final = 0.8  # over the window: 2.2 degrees of heading in Europe, 1.5 at the equator
+STEADY_SHARE: Final = 0.1  # of the drift, in each quarter of the window
 JUMP_UT: Final = 0.5  # between two entries of the history, 0.1 s apart
 ENTRY_S: Final = 0.1
-TURN_RAD: Final = math.radians(
-    25.0
-)  # turned further within the window, a drift may be the vehicle's own iron
+TURN_RAD: Final = math.radians(25.0)  # turned further, a drift may be the vehicle's own iron
 FIX_SHARE: Final = 0.35  # of a new fix in the fading mean
 FIX_BOUND: Final = 3.0  # normalised innovation squared a degree of freedom; 1 when all is well
 
 
 class BiasWatch(NamedTuple):
-    """What was seen lately. `history` holds (time, field across the heading in µT, attitude), oldest first."""
+    """What was seen lately. `history`: (time, field square to the heading in µT, attitude), oldest first.
+
+    The field is taken against the gyroscope alone: what other sensors have turned the heading by since,
+    `corrected_ut` of field, is taken out.
+    """
 
     field_ut: float = 0.0
+    corrected_ut: float = 0.0
     history: tuple[tuple[float, float, Quaternion], ...] = ()
     fix_excess: float = 1.0
 
+    @classmethod
+    def restored(cls, values: list[Any]) -> BiasWatch:
+        """The watch from its fields as plain lists (JSON's)."""
+        field_ut, corrected_ut, history, fix_excess = values
+        return cls(field_ut, corrected_ut, tuple((t, ut, tuple(q)) for t, ut, q in history), fix_excess)
+
+    def after_correction(self, turned_ut: float) -> BiasWatch:
+        """The watch after an update has turned the heading by so much of field (µT)."""
+        return self._replace(corrected_ut=self.corrected_ut + turned_ut)
+
     def after_field(self, time_s: float, across_ut: float, attitude: Quaternion) -> BiasWatch:
         """The watch with one more innovation of the field, square to it and level (µT)."""
-        mean = self.field_ut + MEAN_SHARE * (across_ut - self.field_ut)
-        if self.history and time_s - self.history[-1][0] < ENTRY_S:
+        value = across_ut - self.corrected_ut
+        mean = self.field_ut + MEAN_SHARE * (value - self.field_ut)
+        if not self.history:
+            return self._replace(field_ut=value, history=((time_s, value, attitude),))
+        last_s, last_ut, _ = self.history[-1]
+        if time_s - last_s < ENTRY_S:
             return self._replace(field_ut=mean)
-        if self.history and (
-            abs(mean - self.history[-1][1]) > JUMP_UT or time_s - self.history[-1][0] > 5 * ENTRY_S
-        ):
+        if abs(mean - last_ut) > JUMP_UT or time_s - last_s > 5 * ENTRY_S:
             # begin anew behind a jump or a gap
-            return self._replace(field_ut=across_ut, history=())
+            return self._replace(field_ut=value, history=())
         recent = tuple(entry for entry in self.history if time_s - entry[0] <= WINDOW_S + 0.5 * ENTRY_S)
         return self._replace(field_ut=mean, history=(*recent, (time_s, mean, attitude)))
 
@@ -55,15 +72,19 @@ class BiasWatch(NamedTuple):
         return self._replace(fix_excess=self.fix_excess + FIX_SHARE * (bounded - self.fix_excess))
 
     @property
-    def heading_drifts(self) -> bool:
-        """Whether the field has drifted over the window while the vehicle hardly turned."""
-        if len(self.history) < 2 or self.history[-1][0] - self.history[0][0] < 0.5 * WINDOW_S:
-            return False
-        (_, before_ut, before), (_, now_ut, now) = self.history[0], self.history[-1]
-        if abs(now_ut - before_ut) < DRIFT_UT:
-            return False
-        cosine = abs(sum(a * b for a, b in zip(before, now, strict=True)))
-        return 2.0 * math.acos(min(cosine, 1.0)) < TURN_RAD
+    def drift_ut(self) -> float | None:
+        """How far the field has drifted over the window, if far, steadily and while the vehicle hardly turned."""
+        history = self.history
+        if len(history) < 5 or history[-1][0] - history[0][0] < 0.9 * WINDOW_S:
+            return None
+        drift = history[-1][1] - history[0][1]
+        if abs(drift) < DRIFT_UT:
+            return None
+        marks = [history[round(0.25 * k * (len(history) - 1))][1] for k in range(5)]
+        steps = [(after - before) / drift for before, after in pairwise(marks)]
+        cosine = abs(sum(a * b for a, b in zip(history[0][2], history[-1][2], strict=True)))
+        turned = 2.0 * math.acos(min(cosine, 1.0)) > TURN_RAD
+        return None if turned or min(steps) < STEADY_SHARE else drift
 
     @property
     def velocity_drifts(self) -> bool:

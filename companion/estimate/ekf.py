@@ -72,8 +72,8 @@ EkfInput = ImuStep | GpsStep
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
-SUSPICION_S: Final = 2.0  # for so long after a suspicion the field tells the bias
-SUSPICION_FIELD_UT: Final = 1.5
+STEP_AGE_S: Final = 1.5  # since a step of the gyroscope's bias when it is noticed
+DRIFT_NOISE_RAD: Final = math.radians(0.7)
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 _EYE3: Final = np.eye(3)
@@ -90,7 +90,6 @@ class EkfSnapshot(NamedTuple):
     has_position: bool
     gps_time_s: float
     watch: BiasWatch
-    suspected_s: float
 
 
 class VehicleEkf:
@@ -112,21 +111,19 @@ class VehicleEkf:
         self.has_position = False
         self.gps_time_s = -math.inf
         self.watch = BiasWatch()
-        self.suspected_s = -math.inf
 
     # ------------------------------------------------------------ replayable
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
         return EkfSnapshot(
-            *(self.time_s, self.x, self.P, self.gates, self.has_position),
-            *(self.gps_time_s, self.watch, self.suspected_s),
+            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.watch)
         )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.watch, self.suspected_s = snapshot[5:]
+        self.gps_time_s, self.watch = snapshot[5:]
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
@@ -166,12 +163,7 @@ class VehicleEkf:
             "gates": {kind: list(gate) for kind, gate in self.gates.items()},
             "has_position": self.has_position,
             "gps_time_s": self.gps_time_s if math.isfinite(self.gps_time_s) else None,
-            "watch": [
-                self.watch.field_ut,
-                [list(entry) for entry in self.watch.history],
-                self.watch.fix_excess,
-            ],
-            "suspected_s": self.suspected_s if math.isfinite(self.suspected_s) else None,
+            "watch": list(self.watch),
         }
 
     @classmethod
@@ -192,11 +184,9 @@ class VehicleEkf:
         ekf.time_s = float(state["time_s"])  # type: ignore[arg-type]
         ekf.gates = {kind: Gate(*values) for kind, values in state["gates"].items()}  # type: ignore[attr-defined]
         ekf.has_position = bool(state["has_position"])
-        gps_time_s, suspected_s = state["gps_time_s"], state["suspected_s"]
+        gps_time_s = state["gps_time_s"]
         ekf.gps_time_s = -math.inf if gps_time_s is None else float(gps_time_s)  # type: ignore[arg-type]
-        ekf.suspected_s = -math.inf if suspected_s is None else float(suspected_s)  # type: ignore[arg-type]
-        field_ut, history, excess = state["watch"]  # type: ignore[misc]
-        ekf.watch = BiasWatch(field_ut, tuple((t, ut, tuple(q)) for t, ut, q in history), excess)
+        ekf.watch = BiasWatch.restored(state["watch"])  # type: ignore[arg-type]
         return ekf
 
     # ------------------------------------------------------------ eq. 17
@@ -253,6 +243,7 @@ class VehicleEkf:
                 return False
         K = PCt @ np.linalg.inv(CPCt + R)
         x = self.x + K @ innovation
+        self._note_turn(x)
         L = -(K @ C)
         L.reshape(-1)[:: model.STATES + 1] += 1.0
         self._normalise(x, K, L)
@@ -262,6 +253,14 @@ class VehicleEkf:
         P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
         self.x, self.P = x, P
         return True
+
+    def _note_turn(self, x: FloatArray) -> None:
+        """Tell the watch by how much (µT of field) an update turns the heading."""
+        w, i, j, k = self.x[model.QUATERNION].tolist()
+        a, b, c, d = x[model.QUATERNION].tolist()
+        turn_rad = 2.0 * (w * d - a * k - b * j + c * i)
+        north, east, _ = x[model.FIELD].tolist()
+        self.watch = self.watch.after_correction(turn_rad * math.hypot(north, east))
 
     @staticmethod
     def _normalise(x: FloatArray, K: FloatArray, L: FloatArray) -> None:
@@ -323,10 +322,10 @@ class VehicleEkf:
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)
         innovation, level = np.array(field_body_ut) - expected, self._across_the_field()
-        self._update("mag", innovation, C, self._mag_noise(level), self._mag_doubt)
         self.watch = self.watch.after_field(self.time_s, float(innovation @ level), self.attitude)
-        if self.watch.heading_drifts:
-            self._suspect_bias()
+        self._update("mag", innovation, C, self._mag_noise(level), self._mag_doubt)
+        if (drift_ut := self.watch.drift_ut) is not None:
+            self._undo_drift(drift_ut)
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, self._config.mag_patience_s):
             # a field that fits in size and dip for so long is right, and the heading wrong
@@ -334,7 +333,7 @@ class VehicleEkf:
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
 
     def _across_the_field(self) -> FloatArray:
-        """Unit vector (3,) in the body, level and square to the field: along it a field turns with the heading."""
+        """Unit vector (3,) in the body, level and square to the field: along it the heading shows."""
         north, east, _ = self.x[model.FIELD].tolist()
         size = math.hypot(north, east)
         return np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
@@ -342,25 +341,37 @@ class VehicleEkf:
     def _mag_noise(self, level: FloatArray) -> FloatArray:
         """R (3, 3) in µT²: what is wrong with a field stays, so that many samples tell little more than one.
 
-        Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone. When
-        the bias is under suspicion the field's change counts, and that is as good as its noise.
+        Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone.
         """
         config = self._config
         alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
-        along = alike * max(config.mag_dip_noise_ut, config.mag_noise_ut) ** 2
-        suspected = self.time_s - self.suspected_s < SUSPICION_S
-        across = SUSPICION_FIELD_UT**2 if suspected else alike * config.mag_noise_ut**2
+        across = alike * config.mag_noise_ut**2
+        along = max(alike * config.mag_dip_noise_ut**2, across)
         return along * _EYE3 - (along - across) * np.outer(level, level)
+
+    def _undo_drift(self, drift_ut: float) -> None:
+        """The gyroscope's bias has stepped about the vertical: turn the heading back, and learn the bias.
+
+        The heading's error is taken as the new bias times STEP_AGE_S.
+        """
+        turn = 0.5 * model.right_matrix(self.attitude)[:, 3]  # d(quaternion) by a turn about NED's down
+        error = np.zeros(model.STATES)
+        error[model.QUATERNION] = -STEP_AGE_S * turn
+        error[model.EULER] = model.euler_jacobian(self.attitude) @ error[model.QUATERNION]
+        error[model.GYRO_BIAS] = quat_rotate_inverse(self.attitude, (0.0, 0.0, 1.0))
+        self.P = self.P + SUSPECTED_BIAS_RAD_S**2 * np.outer(error, error)
+        C = np.zeros((1, model.STATES))
+        C[0, model.QUATERNION] = 4.0 * turn
+        heading_rad = drift_ut / math.hypot(*self.x[model.FIELD][:2].tolist())
+        self._update("drift", np.array((-heading_rad,)), C, DRIFT_NOISE_RAD**2 * np.eye(1), None)
+        self.watch = BiasWatch(fix_excess=self.watch.fix_excess)
 
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
-        if self.time_s - self.suspected_s < SUSPICION_S:
-            return
-        self.suspected_s = self.time_s
         self._doubt_rotation(SUSPECTED_TURN_RAD**2 * _EYE3)
         P = self.P.copy()
         P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * _EYE3
-        self.P, self.watch = P, BiasWatch()
+        self.P, self.watch = P, self.watch._replace(fix_excess=0.0)
 
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
         """Take the orientation filter's attitude: the filter's own has proved wrong."""
