@@ -225,6 +225,7 @@ class App:
 
     async def _control_step(self, now_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
+        self._sensing.take_attitude(self.session.state)
         vehicle, pad = self._estimator.vehicle(now_s), self._estimator.pad(now_s)
         plan = self._plan(vehicle, pad, now_s)
         if vehicle is None:

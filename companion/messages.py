@@ -64,6 +64,14 @@ class RangeSample:
 
 
 @dataclass(frozen=True, slots=True)
+class AutopilotAttitude:
+    """The autopilot's own attitude (body to its NED), when it measured it on our clock."""
+
+    time_s: float
+    attitude: Quaternion
+
+
+@dataclass(frozen=True, slots=True)
 class Frame:
     """One grey image."""
 

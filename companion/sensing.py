@@ -19,7 +19,15 @@ from companion.config import CompanionConfig
 from companion.estimate.estimator import Estimator
 from companion.hardware import Hardware
 from companion.link.codec import Severity
-from companion.messages import Frame, FrameReport, ImuSample, MagSample, RangeSample
+from companion.messages import (
+    AutopilotAttitude,
+    AutopilotState,
+    Frame,
+    FrameReport,
+    ImuSample,
+    MagSample,
+    RangeSample,
+)
 from companion.record import FlightLog
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
@@ -65,7 +73,7 @@ class Sensing:
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
-        self._fault_told_s = float("-inf")
+        self._fault_told_s = self._attitude_s = float("-inf")
 
     def tasks(self) -> dict[str, Callable[[], Awaitable[None]]]:
         """What is to run, by the device's name."""
@@ -110,6 +118,15 @@ class Sensing:
         for mag in mag_samples:
             self._estimator.add_mag(mag)
             self._log.write("mag", mag, now_s)
+
+    def take_attitude(self, autopilot: AutopilotState) -> None:
+        """The newest attitude that the autopilot has told, once."""
+        if autopilot.attitude is None or autopilot.attitude_time_s <= self._attitude_s:
+            return
+        self._attitude_s = autopilot.attitude_time_s
+        sample = AutopilotAttitude(autopilot.attitude_time_s, autopilot.attitude)
+        self._estimator.add_autopilot_attitude(sample)
+        self._log.write("autopilot_attitude", sample, self._clock.now_s())
 
     # ------------------------------------------------------------ serial lines
 

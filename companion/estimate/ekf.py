@@ -19,7 +19,6 @@ import numpy as np
 
 from companion.config import EkfConfig
 from companion.estimate import ekf_model as model
-from companion.estimate.bias_watch import BiasWatch
 from companion.estimate.ekf_start import (
     TINY_VARIANCE,
     InitialState,
@@ -28,14 +27,19 @@ from companion.estimate.ekf_start import (
     noise_density,
 )
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
+from companion.estimate.second_gyro import BiasStep
 from companion.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
     euler_from_quat,
+    norm,
+    quat_from_rotation_vector,
+    quat_multiply,
     quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
+    scale,
 )
 
 
@@ -67,13 +71,16 @@ class GpsStep:
     velocity_std_m_s: Vector3
 
 
-EkfInput = ImuStep | GpsStep
+EkfInput = ImuStep | GpsStep | BiasStep
 
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
-STEP_AGE_S: Final = 1.5  # since a step of the gyroscope's bias when it is noticed
-DRIFT_NOISE_RAD: Final = math.radians(0.7)
+STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope tells
+STEP_TURN_STD_RAD: Final = math.radians(0.5)
+FIX_SHARE: Final = 0.35  # of a new fix in the fading mean of their tests
+FIX_BOUND: Final = 3.0  # of that mean, a degree of freedom; 1 when all is well
+WILD_FIX: Final = 10.0  # one wild fix counts as no more
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 _EYE3: Final = np.eye(3)
@@ -89,7 +96,7 @@ class EkfSnapshot(NamedTuple):
     gates: dict[str, Gate]
     has_position: bool
     gps_time_s: float
-    watch: BiasWatch
+    fix_excess: float
 
 
 class VehicleEkf:
@@ -110,25 +117,28 @@ class VehicleEkf:
         self.gates: dict[str, Gate] = {}
         self.has_position = False
         self.gps_time_s = -math.inf
-        self.watch = BiasWatch()
+        self.fix_excess = 1.0
 
     # ------------------------------------------------------------ replayable
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
         return EkfSnapshot(
-            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.watch)
+            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_excess)
         )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.watch = snapshot[5:]
+        self.gps_time_s, self.fix_excess = snapshot[5:]
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
         if isinstance(item, GpsStep):
             self._take_gps(time_s, item)
+            return
+        if isinstance(item, BiasStep):
+            self._take_bias_step(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
         self.predict(time_s, u, item.samples)
@@ -163,7 +173,7 @@ class VehicleEkf:
             "gates": {kind: list(gate) for kind, gate in self.gates.items()},
             "has_position": self.has_position,
             "gps_time_s": self.gps_time_s if math.isfinite(self.gps_time_s) else None,
-            "watch": list(self.watch),
+            "fix_excess": self.fix_excess,
         }
 
     @classmethod
@@ -186,7 +196,7 @@ class VehicleEkf:
         ekf.has_position = bool(state["has_position"])
         gps_time_s = state["gps_time_s"]
         ekf.gps_time_s = -math.inf if gps_time_s is None else float(gps_time_s)  # type: ignore[arg-type]
-        ekf.watch = BiasWatch.restored(state["watch"])  # type: ignore[arg-type]
+        ekf.fix_excess = float(state["fix_excess"])  # type: ignore[arg-type]
         return ekf
 
     # ------------------------------------------------------------ eq. 17
@@ -243,7 +253,6 @@ class VehicleEkf:
                 return False
         K = PCt @ np.linalg.inv(CPCt + R)
         x = self.x + K @ innovation
-        self._note_turn(x)
         L = -(K @ C)
         L.reshape(-1)[:: model.STATES + 1] += 1.0
         self._normalise(x, K, L)
@@ -253,14 +262,6 @@ class VehicleEkf:
         P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
         self.x, self.P = x, P
         return True
-
-    def _note_turn(self, x: FloatArray) -> None:
-        """Tell the watch by how much (µT of field) an update turns the heading."""
-        w, i, j, k = self.x[model.QUATERNION].tolist()
-        a, b, c, d = x[model.QUATERNION].tolist()
-        turn_rad = 2.0 * (w * d - a * k - b * j + c * i)
-        north, east, _ = x[model.FIELD].tolist()
-        self.watch = self.watch.after_correction(turn_rad * math.hypot(north, east))
 
     @staticmethod
     def _normalise(x: FloatArray, K: FloatArray, L: FloatArray) -> None:
@@ -322,10 +323,7 @@ class VehicleEkf:
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)
         innovation, level = np.array(field_body_ut) - expected, self._across_the_field()
-        self.watch = self.watch.after_field(self.time_s, float(innovation @ level), self.attitude)
         self._update("mag", innovation, C, self._mag_noise(level), self._mag_doubt)
-        if (drift_ut := self.watch.drift_ut) is not None:
-            self._undo_drift(drift_ut)
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, self._config.mag_patience_s):
             # a field that fits in size and dip for so long is right, and the heading wrong
@@ -349,29 +347,12 @@ class VehicleEkf:
         along = max(alike * config.mag_dip_noise_ut**2, across)
         return along * _EYE3 - (along - across) * np.outer(level, level)
 
-    def _undo_drift(self, drift_ut: float) -> None:
-        """The gyroscope's bias has stepped about the vertical: turn the heading back, and learn the bias.
-
-        The heading's error is taken as the new bias times STEP_AGE_S.
-        """
-        turn = 0.5 * model.right_matrix(self.attitude)[:, 3]  # d(quaternion) by a turn about NED's down
-        error = np.zeros(model.STATES)
-        error[model.QUATERNION] = -STEP_AGE_S * turn
-        error[model.EULER] = model.euler_jacobian(self.attitude) @ error[model.QUATERNION]
-        error[model.GYRO_BIAS] = quat_rotate_inverse(self.attitude, (0.0, 0.0, 1.0))
-        self.P = self.P + SUSPECTED_BIAS_RAD_S**2 * np.outer(error, error)
-        C = np.zeros((1, model.STATES))
-        C[0, model.QUATERNION] = 4.0 * turn
-        heading_rad = drift_ut / math.hypot(*self.x[model.FIELD][:2].tolist())
-        self._update("drift", np.array((-heading_rad,)), C, DRIFT_NOISE_RAD**2 * np.eye(1), None)
-        self.watch = BiasWatch(fix_excess=self.watch.fix_excess)
-
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
         self._doubt_rotation(SUSPECTED_TURN_RAD**2 * _EYE3)
         P = self.P.copy()
         P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * _EYE3
-        self.P, self.watch = P, self.watch._replace(fix_excess=0.0)
+        self.P, self.fix_excess = P, 0.0
 
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
         """Take the orientation filter's attitude: the filter's own has proved wrong."""
@@ -419,9 +400,23 @@ class VehicleEkf:
             self._start_from(time_s, fix)
 
     def _watch_fix(self, innovation: FloatArray, S: FloatArray) -> None:
-        self.watch = self.watch.after_fix(normalised_innovation_squared(innovation, S) / len(innovation))
-        if self.watch.velocity_drifts:
+        """Fix after fix away from the predicted velocity: the attitude errs, by a bias that has changed."""
+        test = min(normalised_innovation_squared(innovation, S) / len(innovation), WILD_FIX)
+        self.fix_excess += FIX_SHARE * (test - self.fix_excess)
+        if self.fix_excess > FIX_BOUND:
             self._suspect_bias()
+
+    def _take_bias_step(self, step: BiasStep) -> None:
+        """Take the bias that a second gyroscope tells, and turn back what the old one has turned."""
+        x, P = self.x.copy(), self.P.copy()
+        x[model.GYRO_BIAS] = step.gyro_bias_rad_s
+        turn = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
+        x[model.QUATERNION] = attitude = quat_normalise(quat_multiply(self.attitude, turn))
+        x[model.EULER] = euler_from_quat(attitude)
+        P[model.GYRO_BIAS, :] = P[:, model.GYRO_BIAS] = 0.0
+        P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * _EYE3
+        self.x, self.P = x, P
+        self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * _EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong."""

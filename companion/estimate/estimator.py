@@ -33,6 +33,7 @@ from companion.geometry import (
     yaw_from_quat,
 )
 from companion.messages import (
+    AutopilotAttitude,
     GpsFix,
     ImuSample,
     MagSample,
@@ -85,6 +86,11 @@ class Estimator:
         accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
         usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy))
         return self._count("gps", usable and self._vehicle.add_gps(fix))
+
+    def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
+        """Take the autopilot's attitude, as a second gyroscope; refused before the alignment."""
+        usable = self._usable(sample.time_s, sample.attitude)
+        return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""

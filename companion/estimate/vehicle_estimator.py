@@ -19,6 +19,7 @@ from companion.estimate.gating import Timeline
 from companion.estimate.madgwick import align
 from companion.estimate.motion import MotionHistory
 from companion.estimate.orientation import Orientation, new_orientation
+from companion.estimate.second_gyro import SecondGyro
 from companion.estimate.strapdown import Strapdown
 from companion.geometry import (
     GRAVITY_M_S2,
@@ -29,14 +30,17 @@ from companion.geometry import (
     add,
     ned_from_geodetic,
     norm,
+    quat_from_rotation_vector,
     quat_integrate,
+    quat_multiply,
+    quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
     scale,
     subtract,
     vector3,
 )
-from companion.messages import GpsFix, ImuSample, MagSample, VehicleState
+from companion.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -77,6 +81,7 @@ class VehicleEstimator:
         self.origin: Vector3 | None = None
         self.newest_s = -math.inf
         self._strapdown, self._fields = Strapdown(), _Mean()
+        self._second_gyro = SecondGyro()
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._rate: Vector3 = ZERO3
         self._gyro_bias: Vector3 = ZERO3
@@ -143,6 +148,18 @@ class VehicleEstimator:
         if not self._timeline.add(fix.time_s, step):
             return False
         self.origin = origin
+        return True
+
+    def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
+        """Take the autopilot's attitude; only its turns count, against a step of our gyroscope's bias."""
+        if self._timeline is None or self._orientation is None:
+            return False
+        step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._gyro_bias)
+        if step is not None:
+            self._timeline.add(self.newest_s, step)
+            self._read_ekf()
+            back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
+            self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
 
     # ------------------------------------------------------------ outputs
@@ -239,6 +256,7 @@ class VehicleEstimator:
         mean_rate = scale(add(last_rate, raw[0]), 0.5)
         mean_force = scale(add(last_force, raw[1]), 0.5)
         self._strapdown.add(dt_s, mean_rate, mean_force)
+        self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
         turned = subtract(mean_rate, self._gyro_bias)
         self._attitude = quat_integrate(self._attitude, turned, dt_s)
         self._orientation.update_imu(turned, subtract(mean_force, self._accel_bias), dt_s)
@@ -278,9 +296,13 @@ class VehicleEstimator:
         )
         self._still_block = False
         self._timeline.add(time_s, step)
+        self._read_ekf()
+
+    def _read_ekf(self) -> None:
+        assert self._ekf is not None
         self._gyro_bias = vector3(self._ekf.x[model.GYRO_BIAS])
         self._accel_bias = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self._attitude = self._ekf.attitude
+        self._attitude = quat_integrate(self._ekf.attitude, self._rate, self.newest_s - self._ekf.time_s)
 
     def _field_at(self, time_s: float) -> Vector3 | None:
         """The field since the last time, averaged in NED and seen by the body now; None out of turn."""

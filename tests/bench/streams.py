@@ -28,6 +28,7 @@ from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find
 from companion.desk import Trial, desk_settings, fly
 from companion.estimate.estimator import Estimator
 from companion.messages import (
+    AutopilotAttitude,
     GpsFix,
     ImuSample,
     MagSample,
@@ -61,6 +62,7 @@ __all__ = [
 
 INPUTS: Final[dict[str, type[Any]]] = {
     "imu": ImuSample,
+    "autopilot_attitude": AutopilotAttitude,
     "mag": MagSample,
     "gps": GpsFix,
     "range": RangeSample,
@@ -234,6 +236,7 @@ def feed(estimator: Estimator, event: Event) -> None:
     """Give the estimator one input."""
     take: dict[str, Callable[[Any], bool]] = {
         "imu": estimator.add_imu,
+        "autopilot_attitude": estimator.add_autopilot_attitude,
         "mag": estimator.add_mag,
         "gps": estimator.add_gps,
         "range": estimator.add_range,
