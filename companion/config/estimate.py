@@ -36,7 +36,7 @@ class EkfConfig(StrictModel):
 
     imu_samples_per_step: int = Field(default=2, ge=1, le=10)
     gyro_noise_rad_s: float = Field(default=0.005, gt=0.0, le=1.0)
-    accel_noise_m_s2: float = Field(default=0.2, gt=0.0, le=20.0)
+    accel_noise_m_s2: float = Field(default=0.35, gt=0.0, le=20.0)
     mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     mag_dip_noise_ut: float = Field(default=20.0, gt=0.0, le=100.0)  # of the field along its own plane
@@ -46,10 +46,10 @@ class EkfConfig(StrictModel):
     orientation_tilt_noise_deg: float = Field(default=12.0, gt=0.0, le=90.0)
     orientation_heading_noise_deg: float = Field(default=20.0, gt=0.0, le=180.0)
     orientation_patience_s: float = Field(default=3.0, gt=0.0, le=60.0)  # refused for so long: start from it
-    gps_accuracy_factor: float = Field(default=0.27, gt=0.0, le=5.0)  # standard deviation of what is claimed
+    gps_accuracy_factor: float = Field(default=0.3, gt=0.0, le=5.0)  # standard deviation of what is claimed
     gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)  # floor
     gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)  # for so long a position's error stays
-    gps_velocity_noise_m_s: float = Field(default=0.08, gt=0.0, le=5.0)  # floor
+    gps_velocity_noise_m_s: float = Field(default=0.1, gt=0.0, le=5.0)  # floor
     gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
