@@ -19,6 +19,7 @@ from companion.geometry import (
     quat_integrate,
     quat_normalise,
     quat_rotate,
+    scale,
     wrap_angle,
 )
 
@@ -110,7 +111,8 @@ class MadgwickFilter:
     """Orientation from gyroscope, accelerometer and, when there is one, magnetometer.
 
     `gain` is Madgwick's beta: the length of the quaternion rate (1/s) that pulls against the gyro's error.
-    The attitude is all its state: a filter made with another's attitude goes on exactly there.
+    A field waits for the next IMU sample, and both go into one step down their joint objective; an IMU
+    sample without a new field descends on gravity alone.
     """
 
     # it has no gates: it believes both sensors always, at its slow gain
@@ -120,25 +122,30 @@ class MadgwickFilter:
     def __init__(self, gain: float, declination_rad: float, attitude: Quaternion) -> None:
         self._gain = gain
         self._declination_rad = declination_rad
+        self._field_direction: Vector3 | None = None
         self.attitude = attitude
 
     def update_imu(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> Quaternion:
         """Attitude after one gyroscope and accelerometer sample, dt_s after the last."""
+        # the gradient of the attitude before the turn, as in the paper: gyroscope and gradient add up
+        gradient = self._gradient(self.attitude, specific_force_m_s2)
         q = quat_integrate(self.attitude, rate_body_rad_s, dt_s)
+        self.attitude = descend(q, gradient, self._gain * dt_s)
+        return self.attitude
+
+    def _gradient(self, q: Quaternion, specific_force_m_s2: Vector3) -> Quaternion:
+        gw = gx = gy = gz = 0.0
         size = norm(specific_force_m_s2)
         if size > 1e-6:
-            k = 1.0 / size
-            fx, fy, fz = specific_force_m_s2
-            q = descend(q, tilt_gradient(q, (fx * k, fy * k, fz * k)), self._gain * dt_s)
-        self.attitude = q
-        return q
+            gw, gx, gy, gz = tilt_gradient(q, scale(specific_force_m_s2, 1.0 / size))
+        if self._field_direction is not None:
+            hw, hx, hy, hz = field_gradient(q, self._field_direction, self._declination_rad)
+            gw, gx, gy, gz = gw + hw, gx + hx, gy + hy, gz + hz
+            self._field_direction = None
+        return (gw, gx, gy, gz)
 
     def update_mag(self, field_body_ut: Vector3, dt_s: float) -> Quaternion:
-        """Attitude after one magnetometer sample, dt_s after the last; a zero field changes nothing."""
+        """Keep one magnetometer sample for the next of the IMU; a zero field tells nothing."""
         size = norm(field_body_ut)
-        if size > 1e-6:
-            k = 1.0 / size
-            mx, my, mz = field_body_ut
-            gradient = field_gradient(self.attitude, (mx * k, my * k, mz * k), self._declination_rad)
-            self.attitude = descend(self.attitude, gradient, self._gain * dt_s)
+        self._field_direction = scale(field_body_ut, 1.0 / size) if size > 1e-6 else None
         return self.attitude

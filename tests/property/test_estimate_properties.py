@@ -96,6 +96,7 @@ def test_ekf_gives_the_same_for_any_order_of_arrival(seed: int, random: object) 
 @settings(max_examples=60, deadline=None)
 def test_transition_keeps_the_quaternions_length(q: Quaternion, rate: list[float], dt_s: float) -> None:
     x = np.zeros(model.STATES)
-    x[model.QUATERNION], x[model.RATE] = q, rate
-    after, _ = model.transition(x, dt_s, 5.0, 1.0)
+    x[model.QUATERNION] = q
+    u = model.InertialInput(vector3(rate), (0.3, -0.2, -9.8))
+    after, _ = model.transition(x, u, dt_s, 1.0)
     assert np.linalg.norm(after[model.QUATERNION]) == pytest.approx(1.0, abs=1e-12)

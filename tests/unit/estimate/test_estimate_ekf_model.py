@@ -17,6 +17,7 @@ from companion.geometry import (
     quat_from_rotation_vector,
     quat_multiply,
     quat_rotate,
+    vector3,
 )
 
 ANTENNA = (0.1, -0.2, -0.3)
@@ -58,20 +59,25 @@ def test_measurement_jacobian_matches_differences(name: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_transition_jacobian_matches_differences(seed: int, dt_s: float) -> None:
     x = some_state(seed)
-    n = model.MOVING
-    numeric = differences(lambda s: model.transition(s, dt_s, 5.0, 1.0)[0], x)
+    rng = np.random.default_rng(seed + 10)
+    u = model.InertialInput(vector3(3.0 * rng.normal(size=3)), vector3(10.0 * rng.normal(size=3)))
+    n, m = model.MOVING, model.COUPLED
+    numeric = differences(lambda s: model.transition(s, u, dt_s, 1.0)[0], x)
     # along the quaternion's length, which stays 1, there is nothing to compare
-    tangent = np.zeros((n, n - 1))
+    tangent = np.zeros((m, m - 1))
     tangent[:4, :3] = model.left_matrix(model.quaternion_of(x))[:, 1:]
-    tangent[4:, 3:] = np.eye(n - 4)
-    A = model.transition(x, dt_s, 5.0, 1.0)[1]
-    assert A @ tangent == pytest.approx(numeric[:n, :n] @ tangent, abs=1e-6)
-    assert np.array_equal(numeric[n:, :n], np.zeros((12, n)))
+    tangent[4:, 3:] = np.eye(m - 4)
+    A = model.transition(x, u, dt_s, 1.0)[1]
+    assert A @ tangent == pytest.approx(numeric[:n, :m] @ tangent, abs=2e-6)
+    # what A leaves out: nothing depends on field and magnetometer bias, which with the biases stay
+    assert np.array_equal(numeric[:n, m:], np.zeros((n, model.STATES - m)))
+    assert numeric[n:] == pytest.approx(np.eye(model.STATES)[n:], abs=1e-8)
 
 
 def test_transition_keeps_the_euler_angles_those_of_the_quaternion() -> None:
     x = some_state(2)
-    after, _ = model.transition(x, 0.1, 5.0, 1.0)
+    u = model.InertialInput((0.5, -1.0, 2.0), (0.3, -0.2, -9.8))
+    after, _ = model.transition(x, u, 0.1, 1.0)
     expected = quat_from_euler(*after[model.EULER])
     assert abs(np.dot(expected, after[model.QUATERNION])) == pytest.approx(1.0)
 
