@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
@@ -60,13 +60,25 @@ class EkfConfig(StrictModel):
     mag_bias_walk_ut_rts: float = Field(default=0.02, ge=0.0, le=5.0)
 
 
+WavePeriod = Annotated[float, Field(ge=1.0, le=30.0)]
+
+
 class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
-    horizontal_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
-    vertical_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
-    horizontal_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)  # of the pad's acceleration
-    vertical_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
+    # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
+    steady_acceleration_std_m_s2: float = Field(default=0.06, gt=0.0, le=5.0)  # bumps, and our horizon's error
+    steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
+    manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
+    manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
+    turn_jerk_m_s3_rthz: float = Field(default=0.25, gt=0.0, le=50.0)
+    turn_time_constant_s: float = Field(default=20.0, ge=0.1, le=1000.0)
+    # vertically: a pad that stays level, and seas of these periods
+    rest_acceleration_std_m_s2: float = Field(default=0.05, gt=0.0, le=5.0)
+    wave_periods_s: tuple[WavePeriod, ...] = Field(default=(5.5, 3.0), min_length=1, max_length=6)
+    wave_damping: float = Field(default=0.3, gt=0.0, lt=1.0)  # how far real periods stray from these
+    wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
+    model_dwell_s: float = Field(default=3.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
     vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.08, gt=0.0, le=5.0)
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
     heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
