@@ -43,6 +43,7 @@ from companion.messages import (
     VehicleState,
 )
 
+CALIBRATION_SHARE = 0.95  # of a sighting's least variance; the rest keeps its covariance positive
 FUTURE_S = 0.1  # a measurement stamped further ahead of the IMU has a wrong time
 
 
@@ -184,13 +185,16 @@ class Estimator:
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
+        # what is alike in all directions is the calibration's share: it does not change from frame to frame
+        slow = CALIBRATION_SHARE * max(float(np.linalg.eigvalsh(covariance)[0]), 0.0)
         turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
         return PadFix(
             position_ned_m=position,
-            covariance_ned_m2=covariance + jitter * (lever @ lever.T),
+            covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
             heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
             heading_std_rad=math.sqrt(max(turn_variance, 0.0) + jitter),
             vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
+            slow_variance_m2=slow,
         )
 
     def _tilt_share_m(self, position: Vector3) -> float:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from numpy.lib.stride_tricks import as_strided
 
 from companion.geometry import FloatArray
 
@@ -50,8 +51,9 @@ def blend(state: BankState) -> Blend:
     """The mixture's first two moments."""
     mean = state.probabilities @ state.means
     away = state.means - mean
-    spread = state.covariances + away[:, :, None] * away[:, None, :]
-    return Blend(mean, np.tensordot(state.probabilities, spread, 1))
+    m, n = state.means.shape
+    own = (state.probabilities @ state.covariances.reshape(m, n * n)).reshape(n, n)
+    return Blend(mean, own + (away.T * state.probabilities) @ away)
 
 
 def change_chances(prior: FloatArray, dwell_s: float, dt_s: float) -> FloatArray:
@@ -61,8 +63,9 @@ def change_chances(prior: FloatArray, dwell_s: float, dt_s: float) -> FloatArray
     of their sum gives, so irregular frames need no care.
     """
     stay = math.exp(-dt_s / dwell_s)
-    chances: FloatArray = (1.0 - stay) * np.broadcast_to(prior, (len(prior), len(prior)))
-    return chances + stay * np.eye(len(prior))
+    chances: FloatArray = np.tile((1.0 - stay) * prior, (len(prior), 1))
+    chances.flat[:: len(prior) + 1] += stay
+    return chances
 
 
 def mix(state: BankState, chances: FloatArray) -> BankState:
@@ -72,11 +75,10 @@ def mix(state: BankState, chances: FloatArray) -> BankState:
     weights = (joint / probabilities).T
     means = weights @ state.means
     away = state.means[None, :, :] - means[:, None, :]
-    n = state.means.shape[1]
-    own = (weights @ state.covariances.reshape(-1, n * n)).reshape(-1, n, n)
-    # sqrt(w) on both factors makes the sum of outer products one symmetric product
-    scaled = away * np.sqrt(weights)[:, :, None]
-    return BankState(means, own + scaled.transpose(0, 2, 1) @ scaled, probabilities)
+    m, n = state.means.shape
+    covariances = (weights @ state.covariances.reshape(m, n * n)).reshape(m, n, n)
+    covariances += (away * weights[:, :, None]).transpose(0, 2, 1) @ away
+    return BankState(means, covariances, probabilities)
 
 
 def advance(state: BankState, step: Step) -> BankState:
@@ -89,57 +91,80 @@ class ModelBank:
     """m models of n states that measure k of them: one block-diagonal filterpy filter."""
 
     def __init__(self, prior: FloatArray, dwell_s: float, state_size: int, seen: int) -> None:
-        """`seen`: the first so many states are what a measurement says."""
+        """`seen`: the first so many states are what a measurement says; 1 or 2."""
         m, n, k = len(prior), state_size, seen
         self._prior, self._dwell_s = prior, dwell_s
         self._m, self._n, self._k = m, n, k
         self._filter = KalmanFilter(dim_x=m * n, dim_z=m * k)
-        self._filter.B = np.eye(m * n)
+        # what moves one state moves all models' states, and one measurement is everyone's
+        self._filter.B = np.tile(np.eye(n), (m, 1))
         self._filter.H = np.kron(np.eye(m), np.eye(k, n))
-        self._blocks = np.arange(m)
-        self._probabilities = prior
+        self._F, self._Q = np.zeros((m * n, m * n)), np.zeros((m * n, m * n))
+        self._R, self._z = np.zeros((m * k, m * k)), np.zeros((m * k, 1))
+        empty = np.zeros((m, n, n))
+        self._state = BankState(np.zeros((m, n)), empty, prior)
 
     def start(self, mean: FloatArray, covariances: FloatArray) -> None:
         """One mean (n,) for all models, and each one's covariance (m, n, n)."""
-        self.restore(BankState(np.tile(mean, (self._m, 1)), covariances, self._prior))
+        self._state = BankState(np.tile(mean, (self._m, 1)), covariances, self._prior)
 
     @property
     def state(self) -> BankState:
         """All of it."""
-        m, n = self._m, self._n
-        i = self._blocks
-        covariances = self._filter.P.reshape(m, n, m, n)[i, :, i, :]
-        return BankState(self._filter.x.reshape(m, n), covariances, self._probabilities)
+        return self._state
 
     def restore(self, state: BankState) -> None:
         """Go on from a state."""
-        self._filter.x = state.means.reshape(-1, 1)
-        self._filter.P = self._diagonal(state.covariances)
-        self._probabilities = state.probabilities
+        self._state = state
+
+    def expected(self) -> Blend:
+        """What a measurement should say, and how far the bank doubts it: (k,), (k, k)."""
+        means, covariances, probabilities = self._state
+        k = self._k
+        return blend(BankState(means[:, :k], covariances[:, :k, :k], probabilities))
 
     def predict(self, dt_s: float, step: Step) -> None:
         """Blend, then move every model."""
-        mixed = mix(self.state, change_chances(self._prior, self._dwell_s, dt_s))
-        self.restore(mixed)
-        u = np.tile(step.moved, self._m)[:, None]
-        self._filter.predict(u=u, F=self._diagonal(step.F), Q=self._diagonal(step.Q))
+        m, n = self._m, self._n
+        mixed = mix(self._state, change_chances(self._prior, self._dwell_s, dt_s))
+        self._load(mixed)
+        _blocks(self._F, m)[...], _blocks(self._Q, m)[...] = step.F, step.Q
+        self._filter.predict(u=step.moved[:, None], F=self._F, Q=self._Q)
+        self._state = BankState(
+            self._filter.x.reshape(m, n), _blocks(self._filter.P, m).copy(), mixed.probabilities
+        )
 
     def update(self, z: FloatArray, R: FloatArray) -> None:
         """Take a measurement (k,) with noise (k, k); the models that expected it gain."""
-        m, k = self._m, self._k
-        noise = self._diagonal(np.broadcast_to(R, (m, k, k)))
-        self._filter.update(np.tile(z, m)[:, None], R=noise)
-        i = self._blocks
-        y = self._filter.y.reshape(m, k)
-        S = self._filter.S.reshape(m, k, m, k)[i, :, i, :]
-        SI = self._filter.SI.reshape(m, k, m, k)[i, :, i, :]
-        distance = (y[:, None, :] @ SI @ y[:, :, None])[:, 0, 0]
-        log_likelihood = -0.5 * (distance + np.log(np.linalg.det(S)))
-        weights = self._probabilities * np.exp(log_likelihood - log_likelihood.max())
-        self._probabilities = weights / weights.sum()
+        m, n, k = self._m, self._n, self._k
+        self._load(self._state)
+        self._z.reshape(m, k)[...] = z
+        _blocks(self._R, m)[...] = R
+        self._filter.update(self._z, R=self._R)
+        weights = self._state.probabilities * self._likelihoods()
+        self._state = BankState(
+            self._filter.x.reshape(m, n), _blocks(self._filter.P, m).copy(), weights / weights.sum()
+        )
 
-    def _diagonal(self, blocks: FloatArray) -> FloatArray:
-        m, rows, columns = blocks.shape
-        matrix = np.zeros((m, rows, m, columns))
-        matrix[self._blocks, :, self._blocks, :] = blocks
-        return matrix.reshape(m * rows, m * columns)
+    def _load(self, state: BankState) -> None:
+        P = np.zeros((self._m * self._n, self._m * self._n))
+        _blocks(P, self._m)[...] = state.covariances
+        self._filter.x, self._filter.P = state.means.reshape(-1, 1), P
+
+    def _likelihoods(self) -> FloatArray:
+        """Of the last measurement by each model (m,), the greatest 1, so that no surprise underflows."""
+        m, k = self._m, self._k
+        y = self._filter.y.reshape(m, k)
+        S, SI = _blocks(self._filter.S, m), _blocks(self._filter.SI, m)
+        distance = (y[:, None, :] @ SI @ y[:, :, None])[:, 0, 0]
+        volume = S[:, 0, 0] if k == 1 else S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
+        logarithm = -0.5 * (distance + np.log(volume))
+        likelihoods: FloatArray = np.exp(logarithm - logarithm.max())
+        return likelihoods
+
+
+def _blocks(matrix: FloatArray, m: int) -> FloatArray:
+    """The m blocks on the diagonal of a square matrix, as a view (m, size / m, size / m)."""
+    size = len(matrix) // m
+    down, along = matrix.strides
+    return as_strided(matrix, (m, size, size), (size * (down + along), down, along))

@@ -39,13 +39,18 @@ _VERTICAL_ROWS: Final = np.array([2, 5, 8])
 
 @dataclass(frozen=True, slots=True)
 class PadFix:
-    """A sighting turned into NED at its exposure; covariance (3, 3) in m², attitude's share included."""
+    """A sighting turned into NED at its exposure; covariance (3, 3) in m², the attitude's fast share included.
+
+    `slow_variance_m2` (each axis) is what all sightings of a while have in common, the calibration's error
+    say: it is no noise to be averaged, and is not part of the covariance.
+    """
 
     position_ned_m: Vector3
     covariance_ned_m2: FloatArray
     heading_rad: float
     heading_std_rad: float
     vehicle_velocity_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
+    slow_variance_m2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +251,7 @@ class PadFilter:
         if not self.started or not self._over_the_board(fix):
             return
         z = fix.height_m + fix.sensor_offset_ned_m[2]
-        mean, covariance = blend(self._vertical.state)
+        mean, covariance = self._vertical.expected()
         variance = float(covariance[0, 0]) + fix.noise_m**2
         passed = (z - float(mean[0])) ** 2 / variance <= CHI_SQUARE_999[1]
         self._record("range", passed)
@@ -254,17 +259,17 @@ class PadFilter:
             self._vertical.update(np.array([z]), np.array([[fix.noise_m**2]]))
 
     def _over_the_board(self, fix: HeightFix) -> bool:
-        across, vertical = blend(self._horizontal.state), blend(self._vertical.state)
-        north, east = (float(value) for value in across.mean[ACROSS])
+        across, vertical = self._horizontal.expected(), self._vertical.expected()
+        north, east = (float(value) for value in across.mean)
         offset = math.hypot(north - fix.sensor_offset_ned_m[0], east - fix.sensor_offset_ned_m[1])
-        spread = math.sqrt(float(across.covariance[0, 0] + across.covariance[1, 1]))
+        spread = math.sqrt(float(np.trace(across.covariance)))
         low = float(vertical.mean[0]) < self._config.range_maximum_height_m
         return low and offset + spread < self._half_width_m
 
     def _passes_sighting(self, fix: PadFix, R: FloatArray) -> bool:
-        across, vertical = blend(self._horizontal.state), blend(self._vertical.state)
+        across, vertical = self._horizontal.expected(), self._vertical.expected()
         S = R.copy()
-        S[ACROSS, ACROSS] += across.covariance[ACROSS, ACROSS]
+        S[ACROSS, ACROSS] += across.covariance
         S[2, 2] += vertical.covariance[0, 0]
         expected = np.array([across.mean[0], across.mean[1], vertical.mean[0]])
         distance = normalised_innovation_squared(np.array(fix.position_ned_m) - expected, S)

@@ -37,7 +37,6 @@ HORIZONTAL: Final = ("steady", "manoeuvre", "turn")
 # Gauss-Legendre on 0..1: exact for polynomials of degree 11, which covers a third integral of white noise
 _NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(6))
 _NODES = _NODES + 0.5
-_IMAGINARY: Final = np.array([[0.0, -1.0], [1.0, 0.0]])
 _EYE2: Final = np.eye(2)
 
 
@@ -133,15 +132,20 @@ class VerticalModels:
 
 def _responses(pole: ComplexArray, t: float | FloatArray) -> ComplexArray:
     """What an acceleration exp(s t) has made of position, velocity and itself at t: stacked last."""
-    z = pole * t
-    grown = np.exp(z)
+    grown = np.exp(pole * t)
     speed = (grown - 1.0) / pole
-    return np.stack(((speed - t) / pole, speed, grown), axis=-1)
+    responses = np.empty((*grown.shape, 3), dtype=complex)
+    responses[..., 0], responses[..., 1], responses[..., 2] = (speed - t) / pole, speed, grown
+    return responses
 
 
 def _plane(values: ComplexArray) -> FloatArray:
     """Complex factors as rotations and stretches of the plane: two axes more."""
-    return values.real[..., None, None] * _EYE2 + values.imag[..., None, None] * _IMAGINARY
+    plane = np.empty((*values.shape, 2, 2))
+    plane[..., 0, 0] = plane[..., 1, 1] = values.real
+    plane[..., 1, 0] = values.imag
+    plane[..., 0, 1] = -values.imag
+    return plane
 
 
 def _velocity_walk(dt: float, size: int) -> FloatArray:
