@@ -91,6 +91,7 @@ class PadFilterConfig(StrictModel):
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
     range_maximum_height_m: float = Field(default=2.5, gt=0.0, le=10.0)
     range_maximum_tilt_deg: float = Field(default=20.0, gt=0.0, le=60.0)
+    attitude_wander_rad_s: float = Field(default=0.3, ge=0.0, le=10.0)  # how fast the horizon's error changes, a share of itself a second
     patience_s: float = Field(default=0.5, gt=0.0, le=10.0)  # sightings refused for so long: start again
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)  # unseen for so long: no pad

@@ -84,13 +84,15 @@ class PadSnapshot(NamedTuple):
     heading_covariance: FloatArray
     gates: dict[str, Gate]
     seen_time_s: float
+    slow_share: float
 
 
 @dataclass(frozen=True, slots=True)
 class PadEstimate:
     """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s), both's P (2, 2).
 
-    `models` is the probability of each model of motion, by name.
+    P is the filter's own; `covariance` adds what all of its measurements have in common. `slow_share` is the
+    calibration's error as a share of the distance, `models` the probability of each model of motion by name.
     """
 
     x: FloatArray
@@ -100,12 +102,28 @@ class PadEstimate:
     heading_covariance: FloatArray
     seen_time_s: float = field(default=-math.inf)
     turn_rate_rad_s: float = 0.0
+    slow_share: float = 0.0
     models: dict[str, float] = field(default_factory=dict)
 
     @property
     def position_std_m(self) -> float:
         """Standard deviation of the relative position, all axes together."""
         return math.sqrt(self.P[0, 0] + self.P[1, 1] + self.P[2, 2])
+
+    def covariance(self, rotation_covariance: FloatArray, wander_rad_s: float) -> FloatArray:
+        """Of relative position and velocity (6, 6), with the errors that no averaging takes away.
+
+        A horizon that is off (rotation_covariance (3, 3), about NED axes, rad²) turns position and velocity
+        alike. One that wanders, and a calibration that is off, lend a standing vehicle a velocity.
+        """
+        position, velocity = self.x[0:3], self.x[3:6]
+        swings = np.vstack((_lever(position), _lever(velocity)))
+        total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
+        total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
+        share = self.slow_share**2
+        total[:3, :3] += share * float(position @ position) * _EYE3
+        total[3:, 3:] += share * float(velocity @ velocity) * _EYE3
+        return total
 
     @property
     def velocity_std_m_s(self) -> float:
@@ -130,6 +148,7 @@ class PadFilter:
         self.time_s = -math.inf
         self.seen_time_s = -math.inf
         self.started = False
+        self._slow_share = 0.0
         self.gates: dict[str, Gate] = {}
 
     # ------------------------------------------------------------ replayable
@@ -145,12 +164,13 @@ class PadFilter:
             self._heading.P,
             self.gates,
             self.seen_time_s,
+            self._slow_share,
         )
 
     def restore(self, snapshot: PadSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
-        self._turn, self.gates = snapshot.turn, snapshot.gates
+        self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
         self._heading.x, self._heading.P = snapshot.heading, snapshot.heading_covariance
         self.started = snapshot.horizontal is not None
         if snapshot.horizontal is not None and snapshot.vertical is not None:
@@ -190,6 +210,7 @@ class PadFilter:
             heading_covariance=G @ snapshot.heading_covariance @ G.T + W,
             seen_time_s=snapshot.seen_time_s,
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
+            slow_share=snapshot.slow_share,
             models=dict(zip(self._names, map(float, probabilities), strict=True)),
         )
 
@@ -230,6 +251,7 @@ class PadFilter:
             self._vertical.update(z[2:], R[2:, 2:])
             self._take_heading(fix)
             self._turn = self._turned(fix)
+            self._slow_share = _slow_share(fix)
             self.seen_time_s = time_s
         elif self.gates["sighting"].shut_out(time_s, self._config.patience_s):
             self._start(time_s, fix, R)
@@ -310,7 +332,7 @@ class PadFilter:
         up[:, 1, 1] = self._config.first_climb_std_m_s**2
         up[:, 2, 2], up[:, 3, 3] = self._climb.acceleration_variance, self._climb.jerk_variance
         self._vertical.start(np.array([down, -vd, 0.0, 0.0]), up)
-        self._turn = Turn()
+        self._turn, self._slow_share = Turn(), _slow_share(fix)
         self.time_s = self.seen_time_s = time_s
         self.started = True
         self._start_heading(fix)
@@ -320,6 +342,17 @@ class PadFilter:
         self._heading.x = np.array([[fix.heading_rad], [0.0]])
         self._heading.P = np.diag([fix.heading_std_rad**2 + math.radians(1.0) ** 2, 0.5**2])
         self._record("heading", True)
+
+
+def _slow_share(fix: PadFix) -> float:
+    x, y, z = fix.position_ned_m
+    return math.sqrt(fix.slow_variance_m2 / max(x * x + y * y + z * z, 1e-6))
+
+
+def _lever(place: FloatArray) -> FloatArray:
+    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
+    x, y, z = place.tolist()
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
 def _joined(horizontal: Blend, vertical: Blend) -> tuple[FloatArray, FloatArray]:
