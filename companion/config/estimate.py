@@ -67,18 +67,20 @@ class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
     # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
-    steady_acceleration_std_m_s2: float = Field(default=0.06, gt=0.0, le=5.0)  # bumps, and our horizon's error
+    steady_acceleration_std_m_s2: float = Field(
+        default=0.06, gt=0.0, le=5.0
+    )  # bumps, and our horizon's error
     steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
     manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
     manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
-    turn_jerk_m_s3_rthz: float = Field(default=0.25, gt=0.0, le=50.0)
+    turn_jerk_m_s3_rthz: float = Field(default=0.15, gt=0.0, le=50.0)
     turn_time_constant_s: float = Field(default=20.0, ge=0.1, le=1000.0)
     # vertically: a pad that stays level, and seas of these periods
     rest_acceleration_std_m_s2: float = Field(default=0.05, gt=0.0, le=5.0)
-    wave_periods_s: tuple[WavePeriod, ...] = Field(default=(5.5, 3.0), min_length=1, max_length=6)
-    wave_damping: float = Field(default=0.3, gt=0.0, lt=1.0)  # how far real periods stray from these
+    wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)
+    wave_damping: float = Field(default=0.12, gt=0.0, lt=1.0)  # how far real periods stray from these
     wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
-    model_dwell_s: float = Field(default=3.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
+    model_dwell_s: float = Field(default=5.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
     vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.02, gt=0.0, le=5.0)
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
     heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
@@ -91,7 +93,9 @@ class PadFilterConfig(StrictModel):
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
     range_maximum_height_m: float = Field(default=2.5, gt=0.0, le=10.0)
     range_maximum_tilt_deg: float = Field(default=20.0, gt=0.0, le=60.0)
-    attitude_wander_rad_s: float = Field(default=0.3, ge=0.0, le=10.0)  # how fast the horizon's error changes, a share of itself a second
+    attitude_wander_rad_s: float = Field(
+        default=0.3, ge=0.0, le=10.0
+    )  # how fast the horizon's error changes, a share of itself a second
     patience_s: float = Field(default=0.5, gt=0.0, le=10.0)  # sightings refused for so long: start again
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)  # unseen for so long: no pad

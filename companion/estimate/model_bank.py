@@ -63,8 +63,7 @@ def change_chances(prior: FloatArray, dwell_s: float, dt_s: float) -> FloatArray
     of their sum gives, so irregular frames need no care.
     """
     stay = math.exp(-dt_s / dwell_s)
-    chances: FloatArray = np.tile((1.0 - stay) * prior, (len(prior), 1))
-    chances.flat[:: len(prior) + 1] += stay
+    chances: FloatArray = (1.0 - stay) * prior + stay * np.eye(len(prior))
     return chances
 
 
@@ -84,7 +83,9 @@ def mix(state: BankState, chances: FloatArray) -> BankState:
 def advance(state: BankState, step: Step) -> BankState:
     """Every model moved by itself, without a change of models: for predictions."""
     means = (step.F @ state.means[:, :, None])[:, :, 0] + step.moved
-    return BankState(means, step.F @ state.covariances @ step.F.transpose(0, 2, 1) + step.Q, state.probabilities)
+    return BankState(
+        means, step.F @ state.covariances @ step.F.transpose(0, 2, 1) + step.Q, state.probabilities
+    )
 
 
 class ModelBank:
@@ -99,10 +100,10 @@ class ModelBank:
         # what moves one state moves all models' states, and one measurement is everyone's
         self._filter.B = np.tile(np.eye(n), (m, 1))
         self._filter.H = np.kron(np.eye(m), np.eye(k, n))
-        self._F, self._Q = np.zeros((m * n, m * n)), np.zeros((m * n, m * n))
-        self._R, self._z = np.zeros((m * k, m * k)), np.zeros((m * k, 1))
-        empty = np.zeros((m, n, n))
-        self._state = BankState(np.zeros((m, n)), empty, prior)
+        self._P, self._F, self._Q = (_Blocks(m, n) for _ in range(3))
+        self._R, self._z = _Blocks(m, k), np.zeros((m, k, 1))
+        self._state = BankState(np.zeros((m, n)), np.zeros((m, n, n)), prior)
+        self._loaded: BankState | None = None
 
     def start(self, mean: FloatArray, covariances: FloatArray) -> None:
         """One mean (n,) for all models, and each one's covariance (m, n, n)."""
@@ -125,46 +126,51 @@ class ModelBank:
 
     def predict(self, dt_s: float, step: Step) -> None:
         """Blend, then move every model."""
-        m, n = self._m, self._n
         mixed = mix(self._state, change_chances(self._prior, self._dwell_s, dt_s))
         self._load(mixed)
-        _blocks(self._F, m)[...], _blocks(self._Q, m)[...] = step.F, step.Q
-        self._filter.predict(u=step.moved[:, None], F=self._F, Q=self._Q)
-        self._state = BankState(
-            self._filter.x.reshape(m, n), _blocks(self._filter.P, m).copy(), mixed.probabilities
-        )
+        self._F.view[...], self._Q.view[...] = step.F, step.Q
+        self._filter.predict(u=step.moved[:, None], F=self._F.matrix, Q=self._Q.matrix)
+        self._take(mixed.probabilities)
 
     def update(self, z: FloatArray, R: FloatArray) -> None:
         """Take a measurement (k,) with noise (k, k); the models that expected it gain."""
-        m, n, k = self._m, self._n, self._k
         self._load(self._state)
-        self._z.reshape(m, k)[...] = z
-        _blocks(self._R, m)[...] = R
-        self._filter.update(self._z, R=self._R)
+        self._z[...], self._R.view[...] = z[:, None], R
+        self._filter.update(self._z.reshape(-1, 1), R=self._R.matrix)
         weights = self._state.probabilities * self._likelihoods()
-        self._state = BankState(
-            self._filter.x.reshape(m, n), _blocks(self._filter.P, m).copy(), weights / weights.sum()
-        )
+        self._take(weights / weights.sum())
 
     def _load(self, state: BankState) -> None:
-        P = np.zeros((self._m * self._n, self._m * self._n))
-        _blocks(P, self._m)[...] = state.covariances
-        self._filter.x, self._filter.P = state.means.reshape(-1, 1), P
+        if state is not self._loaded:
+            self._P.view[...] = state.covariances
+            self._filter.x, self._filter.P = state.means.reshape(-1, 1), self._P.matrix
+
+    def _take(self, probabilities: FloatArray) -> None:
+        means = self._filter.x.reshape(self._m, self._n)
+        self._state = BankState(means, self._P.of(self._filter.P), probabilities)
+        self._loaded = self._state
 
     def _likelihoods(self) -> FloatArray:
         """Of the last measurement by each model (m,), the greatest 1, so that no surprise underflows."""
-        m, k = self._m, self._k
-        y = self._filter.y.reshape(m, k)
-        S, SI = _blocks(self._filter.S, m), _blocks(self._filter.SI, m)
+        y = self._filter.y.reshape(self._m, self._k)
+        S, SI = self._R.of(self._filter.S), self._R.of(self._filter.SI)
         distance = (y[:, None, :] @ SI @ y[:, :, None])[:, 0, 0]
-        volume = S[:, 0, 0] if k == 1 else S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
+        volume = S[:, 0, 0] if self._k == 1 else S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
         logarithm = -0.5 * (distance + np.log(volume))
         likelihoods: FloatArray = np.exp(logarithm - logarithm.max())
         return likelihoods
 
 
-def _blocks(matrix: FloatArray, m: int) -> FloatArray:
-    """The m blocks on the diagonal of a square matrix, as a view (m, size / m, size / m)."""
-    size = len(matrix) // m
-    down, along = matrix.strides
-    return as_strided(matrix, (m, size, size), (size * (down + along), down, along))
+class _Blocks:
+    """A block-diagonal matrix, its m blocks as a view (m, n, n), and the same blocks of other matrices."""
+
+    def __init__(self, m: int, n: int) -> None:
+        self.matrix = np.zeros((m * n, m * n))
+        down, along = self.matrix.strides
+        self.view = as_strided(self.matrix, (m, n, n), (n * (down + along), down, along))
+        rows = np.arange(m * n).reshape(m, n)
+        self._places = rows[:, :, None] * (m * n) + rows[:, None, :]
+
+    def of(self, matrix: FloatArray) -> FloatArray:
+        """A copy of a matrix's blocks."""
+        return matrix.take(self._places)

@@ -11,124 +11,33 @@ Sightings are fused at their exposure, echoes at their time; `gating.Timeline` p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
-from companion.estimate.model_bank import BankState, Blend, ModelBank, Step, advance, blend
+from companion.estimate.model_bank import Blend, ModelBank, Step, advance, blend
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_models import HORIZONTAL, HorizontalModels, VerticalModels, vertical_names
-from companion.geometry import FloatArray, Vector3, wrap_angle
+from companion.estimate.pad_models import (
+    HORIZONTAL,
+    HorizontalModels,
+    Turn,
+    VerticalModels,
+    course_turn,
+    vertical_names,
+)
+from companion.estimate.pad_types import HeightFix, PadEstimate, PadFix, PadInput, PadSnapshot
+from companion.geometry import FloatArray, wrap_angle
 
-ACROSS: Final = slice(0, 2)
-# below this speed the course says little about how it turns
-MINIMUM_SPEED_M_S: Final = 0.3
-# how far a pad's heading and its course may turn apart, and how fast courses turn at all
-HEADING_IS_COURSE_RAD_S: Final = 0.1
-STRAIGHT_ON_RAD_S: Final = 0.5
+__all__ = ["HeightFix", "PadEstimate", "PadFilter", "PadFix", "PadInput", "PadSnapshot"]
+
 _EYE3: Final = np.eye(3)
 _SEE_HEADING: Final = np.array([[1.0, 0.0]])
 # where the banks' states stand in (position, velocity, acceleration) of all three axes
 _HORIZONTAL_ROWS: Final = np.array([0, 1, 3, 4, 6, 7])
 _VERTICAL_ROWS: Final = np.array([2, 5, 8])
-
-
-@dataclass(frozen=True, slots=True)
-class PadFix:
-    """A sighting turned into NED at its exposure; covariance (3, 3) in m², the attitude's fast share included.
-
-    `slow_variance_m2` (each axis) is what all sightings of a while have in common, the calibration's error
-    say: it is no noise to be averaged, and is not part of the covariance.
-    """
-
-    position_ned_m: Vector3
-    covariance_ned_m2: FloatArray
-    heading_rad: float
-    heading_std_rad: float
-    vehicle_velocity_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
-    slow_variance_m2: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class HeightFix:
-    """Height (m) of the range sensor over what lies under it, and the sensor's offset in NED axes (m)."""
-
-    height_m: float
-    sensor_offset_ned_m: Vector3
-    noise_m: float
-
-
-PadInput = PadFix | HeightFix
-
-
-class Turn(NamedTuple):
-    """The rate (rad/s, clockwise) at which the pad's course turns, its variance, and the acceleration (m/s²)."""
-
-    rate_rad_s: float = 0.0
-    variance: float = 0.0
-    acceleration_m_s2: float = 0.0
-
-
-class PadSnapshot(NamedTuple):
-    """All of the filter; the arrays are never written to again."""
-
-    time_s: float
-    horizontal: BankState | None
-    vertical: BankState | None
-    turn: Turn
-    heading: FloatArray
-    heading_covariance: FloatArray
-    gates: dict[str, Gate]
-    seen_time_s: float
-    slow_share: float
-
-
-@dataclass(frozen=True, slots=True)
-class PadEstimate:
-    """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s), both's P (2, 2).
-
-    P is the filter's own; `covariance` adds what all of its measurements have in common. `slow_share` is the
-    calibration's error as a share of the distance, `models` the probability of each model of motion by name.
-    """
-
-    x: FloatArray
-    P: FloatArray
-    heading_rad: float
-    heading_rate_rad_s: float
-    heading_covariance: FloatArray
-    seen_time_s: float = field(default=-math.inf)
-    turn_rate_rad_s: float = 0.0
-    slow_share: float = 0.0
-    models: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def position_std_m(self) -> float:
-        """Standard deviation of the relative position, all axes together."""
-        return math.sqrt(self.P[0, 0] + self.P[1, 1] + self.P[2, 2])
-
-    def covariance(self, rotation_covariance: FloatArray, wander_rad_s: float) -> FloatArray:
-        """Of relative position and velocity (6, 6), with the errors that no averaging takes away.
-
-        A horizon that is off (rotation_covariance (3, 3), about NED axes, rad²) turns position and velocity
-        alike. One that wanders, and a calibration that is off, lend a standing vehicle a velocity.
-        """
-        position, velocity = self.x[0:3], self.x[3:6]
-        swings = np.vstack((_lever(position), _lever(velocity)))
-        total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
-        total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
-        share = self.slow_share**2
-        total[:3, :3] += share * float(position @ position) * _EYE3
-        total[3:, 3:] += share * float(velocity @ velocity) * _EYE3
-        return total
-
-    @property
-    def velocity_std_m_s(self) -> float:
-        """Standard deviation of the relative velocity, all axes together."""
-        return math.sqrt(self.P[3, 3] + self.P[4, 4] + self.P[5, 5])
 
 
 class PadFilter:
@@ -229,9 +138,11 @@ class PadFilter:
         """How the models move from one time to another; the vehicle's own motion is taken off."""
         (x, y, z), (vx, vy, vz) = self._motion.moved(start_s, end_s)
         dt_s = end_s - start_s
-        plane = self._plane.step(dt_s, turn.rate_rad_s, turn.variance, turn.acceleration_m_s2)
+        plane = self._plane.step(dt_s, turn)
         moved = np.array([-x, -y, -vx, -vy, 0.0, 0.0])
-        return plane._replace(moved=moved), self._climb.step(dt_s)._replace(moved=np.array([-z, -vz, 0.0, 0.0]))
+        return plane._replace(moved=moved), self._climb.step(dt_s)._replace(
+            moved=np.array([-z, -vz, 0.0, 0.0])
+        )
 
     def _heading_step(self, dt_s: float) -> tuple[FloatArray, FloatArray]:
         s = self._config.heading_acceleration_rad_s2_rthz**2
@@ -251,7 +162,7 @@ class PadFilter:
             self._vertical.update(z[2:], R[2:, 2:])
             self._take_heading(fix)
             self._turn = self._turned(fix)
-            self._slow_share = _slow_share(fix)
+            self._slow_share = fix.slow_share
             self.seen_time_s = time_s
         elif self.gates["sighting"].shut_out(time_s, self._config.patience_s):
             self._start(time_s, fix, R)
@@ -291,7 +202,7 @@ class PadFilter:
     def _passes_sighting(self, fix: PadFix, R: FloatArray) -> bool:
         across, vertical = self._horizontal.expected(), self._vertical.expected()
         S = R.copy()
-        S[ACROSS, ACROSS] += across.covariance
+        S[:2, :2] += across.covariance
         S[2, 2] += vertical.covariance[0, 0]
         expected = np.array([across.mean[0], across.mean[1], vertical.mean[0]])
         distance = normalised_innovation_squared(np.array(fix.position_ned_m) - expected, S)
@@ -303,18 +214,12 @@ class PadFilter:
         self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
 
     def _turned(self, fix: PadFix) -> Turn:
-        """The course's turn rate: from velocity and acceleration, from the heading's rate, weighed."""
-        across = blend(self._horizontal.state)
-        vn, ve, an, ae = (float(value) for value in across.mean[2:6])
-        vn, ve = vn + fix.vehicle_velocity_ned_m_s[0], ve + fix.vehicle_velocity_ned_m_s[1]
-        speed_squared = vn * vn + ve * ve + MINIMUM_SPEED_M_S**2
-        course_rate = (vn * ae - ve * an) / speed_squared
-        course_variance = 0.5 * float(across.covariance[4, 4] + across.covariance[5, 5]) / speed_squared
-        heading_variance = float(self._heading.P[1, 1]) + HEADING_IS_COURSE_RAD_S**2
-        weights = (1.0 / max(course_variance, 1e-4), 1.0 / heading_variance, 1.0 / STRAIGHT_ON_RAD_S**2)
-        total = sum(weights)
-        rate = (weights[0] * course_rate + weights[1] * float(self._heading.x[1, 0])) / total
-        return Turn(rate, 1.0 / total, math.hypot(an, ae))
+        mean, covariance = blend(self._horizontal.state)
+        vn, ve, an, ae = mean[2:].tolist()
+        north, east, _ = fix.vehicle_velocity_ned_m_s
+        variance = 0.5 * float(covariance[4, 4] + covariance[5, 5])
+        heading_rate, rate_variance = float(self._heading.x[1, 0]), float(self._heading.P[1, 1])
+        return course_turn((vn + north, ve + east), (an, ae), variance, heading_rate, rate_variance)
 
     # ------------------------------------------------------------ starting
 
@@ -332,7 +237,7 @@ class PadFilter:
         up[:, 1, 1] = self._config.first_climb_std_m_s**2
         up[:, 2, 2], up[:, 3, 3] = self._climb.acceleration_variance, self._climb.jerk_variance
         self._vertical.start(np.array([down, -vd, 0.0, 0.0]), up)
-        self._turn, self._slow_share = Turn(), _slow_share(fix)
+        self._turn, self._slow_share = Turn(), fix.slow_share
         self.time_s = self.seen_time_s = time_s
         self.started = True
         self._start_heading(fix)
@@ -342,17 +247,6 @@ class PadFilter:
         self._heading.x = np.array([[fix.heading_rad], [0.0]])
         self._heading.P = np.diag([fix.heading_std_rad**2 + math.radians(1.0) ** 2, 0.5**2])
         self._record("heading", True)
-
-
-def _slow_share(fix: PadFix) -> float:
-    x, y, z = fix.position_ned_m
-    return math.sqrt(fix.slow_variance_m2 / max(x * x + y * y + z * z, 1e-6))
-
-
-def _lever(place: FloatArray) -> FloatArray:
-    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
-    x, y, z = place.tolist()
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
 
 
 def _joined(horizontal: Blend, vertical: Blend) -> tuple[FloatArray, FloatArray]:

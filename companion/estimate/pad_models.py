@@ -1,7 +1,7 @@
 """How pads may move: the models that the pad filter's two banks hold.
 
 Horizontal, state (p_n, p_e, v_n, v_e, a_n, a_e): position and velocity relative to the vehicle, and the pad's
-own acceleration. Seen as a complex number in the plane it obeys a' = (-1/tau + i omega) a + white jerk:
+own acceleration. It obeys a' = -a / tau + omega x a + white jerk:
 
     steady     small and short-lived: constant velocity
     manoeuvre  large, fading in a second or two: constant acceleration
@@ -15,29 +15,71 @@ Vertical, state (p, v, a, j):
     still      small and short-lived
     waves      a'' = -w0^2 a - 2 zeta w0 a' + white noise, for each period of a sea
 
-Both are sums of exponentials exp(s t) with complex s, so transitions are exact for any step, and process
-noise is the quadrature of exact responses. NED, SI units.
+Each is x' = A x + noise of density W. Over short times F = exp(A t) and Q are power series of t, whose
+coefficients never change; over longer ones they are doubled: F(2t) = F F, Q(2t) = F Q F' + Q. NED, SI units.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from companion.config import PadFilterConfig
 from companion.estimate.model_bank import Step
 from companion.geometry import FloatArray
 
-ComplexArray = NDArray[np.complex128]
-
+# below this speed the course says little about how it turns
+MINIMUM_SPEED_M_S: Final = 0.3
+# how far a pad's heading and its course may turn apart, and how fast courses turn at all
+HEADING_IS_COURSE_RAD_S: Final = 0.1
+STRAIGHT_ON_RAD_S: Final = 0.5
 HORIZONTAL: Final = ("steady", "manoeuvre", "turn")
-# Gauss-Legendre on 0..1: exact for polynomials of degree 11, which covers a third integral of white noise
-_NODES, _WEIGHTS = (0.5 * values for values in np.polynomial.legendre.leggauss(6))
-_NODES = _NODES + 0.5
-_EYE2: Final = np.eye(2)
+TURN: Final = 2
+# with poles of some 1/s, ten terms at a tenth of a second leave 1e-12
+SHORT_S: Final = 0.1
+TERMS: Final = 10
+
+
+class Turn(NamedTuple):
+    """The rate (rad/s, clockwise) at which the pad's course turns, its variance, its acceleration (m/s²)."""
+
+    rate_rad_s: float = 0.0
+    variance: float = 0.0
+    acceleration_m_s2: float = 0.0
+
+
+def course_turn(
+    velocity_m_s: tuple[float, float],
+    acceleration_m_s2: tuple[float, float],
+    acceleration_variance: float,
+    heading_rate_rad_s: float,
+    heading_rate_variance: float,
+) -> Turn:
+    """How the course turns, by three witnesses weighed: v x a, the heading's rate, and that most go straight.
+
+    Args:
+        velocity_m_s: of the pad over ground, north and east. An error dv of it makes one of about
+            |omega dv / v|, which is why GPS may have a word here.
+        acceleration_m_s2: of the pad, north and east.
+        acceleration_variance: of either component, (m/s²)².
+        heading_rate_rad_s: of the pad.
+        heading_rate_variance: its variance, (rad/s)².
+    """
+    (vn, ve), (an, ae) = velocity_m_s, acceleration_m_s2
+    speed_squared = vn * vn + ve * ve + MINIMUM_SPEED_M_S**2
+    witnesses = (
+        ((vn * ae - ve * an) / speed_squared, max(acceleration_variance / speed_squared, 1e-4)),
+        (heading_rate_rad_s, heading_rate_variance + HEADING_IS_COURSE_RAD_S**2),
+        (0.0, STRAIGHT_ON_RAD_S**2),
+    )
+    weight = sum(1.0 / variance for _, variance in witnesses)
+    return Turn(
+        sum(rate / variance for rate, variance in witnesses) / weight, 1.0 / weight, math.hypot(an, ae)
+    )
 
 
 def vertical_names(config: PadFilterConfig) -> tuple[str, ...]:
@@ -49,108 +91,117 @@ class HorizontalModels:
     """Steady, manoeuvre and turn, for a given turn rate."""
 
     def __init__(self, config: PadFilterConfig) -> None:
-        fades_s = np.array(
-            [config.steady_time_constant_s, config.manoeuvre_time_constant_s, config.turn_time_constant_s]
+        fades_s = (
+            config.steady_time_constant_s,
+            config.manoeuvre_time_constant_s,
+            config.turn_time_constant_s,
         )
-        self._poles = -1.0 / fades_s + 0j
         steady = 2.0 * config.steady_acceleration_std_m_s2**2 / config.steady_time_constant_s
-        self._jerk = np.array([steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2])
-        self._vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
-        self.acceleration_variance = 0.5 * self._jerk * fades_s
+        jerk = (steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2)
+        vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
+        self._fade = 1.0 / config.turn_time_constant_s
+        self.acceleration_variance = 0.5 * np.array(jerk) * fades_s
+        chains = [_on_plane(_singer(1.0 / fade_s)) for fade_s in fades_s]
+        noises = [_on_plane(np.diag([0.0, vehicle, q])) for q in jerk]
+        self._series = _Series(chains, noises)
+        self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0]))])
 
-    def step(self, dt_s: float, turn_rate_rad_s: float, turn_variance: float, acceleration_m_s2: float) -> Step:
+    def step(self, dt_s: float, turn: Turn) -> Step:
         """F and Q (3, 6, 6) over dt_s; the caller fills in how the vehicle moved.
 
-        The turn rate's variance ((rad/s)²) acts on an acceleration of the given size as jerk: an error that
-        lasts is as harmful as a white one of that density after a second.
+        The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
+        white one of that density after a second. Within a short time Q leaves out that noise turns, too.
         """
-        poles, jerk = self._poles.copy(), self._jerk.copy()
-        poles[2] += 1j * turn_rate_rad_s
-        jerk[2] += turn_variance * acceleration_m_s2**2
-        F = np.zeros((3, 3, 2, 3, 2))
-        F[:, 0, :, 0, :] = F[:, 1, :, 1, :] = _EYE2
-        F[:, 0, :, 1, :] = dt_s * _EYE2
-        F[:, :, :, 2, :] = _plane(_responses(poles, dt_s))
-        times = _NODES * dt_s
-        g = _responses(poles[:, None], times).transpose(0, 2, 1)  # (3 models, 3 states, nodes)
-        weighted = g * (_WEIGHTS * dt_s)
-        products = jerk[:, None, None] * (weighted @ g.conj().transpose(0, 2, 1))
-        products = products + self._vehicle * _velocity_walk(dt_s, 3)
-        Q = _plane(products).transpose(0, 1, 3, 2, 4)
-        return Step(F.reshape(3, 6, 6), Q.reshape(3, 6, 6), np.zeros(6))
+        short_s, doublings = _shortened(dt_s)
+        F, Q = self._series.at(short_s)
+        Q[TURN] += turn.variance * turn.acceleration_m_s2**2 * self._more_jerk.noise(short_s)[0]
+        self._turn(F[TURN], short_s, turn.rate_rad_s)
+        return _doubled(F, Q, doublings)
+
+    def _turn(self, F: FloatArray, t: float, turn_rate_rad_s: float) -> None:
+        """An acceleration exp(s t) in the complex plane, s = -1/tau + i omega, and its two integrals."""
+        pole = complex(-self._fade, turn_rate_rad_s)
+        grown = cmath.exp(pole * t)
+        speed = (grown - 1.0) / pole
+        for row, value in ((0, (speed - t) / pole), (2, speed), (4, grown)):
+            F[row, 4] = F[row + 1, 5] = value.real
+            F[row, 5], F[row + 1, 4] = -value.imag, value.imag
 
 
 class VerticalModels:
     """Still, and waves of each period."""
 
     def __init__(self, config: PadFilterConfig) -> None:
-        self.count = 1 + len(config.wave_periods_s)
-        self._still_pole = -1.0 / config.steady_time_constant_s
-        self._still_jerk = 2.0 * config.rest_acceleration_std_m_s2**2 / config.steady_time_constant_s
-        w0 = math.tau / np.array(config.wave_periods_s)
-        zeta = config.wave_damping
-        self._poles = w0 * complex(-zeta, math.sqrt(1.0 - zeta * zeta))
-        variance = config.wave_acceleration_std_m_s2**2
-        self._noise = 4.0 * zeta * w0**3 * variance
-        self._vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
-        self.acceleration_variance = np.array([config.rest_acceleration_std_m_s2**2, *[variance] * len(w0)])
-        self.jerk_variance = np.array([variance * w0.mean() ** 2, *(variance * w0**2)])
+        vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
+        rest, variance = config.rest_acceleration_std_m_s2**2, config.wave_acceleration_std_m_s2**2
+        zeta, fade = config.wave_damping, 1.0 / config.steady_time_constant_s
+        rates = [math.tau / period_s for period_s in config.wave_periods_s]
+        # what is still has no use for a rate of its acceleration: it waits as waves would have it
+        middle = sum(rates) / len(rates)
+        still = np.zeros((4, 4))
+        still[:3, :3], still[3, 3] = _singer(fade), -middle
+        chains, noises = [still], [np.diag([0.0, vehicle, 2.0 * rest * fade, 2.0 * variance * middle**3])]
+        for w0 in rates:
+            chains.append(np.eye(4, k=1) - np.outer([0, 0, 0, 1], [0.0, 0.0, w0 * w0, 2.0 * zeta * w0]))
+            noises.append(np.diag([0.0, vehicle, 0.0, 4.0 * zeta * w0**3 * variance]))
+        self._series = _Series(chains, noises)
+        self.count = len(chains)
+        self.acceleration_variance = np.array([rest, *[variance] * len(rates)])
+        self.jerk_variance = variance * np.square([middle, *rates])
 
     def step(self, dt_s: float) -> Step:
         """F and Q (m, 4, 4) over dt_s; the caller fills in how the vehicle moved."""
-        m = self.count
-        F = np.zeros((m, 4, 4))
-        F[:, 0, 0] = F[:, 1, 1] = 1.0
-        F[:, 0, 1] = dt_s
-        Q = np.zeros((m, 4, 4))
-        Q[:, :2, :2] = self._vehicle * _velocity_walk(dt_s, 3)[:2, :2]
-        self._still(dt_s, F[0], Q[0])
-        self._waves(dt_s, F[1:], Q[1:])
-        return Step(F, Q, np.zeros(4))
-
-    def _still(self, dt_s: float, F: FloatArray, Q: FloatArray) -> None:
-        """The acceleration fades; its rate plays no part, and waits as waves would have it."""
-        pole = np.array(self._still_pole + 0j)
-        F[:3, 2] = _responses(pole, dt_s).real
-        g = _responses(pole, _NODES * dt_s).real
-        Q[:3, :3] += self._still_jerk * (g.T * (_WEIGHTS * dt_s)) @ g
-        Q[3, 3] = self.jerk_variance[0]
-
-    def _waves(self, dt_s: float, F: FloatArray, Q: FloatArray) -> None:
-        """a(t) = Re(C exp(s t)) with C = a + i (Re(s) a - j) / Im(s)."""
-        real, imaginary = self._poles.real, self._poles.imag
-        f = _responses(self._poles, dt_s)  # (waves, 3)
-        f = np.concatenate((f, (self._poles * f[:, 2].T)[:, None]), axis=1)
-        F[:, :, 2] = f.real - f.imag * (real / imaginary)[:, None]
-        F[:, :, 3] = f.imag / imaginary[:, None]
-        g = _responses(self._poles[:, None], _NODES * dt_s)  # (waves, nodes, 3)
-        g = np.concatenate((g, self._poles[:, None, None] * g[:, :, 2:]), axis=2)
-        kick = g.imag / imaginary[:, None, None]
-        weighted = kick.transpose(0, 2, 1) * (_WEIGHTS * dt_s) * self._noise[:, None, None]
-        Q += weighted @ kick
+        short_s, doublings = _shortened(dt_s)
+        return _doubled(*self._series.at(short_s), doublings)
 
 
-def _responses(pole: ComplexArray, t: float | FloatArray) -> ComplexArray:
-    """What an acceleration exp(s t) has made of position, velocity and itself at t: stacked last."""
-    grown = np.exp(pole * t)
-    speed = (grown - 1.0) / pole
-    responses = np.empty((*grown.shape, 3), dtype=complex)
-    responses[..., 0], responses[..., 1], responses[..., 2] = (speed - t) / pole, speed, grown
-    return responses
+class _Series:
+    """exp(A t), and the noise that gathers meanwhile, of several models: coefficients by powers of t.
+
+    From F' = A F and Q' = A Q + Q A' + W, term by term.
+    """
+
+    def __init__(self, chains: Sequence[FloatArray], noises: Sequence[FloatArray]) -> None:
+        A, W = np.array(chains), np.array(noises)
+        F, Q = [np.broadcast_to(np.eye(A.shape[1]), A.shape)], [np.zeros_like(A), W]
+        for k in range(1, TERMS):
+            F.append(A @ F[-1] / k)
+        for k in range(2, TERMS):
+            Q.append((A @ Q[-1] + Q[-1] @ A.transpose(0, 2, 1)) / k)
+        self._shape = A.shape
+        self._F, self._Q = (np.array(terms).reshape(TERMS, -1) for terms in (F, Q))
+
+    def at(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """F and Q (m, n, n) at a short time."""
+        powers = t**_EXPONENTS
+        return (powers @ self._F).reshape(self._shape), (powers @ self._Q).reshape(self._shape)
+
+    def noise(self, t: float) -> FloatArray:
+        """Q alone."""
+        return np.asarray((t**_EXPONENTS @ self._Q).reshape(self._shape))
 
 
-def _plane(values: ComplexArray) -> FloatArray:
-    """Complex factors as rotations and stretches of the plane: two axes more."""
-    plane = np.empty((*values.shape, 2, 2))
-    plane[..., 0, 0] = plane[..., 1, 1] = values.real
-    plane[..., 1, 0] = values.imag
-    plane[..., 0, 1] = -values.imag
-    return plane
+_EXPONENTS: Final = np.arange(float(TERMS))
 
 
-def _velocity_walk(dt: float, size: int) -> FloatArray:
-    """White noise of the measured acceleration: position, velocity, of (size, size)."""
-    walk = np.zeros((size, size))
-    walk[0, 0], walk[1, 1] = dt**3 / 3, dt
-    walk[0, 1] = walk[1, 0] = dt * dt / 2
-    return walk
+def _shortened(dt_s: float) -> tuple[float, int]:
+    """A short time, and how often to double it."""
+    doublings = max(0, math.ceil(math.log2(dt_s / SHORT_S))) if dt_s > SHORT_S else 0
+    return math.ldexp(dt_s, -doublings), doublings
+
+
+def _doubled(F: FloatArray, Q: FloatArray, times: int) -> Step:
+    for _ in range(times):
+        Q = F @ Q @ F.transpose(0, 2, 1) + Q
+        F = F @ F
+    return Step(F, Q, np.zeros(F.shape[1]))
+
+
+def _singer(fade: float) -> FloatArray:
+    """Position, velocity and an acceleration that fades at a rate (1/s)."""
+    return np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -fade]])
+
+
+def _on_plane(matrix: FloatArray) -> FloatArray:
+    """The same on north and east."""
+    return np.asarray(np.kron(matrix, np.eye(2)), dtype=np.float64)

@@ -132,8 +132,8 @@ class Track:
         rng = np.random.default_rng([self.seed, 3])
         t = self.times_s[:, None]
         w, phase = rng.uniform(0.2, 1.0, (4, 1, 3)), rng.uniform(0.0, math.tau, (4, 1, 3))
-        waves: FloatArray = np.sqrt(0.5) * np.sin(w * t + phase).sum(axis=0)
-        return waves * np.array([TILT_STD_RAD, TILT_STD_RAD, HEADING_STD_RAD])
+        waves = math.sqrt(0.5) * np.sin(w * t + phase).sum(axis=0)
+        return np.asarray(waves * np.array([TILT_STD_RAD, TILT_STD_RAD, HEADING_STD_RAD]))
 
     @property
     def attitude_covariance(self) -> FloatArray:
@@ -156,7 +156,7 @@ class Track:
     def sights(self) -> list[Sight]:
         """The sightings, in the order of their arrival."""
         rng = np.random.default_rng([self.seed, 5])
-        calibration = 0.7 * CALIBRATION_ERROR * rng.normal(size=3)
+        calibration = CALIBRATION_ERROR * rng.normal(size=3)
         lasting, made = rng.normal(size=3), []
         for k in range(int((self.duration_s - 0.1) * FRAME_HZ)):
             fresh, jitter, turn, speed = (rng.normal(size=3) for _ in range(4))

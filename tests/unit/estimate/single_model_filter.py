@@ -102,4 +102,4 @@ def _noise(dt: float) -> FloatArray:
         ]
     )
     axis[:2, :2] += vehicle * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    return np.kron(axis, np.eye(3))
+    return np.asarray(np.kron(axis, np.eye(3)), dtype=np.float64)
