@@ -1,13 +1,14 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
-# make bench   where the time goes, and the landing campaign's bars
+# make bench   where the time goes, the pad filter's and the landing campaign's bars
+# make bench-pad   the pad filter alone
 PYTHON ?= python3
 VENV   ?= .venv
 SEEDS  ?= 10
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: sitl test lint bench clean
+.PHONY: sitl test lint bench bench-pad clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -35,8 +36,12 @@ test: lint
 bench: $(VENV)/.dev
 	@status=0; \
 	$(BIN)/python tests/bench/bench_time.py || status=1; \
+	$(BIN)/python -m tests.bench.bench_pad_filter || status=1; \
 	$(BIN)/python -m sitl.campaign --seeds $(SEEDS) || status=1; \
 	exit $$status
+
+bench-pad: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_pad_filter
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

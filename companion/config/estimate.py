@@ -67,9 +67,7 @@ class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
     # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
-    steady_acceleration_std_m_s2: float = Field(
-        default=0.06, gt=0.0, le=5.0
-    )  # bumps, and our horizon's error
+    steady_acceleration_std_m_s2: float = Field(default=0.06, gt=0.0, le=5.0)
     steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
     manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
     manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from companion.config import PadFilterConfig
-from companion.estimate.gating import Timeline
+from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import PadEstimate, PadFilter
+from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter
 from companion.geometry import FloatArray
 from tests.unit.estimate.pad_track import IMU_HZ, Track, lever
 from tests.unit.estimate.single_model_filter import SingleModelFilter
@@ -91,6 +91,61 @@ def lag_s(track: Track, found: Score, axis: int = 2) -> float:
     rows = np.rint(found.times_s * IMU_HZ).astype(int)
     misses = [np.sum((found.estimate[:, 6 + axis] - track.pad[2][rows - s, axis]) ** 2) for s in steps]
     return float(steps[int(np.argmin(misses))]) / IMU_HZ
+
+
+@dataclass(frozen=True)
+class Spikes:
+    """What echoes did to the height (m) where the pad is seen no more, and what became of false ones."""
+
+    worst_height_error_m: float
+    false: int
+    false_taken: int
+    true_taken_share: float
+
+
+def with_spikes(
+    track: Track, blind_s: float = 2.0, spike_share: float = 0.2, false_m: float = 0.25
+) -> Spikes:
+    """Sink onto the pad with echoes of which some are wild; the last of the way by echoes alone."""
+    judged = new_filter(track.motion_history())
+    timeline: Timeline[Any, Any] = Timeline(judged, 1.0)
+    end_s = track.duration_s - 1.0
+    inputs: list[tuple[float, Any, float]] = [
+        (s.time_s, s.fix, 0.0) for s in track.sights if s.time_s < end_s - blind_s
+    ]
+    inputs += [(e.time_s, e.fix, e.error_m) for e in track.echoes(spike_share) if e.time_s < end_s]
+    false = false_taken = true = true_taken = 0
+    for time_s, fix, error_m in sorted(inputs, key=lambda item: item[0]):
+        before = judged.gates.get("range", Gate()).accepted
+        timeline.add(time_s, fix)
+        taken = judged.gates.get("range", Gate()).accepted - before
+        if isinstance(fix, HeightFix):
+            wrong = abs(error_m) > false_m
+            false, false_taken = false + wrong, false_taken + wrong * taken
+            true, true_taken = true + (not wrong), true_taken + (not wrong) * taken
+    errors = []
+    for time_s in np.arange(end_s - blind_s, end_s, 0.1).tolist():
+        estimate = judged.predicted(timeline.as_of(time_s) or judged.snapshot(), time_s)
+        errors.append(abs(float(_error(track, estimate, time_s)[2])))
+    return Spikes(max(errors), false, false_taken, true_taken / max(true, 1))
+
+
+def late_frames_cost_m(track: Track, late_s: float = 0.25, every: int = 10) -> float:
+    """How far (m) the state after a run is from that of the same run with every tenth frame late."""
+    ends = []
+    for late in (False, True):
+        judged = new_filter(track.motion_history())
+        timeline: Timeline[Any, Any] = Timeline(judged, 1.0)
+        arrivals = [
+            (s.arrival_s + (late_s if late and k % every == 0 and k else 0.0), s)
+            for k, s in enumerate(track.sights)
+        ]
+        for _, sight in sorted(arrivals, key=lambda item: item[0]):
+            assert timeline.add(sight.time_s, sight.fix)
+        estimate = judged.predicted(judged.snapshot(), judged.time_s)
+        assert estimate is not None
+        ends.append(estimate.x)
+    return float(np.abs(ends[0] - ends[1]).max())
 
 
 def _error(track: Track, estimate: Any, time_s: float) -> FloatArray:

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import PadFix
+from companion.estimate.pad_filter import HeightFix, PadFix
 from companion.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
 from sitl.pad_motion import (
     CircleMotion,
@@ -50,6 +50,7 @@ ACCELERATION_NOISE_M_S2: Final = 0.02 * math.sqrt(IMU_HZ)
 CALIBRATION_ERROR: Final = 0.003  # of the distance
 NOISE_LASTS: Final = 0.4  # correlation of the noise of neighbouring frames
 VEHICLE_VELOCITY_STD_M_S: Final = 0.1
+SENSOR_BELOW_M: Final = 0.08
 
 
 def lever(position: FloatArray) -> FloatArray:
@@ -65,6 +66,15 @@ class Sight:
     arrival_s: float
     time_s: float
     fix: PadFix
+
+
+@dataclass(frozen=True)
+class Echo:
+    """An echo, and by how much it is wrong."""
+
+    time_s: float
+    fix: HeightFix
+    error_m: float
 
 
 @dataclass(frozen=True)
@@ -167,6 +177,19 @@ class Track:
             time_s = float(self.times_s[row])
             fix = self._fix(row, lasting, jitter, calibration, float(turn[0]), speed)
             made.append(Sight(time_s + LATENCY_S, time_s, fix))
+        return made
+
+    def echoes(self, spike_share: float) -> list[Echo]:
+        """Echoes at 15 Hz from 2 m down, some of them of anything."""
+        rng = np.random.default_rng([self.seed, 6])
+        made = []
+        for row in range(0, len(self.times_s), round(IMU_HZ / 15)):
+            height = float(self.relative[0][row, 2]) - SENSOR_BELOW_M
+            noise, wild, spiked = rng.normal(), rng.uniform(0.05, 4.0), rng.uniform() < spike_share
+            if height < 2.0:
+                heard = wild if spiked else height + 0.02 * noise
+                time_s = float(self.times_s[row])
+                made.append(Echo(time_s, HeightFix(heard, (0.0, 0.0, SENSOR_BELOW_M), 0.03), heard - height))
         return made
 
     def _fix(
