@@ -67,7 +67,7 @@ class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
     # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
-    steady_acceleration_std_m_s2: float = Field(default=0.06, gt=0.0, le=5.0)
+    steady_acceleration_std_m_s2: float = Field(default=0.15, gt=0.0, le=5.0)
     steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
     manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
     manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
@@ -83,8 +83,8 @@ class PadFilterConfig(StrictModel):
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
     heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
     sighting_noise_scale: float = Field(default=1.5, ge=0.1, le=20.0)
-    sighting_noise_floor_m: float = Field(default=0.0005, ge=0.0, le=1.0)
-    attitude_jitter_deg: float = Field(default=0.05, ge=0.0, le=10.0)  # the attitude error's fast part
+    sighting_noise_floor_m: float = Field(default=0.0002, ge=0.0, le=1.0)
+    attitude_jitter_deg: float = Field(default=0.03, ge=0.0, le=10.0)  # the attitude error's fast part
     exposure_jitter_s: float = Field(default=0.005, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     first_climb_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # pads drive, but hardly rise

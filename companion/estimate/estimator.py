@@ -43,7 +43,7 @@ from companion.messages import (
     VehicleState,
 )
 
-CALIBRATION_SHARE = 0.95  # of a sighting's least variance; the rest keeps its covariance positive
+CALIBRATION_SHARE = 0.99  # of a sighting's least variance; the rest keeps its covariance positive
 FUTURE_S = 0.1  # a measurement stamped further ahead of the IMU has a wrong time
 
 
