@@ -73,6 +73,9 @@ class PadFilterConfig(StrictModel):
     manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
     turn_jerk_m_s3_rthz: float = Field(default=0.15, gt=0.0, le=50.0)
     turn_time_constant_s: float = Field(default=20.0, ge=0.1, le=1000.0)
+    sway_period_s: WavePeriod = 3.5
+    sway_damping: float = Field(default=0.2, gt=0.0, lt=1.0)
+    sway_acceleration_std_m_s2: float = Field(default=0.2, gt=0.0, le=10.0)
     # vertically: a pad that stays level, and seas of these periods
     rest_acceleration_std_m_s2: float = Field(default=0.05, gt=0.0, le=5.0)
     wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)

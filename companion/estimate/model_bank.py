@@ -152,13 +152,21 @@ class ModelBank:
 
     def _likelihoods(self) -> FloatArray:
         """Of the last measurement by each model (m,), the greatest 1, so that no surprise underflows."""
-        y = self._filter.y.reshape(self._m, self._k)
-        S, SI = self._R.of(self._filter.S), self._R.of(self._filter.SI)
-        distance = (y[:, None, :] @ SI @ y[:, :, None])[:, 0, 0]
-        volume = S[:, 0, 0] if self._k == 1 else S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
-        logarithm = -0.5 * (distance + np.log(volume))
-        likelihoods: FloatArray = np.exp(logarithm - logarithm.max())
-        return likelihoods
+        # plain floats: arrays of two cost more than their sums
+        misses = self._filter.y.reshape(self._m, self._k).tolist()
+        spreads = self._R.of(self._filter.S).tolist()
+        logarithms = [_log_likelihood(y, S) for y, S in zip(misses, spreads, strict=True)]
+        best = max(logarithms)
+        return np.array([math.exp(value - best) for value in logarithms])
+
+
+def _log_likelihood(y: list[float], S: list[list[float]]) -> float:
+    """Of a miss of one or two numbers, but for a constant."""
+    if len(y) == 1:
+        return -0.5 * (y[0] * y[0] / S[0][0] + math.log(S[0][0]))
+    (a, b), (_, c) = S
+    volume = a * c - b * b
+    return -0.5 * ((c * y[0] * y[0] - 2.0 * b * y[0] * y[1] + a * y[1] * y[1]) / volume + math.log(volume))
 
 
 class _Blocks:

@@ -50,7 +50,7 @@ class PadFilter:
         self._plane, self._climb = HorizontalModels(config), VerticalModels(config)
         self._names = (*HORIZONTAL, *vertical_names(config))
         m, n = len(HORIZONTAL), self._climb.count
-        self._horizontal = ModelBank(np.full(m, 1.0 / m), config.model_dwell_s, 6, seen=2)
+        self._horizontal = ModelBank(np.full(m, 1.0 / m), config.model_dwell_s, 8, seen=2)
         self._vertical = ModelBank(np.full(n, 1.0 / n), config.model_dwell_s, 4, seen=1)
         self._turn = Turn()
         self._heading = KalmanFilter(dim_x=2, dim_z=1)
@@ -139,7 +139,7 @@ class PadFilter:
         (x, y, z), (vx, vy, vz) = self._motion.moved(start_s, end_s)
         dt_s = end_s - start_s
         plane = self._plane.step(dt_s, turn)
-        moved = np.array([-x, -y, -vx, -vy, 0.0, 0.0])
+        moved = np.array([-x, -y, -vx, -vy, 0.0, 0.0, 0.0, 0.0])
         return plane._replace(moved=moved), self._climb.step(dt_s)._replace(
             moved=np.array([-z, -vz, 0.0, 0.0])
         )
@@ -215,7 +215,7 @@ class PadFilter:
 
     def _turned(self, fix: PadFix) -> Turn:
         mean, covariance = blend(self._horizontal.state)
-        vn, ve, an, ae = mean[2:].tolist()
+        vn, ve, an, ae = mean[2:6].tolist()
         north, east, _ = fix.vehicle_velocity_ned_m_s
         variance = 0.5 * float(covariance[4, 4] + covariance[5, 5])
         heading_rate, rate_variance = float(self._heading.x[1, 0]), float(self._heading.P[1, 1])
@@ -227,11 +227,12 @@ class PadFilter:
         """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known."""
         vn, ve, vd = fix.vehicle_velocity_ned_m_s
         north, east, down = fix.position_ned_m
-        across = np.zeros((len(HORIZONTAL), 6, 6))
+        across = np.zeros((len(HORIZONTAL), 8, 8))
         across[:, :2, :2] = R[:2, :2]
         across[:, [2, 3], [2, 3]] = self._config.first_speed_std_m_s**2
         across[:, [4, 5], [4, 5]] = self._plane.acceleration_variance[:, None]
-        self._horizontal.start(np.array([north, east, -vn, -ve, 0.0, 0.0]), across)
+        across[:, [6, 7], [6, 7]] = self._plane.jerk_variance[:, None]
+        self._horizontal.start(np.array([north, east, -vn, -ve, 0.0, 0.0, 0.0, 0.0]), across)
         up = np.zeros((self._climb.count, 4, 4))
         up[:, 0, 0] = R[2, 2]
         up[:, 1, 1] = self._config.first_climb_std_m_s**2
@@ -252,7 +253,7 @@ class PadFilter:
 def _joined(horizontal: Blend, vertical: Blend) -> tuple[FloatArray, FloatArray]:
     """The two banks' moments as those of one state: x (9,), P (9, 9)."""
     x, P = np.zeros(9), np.zeros((9, 9))
-    x[_HORIZONTAL_ROWS], x[_VERTICAL_ROWS] = horizontal.mean, vertical.mean[:3]
-    P[np.ix_(_HORIZONTAL_ROWS, _HORIZONTAL_ROWS)] = horizontal.covariance
+    x[_HORIZONTAL_ROWS], x[_VERTICAL_ROWS] = horizontal.mean[:6], vertical.mean[:3]
+    P[np.ix_(_HORIZONTAL_ROWS, _HORIZONTAL_ROWS)] = horizontal.covariance[:6, :6]
     P[np.ix_(_VERTICAL_ROWS, _VERTICAL_ROWS)] = vertical.covariance[:3, :3]
     return x, P

@@ -1,16 +1,18 @@
 """How pads may move: the models that the pad filter's two banks hold.
 
-Horizontal, state (p_n, p_e, v_n, v_e, a_n, a_e): position and velocity relative to the vehicle, and the pad's
-own acceleration. It obeys a' = -a / tau + omega x a + white jerk:
+On each axis the state is (p, v, a, j): position and velocity relative to the vehicle, the pad's own
+acceleration and its rate. Horizontal, both axes of each state side by side; a' = -a / tau + omega x a + white
+jerk, and j plays no part, for
 
     steady     small and short-lived: constant velocity
     manoeuvre  large, fading in a second or two: constant acceleration
     turn       lasting, and turning with the course: coordinated turn
+    sway       waves, as below: what a sea does to a pad sideways
 
 That a turn is written as jerk = omega x a, rather than as a = omega x v, keeps it free of the pad's absolute
 velocity, hence of GPS: only the turn rate, a scalar, has to be known.
 
-Vertical, state (p, v, a, j):
+Vertical:
 
     still      small and short-lived
     waves      a'' = -w0^2 a - 2 zeta w0 a' + white noise, for each period of a sea
@@ -37,7 +39,7 @@ MINIMUM_SPEED_M_S: Final = 0.3
 # how far a pad's heading and its course may turn apart, and how fast courses turn at all
 HEADING_IS_COURSE_RAD_S: Final = 0.1
 STRAIGHT_ON_RAD_S: Final = 0.5
-HORIZONTAL: Final = ("steady", "manoeuvre", "turn")
+HORIZONTAL: Final = ("steady", "manoeuvre", "turn", "sway")
 TURN: Final = 2
 # with poles of some 1/s, ten terms at a tenth of a second leave 1e-12
 SHORT_S: Final = 0.1
@@ -97,17 +99,26 @@ class HorizontalModels:
             config.turn_time_constant_s,
         )
         steady = 2.0 * config.steady_acceleration_std_m_s2**2 / config.steady_time_constant_s
-        jerk = (steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2)
+        jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2)
+        variance = config.sway_acceleration_std_m_s2**2
+        w0 = math.tau / config.sway_period_s
         vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
         self._fade = 1.0 / config.turn_time_constant_s
-        self.acceleration_variance = 0.5 * np.array(jerk) * fades_s
-        chains = [_on_plane(_singer(1.0 / fade_s)) for fade_s in fades_s]
-        noises = [_on_plane(np.diag([0.0, vehicle, q])) for q in jerk]
+        self.count = len(HORIZONTAL)
+        self.acceleration_variance = np.array(
+            [*(0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True)), variance]
+        )
+        self.jerk_variance = np.full(self.count, variance * w0**2)
+        fading = [
+            _fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)
+        ]
+        kinds = [*fading, _waving(w0, config.sway_damping, variance, vehicle)]
+        chains, noises = zip(*((_on_plane(A), _on_plane(W)) for A, W in kinds), strict=True)
         self._series = _Series(chains, noises)
-        self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0]))])
+        self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0, 0.0]))])
 
     def step(self, dt_s: float, turn: Turn) -> Step:
-        """F and Q (3, 6, 6) over dt_s; the caller fills in how the vehicle moved.
+        """F and Q (4, 8, 8) over dt_s; the caller fills in how the vehicle moved.
 
         The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
         white one of that density after a second. Within a short time Q leaves out that noise turns, too.
@@ -134,16 +145,12 @@ class VerticalModels:
     def __init__(self, config: PadFilterConfig) -> None:
         vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
         rest, variance = config.rest_acceleration_std_m_s2**2, config.wave_acceleration_std_m_s2**2
-        zeta, fade = config.wave_damping, 1.0 / config.steady_time_constant_s
+        fade = 1.0 / config.steady_time_constant_s
         rates = [math.tau / period_s for period_s in config.wave_periods_s]
-        # what is still has no use for a rate of its acceleration: it waits as waves would have it
         middle = sum(rates) / len(rates)
-        still = np.zeros((4, 4))
-        still[:3, :3], still[3, 3] = _singer(fade), -middle
-        chains, noises = [still], [np.diag([0.0, vehicle, 2.0 * rest * fade, 2.0 * variance * middle**3])]
-        for w0 in rates:
-            chains.append(np.eye(4, k=1) - np.outer([0, 0, 0, 1], [0.0, 0.0, w0 * w0, 2.0 * zeta * w0]))
-            noises.append(np.diag([0.0, vehicle, 0.0, 4.0 * zeta * w0**3 * variance]))
+        kinds = [_fading(fade, 2.0 * rest * fade, vehicle, middle, variance)]
+        kinds += [_waving(w0, config.wave_damping, variance, vehicle) for w0 in rates]
+        chains, noises = zip(*kinds, strict=True)
         self._series = _Series(chains, noises)
         self.count = len(chains)
         self.acceleration_variance = np.array([rest, *[variance] * len(rates)])
@@ -197,9 +204,23 @@ def _doubled(F: FloatArray, Q: FloatArray, times: int) -> Step:
     return Step(F, Q, np.zeros(F.shape[1]))
 
 
-def _singer(fade: float) -> FloatArray:
-    """Position, velocity and an acceleration that fades at a rate (1/s)."""
-    return np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -fade]])
+def _fading(
+    fade: float, jerk: float, vehicle: float, wait: float, wait_variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """A and W (4, 4) of an acceleration that fades at a rate (1/s), driven by white jerk.
+
+    It has no use for j, which waits as waves would have it: at their rate (1/s), with their spread.
+    """
+    A = np.eye(4, k=1)
+    A[2, 2], A[2, 3], A[3, 3] = -fade, 0.0, -wait
+    return A, np.diag([0.0, vehicle, jerk, 2.0 * wait_variance * wait**3])
+
+
+def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:
+    """A and W (4, 4) of an acceleration that swings at w0 (rad/s), with this variance when left alone."""
+    A = np.eye(4, k=1)
+    A[3, 2], A[3, 3] = -w0 * w0, -2.0 * damping * w0
+    return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])
 
 
 def _on_plane(matrix: FloatArray) -> FloatArray:

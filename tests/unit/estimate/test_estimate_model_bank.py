@@ -26,13 +26,14 @@ from companion.geometry import FloatArray
 DT_S = 1.0 / 30.0
 DWELL_S = 3.0
 NO_TURN = Turn(0.0, 0.0, 0.0)
+START = np.array([1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def bank_and_step() -> tuple[ModelBank, Step, FloatArray]:
     models = HorizontalModels(PadFilterConfig())
-    covariances = np.tile(np.diag([0.1, 0.1, 4.0, 4.0, 0.5, 0.5]), (3, 1, 1))
-    bank = ModelBank(np.full(3, 1 / 3), DWELL_S, 6, seen=2)
-    bank.start(np.array([1.0, 2.0, 0.0, 0.0, 0.0, 0.0]), covariances)
+    covariances = np.tile(np.diag([0.1, 0.1, 4.0, 4.0, 0.5, 0.5, 1.0, 1.0]), (4, 1, 1))
+    bank = ModelBank(np.full(4, 0.25), DWELL_S, 8, seen=2)
+    bank.start(START, covariances)
     return bank, models.step(DT_S, Turn(0.4, 0.01, 1.0)), covariances
 
 
@@ -46,12 +47,12 @@ def test_bank_agrees_with_filterpys_interacting_multiple_models() -> None:
     bank, step, covariances = bank_and_step()
     R = np.array([[2e-4, 5e-5], [5e-5, 1e-4]])
     filters = []
-    for i in range(3):
-        one = KalmanFilter(dim_x=6, dim_z=2)
-        one.x, one.P = np.array([1.0, 2.0, 0.0, 0.0, 0.0, 0.0]), covariances[i].copy()
-        one.F, one.Q, one.H, one.R = step.F[i], step.Q[i], np.eye(2, 6), R
+    for i in range(4):
+        one = KalmanFilter(dim_x=8, dim_z=2)
+        one.x, one.P = START.copy(), covariances[i].copy()
+        one.F, one.Q, one.H, one.R = step.F[i], step.Q[i], np.eye(2, 8), R
         filters.append(one)
-    theirs = IMMEstimator(filters, [1 / 3] * 3, change_chances(np.full(3, 1 / 3), DWELL_S, DT_S))
+    theirs = IMMEstimator(filters, [0.25] * 4, change_chances(np.full(4, 0.25), DWELL_S, DT_S))
     rng = np.random.default_rng(3)
     for k in range(1, 40):
         z = seen(k, rng)
@@ -138,7 +139,7 @@ def test_a_turning_acceleration_moves_exactly(t: float) -> None:
     A[4:6, 4:6] = turn
     F, _ = by_matrix_exponential(A, np.zeros((6, 6)), t)
     step = HorizontalModels(config).step(t, Turn(omega, 0.0, 0.0))
-    assert step.F[2] == pytest.approx(F, rel=1e-9, abs=1e-11)
+    assert step.F[2, :6, :6] == pytest.approx(F, rel=1e-9, abs=1e-11)
 
 
 def test_accelerations_keep_the_spread_that_they_start_with() -> None:
@@ -151,9 +152,9 @@ def test_accelerations_keep_the_spread_that_they_start_with() -> None:
 
 def test_prediction_takes_the_vehicles_motion_off_every_model() -> None:
     bank, step, _ = bank_and_step()
-    moved = np.array([0.1, -0.2, 0.3, 0.0, 0.0, 0.0])
+    moved = np.array([0.1, -0.2, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
     still, driven = advance(bank.state, step), advance(bank.state, step._replace(moved=moved))
-    assert driven.means - still.means == pytest.approx(np.tile(moved, (3, 1)))
+    assert driven.means - still.means == pytest.approx(np.tile(moved, (4, 1)))
 
 
 def test_course_turns_as_velocity_and_acceleration_say() -> None:
