@@ -3,7 +3,9 @@
     python -m tests.bench.bench_pad_filter --seeds 20
 
 Prints a table and ends in one line that says which bars hold; the exit status matches. Errors count once the
-pad has been seen for 2 s; "blind" is a prediction from there without a sighting.
+pad has been seen for 2 s; "blind" is a prediction from there without a sighting. The tracks' horizon and
+calibration are off by as much as they are said to be; settings were chosen with seeds 0 to 2 in sight, so other
+seeds (--first-seed) are the fairer judges.
 """
 
 from __future__ import annotations
@@ -81,11 +83,11 @@ class Row:
         )
 
 
-def fly(seeds: int) -> list[Row]:
+def fly(seeds: range) -> list[Row]:
     """Both filters over all motions."""
     rows = []
     for motion in MOTIONS:
-        tracks = [Track(motion, seed) for seed in range(seeds)]
+        tracks = [Track(motion, seed) for seed in seeds]
         makers: dict[str, NewFilter] = {"single": old_filter, "now": new_filter}
         for name, make in makers.items():
             scores = [score(track, make) for track in tracks]
@@ -126,8 +128,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seeds", type=int, default=20)
-    seeds = parser.parse_args(arguments).seeds
-    rows = fly(seeds)
+    parser.add_argument("--first-seed", type=int, default=0)
+    chosen = parser.parse_args(arguments)
+    seeds = chosen.seeds
+    rows = fly(range(chosen.first_seed, chosen.first_seed + seeds))
     Console(width=190).print(table(rows))
     ours = [row for row in rows if row.filter == "now"]
     cost_us = step_us(Track("figure-8", 0))
