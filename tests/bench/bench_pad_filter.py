@@ -4,7 +4,7 @@
 
 Prints a table and ends in one line that says which bars hold; the exit status matches. Errors count once the
 pad has been seen for 2 s; "blind" is a prediction from there without a sighting. The tracks' horizon and
-calibration are off by as much as they are said to be; settings were chosen with seeds 0 to 2 in sight, so other
+calibration are off by as much as they are said to be. Settings were chosen with seeds 0 to 2 in sight: other
 seeds (--first-seed) are the fairer judges.
 """
 
