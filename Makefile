@@ -1,7 +1,9 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
-# make bench   where the time goes, the estimators' bars and the landing campaign's
-# make bench-state  the estimators' alone: errors, consistency, faults, costs
+# make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
+# make bench-state           the estimators in flight: errors, consistency, faults, costs
+# make bench-pad             the pad filter over made-up tracks
+# make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
 SEEDS  ?= 10
@@ -11,7 +13,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-ahrs clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -40,11 +42,20 @@ bench: $(VENV)/.dev
 	@status=0; \
 	$(BIN)/python tests/bench/bench_time.py || status=1; \
 	$(BENCH_STATE) || status=1; \
+	$(BIN)/python -m tests.bench.bench_pad_filter || status=1; \
 	$(BIN)/python -m sitl.campaign --seeds $(SEEDS) || status=1; \
 	exit $$status
 
 bench-state: $(VENV)/.dev
 	$(BENCH_STATE)
+
+bench-pad: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_pad_filter
+
+# the peers are for comparison alone: without them the bench judges by their published figures
+bench-ahrs: $(VENV)/.dev
+	-$(PIP) -e '.[peers]'
+	$(BIN)/python -m tests.bench.bench_ahrs $(DATA)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

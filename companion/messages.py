@@ -159,7 +159,9 @@ class PadState:
     """The pad at time_s by the relative-motion filter.
 
     Relative means pad minus vehicle (reference point), NED axes: straight above the pad the relative
-    position is (0, 0, +height).
+    position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
+    the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
+    `models` the probability of each model of its motion.
     """
 
     time_s: float
@@ -172,6 +174,9 @@ class PadState:
     position_std_m: float
     velocity_std_m_s: float
     seen_time_s: float
+    covariance: tuple[tuple[float, ...], ...] = ()
+    turn_rate_rad_s: float = 0.0
+    models: dict[str, float] = field(default_factory=dict)
 
     @property
     def height_m(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
@@ -67,25 +67,43 @@ class EkfConfig(StrictModel):
     mag_bias_walk_ut_rts: float = Field(default=0.02, ge=0.0, le=5.0)
 
 
+WavePeriod = Annotated[float, Field(ge=1.0, le=30.0)]
+
+
 class PadFilterConfig(StrictModel):
     """The relative motion of the pad; `_rthz` is a density per root of hertz."""
 
-    horizontal_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
-    vertical_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
-    horizontal_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)  # of the pad's acceleration
-    vertical_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
-    vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.08, gt=0.0, le=5.0)
+    # horizontally: a pad that drives straight on, one that speeds up or brakes, one that turns
+    steady_acceleration_std_m_s2: float = Field(default=0.15, gt=0.0, le=5.0)
+    steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
+    manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
+    manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
+    turn_jerk_m_s3_rthz: float = Field(default=0.15, gt=0.0, le=50.0)
+    turn_time_constant_s: float = Field(default=20.0, ge=0.1, le=1000.0)
+    sway_period_s: WavePeriod = 3.5
+    sway_damping: float = Field(default=0.2, gt=0.0, lt=1.0)
+    sway_acceleration_std_m_s2: float = Field(default=0.2, gt=0.0, le=10.0)
+    # vertically: a pad that stays level, and seas of these periods
+    rest_acceleration_std_m_s2: float = Field(default=0.05, gt=0.0, le=5.0)
+    wave_periods_s: tuple[WavePeriod, ...] = Field(default=(7.0, 4.5, 2.8), min_length=1, max_length=6)
+    wave_damping: float = Field(default=0.12, gt=0.0, lt=1.0)  # how far real periods stray from these
+    wave_acceleration_std_m_s2: float = Field(default=0.5, gt=0.0, le=10.0)
+    model_dwell_s: float = Field(default=5.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
+    vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.02, gt=0.0, le=5.0)
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
     heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
     sighting_noise_scale: float = Field(default=1.5, ge=0.1, le=20.0)
-    sighting_noise_floor_m: float = Field(default=0.001, ge=0.0, le=1.0)
-    attitude_jitter_deg: float = Field(default=0.05, ge=0.0, le=10.0)  # the attitude error's fast part
+    sighting_noise_floor_m: float = Field(default=0.0002, ge=0.0, le=1.0)
+    attitude_jitter_deg: float = Field(default=0.03, ge=0.0, le=10.0)  # the attitude error's fast part
     exposure_jitter_s: float = Field(default=0.005, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     first_climb_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # pads drive, but hardly rise
     range_noise_m: float = Field(default=0.03, gt=0.0, le=1.0)
     range_maximum_height_m: float = Field(default=2.5, gt=0.0, le=10.0)
     range_maximum_tilt_deg: float = Field(default=20.0, gt=0.0, le=60.0)
+    attitude_wander_rad_s: float = Field(
+        default=0.3, ge=0.0, le=10.0
+    )  # how fast the horizon's error changes, a share of itself a second
     patience_s: float = Field(default=0.5, gt=0.0, le=10.0)  # sightings refused for so long: start again
     remember_s: float = Field(default=1.0, ge=0.1, le=5.0)
     forget_s: float = Field(default=10.0, ge=1.0, le=60.0)  # unseen for so long: no pad

@@ -44,6 +44,7 @@ from companion.messages import (
     VehicleState,
 )
 
+CALIBRATION_SHARE = 0.99  # of a sighting's least variance; the rest keeps its covariance positive
 FUTURE_S = 0.1  # a measurement stamped further ahead of the IMU has a wrong time
 
 
@@ -129,6 +130,8 @@ class Estimator:
             return None
         position = vector3(estimate.x[0:3])
         relative_velocity = vector3(estimate.x[3:6])
+        covariance = self._covariance(estimate)
+        variance = covariance.diagonal()
         return PadState(
             time_s=now_s,
             relative_position_ned_m=position,
@@ -137,9 +140,12 @@ class Estimator:
             acceleration_ned_m_s2=vector3(estimate.x[6:9]),
             heading_rad=estimate.heading_rad,
             heading_rate_rad_s=estimate.heading_rate_rad_s,
-            position_std_m=math.hypot(estimate.position_std_m, self._tilt_share_m(position)),
-            velocity_std_m_s=estimate.velocity_std_m_s,
+            position_std_m=math.sqrt(float(variance[:3].sum())),
+            velocity_std_m_s=math.sqrt(float(variance[3:].sum())),
             seen_time_s=estimate.seen_time_s,
+            covariance=tuple(tuple(row) for row in covariance.tolist()),
+            turn_rate_rad_s=estimate.turn_rate_rad_s,
+            models=estimate.models,
         )
 
     def vehicle_covariance(self) -> FloatArray | None:
@@ -214,23 +220,23 @@ class Estimator:
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
+        # what is alike in all directions is the calibration's share: it does not change from frame to frame
+        slow = CALIBRATION_SHARE * max(float(np.linalg.eigvalsh(covariance)[0]), 0.0)
         turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
         return PadFix(
             position_ned_m=position,
-            covariance_ned_m2=covariance + jitter * (lever @ lever.T),
+            covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
             heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
             heading_std_rad=math.sqrt(max(turn_variance, 0.0) + jitter),
             vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
+            slow_variance_m2=slow,
         )
 
-    def _tilt_share_m(self, position: Vector3) -> float:
-        """What the attitude's error makes of the relative position in NED (m)."""
-        covariance = self._vehicle.rotation_covariance()
-        if covariance is None:
-            return 0.0
-        x, y, z = position
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        return math.sqrt(max(float(np.trace(lever @ covariance @ lever.T)), 0.0))
+    def _covariance(self, estimate: PadEstimate) -> FloatArray:
+        rotation = self._vehicle.rotation_covariance()
+        return estimate.covariance(
+            np.zeros((3, 3)) if rotation is None else rotation, self._config.pad.attitude_wander_rad_s
+        )
 
     # ------------------------------------------------------------ what may come in
 

@@ -1,122 +1,90 @@
-"""The pad's motion relative to the vehicle: a nine-state Kalman filter in NED, and two states of heading.
+"""The pad's motion relative to the vehicle: interacting multiple models in NED, and two states of heading.
 
 State: relative position (pad - vehicle's reference point, m), relative velocity (m/s), and the pad's own
-acceleration (m/s²), a first-order Markov (Singer) process. The vehicle's acceleration, measured by the IMU,
-is a known input; GPS never enters, so that neither its noise nor its jumps reach the landing.
+acceleration (m/s²). Two banks of models (`pad_models`), one for the plane and one for the vertical, which
+hardly depend on one another. The vehicle's acceleration, measured by the IMU, is a known input; GPS never
+enters the state, so that neither its noise nor its jumps reach the landing. The vehicle's velocity serves
+for a first guess and for the rate at which the pad's course turns, and there an error does little.
 Sightings are fused at their exposure, echoes at their time; `gating.Timeline` puts late ones in place.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Final
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
 from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
+from companion.estimate.model_bank import Blend, ModelBank, Step, advance, blend
 from companion.estimate.motion import MotionHistory
-from companion.geometry import FloatArray, Vector3, wrap_angle
+from companion.estimate.pad_models import (
+    HORIZONTAL,
+    HorizontalModels,
+    Turn,
+    VerticalModels,
+    course_turn,
+    vertical_names,
+)
+from companion.estimate.pad_types import HeightFix, PadEstimate, PadFix, PadInput, PadSnapshot
+from companion.geometry import FloatArray, wrap_angle
 
-POSITION = slice(0, 3)
-VELOCITY = slice(3, 6)
-ACCELERATION = slice(6, 9)
+__all__ = ["HeightFix", "PadEstimate", "PadFilter", "PadFix", "PadInput", "PadSnapshot"]
 
-_EYE3 = np.eye(3)
-_SEE_POSITION = np.hstack([_EYE3, np.zeros((3, 6))])
-_SEE_HEIGHT = _SEE_POSITION[2:3]
-_SEE_HEADING = np.array([[1.0, 0.0]])
-
-
-@dataclass(frozen=True, slots=True)
-class PadFix:
-    """A sighting turned into NED at its exposure; covariance (3, 3) in m², attitude's share included."""
-
-    position_ned_m: Vector3
-    covariance_ned_m2: FloatArray
-    heading_rad: float
-    heading_std_rad: float
-    vehicle_velocity_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class HeightFix:
-    """Height (m) of the range sensor over what lies under it, and the sensor's offset in NED axes (m)."""
-
-    height_m: float
-    sensor_offset_ned_m: Vector3
-    noise_m: float
-
-
-PadInput = PadFix | HeightFix
-
-
-class PadSnapshot(NamedTuple):
-    """All of the filter; the arrays are never written to again."""
-
-    time_s: float
-    x: FloatArray | None
-    P: FloatArray
-    heading: FloatArray
-    heading_covariance: FloatArray
-    gates: dict[str, Gate]
-    seen_time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class PadEstimate:
-    """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s), both's P (2, 2)."""
-
-    x: FloatArray
-    P: FloatArray
-    heading_rad: float
-    heading_rate_rad_s: float
-    heading_covariance: FloatArray
-    seen_time_s: float = field(default=-math.inf)
-
-    @property
-    def position_std_m(self) -> float:
-        """Standard deviation of the relative position, all axes together."""
-        return math.sqrt(self.P[0, 0] + self.P[1, 1] + self.P[2, 2])
-
-    @property
-    def velocity_std_m_s(self) -> float:
-        """Standard deviation of the relative velocity, all axes together."""
-        return math.sqrt(self.P[3, 3] + self.P[4, 4] + self.P[5, 5])
+_EYE3: Final = np.eye(3)
+_SEE_HEADING: Final = np.array([[1.0, 0.0]])
+# where the banks' states stand in (position, velocity, acceleration) of all three axes
+_HORIZONTAL_ROWS: Final = np.array([0, 1, 3, 4, 6, 7])
+_VERTICAL_ROWS: Final = np.array([2, 5, 8])
 
 
 class PadFilter:
-    """Two linear Kalman filters side by side; see the module's text."""
+    """Two banks of linear Kalman filters and one of heading; see the module's text."""
 
     def __init__(self, config: PadFilterConfig, motion: MotionHistory, board_half_width_m: float) -> None:
         self._config = config
         self._motion = motion
         self._half_width_m = board_half_width_m
-        self._filter = KalmanFilter(dim_x=9, dim_z=3)
+        self._plane, self._climb = HorizontalModels(config), VerticalModels(config)
+        self._names = (*HORIZONTAL, *vertical_names(config))
+        m, n = len(HORIZONTAL), self._climb.count
+        self._horizontal = ModelBank(np.full(m, 1.0 / m), config.model_dwell_s, 8, seen=2)
+        self._vertical = ModelBank(np.full(n, 1.0 / n), config.model_dwell_s, 4, seen=1)
+        self._turn = Turn()
         self._heading = KalmanFilter(dim_x=2, dim_z=1)
         self.time_s = -math.inf
         self.seen_time_s = -math.inf
         self.started = False
+        self._slow_share = 0.0
         self.gates: dict[str, Gate] = {}
 
     # ------------------------------------------------------------ replayable
 
     def snapshot(self) -> PadSnapshot:
-        """The whole state; cheap, since filterpy makes new arrays at every step."""
-        x = self._filter.x if self.started else None
-        heading = self._heading
-        return PadSnapshot(self.time_s, x, self._filter.P, heading.x, heading.P, self.gates, self.seen_time_s)
+        """The whole state; cheap, since every step makes new arrays."""
+        return PadSnapshot(
+            self.time_s,
+            self._horizontal.state if self.started else None,
+            self._vertical.state if self.started else None,
+            self._turn,
+            self._heading.x,
+            self._heading.P,
+            self.gates,
+            self.seen_time_s,
+            self._slow_share,
+        )
 
     def restore(self, snapshot: PadSnapshot) -> None:
         """Go on from a snapshot."""
-        self.time_s, x, self._filter.P, self._heading.x, self._heading.P, self.gates, self.seen_time_s = (
-            snapshot
-        )
-        self.started = x is not None
-        if x is not None:
-            self._filter.x = x
+        self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
+        self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
+        self._heading.x, self._heading.P = snapshot.heading, snapshot.heading_covariance
+        self.started = snapshot.horizontal is not None
+        if snapshot.horizontal is not None and snapshot.vertical is not None:
+            self._horizontal.restore(snapshot.horizontal)
+            self._vertical.restore(snapshot.vertical)
 
     def apply(self, time_s: float, item: PadInput) -> None:
         """Predict to time_s and take the input in."""
@@ -130,45 +98,51 @@ class PadFilter:
     # ------------------------------------------------------------ prediction
 
     def predicted(self, snapshot: PadSnapshot, time_s: float) -> PadEstimate | None:
-        """The state at a time not before the snapshot's; None when there is no pad in the snapshot."""
-        if snapshot.x is None:
+        """The state at a time not before the snapshot's; None when there is no pad in the snapshot.
+
+        Unseen, models go their own ways and are blended at the end: how they differ is part of the doubt.
+        """
+        if snapshot.horizontal is None or snapshot.vertical is None:
             return None
-        F, Q, u = self._step(snapshot.time_s, time_s)
+        plane, climb = self._steps(snapshot.time_s, time_s, snapshot.turn)
+        horizontal = blend(advance(snapshot.horizontal, plane))
+        vertical = blend(advance(snapshot.vertical, climb))
         G, W = self._heading_step(time_s - snapshot.time_s)
         heading = G @ snapshot.heading
+        x, P = _joined(horizontal, vertical)
+        probabilities = (*snapshot.horizontal.probabilities, *snapshot.vertical.probabilities)
         return PadEstimate(
-            x=(F @ snapshot.x + u)[:, 0],
-            P=F @ snapshot.P @ F.T + Q,
+            x=x,
+            P=P,
             heading_rad=wrap_angle(float(heading[0, 0])),
             heading_rate_rad_s=float(heading[1, 0]),
             heading_covariance=G @ snapshot.heading_covariance @ G.T + W,
             seen_time_s=snapshot.seen_time_s,
+            turn_rate_rad_s=snapshot.turn.rate_rad_s,
+            slow_share=snapshot.slow_share,
+            models=dict(zip(self._names, map(float, probabilities), strict=True)),
         )
 
     def _predict(self, time_s: float) -> None:
         if time_s <= self.time_s:
             return
-        F, Q, u = self._step(self.time_s, time_s)
-        self._filter.predict(u=u, B=np.eye(9), F=F, Q=Q)
-        G, W = self._heading_step(time_s - self.time_s)
+        dt_s = time_s - self.time_s
+        plane, climb = self._steps(self.time_s, time_s, self._turn)
+        self._horizontal.predict(dt_s, plane)
+        self._vertical.predict(dt_s, climb)
+        G, W = self._heading_step(dt_s)
         self._heading.predict(F=G, Q=W)
         self.time_s = time_s
 
-    def _step(self, start_s: float, end_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """F (9, 9), Q (9, 9) and input (9, 1) from one time to another."""
-        config, dt = self._config, end_s - start_s
-        F = np.eye(9)
-        for axis, tau in enumerate(_time_constants_s(config)):
-            fade = math.exp(-dt / tau)
-            gain = tau * (1.0 - fade)
-            F[axis, 3 + axis] = dt
-            F[axis, 6 + axis] = tau * (dt - gain)
-            F[3 + axis, 6 + axis] = gain
-            F[6 + axis, 6 + axis] = fade
-        place, speed = self._motion.moved(start_s, end_s)
-        u = np.zeros((9, 1))
-        u[POSITION, 0], u[VELOCITY, 0] = place, speed
-        return F, _process_noise(config, dt), -u
+    def _steps(self, start_s: float, end_s: float, turn: Turn) -> tuple[Step, Step]:
+        """How the models move from one time to another; the vehicle's own motion is taken off."""
+        (x, y, z), (vx, vy, vz) = self._motion.moved(start_s, end_s)
+        dt_s = end_s - start_s
+        plane = self._plane.step(dt_s, turn)
+        moved = np.array([-x, -y, -vx, -vy, 0.0, 0.0, 0.0, 0.0])
+        return plane._replace(moved=moved), self._climb.step(dt_s)._replace(
+            moved=np.array([-z, -vz, 0.0, 0.0])
+        )
 
     def _heading_step(self, dt_s: float) -> tuple[FloatArray, FloatArray]:
         s = self._config.heading_acceleration_rad_s2_rthz**2
@@ -180,12 +154,15 @@ class PadFilter:
     def _take_sighting(self, time_s: float, fix: PadFix) -> None:
         R = self._config.sighting_noise_scale**2 * fix.covariance_ned_m2
         R = R + self._config.sighting_noise_floor_m**2 * _EYE3
-        z = np.array(fix.position_ned_m).reshape(3, 1)
         if not self.started:
             self._start(time_s, fix, R)
-        elif self._passes("sighting", z, _SEE_POSITION, R):
-            self._filter.update(z, R=R, H=_SEE_POSITION)
+        elif self._passes_sighting(fix, R):
+            z = np.array(fix.position_ned_m)
+            self._horizontal.update(z[:2], R[:2, :2])
+            self._vertical.update(z[2:], R[2:, 2:])
             self._take_heading(fix)
+            self._turn = self._turned(fix)
+            self._slow_share = fix.slow_share
             self.seen_time_s = time_s
         elif self.gates["sighting"].shut_out(time_s, self._config.patience_s):
             self._start(time_s, fix, R)
@@ -206,40 +183,62 @@ class PadFilter:
         """Height of the sensor over the board = relative position's z - the sensor's own offset."""
         if not self.started or not self._over_the_board(fix):
             return
-        z = np.array([[fix.height_m + fix.sensor_offset_ned_m[2]]])
-        R = np.array([[fix.noise_m**2]])
-        if self._passes("range", z, _SEE_HEIGHT, R):
-            self._filter.update(z, R=R, H=_SEE_HEIGHT)
+        z = fix.height_m + fix.sensor_offset_ned_m[2]
+        mean, covariance = self._vertical.expected()
+        variance = float(covariance[0, 0]) + fix.noise_m**2
+        passed = (z - float(mean[0])) ** 2 / variance <= CHI_SQUARE_999[1]
+        self._record("range", passed)
+        if passed:
+            self._vertical.update(np.array([z]), np.array([[fix.noise_m**2]]))
 
     def _over_the_board(self, fix: HeightFix) -> bool:
-        north, east, down = (float(value) for value in self._filter.x[POSITION, 0])
+        across, vertical = self._horizontal.expected(), self._vertical.expected()
+        north, east = (float(value) for value in across.mean)
         offset = math.hypot(north - fix.sensor_offset_ned_m[0], east - fix.sensor_offset_ned_m[1])
-        spread = math.sqrt(float(self._filter.P[0, 0] + self._filter.P[1, 1]))
-        return down < self._config.range_maximum_height_m and offset + spread < self._half_width_m
+        spread = math.sqrt(float(np.trace(across.covariance)))
+        low = float(vertical.mean[0]) < self._config.range_maximum_height_m
+        return low and offset + spread < self._half_width_m
 
-    def _passes(self, kind: str, z: FloatArray, H: FloatArray, R: FloatArray) -> bool:
-        innovation = (z - H @ self._filter.x)[:, 0]
-        S = H @ self._filter.P @ H.T + R
-        passed = normalised_innovation_squared(innovation, S) <= CHI_SQUARE_999[len(innovation)]
-        self._record(kind, passed)
+    def _passes_sighting(self, fix: PadFix, R: FloatArray) -> bool:
+        across, vertical = self._horizontal.expected(), self._vertical.expected()
+        S = R.copy()
+        S[:2, :2] += across.covariance
+        S[2, 2] += vertical.covariance[0, 0]
+        expected = np.array([across.mean[0], across.mean[1], vertical.mean[0]])
+        distance = normalised_innovation_squared(np.array(fix.position_ned_m) - expected, S)
+        passed = distance <= CHI_SQUARE_999[3]
+        self._record("sighting", passed)
         return passed
 
     def _record(self, kind: str, passed: bool) -> None:
         self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
 
+    def _turned(self, fix: PadFix) -> Turn:
+        mean, covariance = blend(self._horizontal.state)
+        vn, ve, an, ae = mean[2:6].tolist()
+        north, east, _ = fix.vehicle_velocity_ned_m_s
+        variance = 0.5 * float(covariance[4, 4] + covariance[5, 5])
+        heading_rate, rate_variance = float(self._heading.x[1, 0]), float(self._heading.P[1, 1])
+        return course_turn((vn + north, ve + east), (an, ae), variance, heading_rate, rate_variance)
+
     # ------------------------------------------------------------ starting
 
     def _start(self, time_s: float, fix: PadFix, R: FloatArray) -> None:
         """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known."""
-        across, up = self._config.first_speed_std_m_s, self._config.first_climb_std_m_s
-        x = np.zeros((9, 1))
-        x[POSITION, 0] = fix.position_ned_m
-        x[VELOCITY, 0] = np.negative(fix.vehicle_velocity_ned_m_s)
-        P = np.zeros((9, 9))
-        P[POSITION, POSITION] = R
-        P[VELOCITY, VELOCITY] = np.diag((across**2, across**2, up**2))
-        P[ACCELERATION, ACCELERATION] = np.diag(_acceleration_variance(self._config))
-        self._filter.x, self._filter.P = x, P
+        vn, ve, vd = fix.vehicle_velocity_ned_m_s
+        north, east, down = fix.position_ned_m
+        across = np.zeros((len(HORIZONTAL), 8, 8))
+        across[:, :2, :2] = R[:2, :2]
+        across[:, [2, 3], [2, 3]] = self._config.first_speed_std_m_s**2
+        across[:, [4, 5], [4, 5]] = self._plane.acceleration_variance[:, None]
+        across[:, [6, 7], [6, 7]] = self._plane.jerk_variance[:, None]
+        self._horizontal.start(np.array([north, east, -vn, -ve, 0.0, 0.0, 0.0, 0.0]), across)
+        up = np.zeros((self._climb.count, 4, 4))
+        up[:, 0, 0] = R[2, 2]
+        up[:, 1, 1] = self._config.first_climb_std_m_s**2
+        up[:, 2, 2], up[:, 3, 3] = self._climb.acceleration_variance, self._climb.jerk_variance
+        self._vertical.start(np.array([down, -vd, 0.0, 0.0]), up)
+        self._turn, self._slow_share = Turn(), fix.slow_share
         self.time_s = self.seen_time_s = time_s
         self.started = True
         self._start_heading(fix)
@@ -251,38 +250,10 @@ class PadFilter:
         self._record("heading", True)
 
 
-def _jerk_density(config: PadFilterConfig) -> Vector3:
-    horizontal, vertical = config.horizontal_jerk_m_s3_rthz**2, config.vertical_jerk_m_s3_rthz**2
-    return (horizontal, horizontal, vertical)
-
-
-def _acceleration_variance(config: PadFilterConfig) -> Vector3:
-    """Of a Markov process driven by white jerk: density * time constant / 2."""
-    (x, y, z), (tx, ty, tz) = _jerk_density(config), _time_constants_s(config)
-    return (0.5 * x * tx, 0.5 * y * ty, 0.5 * z * tz)
-
-
-def _time_constants_s(config: PadFilterConfig) -> Vector3:
-    across, up = config.horizontal_time_constant_s, config.vertical_time_constant_s
-    return (across, across, up)
-
-
-def _process_noise(config: PadFilterConfig, dt: float) -> FloatArray:
-    """Q (9, 9): white jerk of the pad, and white noise of the measured vehicle acceleration.
-
-    The jerk's share is that of an unfading acceleration; over seconds it errs on the large side.
-    """
-    w = config.vehicle_acceleration_noise_m_s2_rthz**2
-    jerk = (
-        (dt**5 / 20, dt**4 / 8, dt**3 / 6),
-        (dt**4 / 8, dt**3 / 3, dt**2 / 2),
-        (dt**3 / 6, dt**2 / 2, dt),
-    )
-    Q = np.zeros((9, 9))
-    for axis, density in enumerate(_jerk_density(config)):
-        Q[axis::3, axis::3] = [[density * value for value in row] for row in jerk]
-        Q[axis, axis] += w * dt**3 / 3
-        Q[3 + axis, 3 + axis] += w * dt
-        Q[axis, 3 + axis] += w * dt**2 / 2
-        Q[3 + axis, axis] += w * dt**2 / 2
-    return Q
+def _joined(horizontal: Blend, vertical: Blend) -> tuple[FloatArray, FloatArray]:
+    """The two banks' moments as those of one state: x (9,), P (9, 9)."""
+    x, P = np.zeros(9), np.zeros((9, 9))
+    x[_HORIZONTAL_ROWS], x[_VERTICAL_ROWS] = horizontal.mean[:6], vertical.mean[:3]
+    P[np.ix_(_HORIZONTAL_ROWS, _HORIZONTAL_ROWS)] = horizontal.covariance[:6, :6]
+    P[np.ix_(_VERTICAL_ROWS, _VERTICAL_ROWS)] = vertical.covariance[:3, :3]
+    return x, P

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from companion.config import PadFilterConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
+from companion.estimate.pad_types import plain_from_snapshot, snapshot_from_plain
 from companion.geometry import IDENTITY, Vector3
 
 SENSOR = (0.0, 0.0, 0.08)
@@ -157,6 +160,70 @@ def test_any_order_of_arrival_gives_the_same_state() -> None:
         two.timeline.add(*fixes[k])
     assert np.array_equal(one.at(1.0).x, two.at(1.0).x)
     assert np.array_equal(one.at(1.0).P, two.at(1.0).P)
+
+
+def test_a_filter_resumed_from_json_goes_on_as_if_it_had_never_stopped() -> None:
+    one, two = Bench((0.5, -0.3, 0.0)), Bench((0.5, -0.3, 0.0))
+    fixes = [(k / 30, one.sighting(k / 30, heading=0.1 + 0.01 * k)) for k in range(90)]
+    for time_s, fix in fixes[:45]:
+        one.filter.apply(time_s, fix)
+    text = json.dumps(plain_from_snapshot(one.filter.snapshot()), allow_nan=False)
+    two.filter.restore(snapshot_from_plain(json.loads(text)))
+    for time_s, fix in fixes[45:]:
+        one.filter.apply(time_s, fix)
+        two.filter.apply(time_s, fix)
+    assert plain_from_snapshot(one.filter.snapshot()) == plain_from_snapshot(two.filter.snapshot())
+
+
+def test_a_filter_that_has_not_started_is_kept_too() -> None:
+    fresh = Bench()
+    text = json.dumps(plain_from_snapshot(fresh.filter.snapshot()), allow_nan=False)
+    fresh.filter.restore(snapshot_from_plain(json.loads(text)))
+    assert not fresh.filter.started
+    fresh.see(0.0, 0.2)
+    assert fresh.filter.started
+
+
+def test_models_follow_the_motion() -> None:
+    bench = Bench()
+    bench.see(0.0, 5.0)
+    models = bench.at(5.0).models
+    assert set(models) == {
+        "steady",
+        "manoeuvre",
+        "turn",
+        "sway",
+        "still",
+        "waves_7s",
+        "waves_4.5s",
+        "waves_2.8s",
+    }
+    assert models["steady"] > models["manoeuvre"]
+    assert models["still"] > 0.5
+    assert sum(models[name] for name in ("steady", "manoeuvre", "turn", "sway")) == pytest.approx(1.0)
+
+
+def test_the_horizons_error_is_part_of_the_whole_covariance() -> None:
+    bench = Bench()
+    bench.see(0.0, 2.0)
+    estimate = bench.at(2.0)
+    none, tilt = np.zeros((3, 3)), math.radians(1.0) ** 2 * np.eye(3)
+    assert estimate.covariance(none, 0.3) == pytest.approx(estimate.P[:6, :6])
+    whole = estimate.covariance(tilt, 0.0)
+    assert math.sqrt(whole[1, 1]) > math.radians(1.0) * bench.height_m
+    assert whole[2, 2] == pytest.approx(
+        estimate.P[2, 2] + tilt[0, 0] * (estimate.x[0] ** 2 + estimate.x[1] ** 2)
+    )
+
+
+def test_the_calibrations_error_is_not_averaged_away() -> None:
+    bench = Bench()
+    for k in range(120):
+        fix = replace(bench.sighting(k / 30), slow_variance_m2=0.03**2)
+        bench.timeline.add(k / 30, fix)
+    estimate = bench.at(119 / 30)
+    assert math.sqrt(estimate.P[2, 2]) < 0.01
+    assert math.sqrt(estimate.covariance(np.zeros((3, 3)), 0.0)[2, 2]) == pytest.approx(0.03, rel=0.1)
 
 
 def test_covariance_stays_positive_definite() -> None:
