@@ -112,7 +112,7 @@ class PadFilterConfig(StrictModel):
 class EstimateConfig(StrictModel):
     """Orientation filters, the 31-state EKF and the pad filter. Declination and dip follow from the field."""
 
-    madgwick_gain: float = Field(default=0.06, ge=0.0, le=2.0)
+    madgwick_gain: float = Field(default=0.041, ge=0.0, le=2.0)
     magnetic_field_ned_ut: Vector = (20.9, 0.6, 42.9)
     acceleration_filter_s: float = Field(default=0.02, ge=0.0, le=1.0)
     alignment: AlignmentConfig = AlignmentConfig()

@@ -137,7 +137,7 @@ class Flight:
     gyro_bias_rad_s: Vector3 = (0.0087, -0.0087, 0.006)
     accel_bias_m_s2: Vector3 = (0.06, -0.06, 0.05)
     mag_bias_ut: Vector3 = (0.2, -0.2, 0.3)
-    vibration_m_s2: float = 1.0
+    vibration_m_s2: float = 0.5  # white: what rotors leave below 10 Hz, some 0.03 m/s² per root of hertz
     gps_lost_s: tuple[float, float] = (1e9, 1e9)
     gps_delay_s: tuple[float, float] = (0.12, 0.25)
     pad_hidden_s: tuple[float, float] = (1e9, 1e9)
