@@ -106,7 +106,8 @@ def plain(value: Any) -> Any:
 
 
 def _tagged(value: Any, kind: type) -> tuple[str, Any]:
-    tag, content = kind.__name__, None
+    tag = kind.__name__
+    content: Any
     if kind is float:
         content = repr(value)
     elif isinstance(value, np.ndarray | np.generic):

@@ -40,9 +40,7 @@ def settings(**changes: Any) -> EstimateConfig:
     return EstimateConfig(magnetic_field_ned_ut=FIELD_NED_UT, **changes)
 
 
-def resumed(
-    state: dict[str, Any], config: EstimateConfig | None = None, half_width_m: float = 0.65
-) -> Estimator:
+def resumed(state: dict[str, Any], config: EstimateConfig | None = None, width_m: float = 1.3) -> Estimator:
     return Estimator.resume(state, config or settings(), VEHICLE, ANTENNA, 0.5 * width_m)
 
 
