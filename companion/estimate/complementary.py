@@ -119,19 +119,3 @@ class OrientationFilter:
             done = quat_multiply(self.attitude, (before[0], -before[1], -before[2], -before[3]))
             self._force_ned_m_s2 = quat_rotate(done, self._force_ned_m_s2)
         return self.attitude
-
-    def state_dict(self) -> dict[str, list[float]]:
-        """All that changes in flight, as plain numbers; give it to `restore` to go on exactly there."""
-        return {
-            "attitude": list(self.attitude),
-            "force_ned_m_s2": list(self._force_ned_m_s2),
-            "mag_trusted": [float(self.mag_trusted)],
-        }
-
-    def restore(self, state: dict[str, list[float]]) -> None:
-        """Take up a `state_dict`."""
-        w, x, y, z = state["attitude"]
-        self.attitude = (w, x, y, z)
-        north, east, down = state["force_ned_m_s2"]
-        self._force_ned_m_s2 = (north, east, down)
-        self.mag_trusted = bool(state["mag_trusted"][0])

@@ -164,41 +164,6 @@ class VehicleEkf:
         covariance: FloatArray = J @ self.P @ J.T
         return covariance
 
-    def state_dict(self) -> dict[str, object]:
-        """All of the filter as plain numbers, exact in JSON; give it to `from_state` to go on from here."""
-        return {
-            "time_s": self.time_s,
-            "x": self.x.tolist(),
-            "P": self.P.tolist(),
-            "gates": {kind: list(gate) for kind, gate in self.gates.items()},
-            "has_position": self.has_position,
-            "gps_time_s": self.gps_time_s if math.isfinite(self.gps_time_s) else None,
-            "fix_excess": self.fix_excess,
-        }
-
-    @classmethod
-    def from_state(cls, config: EkfConfig, antenna_body_m: Vector3, state: dict[str, object]) -> VehicleEkf:
-        """A filter that goes on exactly where `state_dict` was taken.
-
-        Raises:
-            ValueError: the state is not one of 31 finite numbers and a 31 x 31 matrix.
-        """
-        x, P = np.array(state["x"], dtype=float), np.array(state["P"], dtype=float)
-        if x.shape != (model.STATES,) or P.shape != (model.STATES, model.STATES):
-            raise ValueError(f"expected 31 states and a 31 x 31 covariance, found {x.shape} and {P.shape}")
-        if not (np.isfinite(x).all() and np.isfinite(P).all()):
-            raise ValueError("expected finite numbers in the EKF's state")
-        start = InitialState(0.0, (1.0, 0.0, 0.0, 0.0), (0, 0, 0), (1.0, 0.0, 0.0), 1.0, 1.0, 1.0)
-        ekf = cls(config, antenna_body_m, start)
-        ekf.x, ekf.P = x, P
-        ekf.time_s = float(state["time_s"])  # type: ignore[arg-type]
-        ekf.gates = {kind: Gate(*values) for kind, values in state["gates"].items()}  # type: ignore[attr-defined]
-        ekf.has_position = bool(state["has_position"])
-        gps_time_s = state["gps_time_s"]
-        ekf.gps_time_s = -math.inf if gps_time_s is None else float(gps_time_s)  # type: ignore[arg-type]
-        ekf.fix_excess = float(state["fix_excess"])  # type: ignore[arg-type]
-        return ekf
-
     # ------------------------------------------------------------ eq. 17
 
     def predict(self, time_s: float, u: model.InertialInput, samples: int = 1) -> None:

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from companion.config import EstimateConfig, VehicleConfig
+from companion.estimate import freezing
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
@@ -63,6 +66,13 @@ class Estimator:
     ) -> None:
         self._config = config
         self._range_position_body_m = vehicle.range_position_body_m
+        settings = {
+            "estimate": config.model_dump(mode="json"),
+            "range_position_body_m": list(vehicle.range_position_body_m),
+            "antenna_position_body_m": list(antenna_position_body_m),
+            "board_half_width_m": board_half_width_m,
+        }
+        self._settings = MappingProxyType(settings)
         self._motion = MotionHistory(config.pad.forget_s + 1.0)
         self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion)
         self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
@@ -198,6 +208,33 @@ class Estimator:
         counts.update({f"{kind}_gate": gate.refused for kind, gate in self._pad.gates.items()})
         counts.update({f"{kind}_gate": count for kind, count in self._vehicle.gates.items()})
         return counts
+
+    # ------------------------------------------------------------ freezing
+
+    def freeze(self) -> dict[str, Any]:
+        """All that the stage knows, as plain data that JSON keeps exactly; in flight about 2 MB of text."""
+        return freezing.freeze(self, self._settings, self._vehicle.start)
+
+    @classmethod
+    def resume(
+        cls,
+        state: dict[str, Any],
+        config: EstimateConfig,
+        vehicle: VehicleConfig,
+        antenna_position_body_m: Vector3,
+        board_half_width_m: float,
+    ) -> Estimator:
+        """An estimator that goes on, to the bit, where `freeze` was asked; late measurements included.
+
+        Raises:
+            ValueError: the state is damaged, of another version, or of other settings.
+        """
+        estimator = cls(config, vehicle, antenna_position_body_m, board_half_width_m)
+        start = freezing.opened(state, estimator._settings)
+        if start is not None:
+            estimator._vehicle.begin(start)
+        freezing.fill(estimator, state["parts"])
+        return estimator
 
     # ------------------------------------------------------------ the pad
 

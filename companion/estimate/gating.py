@@ -9,7 +9,7 @@ same measurement would have given on time.
 from __future__ import annotations
 
 from bisect import bisect_right
-from typing import Final, Generic, NamedTuple, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -53,6 +53,7 @@ I_contra = TypeVar("I_contra", contravariant=True)
 Item = TypeVar("Item")
 
 
+@runtime_checkable
 class Replayable(Protocol[S, I_contra]):
     """A filter whose state can be put back. What `snapshot` returns must never change afterwards."""
 

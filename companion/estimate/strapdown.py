@@ -64,20 +64,3 @@ class Strapdown:
         result = Increment(self._span_s, self.samples, rate, force)
         self.samples, self._span_s, self._turn, self._push = 0, 0.0, IDENTITY, ZERO3
         return result
-
-    def state_dict(self) -> dict[str, list[float]]:
-        """What was collected so far, as plain numbers."""
-        return {
-            "collected": [float(self.samples), self._span_s],
-            "turn": list(self._turn),
-            "push": list(self._push),
-        }
-
-    def restore(self, state: dict[str, list[float]]) -> None:
-        """Take up a `state_dict`."""
-        samples, self._span_s = state["collected"]
-        self.samples = int(samples)
-        w, x, y, z = state["turn"]
-        self._turn = (w, x, y, z)
-        px, py, pz = state["push"]
-        self._push = (px, py, pz)

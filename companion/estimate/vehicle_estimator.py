@@ -75,6 +75,7 @@ class VehicleEstimator:
         self.motion = motion
         self._detector = StillnessDetector(config.alignment)
         self._aligner = StaticAligner(config.alignment)
+        self.start: InitialState | None = None
         self._orientation: Orientation | None = None
         self._ekf: VehicleEkf | None = None
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
@@ -236,13 +237,18 @@ class VehicleEstimator:
             heading_std_rad=math.radians(4.0 if found.still else 40.0),
             gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
         )
-        self._orientation = new_orientation(config, attitude)
-        self._ekf = VehicleEkf(config.ekf, self._antenna_body_m, start)
-        self._timeline = Timeline(self._ekf, config.ekf.remember_s)
+        self.begin(start)
         self._attitude = attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
+
+    def begin(self, start: InitialState) -> None:
+        """Make what there is only after the alignment."""
+        self.start = start
+        self._orientation = new_orientation(self._config, start.attitude)
+        self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
+        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
 
     # ------------------------------------------------------------ IMU
 

@@ -10,6 +10,7 @@ import pytest
 
 from companion.config import OrientationConfig
 from companion.estimate.complementary import OrientationFilter, blend, shortest_turn
+from companion.estimate.freezing import fill, held
 from companion.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
@@ -124,11 +125,14 @@ def test_resumed_filter_goes_on_exactly() -> None:
     two = new_filter(quat_from_euler(1.0, 1.0, 1.0))
     for k in range(200):
         rate, force = vector3(0.1 * rng.normal(size=3)), vector3(rng.normal(size=3) + DOWN_FORCE)
+        field = vector3(rng.normal(size=3) + FIELD)
         one.update_imu(rate, force, 0.005)
-        one.update_mag(vector3(rng.normal(size=3) + FIELD), 0.005)
+        one.update_mag(field, 0.005)
         if k == 100:
-            two.restore(json.loads(json.dumps(one.state_dict())))
-    two.restore(one.state_dict())
+            fill(two, json.loads(json.dumps(held(one))))
+        elif k > 100:
+            two.update_imu(rate, force, 0.005)
+            two.update_mag(field, 0.005)
     assert two.update_imu((0.1, 0.2, 0.3), DOWN_FORCE, 0.005) == one.update_imu(
         (0.1, 0.2, 0.3), DOWN_FORCE, 0.005
     )
