@@ -169,18 +169,10 @@ class Estimator:
     def pad_covariance(self, time_s: float) -> FloatArray | None:
         """Covariance (6, 6) of `pad` at a time; None when there is no pad.
 
-        Order: relative position (m), relative velocity (m/s), NED. The attitude's error turns what the
-        camera sees about the vehicle: its share is in.
+        Order: relative position (m), relative velocity (m/s), NED; the attitude's share is in.
         """
-        estimate, rotation = self._pad_at(time_s), self._vehicle.rotation_covariance()
-        if estimate is None or rotation is None:
-            return None
-        levers = np.zeros((6, 3))
-        for row in (0, 3):
-            x, y, z = vector3(estimate.x[row : row + 3])
-            levers[row : row + 3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-        covariance: FloatArray = estimate.P[:6, :6] + levers @ rotation @ levers.T
-        return covariance
+        estimate = self._pad_at(time_s)
+        return None if estimate is None else self._covariance(estimate)
 
     def pad_prior(self, time_s: float) -> PadPrior | None:
         """What to expect in a frame exposed at time_s; None before the alignment."""
