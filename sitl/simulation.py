@@ -30,7 +30,7 @@ from sitl import camera as lens
 from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.devices.ports import DevicePort
-from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
+from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
 from sitl.endpoint import MavlinkEndpoint
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
@@ -138,6 +138,9 @@ class Simulation:
             range_port=range_port,
             gps_config=GpsConfig(latency_s=scenario.sensors.gps_delay_s),
             errors=sensor_errors(scenario.sensors),
+            wiring=Wiring(
+                scenario.sensors.imu_interface, scenario.sensors.gps_wake_baud, scenario.sensors.ultrasonic
+            ),
         )
         self.imu_bus = self._rack.imu
         self._range_m = OUT_OF_RANGE_M

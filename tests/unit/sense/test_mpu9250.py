@@ -14,6 +14,7 @@ from companion.config import ConfigError, ImuConfig, validate
 from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler, quat_rotate_inverse
 from companion.messages import ImuSample, MagSample
 from companion.sense.ak8963 import Ak8963
+from companion.sense.ak8963_path import BypassPath
 from companion.sense.fifo import SamplesLostError
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
@@ -153,7 +154,7 @@ def test_every_range_is_scaled_alike_and_clips_at_its_end(gyro_range: int, accel
 def test_magnetometer_block_is_decoded_with_swapped_axes_and_little_endian() -> None:
     block = struct.pack("<BhhhB", 0x01, 100, -200, 300, 0x10)
     # without the fuse ROM's values: 0.15 µT a step
-    decoded = Ak8963(_NoBus(), 0x68, 100).decode(block)
+    decoded = Ak8963(BypassPath(_NoBus()), 100).decode(block)
     assert decoded is not None
     field, newest = decoded
     assert field == pytest.approx((-30.0, 15.0, -45.0))
@@ -163,7 +164,7 @@ def test_magnetometer_block_is_decoded_with_swapped_axes_and_little_endian() -> 
 @pytest.mark.parametrize("status_2", [0x18, 0x08, 0x00])
 def test_magnetometer_overflow_or_wrong_width_is_no_measurement(status_2: int) -> None:
     block = struct.pack("<BhhhB", 0x01, 100, -200, 300, status_2)
-    assert Ak8963(_NoBus(), 0x68, 100).decode(block) is None
+    assert Ak8963(BypassPath(_NoBus()), 100).decode(block) is None
 
 
 def test_a_magnetic_overflow_is_dropped_and_the_rest_goes_on() -> None:

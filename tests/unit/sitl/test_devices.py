@@ -355,9 +355,15 @@ def fly(
 
     async def position(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
         while True:
-            port.app.write(driver.pending(clock.now_s()))
             data = await port.app.read()
             fixes.extend(driver.feed(data, clock.now_s()))
+
+    async def configure(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
+        while True:
+            command = driver.pending(clock.now_s())
+            port.app.set_baud(driver.baud)
+            port.app.write(command)
+            await asyncio.sleep(0.2)
 
     async def distance(driver: Ultrasonic, port: MemoryPort, clock: Clock) -> None:
         while True:
@@ -375,9 +381,11 @@ def fly(
             gps_port=gps_line,
             range_port=range_line,
         )
+        receiver = Neo6m(GpsConfig())
         tasks = [
             asyncio.create_task(inertial(Mpu9250(rack.imu, ImuConfig()), clock)),
-            asyncio.create_task(position(Neo6m(GpsConfig()), gps_line, clock)),
+            asyncio.create_task(position(receiver, gps_line, clock)),
+            asyncio.create_task(configure(receiver, gps_line, clock)),
             asyncio.create_task(distance(Ultrasonic(RangeConfig()), range_line, clock)),
         ]
         await world(rack, clock)
@@ -400,7 +408,7 @@ def test_what_the_app_gets_is_the_world_with_the_sensors_errors() -> None:
     newest = mag[-1].field_body_ut
     heading = math.atan2(-newest[1], newest[0]) + math.atan2(0.6, 20.9)
     assert math.remainder(heading - 0.3 * mag[-1].time_s, math.tau) == pytest.approx(0.0, abs=0.15)
-    assert len([f for f in fixes if f.time_s > 7.0]) == pytest.approx(24, abs=1)
+    assert len([f for f in fixes if f.time_s > 8.0]) == pytest.approx(19, abs=1)
     assert np.mean([f.velocity_ned_m_s for f in fixes[-20:]], axis=0) == pytest.approx((0, 1, 0), abs=0.15)
     assert len(echoes) == pytest.approx(145, abs=10)
     assert np.median([e.distance_m for e in echoes]) == pytest.approx(1.9, abs=0.02)
