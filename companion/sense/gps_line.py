@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from typing import Final
 
 RATES: Final = (9600, 38400, 57600, 115200, 19200, 4800)  # what a NEO-6M can, the likely ones first
@@ -24,7 +25,7 @@ class LineRate:
 
     def __init__(self, wanted: int) -> None:
         self.baud = self.wanted = wanted
-        self._others = itertools.cycle([rate for rate in RATES if rate != wanted])
+        self._others = self._all_others()
         self._since_s = -math.inf
         self._began = False
         self._asked = False
@@ -57,6 +58,7 @@ class LineRate:
         if self.there:
             if understood:
                 self._in_vain = 0
+                self._others = self._all_others()
             if quiet_s > (SILENCE_S if understood else LISTEN_S):
                 self._go(next(self._others), now_s)
             return False
@@ -71,6 +73,9 @@ class LineRate:
             return False
         self._asked = True
         return True
+
+    def _all_others(self) -> Iterator[int]:
+        return itertools.cycle([rate for rate in RATES if rate != self.wanted])
 
     def _go(self, baud: int, now_s: float) -> None:
         self.baud = baud

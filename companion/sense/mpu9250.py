@@ -37,7 +37,7 @@ _FILTER: Final = {184: (1, 0.0029), 92: (2, 0.0039), 41: (3, 0.0059), 20: (4, 0.
 _GYRO_RANGE: Final = {250: 0, 500: 1, 1000: 2, 2000: 3}
 _ACCEL_RANGE: Final = {2: 0, 4: 1, 8: 2, 16: 3}
 
-_SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
+_SMPLRT_DIV: Final = 0x19  # CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2 follow
 _FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG = 0x23, 0x24, 0x37
 _USER_CTRL, _PWR_MGMT_1, _PWR_MGMT_2 = 0x6A, 0x6B, 0x6C
 _WHO_AM_I = 0x75
@@ -71,8 +71,10 @@ class Mpu9250:
         self._config = config
         self._user_control = _user_control(config)
         self._mag = self._make_magnetometer()
-        kind = Fifo if config.read == "fifo" else OutputRegisters
-        self._samples = kind(bus, config.address, self._user_control)
+        self._settings = _settings(config)
+        self._samples: Fifo | OutputRegisters = Fifo(bus, config.address, self._user_control)
+        if config.read == "registers":
+            self._samples = OutputRegisters(bus, config.address, self._user_control, self._settings)
         self._clock = SampleClock(1.0 / config.rate_hz)
         self._delay_s = _FILTER[config.filter_hz][1]
         mounting = config.body_from_sensor_deg
@@ -192,22 +194,11 @@ class Mpu9250:
         self._mag.restart()
 
     def _write_settings(self) -> None:
-        config = self._config
-        dlpf = _FILTER[config.filter_hz][0]
-        settings = bytes(
-            (
-                1000 // config.rate_hz - 1,
-                _FIFO_STOPS_WHEN_FULL | dlpf,
-                _GYRO_RANGE[config.gyro_range_deg_s] << 3,
-                _ACCEL_RANGE[config.accel_range_g] << 3,
-                dlpf,
-            )
-        )
-        for offset, value in enumerate(settings):
+        for offset, value in enumerate(self._settings):
             self._write(_SMPLRT_DIV + offset, value)
-        taken = self._read(_SMPLRT_DIV, len(settings))
-        if taken != settings:
-            raise SensorError(f"settings not taken: wrote {settings.hex()}, read {taken.hex()}")
+        taken = self._read(_SMPLRT_DIV, len(self._settings))
+        if taken != self._settings:
+            raise SensorError(f"settings not taken: wrote {self._settings.hex()}, read {taken.hex()}")
 
     # ------------------------------------------------------------ samples
 
@@ -281,3 +272,17 @@ class Mpu9250:
 def _user_control(config: ImuConfig) -> int:
     """USER_CTRL without the FIFO's bits."""
     return (_I2C_OFF if config.over_spi else 0) | (_USER_MASTER if config.mag_path == "master" else 0)
+
+
+def _settings(config: ImuConfig) -> bytes:
+    """SMPLRT_DIV, CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2."""
+    dlpf = _FILTER[config.filter_hz][0]
+    return bytes(
+        (
+            1000 // config.rate_hz - 1,
+            _FIFO_STOPS_WHEN_FULL | dlpf,
+            _GYRO_RANGE[config.gyro_range_deg_s] << 3,
+            _ACCEL_RANGE[config.accel_range_g] << 3,
+            dlpf,
+        )
+    )
