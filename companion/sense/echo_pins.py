@@ -117,6 +117,6 @@ def _gpiozero_module() -> Any:
         import gpiozero  # noqa: PLC0415 - needed on a vehicle with such a sensor alone
     except ImportError as error:
         raise ConfigError(
-            "sense.range.kind gpio: the module gpiozero is missing; expected: pip install 'companion[pi]'"
+            "sense.range.kind gpio: gpiozero is missing; expected: apt install python3-gpiozero python3-lgpio"
         ) from error
     return gpiozero

@@ -74,6 +74,6 @@ def _spidev_module() -> Any:
         import spidev  # noqa: PLC0415 - needed on a vehicle with SPI alone
     except ImportError as error:
         raise ConfigError(
-            "bus 'spi:...': the Python module spidev is missing; expected: pip install 'companion[pi]'"
+            "bus 'spi:...': spidev is missing; expected: apt install python3-spidev (or pip install spidev)"
         ) from error
     return spidev

@@ -43,7 +43,7 @@ class Rig:
     async def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         tasks = [asyncio.create_task(loop()) for loop in (self._world, self._listen, self._configure)]
         end_s = self._clock.now_s() + seconds
-        while self._clock.now_s() < end_s and not until():
+        while self._clock.now_s() < end_s and not until():  # noqa: ASYNC110 - any condition will do
             await asyncio.sleep(0.01)
         for task in tasks:
             task.cancel()

@@ -1,4 +1,4 @@
-"""The SPI bus on a stand-in for the kernel's spidev that counts clock rates, with a simulated chip behind it."""
+"""The SPI bus on a stand-in for the kernel's spidev that checks clock rates, a simulated chip behind it."""
 
 from __future__ import annotations
 
@@ -106,7 +106,10 @@ def test_a_chip_that_is_not_behind_the_chip_select_is_a_bus_fault(spidev: type[F
 
 def test_a_missing_module_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "spidev", None)
-    with pytest.raises(ConfigError, match=r"spidev is missing; expected: pip install 'companion\[pi\]'$"):
+    with pytest.raises(
+        ConfigError,
+        match=r"spidev is missing; expected: apt install python3-spidev",
+    ):
         open_bus("spi:0.0")
 
 
