@@ -45,7 +45,7 @@ def fly_static(
     return fly(settings, trial, log, lambda _status: None, fast=True), log
 
 
-WIRINGS = {
+WIRINGS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "SPI, a US-100, a receiver that comes up at 115200 baud": (
         {"imu_interface": "spi", "ultrasonic": "polled", "gps_wake_baud": 115200},
         {"gps": {"baud": 57600}},

@@ -156,7 +156,12 @@ def test_a_silent_line_is_told_and_tried_at_all_rates() -> None:
 
     async def script(rig: Rig) -> None:
         rig.device.silent = True
-        await rig.run(30.0, lambda: tried.add(rig.driver.baud) is not None)
+
+        def note() -> bool:
+            tried.add(rig.driver.baud)
+            return False
+
+        await rig.run(30.0, note)
 
     rig = virtual(9600, 38400, script)
     assert tried == set(RATES)

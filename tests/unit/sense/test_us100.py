@@ -80,18 +80,19 @@ def test_anything_at_all_survives(pieces: list[bytes]) -> None:
     assert [s.distance_m for s in driver.feed(b"\x03\xe8", 10.02)] == [1.0]
 
 
+def problem_at(driver: Us100, now_s: float) -> str | None:
+    driver.watch(now_s)
+    return driver.problem
+
+
 def test_a_sensor_that_says_nothing_is_told_and_forgotten_when_it_speaks() -> None:
     driver = Us100(CONFIG)
-    driver.watch(0.0)
-    driver.watch(0.9)
-    assert driver.problem is None
-    driver.watch(1.1)
-    assert driver.problem == "ultrasonic: nothing received"
+    assert problem_at(driver, 0.0) is None
+    assert problem_at(driver, 0.9) is None
+    assert problem_at(driver, 1.1) == "ultrasonic: nothing received"
     driver.pending(1.2)
     driver.feed(b"\x07", 1.2)
-    driver.watch(1.3)
-    assert driver.problem == "ultrasonic: no answer in what is received"
+    assert problem_at(driver, 1.3) == "ultrasonic: no answer in what is received"
     driver.pending(1.4)
     driver.feed(b"\x00\x00", 1.43)  # no echo is no fault
-    driver.watch(1.5)
-    assert driver.problem is None
+    assert problem_at(driver, 1.5) is None

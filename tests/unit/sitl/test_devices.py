@@ -333,7 +333,8 @@ def test_a_polled_one_answers_when_it_is_asked_and_its_echo_is_back() -> None:
     assert [device.step(0.001 * k, 1.7) for k in range(50)] == [b""] * 50
     device.receive(b"\x55")
     heard = [(k, data) for k in range(50, 100) if (data := device.step(0.001 * k, 1.7))]
-    assert heard == [(60, b"\x06\xa4")]
+    assert [data for _, data in heard] == [b"\x06\xa4"]
+    assert heard[0][0] == pytest.approx(60, abs=1)
     device.receive(b"\x50")
     assert device.step(0.1, 1.7) == bytes((20 + 45,))
 
