@@ -24,7 +24,7 @@ from companion.record import FlightLog
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
-from companion.sense.ultrasonic import Ultrasonic
+from companion.sense.range_finder import make_range_finder
 from companion.sense.vision import Vision, VisionResult
 
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
@@ -58,7 +58,7 @@ class Sensing:
         self._config, self._hardware = config, hardware
         self._imu = Mpu9250(hardware.imu_bus, config.sense.imu)
         self._gps = Neo6m(config.sense.gps)
-        self._range = Ultrasonic(config.sense.range)
+        self._range = make_range_finder(config.sense.range, hardware.range_port, clock)
         self._vision = vision
         self._estimator = estimator
         self._clock, self._log, self._tell = clock, log, tell
@@ -122,18 +122,19 @@ class Sensing:
                 self._log.write("gps", fix, self._clock.now_s())
 
     async def _gps_configuration_task(self) -> None:
-        """Send the receiver what it has not acknowledged yet, and all of it again when it has forgotten."""
+        """Find the receiver's rate; send what it has not acknowledged yet, and all again when it forgets."""
         # a port that is gone is told by the task that reads it
         with contextlib.suppress(OSError):
             while True:
-                self._hardware.gps_port.write(self._gps.pending(self._clock.now_s()))
+                question = self._gps.pending(self._clock.now_s())
+                self._hardware.gps_port.set_baud(self._gps.baud)
+                self._hardware.gps_port.write(question)
                 await asyncio.sleep(GPS_CONFIGURATION_PERIOD_S)
 
     async def _range_task(self) -> None:
-        """Turn the ultrasonic's bytes into distances."""
+        """Turn the ultrasonic's echoes into distances."""
         while True:
-            data = await self._hardware.range_port.read()
-            for sample in self._range.feed(data, self._clock.now_s()):
+            for sample in await self._range.read():
                 self.last_range = sample
                 self._estimator.add_range(sample)
                 self._log.write("range", sample, self._clock.now_s())

@@ -31,7 +31,7 @@ from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.breaking import Breakable, FaultSchedule, FrameLine
 from sitl.devices.ports import DevicePort
-from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
+from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
 from sitl.endpoint import MavlinkEndpoint
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
@@ -140,6 +140,9 @@ class Simulation:
             range_port=range_port,
             gps_config=GpsConfig(latency_s=scenario.sensors.gps_delay_s),
             errors=sensor_errors(scenario.sensors),
+            wiring=Wiring(
+                scenario.sensors.imu_interface, scenario.sensors.gps_wake_baud, scenario.sensors.ultrasonic
+            ),
         )
         self.imu_bus = self._rack.imu
         self._range_m = OUT_OF_RANGE_M
