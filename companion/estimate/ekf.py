@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -60,6 +60,7 @@ class GpsStep:
 
 
 EkfInput = ImuStep | GpsStep
+UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity by more does not know it
 
 
 class EkfSnapshot(NamedTuple):
@@ -259,14 +260,21 @@ class VehicleEkf:
             self._start_from(fix)
 
     def _start_from(self, fix: GpsStep) -> None:
-        """Take position and velocity from the fix alone: at first, or when the old ones proved wrong."""
+        """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.
+
+        A component of the velocity that the fix does not know stays as it is.
+        """
         q, x = self.attitude, self.x.copy()
+        speed_known = np.less(fix.velocity_std_m_s, UNKNOWN_SPEED_M_S)
         x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
-        x[model.VELOCITY] = fix.velocity_ned_m_s
+        x[model.VELOCITY] = np.where(speed_known, fix.velocity_ned_m_s, x[model.VELOCITY])
         P = self.P.copy()
         states = slice(model.POSITION.start, model.VELOCITY.stop)
+        speed_variance = np.where(
+            speed_known, np.square(fix.velocity_std_m_s), self.P.diagonal()[model.VELOCITY]
+        )
         P[states, :] = P[:, states] = 0.0
-        P[states, states] = np.diag(np.square(fix.position_std_m + fix.velocity_std_m_s))
+        P[states, states] = np.diag(np.concatenate((np.square(fix.position_std_m), speed_variance)))
         self.x, self.P = x, P
         self.has_position, self.gps_time_s = True, self.time_s
         fresh = {

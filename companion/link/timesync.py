@@ -11,6 +11,7 @@ from collections import deque
 from typing import Final
 
 _KEPT: Final = 10
+_SETTLED: Final = 5
 _JUMP_MARGIN_S: Final = 0.01
 _NS: Final = 1e9
 
@@ -31,6 +32,11 @@ class TimeSync:
     def round_trip_s(self) -> float | None:
         """The shortest round trip among the last ones; half of it bounds the offset's error."""
         return min(self._trips)[0] if self._trips else None
+
+    @property
+    def settled(self) -> bool:
+        """Whether there have been enough answers to choose a quick one from."""
+        return len(self._trips) >= _SETTLED
 
     def ask(self, now_s: float) -> int:
         """ts1 (ns) of a request sent now."""
