@@ -26,7 +26,7 @@ _GEOID_M: Final = 47.0
 _DILUTIONS: Final = (100, 170)
 _I16: Final = 32767
 _U16_KNOWN: Final = 65534
-_NO_ECHO_CM: Final = 1  # beyond the farthest it can measure
+_BEYOND_CM: Final = 1  # the farthest it can measure: no echo
 
 
 class SensorMessages:
@@ -119,8 +119,8 @@ class SensorMessages:
         self._echo_told_s = echo.time_s
         bounds = RangeErrors()
         nearest_cm, farthest_cm = round(100.0 * bounds.minimum_m), round(100.0 * bounds.maximum_m)
-        heard = echo.distance_m is not None
-        distance_cm = round(100.0 * echo.distance_m) if heard else farthest_cm + _NO_ECHO_CM
+        told_m, beyond_cm = echo.distance_m, farthest_cm + _BEYOND_CM
+        distance_cm = beyond_cm if told_m is None else round(100.0 * told_m)
         return mavlink.MAVLink_distance_sensor_message(
             self._boot_us(echo.time_s) // 1000, nearest_cm, farthest_cm, distance_cm,
             mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0,

@@ -38,6 +38,7 @@ IMU_LATENCY_S: Final[dict[Manner, float]] = {"px4": 0.004, "ardupilot": 0.011}
 _NAMES: Final = {number: mavlink.mavlink_map[number].msgname for number in SENSOR_MESSAGES}
 
 SWITCH_S: Final = 0.5  # a better message is silent for so long: take the next best
+IMU_SILENCE_S: Final = 0.5  # without the IMU for longer there is no estimate
 SILENCE_S: Final = 2.0  # a stream that has said nothing usable for so long is a problem
 PATIENCE_S: Final = 6.0  # after the first heartbeat: rates are asked for, and asked for again
 SLOWEST_IMU_HZ: Final = 45.0  # 50 Hz less what a stream may be off
@@ -184,12 +185,14 @@ class OnboardSensors:
         return "no answers to TIMESYNC; without its clock no sample has a time"
 
     def _imu_problem(self, manner: Manner, now_s: float) -> str | None:
-        wanted = f"{_NAMES[IMU_MESSAGES[manner][0]]} at {self._config.autopilot.imu_rate_hz:g} Hz"
-        if self._missing("imu", now_s):
-            heard = [n for n in IMU_MESSAGES[manner] if now_s - self._heard_s.get(n, -math.inf) < SILENCE_S]
+        if self._missing("imu", now_s, IMU_SILENCE_S):
+            heard = [
+                n for n in IMU_MESSAGES[manner] if now_s - self._heard_s.get(n, -math.inf) < IMU_SILENCE_S
+            ]
             if heard:
                 return f"{_NAMES[heard[0]]} comes but cannot be used: {self._most_refused('imu')}"
-            return f"no {_NAMES[IMU_MESSAGES[manner][0]]} comes; expected {wanted} ({_ADVICE[manner]})"
+            rate_hz, name = self._config.autopilot.imu_rate_hz, _NAMES[IMU_MESSAGES[manner][0]]
+            return f"no {name} comes; expected it at {rate_hz:g} Hz ({_ADVICE[manner]})"
         if self._imu_rate_hz < SLOWEST_IMU_HZ:
             name = _NAMES[self._imu_message or IMU_MESSAGES[manner][0]]
             # a rate that wavers is one problem, not one a second
@@ -198,7 +201,7 @@ class OnboardSensors:
         return None
 
     def _others_problem(self, now_s: float) -> str | None:
-        if self._missing("mag", now_s):
+        if self._missing("mag", now_s, SILENCE_S):
             return "no magnetic field in the IMU's messages; expected the autopilot's compass"
         for number in self.rates_hz():
             if number in (_GPS, _RANGE) and now_s - self._heard_s.get(number, -math.inf) > SILENCE_S:
@@ -206,8 +209,8 @@ class OnboardSensors:
                 return f"no {_NAMES[number]}{what} comes; expected it at {self.rates_hz()[number]:g} Hz"
         return None
 
-    def _missing(self, stream: str, now_s: float) -> bool:
-        return now_s - self._used_s.get(stream, -math.inf) > SILENCE_S
+    def _missing(self, stream: str, now_s: float, patience_s: float) -> bool:
+        return now_s - self._used_s.get(stream, -math.inf) > patience_s
 
     def _most_refused(self, stream: str) -> str:
         stamps, values = self.refused[f"{stream}_stamp"], self.refused[f"{stream}_values"]
