@@ -29,13 +29,17 @@ _ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
 
 
 class MavlinkEndpoint:
-    """One autopilot's end of a link; `sensors` are the autopilot's own."""
+    """One autopilot's end of a link; without `sensors` it tells nothing of what its own ones measure."""
 
     def __init__(
-        self, autopilot: Autopilot, sensors: OnboardSensors, system_id: int = 1, component_id: int = 1
+        self,
+        autopilot: Autopilot,
+        sensors: OnboardSensors | None = None,
+        system_id: int = 1,
+        component_id: int = 1,
     ) -> None:
         self.autopilot = autopilot
-        self._sensors = SensorMessages(autopilot, sensors)
+        self._sensors = None if sensors is None else SensorMessages(autopilot, sensors)
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -97,14 +101,14 @@ class MavlinkEndpoint:
 
     def send_once(self, message_id: int, now_s: float) -> bool:
         """Queue a telemetry message; False when there is no such message (no data yet is not that)."""
-        if not self._has(message_id):
-            return False
-        self._sensors.ask(message_id)
         builder = BUILDERS.get(message_id)
-        if builder is None:
+        if builder is not None:
+            message = builder(self.autopilot, now_s)
+        elif self._sensors is not None and message_id in self._sensors:
+            self._sensors.ask(message_id)
             message = self._sensors.build(message_id, now_s)
         else:
-            message = builder(self.autopilot, now_s)
+            return False
         if message is not None:
             self._outgoing.append(message)
         return True
@@ -120,7 +124,7 @@ class MavlinkEndpoint:
         self._outgoing.append(mavlink.MAVLink_message_interval_message(max(message_id, 0), interval))
 
     def _has(self, message_id: int) -> bool:
-        return message_id in BUILDERS or message_id in self._sensors
+        return message_id in BUILDERS or (self._sensors is not None and message_id in self._sensors)
 
     def _queue_text(self, severity: Severity, text: str) -> None:
         data = text.encode("ascii", "replace")

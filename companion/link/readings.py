@@ -50,8 +50,8 @@ def stamp_s(message: Message) -> float:
 
 def imu_sample(message: Message, time_s: float) -> ImuSample | None:
     """Gyroscope and accelerometer of HIGHRES_IMU, RAW_IMU or SCALED_IMU, measured at time_s."""
-    if getattr(message, "id", 0) != 0:
-        return None  # another IMU than the first
+    if not _is_the_first(message):
+        return None
     rate = (float(message.xgyro), float(message.ygyro), float(message.zgyro))
     force = (float(message.xacc), float(message.yacc), float(message.zacc))
     if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
@@ -69,7 +69,7 @@ def imu_sample(message: Message, time_s: float) -> ImuSample | None:
 def mag_sample(message: Message, time_s: float) -> MagSample | None:
     """Magnetometer of HIGHRES_IMU (if its bits are set), RAW_IMU or SCALED_IMU, measured at time_s."""
     field = (float(message.xmag), float(message.ymag), float(message.zmag))
-    if getattr(message, "id", 0) != 0 or not _finite(field):
+    if not _is_the_first(message) or not _finite(field):
         return None
     largest, unit_ut = max(map(abs, field)), _MILLIGAUSS_UT
     if message.get_msgId() == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU:
@@ -118,6 +118,11 @@ def range_sample(message: Message, time_s: float, minimum_m: float, maximum_m: f
 def looks_down(message: Message) -> bool:
     """Whether a DISTANCE_SENSOR points at the ground."""
     return bool(message.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270)
+
+
+def _is_the_first(message: Message) -> bool:
+    """Whether it tells of the autopilot's first IMU: SCALED_IMU does, its `id` is pymavlink's and no field."""
+    return bool(message.get_msgId() == mavlink.MAVLINK_MSG_ID_SCALED_IMU or message.id == 0)
 
 
 def _velocity(message: Message) -> tuple[Vector3, float]:
