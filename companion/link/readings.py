@@ -121,7 +121,7 @@ def looks_down(message: Message) -> bool:
 
 
 def _is_the_first(message: Message) -> bool:
-    """Whether it tells of the autopilot's first IMU: SCALED_IMU does, its `id` is pymavlink's and no field."""
+    """Whether it tells of the autopilot's first IMU; SCALED_IMU does (its `id` is pymavlink's, no field)."""
     return bool(message.get_msgId() == mavlink.MAVLINK_MSG_ID_SCALED_IMU or message.id == 0)
 
 
