@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ def frames(path: Path) -> Iterator[tuple[float, Any]]:
         at += 8 + size
 
 
+@cache
 def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
     """All samples by kind. Nobody asked for TIMESYNC: its answers are made from the quickest message."""
     assert RECORDINGS is not None
