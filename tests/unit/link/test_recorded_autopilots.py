@@ -37,7 +37,7 @@ def frames(path: Path) -> Iterator[tuple[float, Any]]:
     data, at = path.read_bytes(), 0
     codec = Codec(1, wanted=SENSOR_MESSAGES)
     while at + 10 <= len(data):
-        time_s, header = int.from_bytes(data[at : at + 8], "big") * 1e-6, data[at + 8 :]
+        time_s, header = int.from_bytes(data[at : at + 8], "big") * 1e-6, data[at + 8 : at + 18]
         size = header[1] + (12 if header[0] == 0xFD else 8)
         if header[0] == 0xFD and header[2] & 1:
             size += 13
@@ -55,16 +55,20 @@ def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
         for time_s, m in frames(RECORDINGS / FILES[manner])
         if m.get_msgId() == imu_message or m.get_msgId() not in IMU.values()
     ]
-    offset_s = max(m.time_usec * 1e-6 - t for t, m in recorded if m.get_msgId() == imu_message)
     timesync, start_s = TimeSync(), recorded[0][0]
-    for k in range(5):
-        asked_s = 1.0 + k
-        timesync.answered(round((asked_s + start_s + offset_s) * 1e9), timesync.ask(asked_s), asked_s)
     sensors = OnboardSensors(SenseConfig(source="autopilot"), timesync)
     samples: dict[type, list[Sample]] = {kind: [] for kind in (ImuSample, MagSample, GpsFix, RangeSample)}
+    stamps = np.array([(t, m.time_usec * 1e-6 - t) for t, m in recorded if m.get_msgId() == imu_message])
+    answered_s = -math.inf
     for time_s, message in recorded:
-        sensors.heartbeat(manner, time_s - start_s)
-        sensors.hear(message, time_s - start_s)
+        now_s = time_s - start_s
+        if now_s - answered_s > 0.2:
+            offset_s = float(stamps[np.abs(stamps[:, 0] - time_s) < 0.5, 1].max())
+            for _ in range(5 if answered_s < 0.0 else 1):
+                timesync.answered(round((time_s + offset_s) * 1e9), timesync.ask(now_s), now_s)
+            answered_s = now_s
+        sensors.heartbeat(manner, now_s)
+        sensors.hear(message, now_s)
         for sample in sensors.take():
             samples[type(sample)].append(sample)
     return samples
@@ -84,6 +88,7 @@ def test_the_imu_shows_gravity_at_rest_and_a_field_of_the_earths_size(
     samples = replay(manner, message)
     imu, mag = samples[ImuSample], samples[MagSample]
     times = np.array([sample.time_s for sample in imu])
+    assert len(imu) > 0.9 * rate_hz * (times[-1] - times[0])
     assert 1.0 / np.median(np.diff(times)) == pytest.approx(rate_hz, rel=0.05)
     assert np.diff(times).min() > 0.0
     rest = np.array([s.specific_force_body_m_s2 for s in imu if s.time_s < times[0] + REST_S])
@@ -92,7 +97,7 @@ def test_the_imu_shows_gravity_at_rest_and_a_field_of_the_earths_size(
     still = np.array([s.rate_body_rad_s for s in imu if s.time_s < times[0] + REST_S])
     assert np.abs(still.mean(axis=0)).max() < math.radians(0.3)
     turned_rad_s = max(abs(s.rate_body_rad_s[2]) for s in imu)
-    assert math.radians(5.0) < turned_rad_s < math.radians(220.0)  # it yawed by 90 degrees
+    assert math.radians(20.0) < turned_rad_s < math.radians(220.0)  # it yawed by 90 degrees
     fields = np.array([norm(s.field_body_ut) for s in mag])
     print(f"{manner}: {len(imu)} imu, {len(mag)} mag, field {fields.mean():.1f} +- {fields.std():.1f} µT")
     assert 40.0 < np.median(fields) < 65.0
@@ -108,7 +113,8 @@ def test_the_receiver_shows_place_and_speed_of_the_flight(manner: Manner, latitu
     assert 1.0 / np.median(np.diff(times)) == pytest.approx(5.0, rel=0.25)
     assert np.median([fix.latitude_deg for fix in fixes]) == pytest.approx(latitude_deg, abs=1e-3)
     heights = np.array([fix.altitude_m for fix in fixes])
-    assert 7.0 < heights.max() - np.median(heights[:20]) < 11.0  # it climbed to 8 m
+    # it climbed to 8 m; PX4's simulated receiver is off by half a metre and more
+    assert 7.0 < np.percentile(heights, 90.0) - np.median(heights[:20]) < 10.0
     # speed by course against the way between fixes: north is north
     north = np.array([fix.latitude_deg for fix in fixes]) * 111_120.0
     east = np.array([fix.longitude_deg for fix in fixes]) * 111_320.0 * math.cos(math.radians(latitude_deg))
