@@ -198,7 +198,14 @@ async def _virtual_flight(
         range_port=range_line,
         deliver_frame=frames.deliver,
     )
-    hardware = Hardware(app_end, simulation.imu_bus, gps_line.app, range_line.app, frames)
+    boards = config.sense.source == "boards"
+    hardware = Hardware(
+        app_end,
+        frames,
+        imu_bus=simulation.imu_bus if boards else None,
+        gps_port=gps_line.app if boards else None,
+        range_port=None if config.sense.range_by_telemetry else range_line.app,
+    )
     app = App(config, hardware, log, make_own_actions, on_status)
     started_s = wall_clock_s()
     world = asyncio.create_task(simulation.run())

@@ -43,13 +43,16 @@ class BytePort(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What the app is plugged into; the simulator gives the same interfaces as the vehicle."""
+    """What the app is plugged into; the simulator gives the same interfaces as the vehicle.
+
+    A board is None when the autopilot's own sensor takes its place.
+    """
 
     transport: Transport
-    imu_bus: RegisterBus
-    gps_port: BytePort
-    range_port: BytePort | EchoPins
     frames: FrameSource
+    imu_bus: RegisterBus | None = None
+    gps_port: BytePort | None = None
+    range_port: BytePort | EchoPins | None = None
 
 
 @asynccontextmanager
@@ -60,16 +63,21 @@ async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
         ConfigError: a port, bus or camera is missing, taken or misspelt; one line says which.
     """
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
-    gps = config.sense.gps
+    sense = config.sense
     with ExitStack() as opened:
         transport = opened.enter_context(
             closing(await open_transport(config.link.connection, config.link.system_id))
         )
-        imu_bus = opened.enter_context(closing(open_bus(config.sense.imu.bus)))
-        gps_port = opened.enter_context(closing(SerialPort(gps.port, gps.baud)))
-        range_port = opened.enter_context(closing(_open_range_port(config.sense.range)))
-        frames = opened.enter_context(closing(await open_camera(config.sense.vision.source, camera)))
-        yield Hardware(transport, imu_bus, gps_port, range_port, frames)
+        imu_bus: RegisterBus | None = None
+        gps_port: BytePort | None = None
+        range_port: BytePort | EchoPins | None = None
+        if sense.source == "boards":
+            imu_bus = opened.enter_context(closing(open_bus(sense.imu.bus)))
+            gps_port = opened.enter_context(closing(SerialPort(sense.gps.port, sense.gps.baud)))
+        if not sense.range_by_telemetry:
+            range_port = opened.enter_context(closing(_open_range_port(sense.range)))
+        frames = opened.enter_context(closing(await open_camera(sense.vision.source, camera)))
+        yield Hardware(transport, frames, imu_bus, gps_port, range_port)
 
 
 def _open_range_port(config: RangeConfig) -> SerialPort | EchoPins:

@@ -103,6 +103,24 @@ class RangeConfig(StrictModel):
         return self
 
 
+class AutopilotSensorsConfig(StrictModel):
+    """The autopilot's own sensors, by its telemetry: what is asked of it, and how old its stamps make them.
+
+    Axes are the autopilot's body axes (FRD): the mounting rotations are its own parameters. The antenna's
+    place stays `sense.gps.antenna_position_body_m`, the rangefinder's stays in the vehicle's file, and
+    `sense.range` still bounds what is believed.
+    """
+
+    imu_rate_hz: float = Field(default=200.0, ge=50.0, le=400.0)  # asked for; what comes counts
+    imu_latency_s: float | None = Field(
+        default=None, ge=0.0, le=0.1
+    )  # age of a sample at its stamp, by the autopilot's filters; none: 0.004 for PX4, 0.011 for ArduPilot
+    gps_rate_hz: float = Field(default=5.0, ge=1.0, le=20.0)  # asked for
+    gps_latency_s: float = Field(default=0.12, ge=0.0, le=0.5)  # age of a fix at its stamp
+    range_source: Literal["autopilot", "boards"] = "autopilot"  # boards: our ultrasonic all the same
+    range_rate_hz: float = Field(default=20.0, ge=1.0, le=100.0)  # asked for
+
+
 class VisionConfig(StrictModel):
     """Marker detection and pose."""
 
@@ -122,9 +140,16 @@ class VisionConfig(StrictModel):
 
 
 class SenseConfig(StrictModel):
-    """All sensors."""
+    """All sensors. `boards` are our own: MPU9250, NEO-6M and ultrasonic; the camera is always ours."""
 
+    source: Literal["boards", "autopilot"] = "boards"  # of IMU, magnetometer, GPS and range
+    autopilot: AutopilotSensorsConfig = AutopilotSensorsConfig()
     imu: ImuConfig = ImuConfig()
     gps: GpsConfig = GpsConfig()
     range: RangeConfig = RangeConfig()
     vision: VisionConfig = VisionConfig()
+
+    @property
+    def range_by_telemetry(self) -> bool:
+        """Whether the range comes from the autopilot."""
+        return self.source == "autopilot" and self.autopilot.range_source == "autopilot"

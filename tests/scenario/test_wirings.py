@@ -97,8 +97,12 @@ async def test_over_sockets_and_pseudo_terminals_in_real_time_the_same_drivers_h
 async def listen(config: CompanionConfig, hardware: Hardware, seconds: float) -> set[str]:
     """Which of the sensors have been heard within `seconds`, all of them at best."""
     clock, heard = Clock(), set[str]()
-    imu, gps = Mpu9250(hardware.imu_bus, config.sense.imu), Neo6m(config.sense.gps)
-    finder = make_range_finder(config.sense.range, hardware.range_port, clock)
+    bus, gps_port, range_port = hardware.imu_bus, hardware.gps_port, hardware.range_port
+    assert bus is not None
+    assert gps_port is not None
+    assert range_port is not None
+    imu, gps = Mpu9250(bus, config.sense.imu), Neo6m(config.sense.gps)
+    finder = make_range_finder(config.sense.range, range_port, clock)
 
     async def inertial() -> None:
         while True:
@@ -108,15 +112,15 @@ async def listen(config: CompanionConfig, hardware: Hardware, seconds: float) ->
 
     async def positions() -> None:
         while True:
-            data = await hardware.gps_port.read()
+            data = await gps_port.read()
             # NMEA does at any rate: a fix counts once the receiver is configured
             heard.update(["gps"] if gps.feed(data, clock.now_s()) and gps.configured else [])
 
     async def questions() -> None:
         while True:
             question = gps.pending(clock.now_s())
-            hardware.gps_port.set_baud(gps.baud)
-            hardware.gps_port.write(question)
+            gps_port.set_baud(gps.baud)
+            gps_port.write(question)
             await asyncio.sleep(0.2)
 
     async def distances() -> None:
