@@ -96,6 +96,7 @@ class App:
         vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         pad = load_pad(config.pad)
+        log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad)
         antenna = config.sense.gps.antenna_position_body_m
         self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
         self._sensing = Sensing(
