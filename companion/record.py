@@ -22,12 +22,11 @@ from pathlib import Path
 from typing import IO, Any, Final, Literal
 
 import cv2
-import numpy as np
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
-from pydantic_core import to_json
 
 from companion.config import ConfigError
+from companion.message_json import encode, schema_of
 from companion.messages import Frame
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
@@ -275,37 +274,6 @@ def versions() -> dict[str, str]:
         with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
     return found
-
-
-def encode(message: Any) -> bytes:
-    """JSON of a message dataclass; arrays become lists, NaN and infinity become null."""
-    return to_json(message, inf_nan_mode="null", fallback=_plain)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"cannot log a {type(value).__name__}")
-
-
-def schema_of(kind: type[Any]) -> dict[str, Any]:
-    """A JSON schema of a message dataclass, as much as Foxglove needs to plot its fields."""
-    properties: dict[str, Any] = {}
-    for item in dataclasses.fields(kind):
-        properties[item.name] = _schema_of_annotation(str(item.type))
-    return {"type": "object", "title": kind.__name__, "properties": properties}
-
-
-_SEQUENCES: Final = ("Vector3", "Quaternion", "tuple", "FloatArray", "NDArray", "list")
-_SCALARS: Final = {"float": "number", "int": "integer", "bool": "boolean"}
-
-
-def _schema_of_annotation(annotation: str) -> dict[str, Any]:
-    if annotation.startswith(_SEQUENCES):
-        return {"type": "array", "items": {}}
-    if annotation.startswith("dict"):
-        return {"type": "object"}
-    return {"type": _SCALARS.get(annotation.split(" ", maxsplit=1)[0], "string")}
 
 
 _IMAGE_SCHEMA: Final = {

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from companion.geometry import FloatArray, Vector3, ned_from_geodetic
-from companion.record import encode
+from companion.message_json import encode
 from companion.replay.flight_record import (
     FlightRecord,
     LogKind,

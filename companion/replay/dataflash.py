@@ -22,7 +22,6 @@ from companion.geometry import (
     Quaternion,
     Vector3,
     ned_from_geodetic,
-    quat_conjugate,
     quat_from_euler,
     quat_rotate,
     scale,
@@ -137,9 +136,9 @@ class _Reading:
             self._arrive(time_s, MagSample(time_s, self._levelled(field)))
 
     def _levelled(self, board: Vector3) -> Vector3:
-        """From the board's axes into the airframe's: without AHRS_TRIM."""
+        """From the board's axes into the airframe's, which is level where the board leans by the trim."""
         roll, pitch = (self.parameters.get(f"AHRS_TRIM_{axis}", 0.0) for axis in "XY")
-        return quat_rotate(quat_conjugate(quat_from_euler(roll, pitch, 0.0)), board)
+        return quat_rotate(quat_from_euler(roll, pitch, 0.0), board)
 
     def _take_accuracy(self, m: Any, _time_s: float) -> None:
         values = {name.lower(): getattr(m, name) for name in m.get_fieldnames()}

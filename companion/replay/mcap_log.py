@@ -7,7 +7,6 @@ what the estimators had.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import struct
@@ -15,7 +14,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any, Final, TypeVar
 
-import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, DataEnd, Message, Metadata
@@ -23,6 +21,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from companion.config import CompanionConfig, ConfigError, VehicleConfig, validate
 from companion.geometry import subtract
+from companion.message_json import decode
 from companion.messages import (
     GpsFix,
     ImuSample,
@@ -223,33 +222,3 @@ def _truth_reference(truth: list[Truth]) -> Reference:
 
 def _tracks(**tracks: Track | None) -> dict[TrackName, Track]:
     return {name: track for name, track in tracks.items() if track is not None}  # type: ignore[misc]
-
-
-# ---------------------------------------------------------------- messages
-
-
-def decode(kind: type[T], plain: dict[str, Any]) -> T:
-    """A message dataclass from its JSON: the inverse of `record.encode`, but that infinity becomes NaN.
-
-    Fields that the class does not know are passed over.
-
-    Raises:
-        TypeError: a field without a default is missing.
-        ValueError: an array is not one of numbers.
-    """
-    values = {
-        item.name: _value(str(item.type), plain[item.name])
-        for item in dataclasses.fields(kind)  # type: ignore[arg-type]
-        if item.name in plain
-    }
-    return kind(**values)
-
-
-def _value(annotation: str, plain: Any) -> Any:
-    if plain is None:
-        return None if "None" in annotation else math.nan
-    if annotation.startswith("FloatArray"):
-        return np.array(plain, dtype=float)
-    if isinstance(plain, list):
-        return tuple(math.nan if value is None else value for value in plain)
-    return plain
