@@ -112,15 +112,21 @@ class _Reading:
         if (data := self._topics.get("vehicle_magnetometer")) is not None:
             yield from _mag_events(_times(data), _rows(data, "magnetometer_ga") - self._learned_bias_ga())
         elif "magnetometer_ga[0]" in (data := self._topics.get("sensor_combined", {})):
-            ages = np.asarray(data["magnetometer_timestamp_relative"], dtype=np.int64)
-            measured = np.asarray(data["timestamp"], dtype=np.int64) + ages
-            # the field is repeated with every IMU sample until a new one comes
-            fresh = (ages != NO_TIMESTAMP) & (np.diff(measured, prepend=measured[0] - 1) > 0)
-            rows = _rows(data, "magnetometer_ga")[fresh]
-            yield from _mag_events([1e-6 * t for t in measured[fresh].tolist()], rows)
+            yield from self._combined_mag(data)
         elif (data := self._topics.get("sensor_mag")) is not None:
             rows = np.stack([np.asarray(data[axis], dtype=float) for axis in "xyz"], axis=1)
             yield from _mag_events(_times(data), self._calibrated(rows, int(data["device_id"][0])))
+
+    def _combined_mag(self, data: Columns) -> Iterator[Event]:
+        """A field is repeated with every IMU sample until a new one comes; its age tells them apart."""
+        ages = np.asarray(data["magnetometer_timestamp_relative"], dtype=np.int64)
+        measured = np.asarray(data["timestamp"], dtype=np.int64) + ages
+        known = np.flatnonzero(ages != NO_TIMESTAMP)
+        fresh = known[np.diff(measured[known], prepend=-1) > 0]
+        arrivals = np.asarray(data["timestamp"])[fresh].tolist()
+        fields = (UT_PER_GAUSS * _rows(data, "magnetometer_ga")[fresh]).tolist()
+        for arrival, time, field in zip(arrivals, measured[fresh].tolist(), fields, strict=True):
+            yield Event(1e-6 * arrival, MagSample(1e-6 * time, vector3(field)))
 
     def _learned_bias_ga(self) -> list[float]:
         """What versions 1.8 to 1.11 had learnt in flight and took off within their EKF."""
