@@ -1,6 +1,6 @@
 """What a person looks at after a replay: the table of errors and the plots.
 
-Plots (PNG): `attitude.png`, `velocity.png`, `position.png`, `pad.png` (of a log with sightings),
+Plots (PNG): `attitude.png`, `velocity.png`, `position.png`, `pad_motion.png` (of a log with sightings),
 `biases.png`, `refused.png`. Times count from the first sample.
 """
 
@@ -116,7 +116,7 @@ def write_plots(folder: Path, record: FlightRecord, replayed: Replayed) -> list[
     if "position" in drawing.ours:
         drawings["position.png"] = lambda figure, d: draw_vector(figure, d, "position", "position", "m")
     if "pad_position" in drawing.ours:
-        drawings["pad.png"] = draw_pad
+        drawings["pad_motion.png"] = draw_pad
     paths = []
     for name, draw in drawings.items():
         figure = Figure(figsize=(9.0, 6.5), dpi=110, layout="constrained")

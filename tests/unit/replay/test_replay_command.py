@@ -38,7 +38,7 @@ def test_a_flight_of_ours_leaves_numbers_and_plots(
     assert run(monkeypatch, "replay", tmp_path / "circle") == 0
     said = capsys.readouterr()
     folder = Path("replay/circle")
-    assert {path.name for path in folder.iterdir()} == PLOTS | {"pad.png", "replay.json"}
+    assert {path.name for path in folder.iterdir()} == PLOTS | {"pad_motion.png", "replay.json"}
     result = json.loads((folder / "replay.json").read_text())
     assert result["repetition"]["identical"] is True
     assert result["errors"]["recorded"]["attitude_deg"]["worst"] == 0.0
