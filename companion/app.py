@@ -97,6 +97,7 @@ class App:
         vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         pad = load_pad(config.pad)
+        log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad)
         antenna = config.sense.gps.antenna_position_body_m
         by_telemetry = config.sense.source == "autopilot"
         self.session = Session(config.link, config.sense if by_telemetry else None)
