@@ -14,7 +14,7 @@ from companion.messages import Manner, Outcome, Phase
 from companion.record import FlightLog
 from sitl.sensor_telemetry import SensorMessages
 from tests.scenario.flying import fly as fly_command
-from tests.scenario.flying import scenario_file
+from tests.scenario.flying import run, scenario_file
 from tests.scenario.test_faults import failing, texts
 
 LATERAL_M = 0.15
@@ -48,6 +48,16 @@ def test_lands_on_the_autopilots_sensors(
     touchdown = flown.landing["touchdown"]
     assert touchdown["lateral_error_m"] <= LATERAL_M, flown
     print(f"{scenario}, {manner}: {touchdown}")
+
+
+def test_a_replay_gives_the_flights_estimates_again_to_the_bit(tmp_path: Path) -> None:
+    scenario = scenario_file(tmp_path, "static", by_telemetry("px4", SENSE))
+    flown = fly_command(scenario, 0, tmp_path, "--record", tmp_path / "log")
+    assert flown.landing
+    replayed = run("replay", tmp_path / "log", "-o", tmp_path, result=tmp_path / "replay.json")
+    assert replayed.result is not None, replayed
+    assert replayed.result["repetition"]["identical"], replayed
+    assert all(replayed.result["samples"][kind] for kind in ("imu", "mag", "gps", "range")), replayed
 
 
 def test_our_ultrasonic_may_stay_beside_the_autopilots_other_sensors(tmp_path: Path) -> None:
