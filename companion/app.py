@@ -3,6 +3,7 @@
     frames ─► vision ─┐
     mpu9250 ──────────┼─► estimator ─► planner ─► controller ─► link ─► autopilot
     neo6m, ultrasonic ┘                                          ▲ telemetry, beacon
+    (or, for those three, the autopilot's own by its telemetry)
 
 The control task is the only one that sends setpoints: when it stops, they stop, and the autopilot's own
 failsafe takes the vehicle.
@@ -96,13 +97,17 @@ class App:
         vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         pad = load_pad(config.pad)
+        log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad)
         antenna = config.sense.gps.antenna_position_body_m
+        by_telemetry = config.sense.source == "autopilot"
+        self.session = Session(config.link, config.sense if by_telemetry else None)
         self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
         self._sensing = Sensing(
             config,
             hardware,
             Vision(pad, camera, vehicle, config.sense.vision),
             self._estimator,
+            self.session.onboard,
             clock=self._clock,
             log=log,
             tell=self._notice,
@@ -115,7 +120,6 @@ class App:
             fuzzy=load_table(config.plan.fuzzy)[0],
         )
         self._controller = Controller(config.control, vehicle)
-        self.session = Session(config.link)
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._errands = Errands(self._actions, self._take_result)
         self._action_results: list[ActionResult] = []
@@ -284,6 +288,7 @@ class App:
             now_s = self._clock.now_s()
             self._log.write_mavlink(data, now_s, "in")
             self.session.receive(data, now_s)
+            self._sensing.take_samples(self.session.take_samples())
             self._actions.receive(data)
             self._send(self.session.tick(now_s))
 

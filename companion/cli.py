@@ -26,6 +26,8 @@ from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly
 from companion.hardware import make_actions, open_hardware
 from companion.messages import Outcome, Phase, Truth
 from companion.record import FlightLog
+from companion.replay.command import HELP as REPLAY_HELP
+from companion.replay.command import replay_command
 from companion.report import result_table, write_plots
 from companion.result import Result, build_result, from_start
 from companion.terminal import StatusView
@@ -43,10 +45,12 @@ EXIT_CODES: Final = {
 LATE_S: Final = 0.1
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+cli.command("replay", help=REPLAY_HELP, short_help="Run the estimators again over a log.")(replay_command)
 
 
-@cli.command()
+@cli.callback(invoke_without_command=True)
 def companion(
+    context: typer.Context,
     *,
     sitl: Annotated[bool, typer.Option("--sitl", help="Fly against the bundled simulator.")] = False,
     config: Annotated[
@@ -71,6 +75,9 @@ def companion(
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live status; one line a notice.")] = False,
 ) -> None:
     """Land a multirotor softly on a pad that moves, by eye."""
+    if context.invoked_subcommand is not None:
+        alone(context)
+        return
     # one thread for OpenCV: detection must not take the cores from the control loop, and repeats exactly
     cv2.setNumThreads(1)
     # what OpenCV has to say about a camera that is not there, we say ourselves
@@ -103,6 +110,19 @@ def fail(text: str, code: int) -> int:
     """Say in one line on standard error what went wrong; returns the exit code."""
     print(f"companion: {text}", file=sys.stderr)
     return code
+
+
+def alone(context: typer.Context) -> None:
+    """Refuse options of a flight before the name of another command.
+
+    Raises:
+        ConfigError: there is one.
+    """
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE":
+            name, other = parameter.opts[0], context.invoked_subcommand
+            raise ConfigError(f"{name}: belongs to a flight; expected it without '{other}'")
 
 
 def refuse(options: Mapping[str, object]) -> None:
@@ -265,6 +285,8 @@ def main() -> None:
         code = cli(standalone_mode=False)
     except TyperException as error:
         code = fail(f"{error.format_message()}; see companion --help", USER_ERROR)
+    except ConfigError as error:
+        code = fail(str(error), USER_ERROR)
     except typer.Abort:
         code = fail("aborted: interrupted outside a flight", EXIT_CODES[Outcome.ABORTED])
     sys.exit(code)

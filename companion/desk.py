@@ -47,7 +47,7 @@ END_TIMEOUT_S: Final = 10.0
 SIMULATED_HARDWARE: Final[dict[str, Any]] = {
     "sense": {
         "imu": ImuConfig().model_dump(include={"address", "body_from_sensor_deg"}),
-        "gps": GpsConfig().model_dump(include={"baud", "antenna_position_body_m"}),
+        "gps": GpsConfig().model_dump(include={"antenna_position_body_m"}),
     },
     "link": {"system_id": 1},
 }
@@ -92,7 +92,7 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     Raises:
         ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
     """
-    overrides = merge(SIMULATED_HARDWARE, trial.scenario.companion)
+    overrides = merge(merge(SIMULATED_HARDWARE, _wiring(trial.scenario)), trial.scenario.companion)
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})
@@ -102,6 +102,12 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     _check_pad(config, trial)
     _check_camera(config, trial)
     return config
+
+
+def _wiring(scenario: Scenario) -> dict[str, Any]:
+    """The app's settings that go with how the simulated sensors are connected."""
+    bus = {"i2c": "i2c:1", "spi": "spi:0.0"}[scenario.sensors.imu_interface]
+    return {"sense": {"imu": {"bus": bus}, "range": {"kind": scenario.sensors.ultrasonic}}}
 
 
 def _check_pad(config: CompanionConfig, trial: Trial) -> None:
@@ -192,7 +198,14 @@ async def _virtual_flight(
         range_port=range_line,
         deliver_frame=frames.deliver,
     )
-    hardware = Hardware(app_end, simulation.imu_bus, gps_line.app, range_line.app, frames)
+    boards = config.sense.source == "boards"
+    hardware = Hardware(
+        app_end,
+        frames,
+        imu_bus=simulation.imu_bus if boards else None,
+        gps_port=gps_line.app if boards else None,
+        range_port=None if config.sense.range_by_telemetry else range_line.app,
+    )
     app = App(config, hardware, log, make_own_actions, on_status)
     started_s = wall_clock_s()
     world = asyncio.create_task(simulation.run())

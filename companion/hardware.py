@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from companion.clock import Clock
-from companion.config import CameraConfig, CompanionConfig, find_file, load_model
+from companion.config import CameraConfig, CompanionConfig, RangeConfig, find_file, load_model
 from companion.link.actions import PymavlinkActions, VehicleActions
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
 from companion.link.transport import Transport, open_transport
 from companion.sense.camera import FrameSource, open_camera
+from companion.sense.echo_pins import EchoPins
 from companion.sense.i2c import RegisterBus, open_bus
 from companion.sense.serial_port import SerialPort
 
@@ -31,6 +32,10 @@ class BytePort(Protocol):
         """Send without waiting. OSError when the line is gone."""
         ...
 
+    def set_baud(self, baud: int) -> None:
+        """Change the rate. OSError when the line is gone."""
+        ...
+
     def close(self) -> None:
         """Give the line back."""
         ...
@@ -38,13 +43,16 @@ class BytePort(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What the app is plugged into; the simulator gives the same interfaces as the vehicle."""
+    """What the app is plugged into; the simulator gives the same interfaces as the vehicle.
+
+    A board is None when the autopilot's own sensor takes its place.
+    """
 
     transport: Transport
-    imu_bus: RegisterBus
-    gps_port: BytePort
-    range_port: BytePort
     frames: FrameSource
+    imu_bus: RegisterBus | None = None
+    gps_port: BytePort | None = None
+    range_port: BytePort | EchoPins | None = None
 
 
 @asynccontextmanager
@@ -55,16 +63,27 @@ async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
         ConfigError: a port, bus or camera is missing, taken or misspelt; one line says which.
     """
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
-    gps, range_ = config.sense.gps, config.sense.range
+    sense = config.sense
     with ExitStack() as opened:
         transport = opened.enter_context(
             closing(await open_transport(config.link.connection, config.link.system_id))
         )
-        imu_bus = opened.enter_context(closing(open_bus(config.sense.imu.bus)))
-        gps_port = opened.enter_context(closing(SerialPort(gps.port, gps.baud)))
-        range_port = opened.enter_context(closing(SerialPort(range_.port, range_.baud)))
-        frames = opened.enter_context(closing(await open_camera(config.sense.vision.source, camera)))
-        yield Hardware(transport, imu_bus, gps_port, range_port, frames)
+        imu_bus: RegisterBus | None = None
+        gps_port: BytePort | None = None
+        range_port: BytePort | EchoPins | None = None
+        if sense.source == "boards":
+            imu_bus = opened.enter_context(closing(open_bus(sense.imu.bus)))
+            gps_port = opened.enter_context(closing(SerialPort(sense.gps.port, sense.gps.baud)))
+        if not sense.range_by_telemetry:
+            range_port = opened.enter_context(closing(_open_range_port(sense.range)))
+        frames = opened.enter_context(closing(await open_camera(sense.vision.source, camera)))
+        yield Hardware(transport, frames, imu_bus, gps_port, range_port)
+
+
+def _open_range_port(config: RangeConfig) -> SerialPort | EchoPins:
+    if config.kind == "gpio":
+        return EchoPins(config.trigger_pin, config.echo_pin, Clock())
+    return SerialPort(config.port, config.baud)
 
 
 def make_actions(

@@ -42,7 +42,11 @@ class MagSample:
 
 @dataclass(frozen=True, slots=True)
 class GpsFix:
-    """One three-dimensional fix (no fix is no message)."""
+    """One three-dimensional fix (no fix is no message).
+
+    `vertical_speed_accuracy_m_s` is told when it differs from `speed_accuracy_m_s`: a source without a
+    vertical speed gives 0 with an accuracy that says so.
+    """
 
     time_s: float
     latitude_deg: float
@@ -53,6 +57,7 @@ class GpsFix:
     vertical_accuracy_m: float
     speed_accuracy_m_s: float
     satellites: int
+    vertical_speed_accuracy_m_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

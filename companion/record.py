@@ -9,22 +9,24 @@ A log cut short by a crash or a flat battery still reads up to its last finished
 from __future__ import annotations
 
 import base64
+import contextlib
 import dataclasses
 import json
 import queue
 import struct
 import threading
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
 import cv2
-import numpy as np
 from mcap.writer import CompressionType, Writer
-from pydantic_core import to_json
+from pydantic import BaseModel
 
 from companion.config import ConfigError
+from companion.message_json import encode, schema_of
 from companion.messages import Frame
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
@@ -33,6 +35,10 @@ KEPT_TOPICS: Final = frozenset(
     | {"action_result"}
 )
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
+# the MCAP metadata that a replay needs; what computes the estimates is what their last digits hang on
+SETTINGS_RECORD: Final = "settings"
+VERSIONS_RECORD: Final = "versions"
+VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
 # half a minute of everything
 QUEUE_SIZE: Final = 20_000
 QUEUE_PATIENCE_S: Final = 0.005
@@ -82,6 +88,13 @@ class FlightLog:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
             files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s))
+
+    def write_settings(self, **settings: BaseModel) -> None:
+        """Log the settings that the app flies with, and our versions: with them a flight can be replayed."""
+        if (files := self._files) is not None:
+            models = {name: model.model_dump_json() for name, model in settings.items()}
+            files.disk.put(files.mcap.write_metadata, SETTINGS_RECORD, models)
+            files.disk.put(files.mcap.write_metadata, VERSIONS_RECORD, versions())
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
@@ -174,6 +187,9 @@ class _McapFile:
             channel = self._register(topic, type(message).__name__, schema_of(type(message)))
         self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=encode(message))
 
+    def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(values))
+
     def write_image(self, frame: Frame, exposure_unix_ns: int, unix_ns: int) -> None:
         channel = self._channels.get("camera")
         if channel is None:
@@ -251,35 +267,13 @@ def _packet_length(data: bytes, at: int) -> int | None:
     return payload + 12 + (13 if data[at + 2] & 1 else 0)
 
 
-def encode(message: Any) -> bytes:
-    """JSON of a message dataclass; arrays become lists, NaN and infinity become null."""
-    return to_json(message, inf_nan_mode="null", fallback=_plain)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"cannot log a {type(value).__name__}")
-
-
-def schema_of(kind: type[Any]) -> dict[str, Any]:
-    """A JSON schema of a message dataclass, as much as Foxglove needs to plot its fields."""
-    properties: dict[str, Any] = {}
-    for item in dataclasses.fields(kind):
-        properties[item.name] = _schema_of_annotation(str(item.type))
-    return {"type": "object", "title": kind.__name__, "properties": properties}
-
-
-_SEQUENCES: Final = ("Vector3", "Quaternion", "tuple", "FloatArray", "NDArray", "list")
-_SCALARS: Final = {"float": "number", "int": "integer", "bool": "boolean"}
-
-
-def _schema_of_annotation(annotation: str) -> dict[str, Any]:
-    if annotation.startswith(_SEQUENCES):
-        return {"type": "array", "items": {}}
-    if annotation.startswith("dict"):
-        return {"type": "object"}
-    return {"type": _SCALARS.get(annotation.split(" ", maxsplit=1)[0], "string")}
+def versions() -> dict[str, str]:
+    """The versions of this program and of the libraries it computes with; what is not installed has none."""
+    found = {}
+    for name in VERSIONED:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 _IMAGE_SCHEMA: Final = {

@@ -267,7 +267,7 @@ def estimate_errors(kept: Mapping[str, Sequence[Any]], track: TruthTrack) -> dic
     (m,), `pad_position_m` (m, 3), `pad_velocity_m_s` (m, 3) of the pad once it has been seen for 2 s.
     """
     times, attitude, velocity = _vehicle_errors(kept.get("vehicle", ()), track)
-    pads = [pad for pad in _settled(kept.get("pad", ())) if track.covers(np.array([pad.time_s]))[0]]
+    pads = [pad for pad in settled(kept.get("pad", ())) if track.covers(np.array([pad.time_s]))[0]]
     pad_times = np.array([pad.time_s for pad in pads])
     position = np.array([pad.relative_position_ned_m for pad in pads]).reshape(-1, 3)
     pad_velocity = np.array([pad.velocity_ned_m_s for pad in pads]).reshape(-1, 3)
@@ -293,7 +293,7 @@ def _vehicle_errors(vehicles: Sequence[Any], track: TruthTrack) -> tuple[FloatAr
     return times, attitude_deg, velocities - track.at("velocity", times)
 
 
-def _settled(pads: Sequence[PadState]) -> list[PadState]:
+def settled(pads: Sequence[PadState]) -> list[PadState]:
     """The states from 2 s after the pad came into view, for as long as it stays there."""
     settled: list[PadState] = []
     since: float | None = None

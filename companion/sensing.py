@@ -2,28 +2,33 @@
 
     mpu9250 (registers) ───────┐
     neo6m, ultrasonic (bytes) ─┼─► estimator
+    autopilot's (telemetry) ───┤
     camera (frames) ─► vision ─┘
 
-Each task runs until it is cancelled or its device is gone (OSError).
+Each task runs until it is cancelled or its device is gone (OSError). A board that the hardware has not got
+has no task: the link hands over the autopilot's samples instead (`take_samples`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
 from typing import Final, Protocol
 
 from companion.clock import Clock
 from companion.config import CompanionConfig
 from companion.estimate.estimator import Estimator
-from companion.hardware import Hardware
+from companion.hardware import BytePort, Hardware
 from companion.link.codec import Severity
+from companion.link.onboard import OnboardSensors, Sample
 from companion.messages import (
     AutopilotAttitude,
     AutopilotState,
     Frame,
     FrameReport,
+    GpsFix,
     ImuSample,
     MagSample,
     RangeSample,
@@ -32,7 +37,7 @@ from companion.record import FlightLog
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
-from companion.sense.ultrasonic import Ultrasonic
+from companion.sense.range_finder import RangeFinder, make_range_finder
 from companion.sense.vision import Vision, VisionResult
 
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
@@ -57,16 +62,19 @@ class Sensing:
         hardware: Hardware,
         vision: Vision,
         estimator: Estimator,
+        onboard: OnboardSensors | None = None,
         *,
         clock: Clock,
         log: FlightLog,
         tell: Tell,
     ) -> None:
-        """Make the drivers; nothing is read yet."""
+        """Make the drivers; nothing is read yet. `onboard` are the autopilot's sensors, if they are used."""
         self._config, self._hardware = config, hardware
-        self._imu = Mpu9250(hardware.imu_bus, config.sense.imu)
+        self._onboard = onboard
         self._gps = Neo6m(config.sense.gps)
-        self._range = Ultrasonic(config.sense.range)
+        self._range: RangeFinder | None = None
+        if hardware.range_port is not None:
+            self._range = make_range_finder(config.sense.range, hardware.range_port, clock)
         self._vision = vision
         self._estimator = estimator
         self._clock, self._log, self._tell = clock, log, tell
@@ -77,28 +85,44 @@ class Sensing:
 
     def tasks(self) -> dict[str, Callable[[], Awaitable[None]]]:
         """What is to run, by the device's name."""
-        return {
-            "mpu9250": self._imu_task,
-            "gps": self._gps_task,
-            "gps configuration": self._gps_configuration_task,
-            "ultrasonic": self._range_task,
-            "serial sensors' watch": self._watch_task,
-            "camera": self._vision_task,
-        }
+        hardware, tasks = self._hardware, dict[str, Callable[[], Awaitable[None]]]()
+        if hardware.imu_bus is not None:
+            tasks["mpu9250"] = partial(self._imu_task, Mpu9250(hardware.imu_bus, self._config.sense.imu))
+        if hardware.gps_port is not None:
+            tasks["gps"] = partial(self._gps_task, hardware.gps_port)
+            tasks["gps configuration"] = partial(self._gps_configuration_task, hardware.gps_port)
+        if self._range is not None:
+            tasks["ultrasonic"] = partial(self._range_task, self._range)
+        return {**tasks, "sensors' watch": self._watch_task, "camera": self._vision_task}
+
+    # ------------------------------------------------------------ telemetry
+
+    def take_samples(self, samples: Iterable[Sample]) -> None:
+        """What the autopilot's own sensors have measured, as the link brings it."""
+        for sample in samples:
+            match sample:
+                case ImuSample():
+                    self._take_inertial([sample], [])
+                case MagSample():
+                    self._take_inertial([], [sample])
+                case GpsFix():
+                    self._take_fix(sample)
+                case RangeSample():
+                    self._take_range(sample)
 
     # ------------------------------------------------------------ inertial
 
-    async def _imu_task(self) -> None:
+    async def _imu_task(self, driver: Mpu9250) -> None:
         """Poll the MPU9250; the driver sets the chip up anew after a fault, which is told once."""
         period_s = 1.0 / self._config.sense.imu.poll_hz
-        next_s, fault = self._clock.now_s(), self._imu.problem
+        next_s, fault = self._clock.now_s(), driver.problem
         while True:
             try:
                 # a bus transaction blocks; it takes no virtual time
-                samples = await self._clock.run(self._imu.poll, self._clock.now_s, modelled_s=0.0)
+                samples = await self._clock.run(driver.poll, self._clock.now_s, modelled_s=0.0)
                 self._take_inertial(*samples)
                 if samples[0]:
-                    fault = self._tell_change(self._imu.problem, fault)
+                    fault = self._tell_change(driver.problem, fault)
             except SensorError as error:
                 fault = self._tell_change(str(error), fault)
             next_s = max(next_s + period_s, self._clock.now_s())
@@ -130,40 +154,60 @@ class Sensing:
 
     # ------------------------------------------------------------ serial lines
 
-    async def _gps_task(self) -> None:
+    async def _gps_task(self, port: BytePort) -> None:
         """Turn the receiver's bytes into fixes."""
         while True:
-            data = await self._hardware.gps_port.read()
+            data = await port.read()
             for fix in self._gps.feed(data, self._clock.now_s()):
-                self._estimator.add_gps(fix)
-                self._log.write("gps", fix, self._clock.now_s())
+                self._take_fix(fix)
 
-    async def _gps_configuration_task(self) -> None:
-        """Send the receiver what it has not acknowledged yet, and all of it again when it has forgotten."""
+    def _take_fix(self, fix: GpsFix) -> None:
+        self._estimator.add_gps(fix)
+        self._log.write("gps", fix, self._clock.now_s())
+
+    async def _gps_configuration_task(self, port: BytePort) -> None:
+        """Find the receiver's rate; send what it has not acknowledged yet, and all again when it forgets."""
         # a port that is gone is told by the task that reads it
         with contextlib.suppress(OSError):
             while True:
-                self._hardware.gps_port.write(self._gps.pending(self._clock.now_s()))
+                question = self._gps.pending(self._clock.now_s())
+                port.set_baud(self._gps.baud)
+                port.write(question)
                 await asyncio.sleep(GPS_CONFIGURATION_PERIOD_S)
 
-    async def _range_task(self) -> None:
-        """Turn the ultrasonic's bytes into distances."""
+    async def _range_task(self, finder: RangeFinder) -> None:
+        """Turn the ultrasonic's echoes into distances."""
         while True:
-            data = await self._hardware.range_port.read()
-            for sample in self._range.feed(data, self._clock.now_s()):
-                self.last_range = sample
-                self._estimator.add_range(sample)
-                self._log.write("range", sample, self._clock.now_s())
+            for sample in await finder.read():
+                self._take_range(sample)
+
+    def _take_range(self, sample: RangeSample) -> None:
+        self.last_range = sample
+        self._estimator.add_range(sample)
+        self._log.write("range", sample, self._clock.now_s())
+
+    # ------------------------------------------------------------ watch
 
     async def _watch_task(self) -> None:
-        """Tell what is wrong with the serial sensors, each problem once while it lasts."""
-        gps_told: str | None = None
-        range_told: str | None = None
+        """Tell what is wrong with the sensors, each problem once while it lasts."""
+        told: list[str | None] = []
         while True:
             await asyncio.sleep(WATCH_PERIOD_S)
-            self._range.watch(self._clock.now_s())
-            gps_told = self._tell_change(self._gps.problem, gps_told)
-            range_told = self._tell_change(self._range.problem, range_told)
+            problems = self._problems(self._clock.now_s())
+            told = told or [None] * len(problems)
+            told = [self._tell_change(*pair) for pair in zip(problems, told, strict=True)]
+
+    def _problems(self, now_s: float) -> list[str | None]:
+        """What is wrong with each of the sensors that are used and do not speak for themselves."""
+        problems: list[str | None] = []
+        if self._hardware.gps_port is not None:
+            problems.append(self._gps.problem)
+        if self._range is not None:
+            self._range.watch(now_s)
+            problems.append(self._range.problem)
+        if self._onboard is not None:
+            problems.append(self._onboard.watch(now_s))
+        return problems
 
     # ------------------------------------------------------------ camera
 

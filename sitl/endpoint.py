@@ -16,6 +16,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.geometry import Quaternion, Vector3, quat_normalise
 from sitl.autopilot import AttitudeSetpoint, Autopilot, Frame, Severity, StreamedMotion
 from sitl.commands import execute, request_from_message
+from sitl.onboard import OnboardSensors
+from sitl.sensor_telemetry import SensorMessages
 from sitl.telemetry import BUILDERS, Message, Streams, milliseconds
 
 _TEXT_BYTES: Final = 50
@@ -27,10 +29,17 @@ _ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
 
 
 class MavlinkEndpoint:
-    """One autopilot's end of a link."""
+    """One autopilot's end of a link; without `sensors` it tells nothing of what its own ones measure."""
 
-    def __init__(self, autopilot: Autopilot, system_id: int = 1, component_id: int = 1) -> None:
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        sensors: OnboardSensors | None = None,
+        system_id: int = 1,
+        component_id: int = 1,
+    ) -> None:
         self.autopilot = autopilot
+        self._sensors = None if sensors is None else SensorMessages(autopilot, sensors)
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -93,22 +102,29 @@ class MavlinkEndpoint:
     def send_once(self, message_id: int, now_s: float) -> bool:
         """Queue a telemetry message; False when there is no such message (no data yet is not that)."""
         builder = BUILDERS.get(message_id)
-        if builder is None:
+        if builder is not None:
+            message = builder(self.autopilot, now_s)
+        elif self._sensors is not None and message_id in self._sensors:
+            self._sensors.ask(message_id)
+            message = self._sensors.build(message_id, now_s)
+        else:
             return False
-        message = builder(self.autopilot, now_s)
         if message is not None:
             self._outgoing.append(message)
         return True
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
         """SET_MESSAGE_INTERVAL; False when there is no such message."""
-        return self._streams.set_interval(message_id, interval_us)
+        return self._has(message_id) and self._streams.set_interval(message_id, interval_us)
 
     def tell_interval(self, message_id: int) -> None:
         """MESSAGE_INTERVAL: 0 for a message that does not exist, -1 for one that is not streamed."""
         period = self._streams.period_s(message_id)
-        interval = 0 if message_id not in BUILDERS else -1 if period is None else round(period * 1e6)
+        interval = 0 if not self._has(message_id) else -1 if period is None else round(period * 1e6)
         self._outgoing.append(mavlink.MAVLink_message_interval_message(max(message_id, 0), interval))
+
+    def _has(self, message_id: int) -> bool:
+        return message_id in BUILDERS or (self._sensors is not None and message_id in self._sensors)
 
     def _queue_text(self, severity: Severity, text: str) -> None:
         data = text.encode("ascii", "replace")

@@ -7,7 +7,7 @@ would set in the app: overrides of its settings. All else stays in the simulator
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -61,13 +61,16 @@ class CameraSettings(StrictModel):
 
 
 class SensorSettings(StrictModel):
-    """Factors on each sensor's data-sheet noise, and GPS delay."""
+    """Factors on each sensor's data-sheet noise, GPS delay, and how the sensors are wired."""
 
     imu_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     gps_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     range_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0)
+    gps_wake_baud: Literal[4800, 9600, 19200, 38400, 57600, 115200] = 9600
+    imu_interface: Literal["i2c", "spi"] = "i2c"
+    ultrasonic: Literal["frames", "polled"] = "frames"
 
 
 class BeaconSettings(StrictModel):

@@ -111,16 +111,17 @@ async def serve(scenario: Scenario, seed: int, folder: Path, port: int) -> None:
         )
         registers = await serve_registers(simulation.imu_bus, folder / "registers")
         stack.callback(registers.close)
-        _say(_endpoints(udp_port, gps_port.path, range_port.path, folder))
+        bus = "spi-socket" if scenario.sensors.imu_interface == "spi" else "socket"
+        _say(_endpoints(udp_port, gps_port.path, range_port.path, f"{bus}:{folder / 'registers'}", folder))
         await _fly_until_told(simulation, folder)
 
 
-def _endpoints(udp_port: int, gps_path: str, range_path: str, folder: Path) -> dict[str, Any]:
+def _endpoints(udp_port: int, gps_path: str, range_path: str, bus: str, folder: Path) -> dict[str, Any]:
     """The app's settings that lead here."""
     return {
         "link": {"connection": f"udp:127.0.0.1:{udp_port}"},
         "sense": {
-            "imu": {"bus": f"socket:{folder / 'registers'}"},
+            "imu": {"bus": bus},
             "gps": {"port": gps_path},
             "range": {"port": range_path},
             "vision": {"source": f"socket:{folder / 'camera'}"},

@@ -31,10 +31,11 @@ from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.breaking import Breakable, FaultSchedule, FrameLine
 from sitl.devices.ports import DevicePort
-from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
+from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
 from sitl.endpoint import MavlinkEndpoint
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
+from sitl.onboard import OnboardSensors
 from sitl.scenario import Scenario, SensorSettings
 from sitl.score import judge
 from sitl.sensors import GpsErrors, MagErrors, RangeErrors
@@ -124,13 +125,13 @@ class Simulation:
         self._clock = Clock()
         self._start_s = self._clock.now_s()
         self._link = link
-        streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(4))
+        streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(5))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
         self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
-        self._endpoint = MavlinkEndpoint(self._autopilot)
         self._ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
+        errors = sensor_errors(scenario.sensors)
         self._rack = SensorRack(
             seed,
             PHYSICS_STEP_S,
@@ -139,13 +140,29 @@ class Simulation:
             gps_port=gps_port,
             range_port=range_port,
             gps_config=GpsConfig(latency_s=scenario.sensors.gps_delay_s),
-            errors=sensor_errors(scenario.sensors),
+            errors=errors,
+            wiring=Wiring(
+                scenario.sensors.imu_interface, scenario.sensors.gps_wake_baud, scenario.sensors.ultrasonic
+            ),
         )
         self.imu_bus = self._rack.imu
         self._range_m = OUT_OF_RANGE_M
         self._frame_line = FrameLine(np.random.default_rng((seed, FAULT_STREAM)))
         self._faults = FaultSchedule(scenario.faults, Breakable(self._rack, self._frame_line))
         self._camera = _Camera(scenario, self._vehicle, self._world, next(streams), next(streams))
+        self._onboard = OnboardSensors(
+            next(streams),
+            PHYSICS_STEP_S,
+            home=HOME,
+            field_ned_ut=MAGNETIC_FIELD_NED_UT,
+            imu_filter=self._autopilot.manner.imu_filter,
+            gps_latency_s=scenario.sensors.gps_delay_s,
+            imu_errors=errors.imu,
+            mag_errors=errors.magnetometer,
+            gps_errors=errors.gps,
+            range_errors=errors.range,
+        )
+        self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard)
         self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
         self._ticks = 0
@@ -215,8 +232,9 @@ class Simulation:
         motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
         world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
-        state = world.state
+        state, throttle, range_height_m = world.state, 0.25 * sum(motors), self._range_height_m()
         self._faults.step(world.time_s)
+        self._onboard.step(world.time_s, state, throttle, range_height_m)
         self._rack.step(
             world.time_s,
             SensorTruth(
@@ -225,8 +243,8 @@ class Simulation:
                 attitude=state.attitude,
                 position_ned_m=state.position_ned_m,
                 velocity_ned_m_s=state.velocity_ned_m_s,
-                range_height_m=self._range_height_m(),
-                throttle=0.25 * sum(motors),
+                range_height_m=range_height_m,
+                throttle=throttle,
             ),
         )
 

@@ -1,5 +1,6 @@
 """What the simulated autopilot tells of itself: one function a message, and how often each goes out.
 
+What its sensors measure is in `sensor_telemetry`.
 Built from the autopilot's own estimate, in the units that MAVLink asks for (degrees times 1e7, mm, cm/s).
 """
 
@@ -11,7 +12,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import Vector3, euler_from_quat, norm
+from companion.geometry import Vector3, euler_from_quat
 from companion.messages import LandedState
 from sitl.autopilot import Autopilot
 
@@ -34,7 +35,6 @@ _LANDED: Final = {
     LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
 }
 _CELL_MV: Final = (4100, 4100, 4100, *(65535,) * 7)
-_UNKNOWN_U16: Final = 65535
 _LOWEST_RATE_HZ: Final = 0.01
 _HIGHEST_RATE_HZ: Final = 200.0
 
@@ -117,19 +117,6 @@ def global_position(autopilot: Autopilot, now_s: float) -> Message | None:
     )  # fmt: skip
 
 
-def gps_raw(autopilot: Autopilot, now_s: float) -> Message:
-    """GPS_RAW_INT of a receiver with a fix; before alignment it has none."""
-    estimate = autopilot.estimate
-    latitude, longitude, altitude = _scaled(autopilot, estimate.position_ned_m)
-    north, east, _ = estimate.velocity_ned_m_s
-    course = round(math.degrees(math.atan2(east, north)) * 100.0) % 36000
-    speed = min(round(100.0 * norm((north, east, 0.0))), _UNKNOWN_U16 - 1)
-    fix = mavlink.GPS_FIX_TYPE_3D_FIX if autopilot.aligned else mavlink.GPS_FIX_TYPE_NO_FIX
-    return mavlink.MAVLink_gps_raw_int_message(
-        milliseconds(autopilot, now_s) * 1000, fix, latitude, longitude, altitude, 90, 120, speed, course, 12
-    )
-
-
 def home_position(autopilot: Autopilot, now_s: float) -> Message | None:
     """HOME_POSITION: where it was armed, in both kinds of coordinates."""
     if not autopilot.aligned:
@@ -184,7 +171,6 @@ BUILDERS: Final[dict[int, Builder]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: system_time,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: gps_raw,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: attitude,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: attitude_quaternion,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: local_position,
@@ -224,8 +210,8 @@ class Streams:
         return self._period_s.get(message_id)
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
-        """SET_MESSAGE_INTERVAL: -1 stops, 0 is the default; False when there is no such message."""
-        if message_id not in BUILDERS or not math.isfinite(interval_us):
+        """SET_MESSAGE_INTERVAL: -1 stops, 0 is the default; False when that is no interval."""
+        if not math.isfinite(interval_us):
             return False
         default = self._default_s.get(message_id)
         period = interval_us * 1e-6 if interval_us > 0.0 else default if interval_us == 0.0 else None

@@ -31,7 +31,7 @@ getent group companion >/dev/null || groupadd --system companion
 id companion >/dev/null 2>&1 || useradd --system --gid companion --home-dir /var/lib/companion \
     --no-create-home --shell /usr/sbin/nologin companion
 # the unit names these; a system without a camera or GPIO lacks some of them
-for group in dialout i2c video gpio; do
+for group in dialout i2c spi video gpio; do
     getent group "$group" >/dev/null || groupadd --system "$group"
 done
 

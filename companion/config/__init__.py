@@ -41,13 +41,21 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
-from companion.config.sense import GpsConfig, ImuConfig, RangeConfig, SenseConfig, VisionConfig
+from companion.config.sense import (
+    AutopilotSensorsConfig,
+    GpsConfig,
+    ImuConfig,
+    RangeConfig,
+    SenseConfig,
+    VisionConfig,
+)
 from companion.config.vehicle import CameraConfig, VehicleConfig
 
 __all__ = [
     "CONFIG_FOLDER",
     "CONNECTION_FORM",
     "AlignmentConfig",
+    "AutopilotSensorsConfig",
     "CameraConfig",
     "CompanionConfig",
     "ComputeConfig",

@@ -73,6 +73,7 @@ class GpsStep:
 
 EkfInput = ImuStep | GpsStep | BiasStep
 
+UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity by more does not know it
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
@@ -384,14 +385,21 @@ class VehicleEkf:
         self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * _EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep) -> None:
-        """Take position and velocity from the fix alone: at first, or when the old ones proved wrong."""
+        """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.
+
+        A component of the velocity that the fix does not know stays as it is.
+        """
         q, x = self.attitude, self.x.copy()
+        speed_known = np.less(fix.velocity_std_m_s, UNKNOWN_SPEED_M_S)
         x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
-        x[model.VELOCITY] = fix.velocity_ned_m_s
+        x[model.VELOCITY] = np.where(speed_known, fix.velocity_ned_m_s, x[model.VELOCITY])
         P = self.P.copy()
         states = slice(model.POSITION.start, model.VELOCITY.stop)
+        speed_variance = np.where(
+            speed_known, np.square(fix.velocity_std_m_s), self.P.diagonal()[model.VELOCITY]
+        )
         P[states, :] = P[:, states] = 0.0
-        P[states, states] = np.diag(np.square(fix.position_std_m + fix.velocity_std_m_s))
+        P[states, states] = np.diag(np.concatenate((np.square(fix.position_std_m), speed_variance)))
         self.x, self.P = x, P
         self.has_position, self.gps_time_s = True, time_s
         fresh = {

@@ -95,7 +95,8 @@ class Estimator:
         """Take one fix, at its own time; refused before the alignment."""
         place = (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
         accuracy = (fix.horizontal_accuracy_m, fix.vertical_accuracy_m, fix.speed_accuracy_m_s)
-        usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy))
+        climb_accuracy = fix.vertical_speed_accuracy_m_s or 0.0
+        usable = self._usable(fix.time_s, (*place, *fix.velocity_ned_m_s, *accuracy, climb_accuracy))
         return self._count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:

@@ -140,11 +140,12 @@ class VehicleEstimator:
         across = max(config.gps_accuracy_factor * fix.horizontal_accuracy_m, config.gps_position_noise_m)
         along = max(config.gps_accuracy_factor * fix.vertical_accuracy_m, 1.5 * config.gps_position_noise_m)
         speed = max(config.gps_accuracy_factor * fix.speed_accuracy_m_s, config.gps_velocity_noise_m_s)
+        climb = max(config.gps_accuracy_factor * (fix.vertical_speed_accuracy_m_s or 0.0), 1.4 * speed)
         step = GpsStep(
             position_ned_m=ned_from_geodetic(*place, origin),
             velocity_ned_m_s=fix.velocity_ned_m_s,
             position_std_m=(across, across, along),
-            velocity_std_m_s=(speed, speed, 1.4 * speed),
+            velocity_std_m_s=(speed, speed, climb),
         )
         if not self._timeline.add(fix.time_s, step):
             return False

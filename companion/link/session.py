@@ -12,13 +12,14 @@ import math
 from dataclasses import replace
 from typing import Final
 
-from companion.config import LinkConfig
+from companion.config import LinkConfig, SenseConfig
 from companion.geometry import Quaternion
 from companion.link import codec
 from companion.link.alignment import HeadingAlignment
 from companion.link.beacon import pad_beacon
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
+from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import TelemetryRates
 from companion.link.telemetry import StatusTexts, add_text, update_state
@@ -60,19 +61,24 @@ _OLDEST_LANDED_S: Final = 1.5  # asked for at 5 Hz; an old "on the ground" is no
 
 
 class Session:
-    """One autopilot, one link."""
+    """One autopilot, one link.
 
-    def __init__(self, config: LinkConfig) -> None:
+    With `sense` the autopilot's own sensors are asked for and read (`onboard`, `take_samples`).
+    """
+
+    def __init__(self, config: LinkConfig, sense: SenseConfig | None = None) -> None:
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
         self.alignment = HeadingAlignment()
         self.timesync = TimeSync()
+        self.onboard = None if sense is None else OnboardSensors(sense, self.timesync)
         self.texts_heard = 0
         self.stranger: int | None = None
         self.beacon_stranger: int | None = None
         self._config = config
         self._system_id = config.system_id
-        self._codec = Codec(config.system_id or 1, config.component_id, wanted=HEARD)
+        heard = HEARD if sense is None else HEARD | SENSOR_MESSAGES
+        self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
         self._rates = TelemetryRates()
@@ -141,19 +147,35 @@ class Session:
             self._hear_timesync(message, now_s)
         elif message_id == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
             self._parameters.heard(message)
+        elif message_id in SENSOR_MESSAGES:
+            if self.onboard is not None:
+                self.onboard.hear(message, now_s)
         else:
-            if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-                self._heartbeat_heard_s = now_s
-            was_armed = self.state.armed
-            self.state = update_state(self.state, message, self._measured_s(message, message_id, now_s))
-            if self.state.armed and not was_armed:
-                self._home_due_s = now_s  # arming sets home anew
+            self._hear_state(message, message_id, now_s)
+
+    def _hear_state(self, message: Message, message_id: int, now_s: float) -> None:
+        was_armed = self.state.armed
+        self.state = update_state(self.state, message, self._measured_s(message, message_id, now_s))
+        if self.state.armed and not was_armed:
+            self._home_due_s = now_s  # arming sets home anew
+        if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._heartbeat_heard_s = now_s
+            if self.onboard is not None:
+                self.onboard.heartbeat(self.state.manner, now_s)
+                self._rates.want(self.onboard.rates_hz())
+
+    def take_samples(self) -> list[Sample]:
+        """What the autopilot's own sensors have measured since the last call."""
+        return [] if self.onboard is None else self.onboard.take()
 
     def _hear_timesync(self, message: Message, now_s: float) -> None:
         if message.tc1 == 0:
             self._replies.append(codec.timesync(clock_ns(now_s), message.ts1))
         else:
             self.timesync.answered(message.tc1, message.ts1, now_s)
+            if self._syncs_sent >= _TIMESYNC_START_COUNT and not self.timesync.settled:
+                # the autopilot has restarted, or answers were lost: find the offset quickly again
+                self._syncs_sent, self._timesync_due_s = 0, now_s
 
     def _measured_s(self, message: Message, message_id: int, now_s: float) -> float:
         """Our time at which the message's values were measured; of arrival when its stamp cannot tell."""

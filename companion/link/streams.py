@@ -38,6 +38,12 @@ class TelemetryRates:
         rates = TELEMETRY_RATES_HZ if rates_hz is None else rates_hz
         self._streams = {message_id: _Stream(rate_hz) for message_id, rate_hz in rates.items()}
 
+    def want(self, rates_hz: dict[int, float]) -> None:
+        """Ask for these as well; what is wanted already stays as it is."""
+        for message_id, rate_hz in rates_hz.items():
+            if message_id not in self._streams:
+                self._streams[message_id] = _Stream(rate_hz)
+
     def heard(self, message_id: int) -> None:
         """Count a message."""
         stream = self._streams.get(message_id)

@@ -11,6 +11,8 @@ from collections import deque
 from typing import Final
 
 _KEPT: Final = 10
+_SETTLED: Final = 5
+_RESTART_S: Final = 0.5  # a smaller jump is a clock that runs fast or slow, as a simulator's may
 _JUMP_MARGIN_S: Final = 0.01
 _NS: Final = 1e9
 
@@ -21,6 +23,7 @@ class TimeSync:
     def __init__(self) -> None:
         self._asked_ns: deque[int] = deque(maxlen=4)
         self._trips: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._answers = 0
 
     @property
     def offset_s(self) -> float | None:
@@ -31,6 +34,11 @@ class TimeSync:
     def round_trip_s(self) -> float | None:
         """The shortest round trip among the last ones; half of it bounds the offset's error."""
         return min(self._trips)[0] if self._trips else None
+
+    @property
+    def settled(self) -> bool:
+        """Whether there have been enough answers to choose from since the start, or a restart over there."""
+        return self._answers >= _SETTLED
 
     def ask(self, now_s: float) -> int:
         """ts1 (ns) of a request sent now."""
@@ -47,8 +55,11 @@ class TimeSync:
         trip_s = max(now_s - sent_s, 0.0)
         offset_s = tc1_ns / _NS - 0.5 * (sent_s + now_s)
         if self._has_jumped(trip_s, offset_s):
+            if abs(offset_s - min(self._trips)[1]) > _RESTART_S:
+                self._answers = 0
             self._trips.clear()
         self._trips.append((trip_s, offset_s))
+        self._answers += 1
         return True
 
     def to_ours(self, autopilot_s: float) -> float | None:
@@ -60,6 +71,7 @@ class TimeSync:
         """The autopilot was lost: its clock may start anew."""
         self._trips.clear()
         self._asked_ns.clear()
+        self._answers = 0
 
     def _has_jumped(self, trip_s: float, offset_s: float) -> bool:
         """Whether the two cannot both be right: the autopilot has restarted, or set its clock."""

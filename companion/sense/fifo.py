@@ -16,7 +16,6 @@ FIFO_BYTES: Final = 512
 FRAME_BYTES: Final = 14  # seven big-endian 16-bit words
 
 _USER_CTRL, _FIFO_COUNT, _FIFO_R_W = 0x6A, 0x72, 0x74
-_MASTER: Final = 0x20
 _ENABLE: Final = 0x40
 _RESET: Final = 0x04
 _BURST_BYTES: Final = 28  # two frames: what an SMBus adapter reads at once
@@ -27,19 +26,23 @@ class SamplesLostError(SensorError):
 
 
 class Fifo:
-    """The FIFO of the MPU9250 at `address`. Every method: OSError when the bus fails."""
+    """The FIFO of the MPU9250 at `address`. Every method: OSError when the bus fails.
 
-    def __init__(self, bus: RegisterBus, address: int) -> None:
+    `user_control` are the bits of USER_CTRL beside the FIFO's own: the inner bus's master, I2C switched off.
+    """
+
+    def __init__(self, bus: RegisterBus, address: int, user_control: int) -> None:
         self._bus = bus
         self._address = address
+        self._user_control = user_control
         self._reset_due = False
         self._in_doubt = False
 
     def reset(self) -> None:
-        """Empty it and have it filled from now on (the inner bus's master stays enabled)."""
+        """Empty it and have it filled from now on."""
         self._reset_due = True  # until it is through: a bus fault may come between
-        self._bus.write(self._address, _USER_CTRL, _MASTER | _RESET)
-        self._bus.write(self._address, _USER_CTRL, _MASTER | _ENABLE)
+        self._bus.write(self._address, _USER_CTRL, self._user_control | _RESET)
+        self._bus.write(self._address, _USER_CTRL, self._user_control | _ENABLE)
         self._reset_due = self._in_doubt = False
 
     def waiting(self) -> int:

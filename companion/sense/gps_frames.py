@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 UBX_SYNC: Final = b"\xb5\x62"
-_UBX_OVERHEAD: Final = 8  # sync, class, id, length, checksum
+UBX_OVERHEAD: Final = 8  # sync, class, id, length, checksum
 _UBX_LONGEST_PAYLOAD: Final = 512  # what we ask for has 52; a garbled length must not hide much
 _NMEA_LONGEST: Final = 120  # the standard says 82; receivers with many digits write more
 _BITS_PER_BYTE: Final = 10
@@ -77,7 +77,7 @@ class FrameSplitter:
         payload = buffer[4] | buffer[5] << 8
         if payload > _UBX_LONGEST_PAYLOAD:
             return 0
-        length = payload + _UBX_OVERHEAD
+        length = payload + UBX_OVERHEAD
         if len(buffer) < length:
             return None
         first = second = 0

@@ -1,4 +1,4 @@
-"""The register bus that the drivers speak through: the kernel's I2C, or a simulator's socket.
+"""The register bus that the drivers speak through: the kernel's I2C or SPI (`spi`), or a simulator's socket.
 
 A bus is synchronous: a transaction of a few bytes takes 0.1 to 1 ms at 400 kHz. Where that is too long
 for the event loop, the app runs a driver's whole poll off it (`Clock.run`).
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import socket
 from pathlib import Path
 from typing import Final, Protocol
@@ -23,6 +24,7 @@ from companion.bus_format import (
     encode_request,
 )
 from companion.config import ConfigError
+from companion.sense.spi import SpiBus
 
 SMBUS_BLOCK_BYTES: Final = 32
 SOCKET_TIMEOUT_S: Final = 0.5
@@ -130,17 +132,19 @@ class SocketBus:
         return data
 
 
-def open_bus(spec: str) -> SmbusBus | SocketBus:
-    """Open the bus that a setting names: "i2c:1" or "socket:/run/imu.sock".
+def open_bus(spec: str) -> SmbusBus | SpiBus | SocketBus:
+    """Open the bus that a setting names: "i2c:1", "spi:0.0", "socket:/run/imu.sock", "spi-socket:PATH".
 
     Raises:
-        ConfigError: neither form, or the adapter cannot be opened.
+        ConfigError: none of these forms, or the adapter cannot be opened.
     """
     kind, _, rest = spec.partition(":")
-    if kind == "socket" and rest:
+    if kind in ("socket", "spi-socket") and rest:
         return SocketBus(rest)
+    if kind == "spi" and (numbers := re.fullmatch(r"(\d+)\.(\d+)", rest, re.ASCII)):
+        return SpiBus(int(numbers[1]), int(numbers[2]))
     if kind != "i2c" or not (rest.isascii() and rest.isdigit()):
-        raise ConfigError(f"bus '{spec}': expected i2c:NUMBER or socket:PATH")
+        raise ConfigError(f"bus '{spec}': expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH")
     try:
         return SmbusBus(int(rest))
     except OSError as error:

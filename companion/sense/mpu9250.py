@@ -1,8 +1,9 @@
 """The MPU9250's driver: registers to rates, specific forces and magnetic field in body axes.
 
-Accelerometer, temperature and gyroscope come through the FIFO, so that no sample is lost between polls;
-the magnetometer through EXT_SENS_DATA (see `ak8963`). Registers: RM-MPU-9250A-00 rev. 1.6; scales:
-PS-MPU-9250A-01 rev. 1.1. Sensor axes: right-handed, z out of the chip's top, turned into FRD by
+Accelerometer, temperature and gyroscope come through the FIFO, so that no sample is lost between polls, or
+from the output registers (`ImuConfig.read`); the magnetometer through the chip or past it (`mag_path`, see
+`ak8963_path`). The same over I2C and SPI. Registers: RM-MPU-9250A-00 rev. 1.6; scales: PS-MPU-9250A-01
+rev. 1.1. Sensor axes: right-handed, z out of the chip's top, turned into FRD by
 `ImuConfig.body_from_sensor_deg`. The driver never sleeps: waits of the bring-up pass between polls.
 
 Faults cost as little as they can: a bus transaction that fails is made up for by the next poll (the FIFO
@@ -18,11 +19,14 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.config import ImuConfig
-from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler
+from companion.geometry import GRAVITY_M_S2, Vector3
 from companion.messages import ImuSample, MagSample
-from companion.sense.ak8963 import Ak8963, BringUp, Waits
+from companion.sense.ak8963 import Ak8963, BringUp
+from companion.sense.ak8963_path import BypassPath, MasterPath, Waits
 from companion.sense.fifo import FRAME_BYTES, Fifo, SamplesLostError
 from companion.sense.i2c import RegisterBus, SensorError
+from companion.sense.mounting import mounting_rows, turn
+from companion.sense.output_registers import OutputRegisters
 from companion.sense.sample_clock import SampleClock
 
 IDENTITIES: Final = {0x71: "MPU9250", 0x73: "MPU9255"}
@@ -33,7 +37,7 @@ _FILTER: Final = {184: (1, 0.0029), 92: (2, 0.0039), 41: (3, 0.0059), 20: (4, 0.
 _GYRO_RANGE: Final = {250: 0, 500: 1, 1000: 2, 2000: 3}
 _ACCEL_RANGE: Final = {2: 0, 4: 1, 8: 2, 16: 3}
 
-_SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _ACCEL_CONFIG2 = 0x19, 0x1A, 0x1B, 0x1C, 0x1D
+_SMPLRT_DIV: Final = 0x19  # CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2 follow
 _FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG = 0x23, 0x24, 0x37
 _USER_CTRL, _PWR_MGMT_1, _PWR_MGMT_2 = 0x6A, 0x6B, 0x6C
 _WHO_AM_I = 0x75
@@ -42,7 +46,11 @@ _RESET: Final = 0x80
 _CLOCK_PLL: Final = 0x01
 _FIFO_STOPS_WHEN_FULL: Final = 0x40
 _FIFO_ACCEL_TEMP_GYRO: Final = 0xF8
+_BYPASS: Final = 0x02
+# USER_CTRL
+_FIFO_ENABLE: Final = 0x40
 _USER_MASTER: Final = 0x20
+_I2C_OFF: Final = 0x10  # on SPI, or what passes on the lines may be taken for I2C
 # stop between reads, 400 kHz; not waiting for the external data: a dead magnetometer holds nothing up
 _MASTER_400_KHZ: Final = 0x1D
 
@@ -51,8 +59,6 @@ _STUCK_S: Final = 0.5
 _BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 50 ms at 100 Hz, of the FIFO's 180 ms
 # centre of an AK8963 measurement (7.2 ms long) before its end, and the mean wait until it is copied
 _MAG_MEASUREMENT_S: Final = 0.0036
-
-Rows = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class Mpu9250:
@@ -63,19 +69,32 @@ class Mpu9250:
         self._address = config.address
         self._name = f"MPU9250 at 0x{config.address:02x}"
         self._config = config
-        self._mag = Ak8963(bus, config.address, config.mag_rate_hz)
-        self._fifo = Fifo(bus, config.address)
+        self._user_control = _user_control(config)
+        self._mag = self._make_magnetometer()
+        self._settings = _settings(config)
+        self._samples: Fifo | OutputRegisters = Fifo(bus, config.address, self._user_control)
+        if config.read == "registers":
+            self._samples = OutputRegisters(bus, config.address, self._user_control, self._settings)
         self._clock = SampleClock(1.0 / config.rate_hz)
         self._delay_s = _FILTER[config.filter_hz][1]
-        self._accel = _rows(config, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
-        self._gyro = _rows(config, math.radians(config.gyro_range_deg_s) / 32768.0)
-        self._field = _rows(config, 1.0)
+        mounting = config.body_from_sensor_deg
+        self._accel = mounting_rows(mounting, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
+        self._gyro = mounting_rows(mounting, math.radians(config.gyro_range_deg_s) / 32768.0)
+        self._field = mounting_rows(mounting, 1.0)
         self._bring_up: BringUp | None = None
         self._ready = False
         self._failed_polls = 0
         self._last_sample_s = -math.inf
         self._last_frame = b""
         self._same_frames = 0
+
+    def _make_magnetometer(self) -> Ak8963:
+        if self._config.mag_path == "bypass":
+            return Ak8963(BypassPath(self._bus), self._config.mag_rate_hz)
+        # while the FIFO fills, a restart of the master must not stop it
+        filling = _FIFO_ENABLE if self._config.read == "fifo" else 0
+        path = MasterPath(self._bus, self._address, self._user_control | filling)
+        return Ak8963(path, self._config.mag_rate_hz)
 
     @property
     def ready(self) -> bool:
@@ -165,39 +184,28 @@ class Mpu9250:
         self._write(_PWR_MGMT_1, _CLOCK_PLL)
         self._write(_PWR_MGMT_2, 0x00)
         yield 0.05
+        self._write(_USER_CTRL, self._user_control)
         self._write_settings()
-        self._write(_INT_PIN_CFG, 0x00)
+        self._write(_INT_PIN_CFG, _BYPASS if self._config.mag_path == "bypass" else 0x00)
         self._write(_I2C_MST_CTRL, _MASTER_400_KHZ)
-        self._write(_USER_CTRL, _USER_MASTER)
-        self._write(_FIFO_EN, _FIFO_ACCEL_TEMP_GYRO)
-        self._fifo.reset()
+        self._write(_FIFO_EN, _FIFO_ACCEL_TEMP_GYRO if self._config.read == "fifo" else 0x00)
+        self._samples.reset()
         self._clock.restart()
         self._mag.restart()
 
     def _write_settings(self) -> None:
-        config = self._config
-        dlpf = _FILTER[config.filter_hz][0]
-        settings = bytes(
-            (
-                1000 // config.rate_hz - 1,
-                _FIFO_STOPS_WHEN_FULL | dlpf,
-                _GYRO_RANGE[config.gyro_range_deg_s] << 3,
-                _ACCEL_RANGE[config.accel_range_g] << 3,
-                dlpf,
-            )
-        )
-        for offset, value in enumerate(settings):
+        for offset, value in enumerate(self._settings):
             self._write(_SMPLRT_DIV + offset, value)
-        taken = self._read(_SMPLRT_DIV, len(settings))
-        if taken != settings:
-            raise SensorError(f"settings not taken: wrote {settings.hex()}, read {taken.hex()}")
+        taken = self._read(_SMPLRT_DIV, len(self._settings))
+        if taken != self._settings:
+            raise SensorError(f"settings not taken: wrote {self._settings.hex()}, read {taken.hex()}")
 
     # ------------------------------------------------------------ samples
 
     def _drain(self, now: Callable[[], float]) -> tuple[list[ImuSample], list[MagSample]]:
         now_s = now()
         try:
-            frames = self._fifo.waiting()
+            frames = self._samples.waiting()
         except SamplesLostError:
             self._last_sample_s = now_s
             raise
@@ -208,13 +216,17 @@ class Mpu9250:
         return imu_samples, [] if decoded is None else [self._mag_sample(now_s, *decoded)]
 
     def _read_imu(self, now_s: float, waiting: int) -> list[ImuSample]:
-        data = self._fifo.read(waiting)
+        data = self._samples.read(waiting)
         frames = len(data) // FRAME_BYTES
         self._check_alive(data, frames)
         self._last_sample_s = now_s
         words = struct.unpack(f">{7 * frames}h", data)
         # what a bus fault has left in the FIFO is newer than what was read
-        times = self._clock.stamp(now_s - (waiting - frames) * self._clock.period_s, frames)
+        read_s = now_s - (waiting - frames) * self._clock.period_s
+        if self._config.read == "fifo":
+            times = self._clock.stamp(read_s, frames)
+        else:
+            times = [self._clock.stamp_newest(read_s)]
         return [self._sample(time_s, words, 7 * k) for k, time_s in enumerate(times)]
 
     def _check_alive(self, data: bytes, frames: int) -> None:
@@ -233,16 +245,20 @@ class Mpu9250:
         ax, ay, az, temperature, gx, gy, gz = words[at : at + 7]
         return ImuSample(
             time_s - self._delay_s,
-            _turn(self._gyro, gx, gy, gz),
-            _turn(self._accel, ax, ay, az),
+            turn(self._gyro, gx, gy, gz),
+            turn(self._accel, ax, ay, az),
             temperature / 333.87 + 21.0,
         )
 
     def _mag_sample(self, now_s: float, field_ut: Vector3, newest: bool) -> MagSample:
-        # copied at the newest sample, or at the one before; measured up to one sample earlier than that
-        copies_ago = 1.0 if newest else 2.0
-        time_s = now_s - copies_ago * self._clock.period_s - _MAG_MEASUREMENT_S
-        return MagSample(time_s, _turn(self._field, *field_ut))
+        if self._config.mag_path == "bypass":
+            # it came at any time since the last poll
+            age_s = 0.5 / self._config.poll_hz
+        else:
+            # copied at the newest sample, or at the one before; measured up to one sample earlier than that
+            age_s = (1.0 if newest else 2.0) * self._clock.period_s
+        time_s = now_s - age_s - _MAG_MEASUREMENT_S
+        return MagSample(time_s, turn(self._field, *field_ut))
 
     # ------------------------------------------------------------ bus
 
@@ -253,14 +269,20 @@ class Mpu9250:
         self._bus.write(self._address, register, value)
 
 
-def _rows(config: ImuConfig, factor: float) -> Rows:
-    """The rotation from sensor to body axes times `factor`, row by row."""
-    roll, pitch, yaw = (math.radians(angle) for angle in config.body_from_sensor_deg)
-    matrix = matrix_from_quat(quat_from_euler(roll, pitch, yaw)) * factor
-    a, b, c, d, e, f, g, h, i = (float(value) for value in matrix.flat)
-    return (a, b, c, d, e, f, g, h, i)
+def _user_control(config: ImuConfig) -> int:
+    """USER_CTRL without the FIFO's bits."""
+    return (_I2C_OFF if config.over_spi else 0) | (_USER_MASTER if config.mag_path == "master" else 0)
 
 
-def _turn(rows: Rows, x: float, y: float, z: float) -> Vector3:
-    a, b, c, d, e, f, g, h, i = rows
-    return (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+def _settings(config: ImuConfig) -> bytes:
+    """SMPLRT_DIV, CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2."""
+    dlpf = _FILTER[config.filter_hz][0]
+    return bytes(
+        (
+            1000 // config.rate_hz - 1,
+            _FIFO_STOPS_WHEN_FULL | dlpf,
+            _GYRO_RANGE[config.gyro_range_deg_s] << 3,
+            _ACCEL_RANGE[config.accel_range_g] << 3,
+            dlpf,
+        )
+    )

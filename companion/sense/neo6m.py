@@ -1,9 +1,10 @@
 """The NEO-6M GPS receiver: its settings as UBX commands, its bytes to fixes. No input or output here.
 
-It wakes up at 1 Hz with NMEA; we ask for NAV-POSLLH, NAV-VELNED and NAV-SOL at `config.rate_hz` and no
-NMEA (u-blox 6 Receiver Description GPS.G6-SW-10018). The three messages of one epoch carry the same time
-of week (iTOW) and make one fix. Until the commands are obeyed, or on a receiver that does not know them,
-NMEA's RMC and GGA serve. Altitudes are above mean sea level.
+It wakes up at 1 Hz with NMEA at 9600 baud; its baud rate is found and moved to `config.baud` (`gps_line`),
+then it is asked for NAV-POSLLH, -VELNED, -SOL, -STATUS and -DOP at `config.rate_hz` and no NMEA
+(`gps_commands`; u-blox 6 Receiver Description GPS.G6-SW-10018). The messages of one epoch carry the same time
+of week (iTOW) and make one fix (`gps_fixes`). Until the commands are obeyed, or on a receiver that does not
+know them, NMEA's RMC and GGA serve; on one that sends NAV-SOL and no other position, that.
 """
 
 from __future__ import annotations
@@ -16,66 +17,29 @@ from typing import Any, Final
 
 from pynmeagps import NMEAReader
 from pynmeagps.exceptions import NMEAMessageError, NMEAParseError, NMEATypeError
-from pyubx2 import SET, UBXMessage, UBXReader
+from pyubx2 import UBXReader
 
 from companion.config import GpsConfig
 from companion.messages import GpsFix
-from companion.sense.gps_frames import FrameSplitter, GpsMessage
+from companion.sense.gps_commands import (
+    FIX_MESSAGES,
+    TRUST_MESSAGES,
+    command_name,
+    configuration,
+    port_command,
+)
+from companion.sense.gps_fixes import EpochClock, fix_from_nmea, fix_from_sol, fix_from_ubx
+from companion.sense.gps_frames import UBX_OVERHEAD, FrameSplitter, GpsMessage
+from companion.sense.gps_line import SILENCE_S, LineRate
 
 ANSWER_TIMEOUT_S: Final = 1.0  # at 9600 baud a receiver's second of NMEA stands before the answer
 TRIES: Final = 5
-SILENCE_S: Final = 3.0  # without a UBX epoch for so long, the receiver has lost its settings
 
 _ACK_ACK, _ACK_NAK = b"\x05\x01", b"\x05\x00"
-_NAV: Final = {b"\x01\x02": "POSLLH", b"\x01\x12": "VELNED", b"\x01\x06": "SOL"}
-_NMEA_SENTENCES: Final = (0x01, 0x02, 0x03, 0x05, 0x04, 0x00)  # GLL, GSA, GSV, VTG, RMC, GGA
-_AIRBORNE_2G: Final = 7
-_FIX_3D: Final = (3, 4)
-_UART1: Final = 1
-
-_KNOT_M_S: Final = 1852.0 / 3600.0
-_RANGE_ERROR_M: Final = 2.5  # NEO-6M data sheet: 2.5 m CEP; times the dilution of precision
-_NMEA_SPEED_ACCURACY_M_S: Final = 2.0  # RMC has no vertical speed: as uncertain as a usual climb is fast
-_CLOCK_DRIFT: Final = 50e-6
-_CLOCK_JUMP_S: Final = 1.0
-
-
-def configuration(config: GpsConfig) -> list[bytes]:
-    """The UBX commands, in the order to send them; each is acknowledged."""
-    messages = [_message_rate(0xF0, sentence, 0) for sentence in _NMEA_SENTENCES]
-    messages += [_message_rate(0x01, identity[1], 1) for identity in _NAV]
-    messages += [
-        UBXMessage("CFG", "CFG-NAV5", SET, dyn=1, dynModel=_AIRBORNE_2G),
-        UBXMessage("CFG", "CFG-RATE", SET, measRate=1000 // config.rate_hz, navRate=1, timeRef=1),
-    ]
-    return [bytes(message.serialize()) for message in messages]
-
-
-def _message_rate(message_class: int, message_id: int, rate: int) -> Any:
-    return UBXMessage("CFG", "CFG-MSG", SET, msgClass=message_class, msgID=message_id, rateUART1=rate)
-
-
-class EpochClock:
-    """The receiver's time scale on the app's clock.
-
-    Messages are sent and read late now and then, never early: the smallest delay seen is the one that
-    counts, and it is let grow by the drift that two quartz clocks can have.
-    """
-
-    def __init__(self) -> None:
-        self._offset_s: float | None = None
-        self._last_epoch_s = 0.0
-
-    def local_s(self, epoch_s: float, began_s: float) -> float:
-        """App time of the receiver's `epoch_s`, whose messages began at `began_s`, plus the least delay."""
-        offset_s = began_s - epoch_s
-        if self._offset_s is None or abs(offset_s - self._offset_s) > _CLOCK_JUMP_S:
-            self._offset_s = offset_s
-        else:
-            grown_s = self._offset_s + _CLOCK_DRIFT * abs(epoch_s - self._last_epoch_s)
-            self._offset_s = min(offset_s, grown_s)
-        self._last_epoch_s = epoch_s
-        return epoch_s + self._offset_s
+_PARTS: Final = FIX_MESSAGES | TRUST_MESSAGES
+_LENGTHS: Final = {"POSLLH": 28, "STATUS": 16, "DOP": 18, "SOL": 52, "VELNED": 36}
+_SENTENCES: Final = (b"RMC", b"GGA", b"GSA")
+_SOL_ONLY_EPOCHS: Final = 2  # so many without another position are no accident of the line
 
 
 @dataclass(slots=True)
@@ -88,17 +52,17 @@ class _Epoch:
 
 
 class Neo6m:
-    """One receiver. Send what `pending` returns, feed what comes, several times a second each.
+    """One receiver. Set the port to `baud`, send what `pending` returns, feed what comes.
 
     `problem` says in one line what is wrong with receiver or line, None when all is well, as of
     the last `pending`.
     """
 
     def __init__(self, config: GpsConfig) -> None:
-        self._baud = config.baud
-        self._latency_s = config.latency_s
+        self._config = config
+        self._line = LineRate(config.baud)
         self._splitter = FrameSplitter(config.baud)
-        self._commands = configuration(config)
+        self._commands = configuration(config, config.baud)
         self._next = 0
         self._tries = 0
         self._asked_s: float | None = None
@@ -106,6 +70,12 @@ class Neo6m:
         self._ubx_seen = False
         self._ubx_epoch_s = -math.inf
         self._epoch = _Epoch()
+        self._fixed_epoch_s = -1.0
+        self._status_ok = True
+        self._dop: float | None = None  # horizontal
+        self._dop_s = -math.inf
+        self._sol_only_epochs = 0
+        self._separation_m: float | None = None
         self._nmea = _Epoch()
         self._nmea_3d = True
         self._ubx_clock = EpochClock()
@@ -113,8 +83,14 @@ class Neo6m:
         self._unanswered: str | None = None
         self._refused: str | None = None
         self._started_s: float | None = None
-        self._heard_s = self._message_s = self._fix_s = -math.inf  # when the last one came
+        # when the last one came
+        self._heard_s = self._message_s = self._fix_s = self._doubted_s = -math.inf
         self.problem: str | None = None
+
+    @property
+    def baud(self) -> int:
+        """What the port is to be set to before `pending`'s bytes are written."""
+        return self._line.baud
 
     @property
     def configured(self) -> bool:
@@ -129,18 +105,37 @@ class Neo6m:
         Begins anew when whole UBX epochs stay away, as they do after the receiver lost power or when an
         acknowledgement was taken for another's.
         """
+        change = self._find_rate(now_s)
         if self.configured:
             self._watch_for_silence(now_s)
         self.problem = self._line_problem(now_s) or self._unanswered or self._refused
+        if not self._line.there:
+            return port_command(self._line.wanted) if change else b""
         if self.configured or (self._asked_s is not None and now_s - self._asked_s < ANSWER_TIMEOUT_S):
             return b""
         if self._tries >= TRIES:
-            self._unanswered = f"NEO-6M: no answer to {_name(self._commands[self._next])}"
+            self._unanswered = f"NEO-6M: no answer to {command_name(self._commands[self._next])}"
             self.problem = self.problem or self._unanswered
-            self._next = self._tries = 0
+            self._begin_anew()
         self._tries += 1
         self._asked_s = now_s
         return self._commands[self._next]
+
+    def _find_rate(self, now_s: float) -> bool:
+        """Whether the receiver is to be asked now to change its rate."""
+        before, wanted = self._line.baud, self._line.wanted
+        change = self._line.step(now_s, self._message_s)
+        if self._line.wanted != wanted:
+            self._refused = f"NEO-6M: stays at {self._line.wanted} baud, asked for {wanted}"
+            self._commands = configuration(self._config, self._line.wanted)
+        if self._line.baud != before:
+            self._splitter = FrameSplitter(self._line.baud)
+            self._begin_anew()
+        return change
+
+    def _begin_anew(self) -> None:
+        self._next = self._tries = 0
+        self._asked_s = self._quiet_since_s = None
 
     def _line_problem(self, now_s: float) -> str | None:
         """The first thing that is missing on the way from the receiver's power to a fix."""
@@ -152,22 +147,23 @@ class Neo6m:
         if self._heard_s < since_s:
             return "NEO-6M: nothing received: check its power and wiring"
         if self._message_s < since_s:
-            return f"NEO-6M: no message in what is received: check that it sends at {self._baud} baud"
-        return "NEO-6M: no fix" if self._fix_s < since_s else None
+            return f"NEO-6M: no message at {self._config.baud} baud: trying other rates"
+        if self._fix_s >= since_s:
+            return None
+        return "NEO-6M: no fix" + (" to trust" if self._doubted_s >= since_s else "")
 
     def _watch_for_silence(self, now_s: float) -> None:
         if self._ubx_seen or self._quiet_since_s is None:
             self._ubx_seen = False
             self._quiet_since_s = now_s
         if now_s - self._quiet_since_s > SILENCE_S:
-            self._next = self._tries = 0
-            self._asked_s = self._quiet_since_s = None
+            self._begin_anew()
 
     def _answered(self, message: bytes) -> None:
         if self.configured or self._asked_s is None or message[6:8] != self._commands[self._next][2:4]:
             return
         if message[2:4] == _ACK_NAK:
-            self._refused = f"NEO-6M: refuses {_name(self._commands[self._next])}"
+            self._refused = f"NEO-6M: refuses {command_name(self._commands[self._next])}"
         self._unanswered = None
         self._next += 1
         self._tries = 0
@@ -192,94 +188,102 @@ class Neo6m:
         if identity in (_ACK_ACK, _ACK_NAK):
             self._answered(message.data)
             return None
-        part = _NAV.get(identity)
-        if part is None or len(message.data) < 12:
+        part = _PARTS.get(identity)
+        if part is None or len(message.data) != _LENGTHS[part] + UBX_OVERHEAD:
             return None
         # pyubx2 turns iTOW into a time of day: take the milliseconds as they are
         (time_of_week_ms,) = struct.unpack_from("<I", message.data, 6)
+        ended = None
+        if time_of_week_ms / 1000.0 != self._epoch.epoch_s:
+            ended = self._fix_of_sol_alone()
+            self._epoch = _Epoch(time_of_week_ms / 1000.0, message.began_s)
+            self._status_ok = True  # unless it says otherwise
+        parsed = UBXReader.parse(message.data)
+        if part == "STATUS":
+            self._status_ok = bool(parsed.gpsFixOk)
+        elif part == "DOP":
+            self._dop, self._dop_s = float(parsed.hDOP), message.began_s
+        if part in TRUST_MESSAGES.values():
+            return ended
+        self._epoch.parts[part] = parsed
+        return self._fix_of_epoch() or ended
+
+    def _fix_of_epoch(self) -> GpsFix | None:
         epoch = self._epoch
-        if time_of_week_ms / 1000.0 != epoch.epoch_s:
-            epoch = self._epoch = _Epoch(time_of_week_ms / 1000.0, message.began_s)
-        epoch.parts[part] = UBXReader.parse(message.data)
-        if len(epoch.parts) < len(_NAV):
+        # a receiver that has hung may repeat itself: a time that stands still is no new fix
+        if len(epoch.parts) < len(FIX_MESSAGES) or epoch.epoch_s == self._fixed_epoch_s:
             return None
+        self._fixed_epoch_s = epoch.epoch_s
         self._ubx_seen = True
         self._ubx_epoch_s = epoch.began_s
-        time_s = self._ubx_clock.local_s(epoch.epoch_s, epoch.began_s) - self._latency_s
-        fix = _fix_from_ubx(time_s, **epoch.parts)
-        epoch.parts = {}
+        self._sol_only_epochs = 0
+        parts, epoch.parts = epoch.parts, {}
+        self._separation_m = (parts["POSLLH"].height - parts["POSLLH"].hMSL) / 1000.0
+        time_s = self._ubx_clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s
+        return self._trusted(
+            fix_from_ubx(time_s, parts["POSLLH"], parts["VELNED"], parts["SOL"]), epoch.began_s
+        )
+
+    def _fix_of_sol_alone(self) -> GpsFix | None:
+        """The fix of an epoch that has ended with a NAV-SOL and no other position, if that is the rule."""
+        epoch = self._epoch
+        if set(epoch.parts) != {"SOL"} or epoch.began_s - self._ubx_epoch_s < SILENCE_S:
+            self._sol_only_epochs = 0
+            return None
+        self._sol_only_epochs += 1
+        if self._sol_only_epochs < _SOL_ONLY_EPOCHS:
+            return None
+        time_s = self._ubx_clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s
+        return self._trusted(fix_from_sol(time_s, epoch.parts["SOL"], self._separation_m), epoch.began_s)
+
+    def _trusted(self, fix: GpsFix | None, began_s: float) -> GpsFix | None:
+        """The fix, unless this epoch's NAV-STATUS or a NAV-DOP of late speaks against it."""
+        if fix is None:
+            self._dop = None  # that of a lost fix says nothing of the next one
+            return None
+        dop = self._dop if began_s - self._dop_s < SILENCE_S else None
+        if not self._status_ok or (dop is not None and dop > self._config.maximum_hdop):
+            self._doubted_s = began_s
+            return None
         return fix
 
     def _feed_nmea(self, message: GpsMessage) -> GpsFix | None:
-        if message.began_s - self._ubx_epoch_s < SILENCE_S or message.data[3:6] not in (
-            b"RMC",
-            b"GGA",
-            b"GSA",
-        ):
+        if message.began_s - self._ubx_epoch_s < SILENCE_S or message.data[3:6] not in _SENTENCES:
             return None
-        try:
-            sentence = NMEAReader.parse(message.data)
-        except (NMEAMessageError, NMEAParseError, NMEATypeError, ValueError):
+        sentence = _parse_nmea(message.data)
+        if sentence is None:
             return None
         if sentence.msgID == "GSA":
             self._nmea_3d = sentence.navMode == 3
-            return None
-        if not isinstance(sentence.time, datetime.time):
             return None
         epoch_s = _seconds_of_day(sentence.time)
         if epoch_s != self._nmea.epoch_s:
             self._nmea = _Epoch(epoch_s, message.began_s)
         self._nmea.parts[sentence.msgID] = sentence
-        if len(self._nmea.parts) < 2 or not self._nmea_3d:
+        return self._fix_of_sentences()
+
+    def _fix_of_sentences(self) -> GpsFix | None:
+        epoch = self._nmea
+        if len(epoch.parts) < 2 or not self._nmea_3d:
             return None
-        time_s = self._nmea_clock.local_s(epoch_s, self._nmea.began_s) - self._latency_s
-        fix = _fix_from_nmea(time_s, **self._nmea.parts)
-        self._nmea.parts = {}
+        time_s = self._nmea_clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s
+        parts, epoch.parts = epoch.parts, {}
+        fix = fix_from_nmea(time_s, parts["RMC"], parts["GGA"])
+        hdop = parts["GGA"].HDOP
+        if fix is not None and hdop > self._config.maximum_hdop:
+            self._doubted_s = epoch.began_s
+            return None
         return fix
 
 
-def _fix_from_ubx(time_s: float, POSLLH: Any, VELNED: Any, SOL: Any) -> GpsFix | None:
-    """One fix of an epoch's three messages (mm, cm/s and 1e-7 degrees in u-blox's units)."""
-    if SOL.gpsFix not in _FIX_3D or not SOL.gpsfixOK:
+def _parse_nmea(data: bytes) -> Any | None:
+    """A sentence, if it can be read and, unless it is GSA, tells the time."""
+    try:
+        sentence = NMEAReader.parse(data)
+    except (NMEAMessageError, NMEAParseError, NMEATypeError, ValueError):
         return None
-    return GpsFix(
-        time_s=time_s,
-        latitude_deg=float(POSLLH.lat),
-        longitude_deg=float(POSLLH.lon),
-        altitude_m=POSLLH.hMSL / 1000.0,
-        velocity_ned_m_s=(VELNED.velN / 100.0, VELNED.velE / 100.0, VELNED.velD / 100.0),
-        horizontal_accuracy_m=POSLLH.hAcc / 1000.0,
-        vertical_accuracy_m=POSLLH.vAcc / 1000.0,
-        speed_accuracy_m_s=VELNED.sAcc / 100.0,
-        satellites=int(SOL.numSV),
-    )
-
-
-def _fix_from_nmea(time_s: float, RMC: Any, GGA: Any) -> GpsFix | None:
-    """One fix of RMC and GGA; the vertical speed is not in them and is given as 0."""
-    numbers = (GGA.lat, GGA.lon, GGA.alt, GGA.HDOP, GGA.numSV, RMC.spd)
-    if RMC.status != "A" or not GGA.quality or not all(isinstance(n, int | float) for n in numbers):
-        return None
-    # a receiver at rest leaves the course out
-    course = math.radians(RMC.cog) if isinstance(RMC.cog, int | float) else 0.0
-    speed_m_s = RMC.spd * _KNOT_M_S if isinstance(RMC.cog, int | float) else 0.0
-    accuracy_m = _RANGE_ERROR_M * max(1.0, GGA.HDOP)
-    return GpsFix(
-        time_s=time_s,
-        latitude_deg=float(GGA.lat),
-        longitude_deg=float(GGA.lon),
-        altitude_m=float(GGA.alt),
-        velocity_ned_m_s=(speed_m_s * math.cos(course), speed_m_s * math.sin(course), 0.0),
-        horizontal_accuracy_m=accuracy_m,
-        vertical_accuracy_m=1.5 * accuracy_m,
-        speed_accuracy_m_s=_NMEA_SPEED_ACCURACY_M_S,
-        satellites=int(GGA.numSV),
-    )
+    return sentence if sentence.msgID == "GSA" or isinstance(sentence.time, datetime.time) else None
 
 
 def _seconds_of_day(time: datetime.time) -> float:
     return time.hour * 3600.0 + time.minute * 60.0 + time.second + time.microsecond * 1e-6
-
-
-def _name(command: bytes) -> str:
-    return str(UBXReader.parse(command, msgmode=SET).identity)

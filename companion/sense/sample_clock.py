@@ -50,6 +50,14 @@ class SampleClock:
         self._newest_s = newest_s
         return [oldest_s + k * self._period_s for k in range(count)]
 
+    def stamp_newest(self, read_s: float) -> float:
+        """Time (s) of one sample that was read at `read_s`, when those before it may have been missed."""
+        count = 1
+        if self._newest_s is not None:
+            since_s = read_s - 0.5 * self._period_s - self._newest_s
+            count = max(1, round(since_s / self._period_s))
+        return self.stamp(read_s, count)[-1]
+
     def _correction(self, error_s: float, count: int) -> float:
         period = self._period_s
         self._far_reads = self._far_reads + 1 if abs(error_s) > LOST_PERIODS * period else 0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import termios
 from typing import Final
 
 import serial
@@ -73,6 +74,21 @@ class SerialPort:
             self._on_writable()
             if self._gone is not None:
                 raise self._gone
+
+    def set_baud(self, baud: int) -> None:
+        """Change the rate, at once: what was written before should have left (`baud` / 10 bytes a second).
+
+        Raises:
+            OSError: the port is gone, or cannot go at that rate.
+        """
+        if self._gone is not None:
+            raise self._gone
+        if baud == self._serial.baudrate:
+            return
+        try:
+            self._serial.baudrate = baud
+        except (ValueError, termios.error) as error:
+            raise OSError(errno.EINVAL, f"serial port {self._path}: no {baud} baud") from error
 
     def close(self) -> None:
         """Close the port; a waiting `read` ends with OSError."""

@@ -1,4 +1,4 @@
-"""The downward ultrasonic: bytes of its serial mode to distances along its axis. No input or output here.
+"""A downward ultrasonic that talks by itself: bytes to distances along its axis. No input or output here.
 
 Frames of the JSN-SR04T (serial mode), A02YYUW and alike, 9600 8N1, by themselves every 50 to 100 ms:
 0xFF, distance high, distance low (mm), low byte of the sum of the three. A distance of 0, or beyond the
@@ -35,6 +35,10 @@ class Ultrasonic:
         self._started_s: float | None = None
         self._heard_s = self._frame_s = -math.inf  # when the last one came
         self.problem: str | None = None
+
+    def pending(self, now_s: float) -> bytes:
+        """Nothing to send: it pings by itself."""
+        return b""
 
     def watch(self, now_s: float) -> None:
         """Bring `problem` up to date; call it about once a second."""

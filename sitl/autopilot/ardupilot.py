@@ -123,4 +123,6 @@ ARDUPILOT = Manner(
     gains=PositionGains(
         horizontal_p=1.0, velocity_p=2.0, velocity_i=1.0, climb_p=5.0, integrates_acceleration=True
     ),
+    imu_messages=("RAW_IMU", "SCALED_IMU"),
+    imu_filter=4,  # 20 Hz: INS_GYRO_FILTER and INS_ACCEL_FILTER
 )

@@ -49,7 +49,11 @@ class Texts:
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """One autopilot's habits."""
+    """One autopilot's habits.
+
+    `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
+    register value that the simulated IMU knows.
+    """
 
     name: MannerName
     autopilot_id: int
@@ -84,6 +88,8 @@ class Manner:
     failsafes: tuple[Failsafe, ...]
     parameters: tuple[Parameter, ...]
     gains: PositionGains
+    imu_messages: tuple[str, ...]
+    imu_filter: int
 
     def mode(self, name: str) -> Mode:
         """The mode of that name.

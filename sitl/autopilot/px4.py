@@ -130,4 +130,6 @@ PX4 = Manner(
         Parameter("LNDMC_Z_VEL_MAX", 0.25, 0.0, 1.0),
     ),
     gains=PositionGains(),
+    imu_messages=("HIGHRES_IMU",),
+    imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF
 )

@@ -1,8 +1,9 @@
-"""The MPU9250 as registers: what the driver sees on the I2C bus, down to a FIFO that overflows.
+"""The MPU9250 as registers: what the driver sees on its bus, I2C or SPI, down to a FIFO that overflows.
 
 After RM-MPU-9250A-00 rev. 1.6: power-on values, reset, sleep, sample-rate divider, ranges (quantised and
-clipped), FIFO with both full modes, the inner I2C master's slaves 0 and 4, INT_STATUS. It keeps its own
-time: the oscillator is off by `clock_error`, within the data sheet's ±1 %.
+clipped), FIFO with both full modes, the inner I2C master's slaves 0 and 4, the bypass to the magnetometer,
+I2C_IF_DIS, INT_STATUS. It keeps its own time: the oscillator is off by `clock_error`, within the data sheet's
+±1 %. What SPI does with bytes is the app's bus's business; here it differs in who answers.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from sitl.inertial import ImuSensor
 
 FIFO_BYTES: Final = 512
 Fault = Literal["none", "nack", "ones", "stuck"]
+Interface = Literal["i2c", "spi"]
 
 _SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _FIFO_EN = 0x19, 0x1A, 0x1B, 0x1C, 0x23
 _SLV0_ADDR, _SLV0_REG, _SLV0_CTRL = 0x25, 0x26, 0x27
 _SLV4_ADDR, _SLV4_REG, _SLV4_DO, _SLV4_CTRL, _SLV4_DI, _MST_STATUS = 0x31, 0x32, 0x33, 0x34, 0x35, 0x36
-_INT_STATUS, _ACCEL_OUT, _EXT_SENS_DATA = 0x3A, 0x3B, 0x49
+_INT_PIN_CFG, _INT_STATUS, _ACCEL_OUT, _EXT_SENS_DATA = 0x37, 0x3A, 0x3B, 0x49
 _USER_CTRL, _PWR_MGMT_1, _FIFO_COUNT, _FIFO_R_W, _WHO_AM_I = 0x6A, 0x6B, 0x72, 0x74, 0x75
 
 # FIFO_EN bit -> its share of the 14 bytes accelerometer, temperature, gyroscope, in register order
@@ -33,7 +35,10 @@ _WORDS: Final = struct.Struct(">7h")
 
 
 class Mpu9250Device:
-    """A register bus with one MPU9250 on it. Step it at the physics' rate, read and write it any time."""
+    """A register bus with one MPU9250 on it. Step it at the physics' rate, read and write it any time.
+
+    The fault "nack" is a bus that fails, "ones" a line that is pulled up, "stuck" a chip that stops sampling.
+    """
 
     def __init__(
         self,
@@ -41,6 +46,7 @@ class Mpu9250Device:
         magnetometer: Ak8963Device,
         *,
         address: int = 0x68,
+        interface: Interface = "i2c",
         identity: int = 0x71,
         clock_error: float = 0.003,
         temperature_c: float = 38.0,
@@ -48,6 +54,7 @@ class Mpu9250Device:
         self._imu = imu
         self.magnetometer = magnetometer
         self._address = address
+        self._interface = interface
         self._identity = identity
         self._clock = 1.0 + clock_error
         self.temperature_c = temperature_c
@@ -149,6 +156,8 @@ class Mpu9250Device:
         self._check(address)
         if self.fault == "ones":
             return b"\xff" * length
+        if address == ak8963.ADDRESS:
+            return self.magnetometer.read(register, length)
         if register == _FIFO_R_W:
             data = bytes(self._fifo[:length])
             del self._fifo[:length]
@@ -170,6 +179,9 @@ class Mpu9250Device:
         """
         self._check(address)
         if self.fault == "ones":
+            return
+        if address == ak8963.ADDRESS:
+            self.magnetometer.write(register, value)
             return
         if register == _PWR_MGMT_1 and value & 0x80:
             self.power_cycle()
@@ -193,8 +205,17 @@ class Mpu9250Device:
         if self.nack_every:
             self._transactions += 1
             glitch |= self._transactions % self.nack_every == 0
-        if glitch or address != self._address or self.fault == "nack":
+        if glitch or self.fault == "nack" or not self._answers(address):
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
+
+    def _answers(self, address: int) -> bool:
+        if self._interface == "spi":
+            return address == self._address
+        if address == ak8963.ADDRESS:
+            # switched through by BYPASS_EN, while the inner master is off
+            bypass, master = self._registers[_INT_PIN_CFG] & 0x02, self._registers[_USER_CTRL] & 0x20
+            return bool(bypass and not master) and not self.magnetometer.silent
+        return address == self._address and not self._registers[_USER_CTRL] & 0x10
 
     def _transact_slave_4(self) -> None:
         registers = self._registers

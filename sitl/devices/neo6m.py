@@ -1,8 +1,9 @@
 """The NEO-6M as bytes: NMEA at 1 Hz when it wakes, UBX as it is told.
 
 After the u-blox 6 Receiver Description GPS.G6-SW-10018: CFG-MSG, CFG-RATE, CFG-NAV5 and CFG-PRT are obeyed
-and acknowledged, other CFG messages refused. Messages are packed by hand here, apart from the library
-that the driver parses with, so that one mistake cannot cancel itself.
+and acknowledged, other CFG messages refused; a change of the baud rate is acknowledged at the new one. What
+a line makes of the bytes is the port's business (`ports`). Messages are packed by hand here, apart from the
+library that the driver parses with, so that one mistake cannot cancel itself.
 """
 
 from __future__ import annotations
@@ -27,7 +28,11 @@ _GEOID_SEPARATION_M: Final = 47.0
 _KNOT_M_S: Final = 1852.0 / 3600.0
 _FASTEST_MS: Final = 200
 
-NAV_POSLLH, NAV_SOL, NAV_VELNED = (0x01, 0x02), (0x01, 0x06), (0x01, 0x12)
+_RATES_BAUD: Final = (4800, 9600, 19200, 38400, 57600, 115200)
+_UART1: Final = 1
+
+NAV_POSLLH, NAV_STATUS, NAV_DOP = (0x01, 0x02), (0x01, 0x03), (0x01, 0x04)
+NAV_SOL, NAV_VELNED = (0x01, 0x06), (0x01, 0x12)
 _NMEA: Final = {(0xF0, 0x04): "RMC", (0xF0, 0x05): "VTG", (0xF0, 0x00): "GGA", (0xF0, 0x02): "GSA"}
 _NMEA_ALL: Final = (*_NMEA, (0xF0, 0x01), (0xF0, 0x03))
 _CFG, _CFG_PRT, _CFG_MSG, _CFG_RATE, _CFG_NAV5 = 0x06, 0x00, 0x01, 0x08, 0x24
@@ -57,17 +62,23 @@ def nmea(body: str) -> bytes:
 
 
 class Neo6mDevice:
-    """The receiver. `has_fix` False is a sky it cannot see; `silent` an unplugged one."""
+    """The receiver. `has_fix` False is a sky it cannot see; `silent` an unplugged one; `hdop` how it sees.
 
-    def __init__(self, sensor: GpsSensor, latency_s: float = 0.12) -> None:
+    `baud` is the rate it talks at; it wakes at `wake_baud`.
+    """
+
+    def __init__(self, sensor: GpsSensor, latency_s: float = 0.12, wake_baud: int = 9600) -> None:
         self._sensor = sensor
         self._latency_s = latency_s
+        self._wake_baud = wake_baud
         self.has_fix = True
+        self.hdop = 1.0
         self.silent = False
         self.power_cycle()
 
     def power_cycle(self) -> None:
         """Everything as after power-on: NMEA at 1 Hz."""
+        self.baud = self._wake_baud
         self._rates = dict.fromkeys(_NMEA_ALL, 1)
         self._period_ms = 1000
         self._epoch = 0
@@ -109,6 +120,7 @@ class Neo6mDevice:
                 continue
             del self._incoming[: length + 8]
             self._obey(message_class, message_id, body[4:])
+        del self._incoming[:-1]  # perhaps the first half of a sync
 
     # ------------------------------------------------------------ commands
 
@@ -122,7 +134,16 @@ class Neo6mDevice:
         elif obeyed and message_id == _CFG_RATE:
             self._period_ms = max(_FASTEST_MS, int.from_bytes(payload[:2], "little"))
             self._next_ms = None
+        elif obeyed and message_id == _CFG_PRT:
+            obeyed = self._set_port(payload)
         self._replies += ubx(0x05, 0x01 if obeyed else 0x00, bytes((message_class, message_id)))
+
+    def _set_port(self, payload: bytes) -> bool:
+        port, baud = payload[0], int.from_bytes(payload[8:12], "little")
+        if port != _UART1 or baud not in _RATES_BAUD:
+            return False
+        self.baud = baud
+        return True
 
     def _schedule(self, after_ms: int) -> None:
         """The next epoch: a whole multiple of the period, in GPS time and here alike."""
@@ -139,6 +160,8 @@ class Neo6mDevice:
                 out += nmea(self._sentence(sentence, gps_ms, reading))
         for identity, payload in (
             (NAV_POSLLH, self._posllh),
+            (NAV_STATUS, self._status),
+            (NAV_DOP, self._dop),
             (NAV_SOL, self._sol),
             (NAV_VELNED, self._velned),
         ):
@@ -161,6 +184,16 @@ class Neo6mDevice:
             round(r.altitude_m * 1000.0),
             *(round(a * 1000.0) for a in accuracy),
         )
+
+    def _status(self, time_of_week_ms: int, _reading: GpsReading) -> bytes:
+        fix, flags = (3, 0x0D) if self.has_fix else (0, 0x0C)
+        return struct.pack("<IBBBBII", time_of_week_ms, fix, flags, 0, 0, 29_000, time_of_week_ms)
+
+    def _dop(self, time_of_week_ms: int, _reading: GpsReading) -> bytes:
+        h = self.hdop if self.has_fix else 99.99
+        # geometric, position, time, vertical, horizontal, north, east
+        dops = (2.2 * h, 2.0 * h, 1.0 * h, 1.7 * h, h, 0.7 * h, 0.7 * h)
+        return struct.pack("<I7H", time_of_week_ms, *(min(9999, round(100.0 * d)) for d in dops))
 
     def _velned(self, time_of_week_ms: int, r: GpsReading) -> bytes:
         north, east, down = r.velocity_ned_m_s
@@ -208,14 +241,15 @@ class Neo6mDevice:
         knots, course = (north * north + east * east) ** 0.5 / _KNOT_M_S, _course_deg(north, east)
         if kind == "GSA":
             used = ",".join(f"{k + 1:02d}" if k < r.satellites and self.has_fix else "" for k in range(12))
-            return f"GPGSA,A,{3 if self.has_fix else 1},{used},2.00,1.00,1.70"
+            dops = ",".join(f"{share * self.hdop:.2f}" for share in (2.0, 1.0, 1.7))
+            return f"GPGSA,A,{3 if self.has_fix else 1},{used},{dops}"
         if not self.has_fix:
             lost = {"RMC": f"{time},V,,,,,,,{utc:%d%m%y},,,N", "GGA": f"{time},,,,,0,00,99.99,,,,,,"}
             return f"GP{kind}," + lost.get(kind, ",,,,,,,,N")
         fields = {
             "RMC": f"{time},A,{latitude},{longitude},{knots:.3f},{course:.2f},{utc:%d%m%y},,,A",
             "VTG": f"{course:.2f},T,,M,{knots:.3f},N,{knots * 1.852:.3f},K,A",
-            "GGA": f"{time},{latitude},{longitude},1,{r.satellites:02d},1.00,{r.altitude_m:.1f},M,"
+            "GGA": f"{time},{latitude},{longitude},1,{r.satellites:02d},{self.hdop:.2f},{r.altitude_m:.1f},M,"
             f"{_GEOID_SEPARATION_M:.1f},M,,",
         }
         return f"GP{kind},{fields[kind]}"

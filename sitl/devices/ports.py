@@ -2,7 +2,8 @@
 
 `MemoryPort` joins both in one process, in virtual or real time; `PtyPort` is a pseudo terminal for an app
 in another process. The device's side is the same: `send` and `receive`, without waiting. Bytes arrive in
-pieces, as out of a UART's own buffer, and each piece when its last bit would have come.
+pieces, as out of a UART's own buffer, and each piece when its last bit would have come. Both ends have a
+baud rate of their own: where they differ, what arrives is garbage.
 """
 
 from __future__ import annotations
@@ -11,11 +12,16 @@ import asyncio
 import contextlib
 import errno
 import os
+import termios
 import tty
 from collections.abc import Callable
 from typing import Final, Protocol
 
-_BITS_PER_BYTE: Final = 10
+from sitl.devices.uart import BITS_PER_BYTE, as_heard
+
+_SPEEDS: Final = {
+    getattr(termios, f"B{baud}"): baud for baud in (4800, 9600, 19200, 38400, 57600, 115200, 230400)
+}
 _PIECE_BYTES: Final = 64
 _BACKLOG_S: Final = 1.0
 
@@ -31,17 +37,25 @@ class DevicePort(Protocol):
         """What has come from the app since the last call."""
         ...
 
+    def set_baud(self, baud: int) -> None:
+        """Change the device's rate; the app's is its own affair."""
+        ...
+
     def close(self) -> None:
         """Unplug the line."""
         ...
 
 
 class PacedLine:
-    """One direction: hands bytes on as fast as the line carries them; what waits over a second is dropped."""
+    """One direction: hands bytes on as fast as the line carries them; what waits over a second is dropped.
 
-    def __init__(self, baud: int, deliver: Callable[[bytes], None]) -> None:
-        self._byte_s = _BITS_PER_BYTE / baud
+    `baud` is the sender's; `heard_baud` tells the receiver's at the moment of arrival.
+    """
+
+    def __init__(self, baud: int, deliver: Callable[[bytes], None], heard_baud: Callable[[], int]) -> None:
+        self.baud = baud
         self._deliver = deliver
+        self._heard_baud = heard_baud
         self._loop = asyncio.get_running_loop()
         self._free_s = 0.0
 
@@ -53,15 +67,20 @@ class PacedLine:
         self._free_s = max(self._free_s, now_s)
         for start in range(0, len(data), _PIECE_BYTES):
             piece = data[start : start + _PIECE_BYTES]
-            self._free_s += len(piece) * self._byte_s
-            self._loop.call_at(self._free_s, self._deliver, piece)
+            self._free_s += len(piece) * BITS_PER_BYTE / self.baud
+            self._loop.call_at(self._free_s, self._arrive, piece, self.baud)
+
+    def _arrive(self, piece: bytes, sent_baud: int) -> None:
+        heard = as_heard(piece, sent_baud, self._heard_baud())
+        if heard:
+            self._deliver(heard)
 
 
 class AppEnd:
     """The app's end of a MemoryPort: a BytePort."""
 
-    def __init__(self, baud: int, deliver: Callable[[bytes], None]) -> None:
-        self._line = PacedLine(baud, deliver)
+    def __init__(self, baud: int, deliver: Callable[[bytes], None], device_baud: Callable[[], int]) -> None:
+        self._line = PacedLine(baud, deliver, device_baud)
         self._received = bytearray()
         self._arrived = asyncio.Event()
         self._closed = False
@@ -83,6 +102,17 @@ class AppEnd:
             raise _unplugged()
         self._line.send(data)
 
+    @property
+    def baud(self) -> int:
+        """The app's rate."""
+        return self._line.baud
+
+    def set_baud(self, baud: int) -> None:
+        """Change the app's rate. OSError when unplugged or closed."""
+        if self._closed:
+            raise _unplugged()
+        self._line.baud = baud
+
     def close(self) -> None:
         """Close; a waiting `read` ends with OSError."""
         self._closed = True
@@ -100,8 +130,8 @@ class MemoryPort:
 
     def __init__(self, baud: int) -> None:
         self._from_app = bytearray()
-        self.app = AppEnd(baud, self._from_app.extend)
-        self._line = PacedLine(baud, self.app.deliver)
+        self.app = AppEnd(baud, self._from_app.extend, lambda: self._line.baud)
+        self._line = PacedLine(baud, self.app.deliver, lambda: self.app.baud)
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line to the app."""
@@ -114,23 +144,33 @@ class MemoryPort:
         self._from_app.clear()
         return data
 
+    def set_baud(self, baud: int) -> None:
+        """Change the device's rate."""
+        self._line.baud = baud
+
     def close(self) -> None:
         """Unplug the line: the app's end gets OSError."""
         self.app.close()
 
 
 class PtyPort:
-    """A serial line as a pseudo terminal; the app opens `path`. Make it inside the running loop."""
+    """A serial line as a pseudo terminal; the app opens `path`. Make it inside the running loop.
+
+    A pseudo terminal has no rate of its own, but it keeps what the app has asked for.
+    """
 
     def __init__(self, baud: int) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
+        settings = termios.tcgetattr(self._slave)
+        settings[4] = settings[5] = getattr(termios, f"B{baud}")
+        termios.tcsetattr(self._slave, termios.TCSANOW, settings)
         os.set_blocking(self._master, False)
         # our own handle on the slave stays open: without it reading fails while the app has not opened it
         self.path = os.ttyname(self._slave)
         self._loop = asyncio.get_running_loop()
         self._from_app = bytearray()
-        self._line = PacedLine(baud, self._deliver)
+        self._line = PacedLine(baud, self._deliver, self._app_baud)
         self._open = True
         self._loop.add_reader(self._master, self._on_readable)
 
@@ -145,6 +185,10 @@ class PtyPort:
         self._from_app.clear()
         return data
 
+    def set_baud(self, baud: int) -> None:
+        """Change the device's rate."""
+        self._line.baud = baud
+
     def close(self) -> None:
         """Unplug the line: the app's end gets OSError."""
         if self._open:
@@ -152,6 +196,11 @@ class PtyPort:
             self._loop.remove_reader(self._master)
             os.close(self._master)
             os.close(self._slave)
+
+    def _app_baud(self) -> int:
+        if not self._open:
+            return self._line.baud
+        return _SPEEDS.get(termios.tcgetattr(self._slave)[5], 0) or self._line.baud
 
     def _deliver(self, piece: bytes) -> None:
         if not self._open:
@@ -162,11 +211,13 @@ class PtyPort:
 
     def _on_readable(self) -> None:
         try:
-            self._from_app += os.read(self._master, 4096)
+            data = os.read(self._master, 4096)
         except BlockingIOError:
             return
         except OSError:
             self.close()
+            return
+        self._from_app += as_heard(data, self._app_baud(), self._line.baud)
 
 
 def _unplugged() -> OSError:

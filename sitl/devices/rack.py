@@ -6,7 +6,7 @@ Each sensor has a random stream of its own, so that a fault in one does not chan
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -21,10 +21,10 @@ from companion.geometry import (
     tilt_from_quat,
 )
 from sitl.devices.ak8963 import Ak8963Device
-from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.mpu9250 import Interface, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
-from sitl.devices.ultrasonic import UltrasonicDevice
+from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.inertial import ImuErrors, ImuSensor
 from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 
@@ -49,6 +49,15 @@ class SensorErrors:
     magnetometer: MagErrors = field(default_factory=MagErrors)
     gps: GpsErrors = field(default_factory=GpsErrors)
     range: RangeErrors = field(default_factory=RangeErrors)
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """Which sensors there are and how they are connected."""
+
+    imu_interface: Interface = "i2c"
+    gps_wake_baud: int = 9600
+    ultrasonic: Literal["frames", "polled"] = "frames"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +92,9 @@ class SensorRack:
         imu_config: ImuConfig | None = None,
         gps_config: GpsConfig | None = None,
         errors: SensorErrors | None = None,
+        wiring: Wiring | None = None,
     ) -> None:
+        wiring = wiring or Wiring()
         imu_config, gps_config = imu_config or ImuConfig(), gps_config or GpsConfig()
         errors = errors or SensorErrors()
         streams = [np.random.default_rng((seed, k)) for k in range(4)]
@@ -95,10 +106,14 @@ class SensorRack:
             self.inertial,
             Ak8963Device(self.magnetometer, clock_error=clock_errors[1]),
             address=imu_config.address,
+            interface=wiring.imu_interface,
             clock_error=clock_errors[0],
         )
-        self.gps = Neo6mDevice(GpsSensor(errors.gps, streams[2], home), gps_config.latency_s)
-        self.range = UltrasonicDevice(self.echo)
+        self.gps = Neo6mDevice(
+            GpsSensor(errors.gps, streams[2], home), gps_config.latency_s, wiring.gps_wake_baud
+        )
+        ultrasonic = UltrasonicDevice if wiring.ultrasonic == "frames" else PolledUltrasonicDevice
+        self.range = ultrasonic(self.echo)
         self._field_ned_ut = field_ned_ut
         self._antenna_body_m = gps_config.antenna_position_body_m
         self._gps_port = gps_port
@@ -113,5 +128,7 @@ class SensorRack:
         turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))
         self.gps.receive(self._gps_port.receive())
         position, velocity = add(truth.position_ned_m, antenna), add(truth.velocity_ned_m_s, turning)
+        self._gps_port.set_baud(self.gps.baud)
         self._gps_port.send(self.gps.step(now_s, position, velocity))
+        self.range.receive(self._range_port.receive())
         self._range_port.send(self.range.step(now_s, truth.range_height_m, tilt_from_quat(attitude)))

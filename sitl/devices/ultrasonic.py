@@ -1,4 +1,8 @@
-"""The ultrasonic as bytes: pings by itself, waits for its own sound, writes a 4-byte frame."""
+"""Ultrasonics as bytes: one that pings by itself and writes 4-byte frames, one that pings when it is asked.
+
+Both wait for their own sound before they write. A02YYUW data sheet (frames), US-100 manual (0x55 asks for a
+distance in two bytes of millimetres, 0x50 for a temperature in one byte of degrees plus 45).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from sitl.sensors import RangeSensor
 
 SPEED_OF_SOUND_M_S: Final = 340.0
 _NO_ECHO_S: Final = 0.03  # how long it listens
+_ASK_DISTANCE, _ASK_TEMPERATURE = 0x55, 0x50
 
 
 class UltrasonicDevice:
@@ -21,6 +26,9 @@ class UltrasonicDevice:
         self._answer_s = 0.0
         self.silent = False
 
+    def receive(self, data: bytes) -> None:
+        """Bytes from the onboard computer: it does not listen."""
+
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
         """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""
         if self._next_s is None:
@@ -28,7 +36,7 @@ class UltrasonicDevice:
         if now_s >= self._next_s:
             self._next_s += self._period_s
             distance_m = self._sensor.sample(height_m, tilt_rad)
-            self._answer_s = now_s + (2.0 * distance_m / SPEED_OF_SOUND_M_S if distance_m else _NO_ECHO_S)
+            self._answer_s = now_s + _echo_s(distance_m)
             self._frame = frame(distance_m)
         if not self._frame or now_s < self._answer_s:
             return b""
@@ -36,8 +44,49 @@ class UltrasonicDevice:
         return b"" if self.silent else data
 
 
+class PolledUltrasonicDevice:
+    """US-100 in serial mode. `silent` is an unplugged sensor."""
+
+    def __init__(self, sensor: RangeSensor, temperature_c: float = 20.0) -> None:
+        self._sensor = sensor
+        self._temperature_c = temperature_c
+        self._asked = b""
+        self._answer = b""
+        self._answer_s = 0.0
+        self.silent = False
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the onboard computer; while it waits for an echo it does not listen."""
+        if not self._answer:
+            self._asked += data
+
+    def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
+        """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""
+        for command in self._asked:
+            if command == _ASK_DISTANCE:
+                distance_m = self._sensor.sample(height_m, tilt_rad)
+                self._answer = millimetres(distance_m)
+                self._answer_s = now_s + _echo_s(distance_m)
+            elif command == _ASK_TEMPERATURE:
+                self._answer, self._answer_s = bytes((round(self._temperature_c) + 45,)), now_s
+        self._asked = b""
+        if not self._answer or now_s < self._answer_s:
+            return b""
+        data, self._answer = self._answer, b""
+        return b"" if self.silent else data
+
+
+def millimetres(distance_m: float | None) -> bytes:
+    """Two bytes, the high one first; 0 when there is no echo."""
+    number = 0 if distance_m is None else max(0, min(0xFFFF, round(distance_m * 1000.0)))
+    return number.to_bytes(2, "big")
+
+
 def frame(distance_m: float | None) -> bytes:
     """The serial frame of a distance; 0 mm when there is no echo."""
-    millimetres = 0 if distance_m is None else max(0, min(0xFFFF, round(distance_m * 1000.0)))
-    high, low = divmod(millimetres, 256)
+    high, low = millimetres(distance_m)
     return bytes((0xFF, high, low, (0xFF + high + low) & 0xFF))
+
+
+def _echo_s(distance_m: float | None) -> float:
+    return 2.0 * distance_m / SPEED_OF_SOUND_M_S if distance_m else _NO_ECHO_S

@@ -212,10 +212,10 @@ def test_a_udp_port_in_use_is_said(tmp_path: Path, pty: str, companion: Companio
     ("part", "change", "expected"),
     [
         ("link", {"connection": "serial:/dev/ttyNOWHERE:57600"}, "/dev/ttyNOWHERE:57600: No such file"),
-        ("gps", {"port": "/dev/ttyNOWHERE"}, "serial port /dev/ttyNOWHERE: cannot be opened at 9600 baud"),
+        ("gps", {"port": "/dev/ttyNOWHERE"}, "serial port /dev/ttyNOWHERE: cannot be opened at 38400 baud"),
         ("range", {"port": "/dev/null"}, "serial port /dev/null: cannot be opened at 9600 baud"),
         ("imu", {"bus": "i2c:99"}, "bus 'i2c:99': /dev/i2c-99 cannot be opened: No such file"),
-        ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER or socket:PATH"),
+        ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"),
         ("vision", {"source": "v4l2:99"}, "sense.vision.source: v4l2:99: no camera at /dev/video99"),
         ("vision", {"source": "socket:/nowhere"}, "sense.vision.source: socket:/nowhere: No such file"),
         ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER or socket:PATH"),

@@ -7,7 +7,7 @@ import pytest
 from mcap.reader import make_reader
 from pymavlink import mavutil
 
-from tests.scenario.flying import Flown, fly
+from tests.scenario.flying import Flown, fly, run
 
 PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
 LOGS = {"flight.mcap", "flight.tlog", "result.json"}
@@ -60,3 +60,18 @@ def test_the_tlog_holds_both_directions(recorded: tuple[Path, Flown]) -> None:
         heard.setdefault(sender, set()).add(message.get_type())
     assert {"HEARTBEAT", "COMMAND_ACK"} <= heard[1, 1]
     assert {"HEARTBEAT", "COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED"} <= heard[1, 191]
+
+
+def test_a_replay_gives_the_flights_estimates_again_to_the_bit(
+    recorded: tuple[Path, Flown], tmp_path: Path
+) -> None:
+    record, flown = recorded
+    replayed = run("replay", record, "-o", tmp_path, result=tmp_path / "replay.json")
+    assert replayed.code == 0, replayed
+    assert replayed.result is not None
+    assert replayed.result["repetition"]["identical"], replayed
+    truth = replayed.result["errors"]["truth"]
+    # the flight's own result draws the line between ground and air a sample elsewhere
+    told = flown.landing["estimate"]
+    assert truth["attitude_deg"]["rms"] == pytest.approx(told["attitude_rmse_deg"], rel=0.02)
+    assert truth["velocity_m_s"]["rms"] == pytest.approx(told["velocity_rmse_m_s"], rel=0.02)

@@ -84,14 +84,17 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
-        return "--fast" in words or "--help" in words
+        return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
 def check_without_running(words: list[str]) -> None:
     """Raise when a command names an option, module, target or file that does not exist."""
     if words[0] == "companion":
-        context = typer.main.get_command(cli).make_context("companion", words[1:])
+        command = typer.main.get_command(cli)
+        context = command.make_context("companion", words[1:])
+        if (other := getattr(command, "commands", {}).get(words[1])) is not None:
+            other.make_context(words[1], words[2:])
         if context.params["scenario"] is not None:
             load_scenario(context.params["scenario"])
     elif words[:2] == ["python", "-m"]:

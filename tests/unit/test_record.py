@@ -15,8 +15,9 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.config import ConfigError
+from companion.message_json import encode, schema_of
 from companion.messages import Frame, ImuSample, Notice, PadSighting, PlanStep, Reference, VehicleState
-from companion.record import FlightLog, encode, schema_of, split_packets
+from companion.record import FlightLog, split_packets
 
 START_UNIX_S = 1.7e9
 

@@ -226,3 +226,35 @@ def test_the_motions_covariance_is_that_of_errors_drawn_from_the_states() -> Non
     scale_of = np.sqrt(np.outer(claimed.diagonal(), claimed.diagonal()))
     assert (found / scale_of) == pytest.approx(claimed / scale_of, abs=0.03)
     assert claimed[:3, :3] == pytest.approx(ekf.rotation_covariance())
+
+
+def test_a_fix_without_vertical_speed_leaves_the_climb_rate_to_the_accelerometer() -> None:
+    ekf = new_ekf()
+    ekf.apply(0.01, fix())
+    start_std = math.sqrt(ekf.P[15, 15])
+    for k in range(1, 500):
+        # it climbs with 0.5 m/s² for a second, then steadily
+        lift = (0.0, 0.0, -GRAVITY_M_S2 - (0.5 if k <= 100 else 0.0))
+        ekf.apply(0.01 * (k + 1), ImuStep((0.0, 0.0, 0.0), lift, 2, FIELD))
+        if k % 20 == 0:
+            elapsed_s = 0.01 * k
+            height_m = 0.25 * elapsed_s**2 if elapsed_s <= 1.0 else 0.25 + 0.5 * (elapsed_s - 1.0)
+            place = (ANTENNA[0], ANTENNA[1], ANTENNA[2] - height_m)
+            ekf.apply(
+                0.01 * (k + 1) + 1e-4,
+                GpsStep(place, (0.0, 0.0, 0.0), (3.0, 3.0, 4.5), (0.15, 0.15, 50.0)),
+            )
+    assert ekf.x[15] == pytest.approx(-0.5, abs=0.1)
+    assert start_std < 0.5
+
+
+def test_the_first_fix_keeps_the_climb_rate_that_it_does_not_know() -> None:
+    ekf = new_ekf()
+    before = ekf.P[15, 15]
+    ekf.apply(0.01, GpsStep(ANTENNA, (1.0, 2.0, 0.0), (3.0, 3.0, 4.5), (0.15, 0.15, 50.0)))
+    assert vector3(ekf.x[model.VELOCITY]) == pytest.approx((1.0, 2.0, 0.0))
+    assert ekf.P[13, 13] == pytest.approx(0.15**2)
+    assert ekf.P[15, 15] == pytest.approx(before, rel=0.2)
+    known = new_ekf()
+    known.apply(0.01, fix(velocity=(1.0, 2.0, -1.0)))
+    assert known.x[15] == -1.0

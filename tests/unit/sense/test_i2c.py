@@ -164,7 +164,7 @@ def test_a_simulator_that_restarts_is_found_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spec", ["", "i2c", "i2c:", "i2c:x", "i2c:-1", "i2c:²", "socket:", "spi:0"])
 def test_a_bus_that_is_none_is_refused_with_what_is_expected(spec: str) -> None:
-    with pytest.raises(ConfigError, match=r"expected i2c:NUMBER or socket:PATH"):
+    with pytest.raises(ConfigError, match=r"expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"):
         open_bus(spec)
 
 

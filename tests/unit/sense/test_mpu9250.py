@@ -5,88 +5,22 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from companion.config import ConfigError, ImuConfig, validate
-from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler, quat_rotate_inverse
-from companion.messages import ImuSample, MagSample
+from companion.geometry import GRAVITY_M_S2, quat_from_euler, quat_rotate_inverse
 from companion.sense.ak8963 import Ak8963
+from companion.sense.ak8963_path import BypassPath
 from companion.sense.fifo import SamplesLostError
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.sample_clock import SampleClock
-from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Mpu9250Device
-from sitl.inertial import NO_IMU_ERRORS, ImuErrors, ImuSensor
-from sitl.sensors import MagErrors, MagSensor
+from tests.unit.sense.imu_rig import FIELD, REST, STEP_S, STILL, Rig, at_rest
 
-STEP_S = 1.0 / 400.0
 POLL_S = 0.01
-REST: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
-STILL: Vector3 = (0.0, 0.0, 0.0)
-FIELD: Vector3 = (20.9, 0.6, 42.9)
-# enough noise that no two samples are alike, and small against every tolerance here
-QUIET_IMU = replace(NO_IMU_ERRORS, accel_noise_m_s2_rthz=60e-6 * GRAVITY_M_S2)
-QUIET_MAG = MagErrors(noise_ut=0.3, hard_iron_ut=0.0, soft_iron=0.0, current_ut=0.0)
-
-Truth = Callable[[float], tuple[Vector3, Vector3, Vector3]]
-
-
-def at_rest(_now_s: float) -> tuple[Vector3, Vector3, Vector3]:
-    return REST, STILL, FIELD
-
-
-class Rig:
-    """One chip, its driver, and the time that passes for both."""
-
-    def __init__(
-        self,
-        config: ImuConfig | None = None,
-        imu: ImuErrors = QUIET_IMU,
-        *,
-        clock_error: float = 0.003,
-        identity: int = 0x71,
-    ) -> None:
-        self.config = config or ImuConfig()
-        rng = np.random.default_rng(7)
-        roll, pitch, yaw = (math.radians(angle) for angle in self.config.body_from_sensor_deg)
-        mount = matrix_from_quat(quat_from_euler(roll, pitch, yaw)).T  # sensor from body
-        self.device = Mpu9250Device(
-            ImuSensor(imu, rng, STEP_S, mount),
-            Ak8963Device(MagSensor(QUIET_MAG, rng, mount)),
-            clock_error=clock_error,
-            identity=identity,
-        )
-        self.driver = Mpu9250(self.device, self.config)
-        self.now_s = 0.0
-        self.imu: list[ImuSample] = []
-        self.mag: list[MagSample] = []
-        self.faults: list[SensorError] = []
-        self._step = 0
-
-    def run(self, seconds: float, truth: Truth = at_rest, polling: bool = True) -> None:
-        every = round(POLL_S / STEP_S)
-        for _ in range(round(seconds / STEP_S)):
-            self.now_s = self._step * STEP_S
-            self.device.step(self.now_s, *truth(self.now_s), 0.0)
-            if polling and self._step % every == 0:
-                self.poll(self.now_s)
-            self._step += 1
-
-    def problem(self) -> str | None:
-        return self.driver.problem
-
-    def poll(self, now_s: float) -> None:
-        try:
-            imu, mag = self.driver.poll(lambda: now_s)
-        except SensorError as error:
-            self.faults.append(error)
-        else:
-            self.imu += imu
-            self.mag += mag
 
 
 # ---------------------------------------------------------------- units, axes, scales
@@ -153,7 +87,7 @@ def test_every_range_is_scaled_alike_and_clips_at_its_end(gyro_range: int, accel
 def test_magnetometer_block_is_decoded_with_swapped_axes_and_little_endian() -> None:
     block = struct.pack("<BhhhB", 0x01, 100, -200, 300, 0x10)
     # without the fuse ROM's values: 0.15 µT a step
-    decoded = Ak8963(_NoBus(), 0x68, 100).decode(block)
+    decoded = Ak8963(BypassPath(_NoBus()), 100).decode(block)
     assert decoded is not None
     field, newest = decoded
     assert field == pytest.approx((-30.0, 15.0, -45.0))
@@ -163,7 +97,7 @@ def test_magnetometer_block_is_decoded_with_swapped_axes_and_little_endian() -> 
 @pytest.mark.parametrize("status_2", [0x18, 0x08, 0x00])
 def test_magnetometer_overflow_or_wrong_width_is_no_measurement(status_2: int) -> None:
     block = struct.pack("<BhhhB", 0x01, 100, -200, 300, status_2)
-    assert Ak8963(_NoBus(), 0x68, 100).decode(block) is None
+    assert Ak8963(BypassPath(_NoBus()), 100).decode(block) is None
 
 
 def test_a_magnetic_overflow_is_dropped_and_the_rest_goes_on() -> None:

@@ -13,13 +13,17 @@ from hypothesis import strategies as st
 from companion.config import GpsConfig
 from companion.geometry import Vector3, ned_from_geodetic
 from companion.messages import GpsFix
+from companion.sense.gps_commands import configuration
+from companion.sense.gps_fixes import EpochClock
 from companion.sense.gps_frames import FrameSplitter
-from companion.sense.neo6m import SILENCE_S, EpochClock, Neo6m, configuration
+from companion.sense.gps_line import SILENCE_S
+from companion.sense.neo6m import Neo6m
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
 from sitl.sensors import NO_GPS_ERRORS, GpsSensor
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 BYTE_S = 10.0 / 9600.0
+CONFIG = GpsConfig(baud=9600)  # what the hand-made bytes are timed for
 TIME_OF_WEEK_MS = 302_400_200
 
 
@@ -37,7 +41,7 @@ def sol(itow: int = TIME_OF_WEEK_MS, fix: int = 3, flags: int = 0x0D) -> bytes:
 
 
 def fixes(data: bytes) -> list[GpsFix]:
-    return Neo6m(GpsConfig()).feed(data, 100.0)
+    return Neo6m(CONFIG).feed(data, 100.0)
 
 
 # ---------------------------------------------------------------- UBX
@@ -72,12 +76,12 @@ def test_time_is_the_epochs_less_transmission_and_latency() -> None:
     data = posllh() + velned() + sol()
     (fix,) = fixes(data)
     assert len(data) == 140
-    assert fix.time_s == pytest.approx(100.0 - len(data) * BYTE_S - GpsConfig().latency_s)
+    assert fix.time_s == pytest.approx(100.0 - len(data) * BYTE_S - CONFIG.latency_s)
 
 
 def test_time_does_not_depend_on_the_pieces() -> None:
     data = posllh() + velned() + sol()
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     found = [
         fix
         for end in range(1, len(data) + 1)
@@ -87,7 +91,7 @@ def test_time_does_not_depend_on_the_pieces() -> None:
 
 
 def test_a_reader_woken_late_does_not_make_a_fix_younger() -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     times = []
     for k in range(50):
         itow = TIME_OF_WEEK_MS + 200 * k
@@ -130,7 +134,7 @@ def test_half_a_message_does_not_swallow_what_follows(cut: int) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.binary(max_size=30), max_size=8), st.integers(1, 40))
 def test_garbage_before_whole_epochs_survives(noise: list[bytes], step: int) -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     data = b"".join(noise) + b"".join(
         posllh(t) + velned(t) + sol(t) for t in range(TIME_OF_WEEK_MS, TIME_OF_WEEK_MS + 3000, 200)
     )
@@ -191,7 +195,7 @@ def test_nmea_without_a_good_fix_is_no_position(data: bytes) -> None:
 
 
 def test_nmea_is_silent_beside_ubx_and_serves_when_ubx_stops() -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     assert len(receiver.feed(posllh() + velned() + sol(), 10.0)) == 1
     assert receiver.feed(rmc("120001.00") + gga("120001.00"), 11.0) == []
     assert len(receiver.feed(rmc("120009.00") + gga("120009.00"), 11.0 + SILENCE_S)) == 1
@@ -205,16 +209,16 @@ def acknowledge(command: bytes, kind: int = 1) -> bytes:
 
 
 def test_the_commands_are_those_of_the_protocol() -> None:
-    commands = configuration(GpsConfig(rate_hz=5))
+    commands = configuration(CONFIG, 38400)
     assert ubx(6, 8, struct.pack("<HHH", 200, 1, 1)) in commands
     assert ubx(6, 1, bytes((1, 2, 0, 1, 0, 0, 0, 0))) in commands
     assert ubx(6, 1, bytes((0xF0, 4, 0, 0, 0, 0, 0, 0))) in commands
-    assert len(commands) == 11
+    assert len(commands) == 14
 
 
 def test_one_command_at_a_time_and_the_next_after_its_answer() -> None:
-    receiver = Neo6m(GpsConfig())
-    commands = configuration(GpsConfig())
+    receiver = Neo6m(CONFIG)
+    commands = configuration(CONFIG, 9600)
     sent = []
     for k in range(len(commands)):
         sent.append(receiver.pending(float(k)))
@@ -226,7 +230,7 @@ def test_one_command_at_a_time_and_the_next_after_its_answer() -> None:
 
 
 def test_an_answer_to_something_else_is_no_answer() -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     receiver.feed(ubx(5, 1, bytes((6, 0x13))), 0.1)
     assert receiver.pending(0.2) == b""
@@ -234,7 +238,7 @@ def test_an_answer_to_something_else_is_no_answer() -> None:
 
 
 def test_a_lost_answer_is_asked_for_again_and_silence_is_told() -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     for k in range(4):
         receiver.feed(rmc() + gga(), 0.9 + k)
@@ -242,7 +246,7 @@ def test_a_lost_answer_is_asked_for_again_and_silence_is_told() -> None:
         assert receiver.problem is None
     receiver.feed(rmc() + gga(), 5.9)
     assert receiver.pending(6.0) == first
-    assert receiver.problem == "NEO-6M: no answer to CFG-MSG"
+    assert receiver.problem == "NEO-6M: no answer to CFG-PRT"
     receiver.feed(acknowledge(first), 6.1)
     receiver.pending(6.2)
     assert receiver.problem is None
@@ -252,12 +256,12 @@ def test_a_lost_answer_is_asked_for_again_and_silence_is_told() -> None:
     ("data", "words"),
     [
         (b"", "nothing received: check its power and wiring"),
-        (b"\x00\xf8\x80", "no message in what is received: check that it sends at 9600 baud"),
+        (b"\x00\xf8\x80", "no message at 9600 baud: trying other rates"),
         (ubx(5, 1, bytes((6, 0x13))), "no fix"),
     ],
 )
 def test_the_first_thing_that_is_missing_is_told_and_forgotten_when_it_comes(data: bytes, words: str) -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     for k in range(20):
         if data:
             receiver.feed(data, 0.2 * k)
@@ -270,11 +274,11 @@ def test_the_first_thing_that_is_missing_is_told_and_forgotten_when_it_comes(dat
 
 
 def test_a_refused_command_is_told_and_passed_over() -> None:
-    receiver = Neo6m(GpsConfig())
+    receiver = Neo6m(CONFIG)
     first = receiver.pending(0.0)
     receiver.feed(acknowledge(first, kind=0), 0.1)
-    assert receiver.pending(0.2) == configuration(GpsConfig())[1]
-    assert receiver.problem == "NEO-6M: refuses CFG-MSG"
+    assert receiver.pending(0.2) == configuration(CONFIG, 9600)[1]
+    assert receiver.problem == "NEO-6M: refuses CFG-PRT"
 
 
 # ---------------------------------------------------------------- with the simulated receiver
@@ -285,7 +289,7 @@ class Rig:
 
     def __init__(self) -> None:
         self.device = Neo6mDevice(GpsSensor(NO_GPS_ERRORS, np.random.default_rng(5), HOME), latency_s=0.12)
-        self.driver = Neo6m(GpsConfig(latency_s=0.12))
+        self.driver = Neo6m(CONFIG)
         self.fixes: list[GpsFix] = []
         self.now_s = 0.0
 
@@ -351,7 +355,7 @@ def test_a_receiver_that_lost_power_is_configured_anew() -> None:
 
 def test_until_it_is_configured_nmea_gives_the_position() -> None:
     device = Neo6mDevice(GpsSensor(NO_GPS_ERRORS, np.random.default_rng(5), HOME))
-    driver = Neo6m(GpsConfig())
+    driver = Neo6m(CONFIG)
     found: list[GpsFix] = []
     for k in range(400):
         data = device.step(0.01 * k, (10.0, 20.0, -5.0), (3.0, 4.0, 0.0))

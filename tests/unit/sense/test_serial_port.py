@@ -114,7 +114,7 @@ async def test_a_file_that_is_no_port_is_told_in_one_line(tmp_path: os.PathLike[
 
 async def test_simulated_line_and_port_talk_both_ways() -> None:
     line = PtyPort(115200)
-    port = SerialPort(line.path, 9600)
+    port = SerialPort(line.path, 115200)
     line.send(b"from the device")
     received = b""
     while len(received) < 15:
@@ -129,3 +129,29 @@ async def test_simulated_line_and_port_talk_both_ways() -> None:
     line.close()
     with pytest.raises(OSError, match="serial port"):
         await asyncio.wait_for(port.read(), PATIENCE_S)
+
+
+async def test_at_another_rate_there_is_garbage_until_the_rate_is_set() -> None:
+    """GIVEN a device at 9600 baud and a port at 38400 WHEN the port is set to 9600 THEN both understand."""
+    line = PtyPort(9600)
+    port = SerialPort(line.path, 38400)
+    line.send(b"$GPRMC,191418.00,V\r\n")
+    garbage = await asyncio.wait_for(port.read(), PATIENCE_S)
+    assert b"$GP" not in garbage
+    await asyncio.sleep(0.05)
+    port.set_baud(9600)
+    line.send(b"$GPRMC,191418.00,V\r\n")
+    received = b""
+    while len(received) < 20:
+        received += await asyncio.wait_for(port.read(), PATIENCE_S)
+    assert received == b"$GPRMC,191418.00,V\r\n"
+    port.write(b"command")
+    sent = b""
+    while len(sent) < 7:
+        await asyncio.sleep(0.005)
+        sent += line.receive()
+    assert sent == b"command"
+    port.close()
+    with pytest.raises(OSError, match="closed"):
+        port.set_baud(38400)
+    line.close()

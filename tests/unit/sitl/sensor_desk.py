@@ -67,9 +67,15 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
 
     async def position(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
         while True:
-            port.app.write(driver.pending(clock.now_s()))
             data = await port.app.read()
             fixes.extend(driver.feed(data, clock.now_s()))
+
+    async def configure(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
+        while True:
+            command = driver.pending(clock.now_s())
+            port.app.set_baud(driver.baud)
+            port.app.write(command)
+            await asyncio.sleep(0.2)
 
     async def distance(driver: Ultrasonic, port: MemoryPort, clock: Clock) -> None:
         while True:
@@ -87,9 +93,11 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
             gps_port=gps_line,
             range_port=range_line,
         )
+        receiver = Neo6m(GpsConfig())
         tasks = [
             asyncio.create_task(inertial(Mpu9250(rack.imu, ImuConfig()), clock)),
-            asyncio.create_task(position(Neo6m(GpsConfig()), gps_line, clock)),
+            asyncio.create_task(position(receiver, gps_line, clock)),
+            asyncio.create_task(configure(receiver, gps_line, clock)),
             asyncio.create_task(distance(Ultrasonic(RangeConfig()), range_line, clock)),
         ]
         await world(rack, clock)

@@ -212,6 +212,9 @@ class NoLine:
         """Nothing."""
         return b""
 
+    def set_baud(self, baud: int) -> None:
+        """Nothing has a rate."""
+
     def close(self) -> None:
         """Nothing to close."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import struct
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
 from sitl.devices.ports import MemoryPort
-from sitl.devices.ultrasonic import UltrasonicDevice, frame
+from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame
 from sitl.inertial import NO_IMU_ERRORS, ImuSensor
 from sitl.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS, GpsSensor, MagSensor, RangeSensor
 from tests.unit.sitl.sensor_desk import FORCE, STEP_S, fly
@@ -24,11 +25,14 @@ CHIP = 0x68
 FIELD: Vector3 = (20.0, 0.0, 40.0)
 
 
-def make_chip(clock_error: float = 0.0) -> Mpu9250Device:
+def make_chip(clock_error: float = 0.0, interface: Literal["i2c", "spi"] = "i2c") -> Mpu9250Device:
     rng = np.random.default_rng(1)
     magnetometer = Ak8963Device(MagSensor(NO_MAG_ERRORS, rng, np.eye(3)), clock_error=0.0)
     return Mpu9250Device(
-        ImuSensor(NO_IMU_ERRORS, rng, STEP_S, np.eye(3)), magnetometer, clock_error=clock_error
+        ImuSensor(NO_IMU_ERRORS, rng, STEP_S, np.eye(3)),
+        magnetometer,
+        clock_error=clock_error,
+        interface=interface,
     )
 
 
@@ -148,6 +152,39 @@ def test_a_sleeping_chip_does_not_sample() -> None:
     assert fifo_count(chip) == 0
 
 
+@pytest.mark.parametrize(
+    ("interface", "pin_cfg", "user_ctrl", "answers"),
+    [
+        ("i2c", 0x00, 0x00, False),
+        ("i2c", 0x02, 0x00, True),
+        ("i2c", 0x02, 0x20, False),  # the inner master owns the lines
+        ("spi", 0x02, 0x00, False),  # there is no I2C to be on
+    ],
+)
+def test_the_magnetometer_is_on_our_bus_with_the_bypass_alone(
+    interface: Literal["i2c", "spi"], pin_cfg: int, user_ctrl: int, answers: bool
+) -> None:
+    chip = make_chip(interface=interface)
+    chip.write(CHIP, 0x37, pin_cfg)
+    chip.write(CHIP, 0x6A, user_ctrl)
+    if answers:
+        assert chip.read(0x0C, 0x00, 1) == b"\x48"
+    else:
+        with pytest.raises(OSError, match="Remote I/O error"):
+            chip.read(0x0C, 0x00, 1)
+
+
+@pytest.mark.parametrize(("interface", "answers"), [("i2c", False), ("spi", True)])
+def test_switching_i2c_off_ends_it_on_i2c(interface: Literal["i2c", "spi"], answers: bool) -> None:
+    chip = make_chip(interface=interface)
+    chip.write(CHIP, 0x6A, 0x10)
+    if answers:
+        assert chip.read(CHIP, 0x75, 1) == b"\x71"
+        return
+    with pytest.raises(OSError, match="Remote I/O error"):
+        chip.read(CHIP, 0x75, 1)
+
+
 # ---------------------------------------------------------------- AK8963
 
 
@@ -255,6 +292,18 @@ def test_checksums_are_the_protocols() -> None:
     )
 
 
+@pytest.mark.parametrize(("port", "baud", "obeyed"), [(1, 38400, True), (3, 38400, False), (1, 12345, False)])
+def test_the_receiver_changes_its_rate_and_forgets_it_without_power(
+    port: int, baud: int, obeyed: bool
+) -> None:
+    receiver = make_receiver()
+    receiver.receive(ubx(6, 0, struct.pack("<BBHIIHHHH", port, 0, 0, 0x8D0, baud, 3, 3, 0, 0)))
+    assert receiver.baud == (baud if obeyed else 9600)
+    assert ubx(5, int(obeyed), b"\x06\x00") in listen(receiver, 0.1)
+    receiver.power_cycle()
+    assert receiver.baud == 9600
+
+
 # ---------------------------------------------------------------- ultrasonic
 
 
@@ -270,6 +319,17 @@ def test_no_echo_is_a_nought() -> None:
     device = UltrasonicDevice(RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1)))
     heard = b"".join(device.step(0.001 * k, 8.0) for k in range(60))
     assert heard == bytes.fromhex("ff0000ff")
+
+
+def test_a_polled_one_answers_when_it_is_asked_and_its_echo_is_back() -> None:
+    device = PolledUltrasonicDevice(RangeSensor(NO_RANGE_ERRORS, np.random.default_rng(1)))
+    assert [device.step(0.001 * k, 1.7) for k in range(50)] == [b""] * 50
+    device.receive(b"\x55")
+    heard = [(k, data) for k in range(50, 100) if (data := device.step(0.001 * k, 1.7))]
+    assert [data for _, data in heard] == [b"\x06\xa4"]
+    assert heard[0][0] == pytest.approx(60, abs=1)
+    device.receive(b"\x50")
+    assert device.step(0.1, 1.7) == bytes((20 + 45,))
 
 
 # ---------------------------------------------------------------- the line
@@ -333,7 +393,7 @@ def test_what_the_app_gets_is_the_world_with_the_sensors_errors() -> None:
     newest = mag[-1].field_body_ut
     heading = math.atan2(-newest[1], newest[0]) + math.atan2(0.6, 20.9)
     assert math.remainder(heading - 0.3 * mag[-1].time_s, math.tau) == pytest.approx(0.0, abs=0.15)
-    assert len([f for f in fixes if f.time_s > 7.0]) == pytest.approx(24, abs=1)
+    assert len([f for f in fixes if f.time_s > 8.0]) == pytest.approx(19, abs=1)
     assert np.mean([f.velocity_ned_m_s for f in fixes[-20:]], axis=0) == pytest.approx((0, 1, 0), abs=0.15)
     assert len(echoes) == pytest.approx(145, abs=10)
     assert np.median([e.distance_m for e in echoes]) == pytest.approx(1.9, abs=0.02)
