@@ -284,7 +284,7 @@ def main() -> None:
     try:
         code = cli(standalone_mode=False)
     except TyperException as error:
-        code = fail(f"{error.format_message()}; see companion --help", USER_ERROR)
+        code = fail(f"{error.format_message().rstrip('.')}; see companion --help", USER_ERROR)
     except ConfigError as error:
         code = fail(str(error), USER_ERROR)
     except typer.Abort:

@@ -68,7 +68,7 @@ def settings(folder: Path, content: dict[str, Any] | str) -> Path:
         ([*DESK, "--seed", "seven"], "'--seed'"),
         ([*DESK, "--seed", "-1"], "'--seed'"),
         ([*DESK, "--wings"], "No such option: --wings"),
-        ([*DESK, "here"], "unexpected extra argument"),
+        ([*DESK, "here"], "No such command 'here'; see companion --help"),
         (["--fast"], "--fast: needs --sitl"),
         (["--scenario", "line"], "--scenario: needs --sitl"),
         (["--seed", "0"], "--seed: needs --sitl"),

@@ -1,10 +1,12 @@
 """Our own log replayed: it repeats to the bit, and says so when it does not."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import SeekingReader
 
 from companion.config import ConfigError
 from companion.message_json import decode, encode
@@ -94,7 +96,10 @@ def test_a_log_cut_short_is_read_up_to_the_cut(log: Path, tmp_path: Path, share:
 
 def test_a_damaged_chunk_ends_the_log_there(log: Path, tmp_path: Path) -> None:
     data = bytearray(log.read_bytes())
-    data[len(data) // 2] ^= 0xFF
+    summary = SeekingReader(io.BytesIO(data)).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+    data[chunk.chunk_start_offset + chunk.chunk_length - 20] ^= 0xFF  # within its compressed records
     damaged = tmp_path / "damaged.mcap"
     damaged.write_bytes(data)
     assert read_mcap(damaged).cut is not None
