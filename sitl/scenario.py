@@ -57,6 +57,7 @@ class CameraSettings(StrictModel):
     exposure_s: float = Field(default=0.003, gt=0.0, le=0.03)
     readout_s: float = Field(default=0.015, ge=0.0, le=0.03)
     noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
+    calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
     blur: bool = True
 
 

@@ -125,7 +125,7 @@ class Simulation:
         self._clock = Clock()
         self._start_s = self._clock.now_s()
         self._link = link
-        streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(5))
+        streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
         self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
@@ -149,7 +149,7 @@ class Simulation:
         self._range_m = OUT_OF_RANGE_M
         self._frame_line = FrameLine(np.random.default_rng((seed, FAULT_STREAM)))
         self._faults = FaultSchedule(scenario.faults, Breakable(self._rack, self._frame_line))
-        self._camera = _Camera(scenario, self._vehicle, self._world, next(streams), next(streams))
+        camera_streams = (next(streams), next(streams))
         self._onboard = OnboardSensors(
             next(streams),
             PHYSICS_STEP_S,
@@ -162,6 +162,7 @@ class Simulation:
             gps_errors=errors.gps,
             range_errors=errors.range,
         )
+        self._camera = _Camera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard)
         self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
@@ -319,9 +320,11 @@ class _Camera:
         world: World,
         noise_rng: np.random.Generator,
         latency_rng: np.random.Generator,
+        lens_rng: np.random.Generator,
     ) -> None:
         settings = scenario.camera
-        config = load_model(CameraConfig, find_file("cameras", settings.config))
+        calibration = load_model(CameraConfig, find_file("cameras", settings.config))
+        config = ground_otherwise(calibration, settings.calibration_error, lens_rng)
         develop = exposure.CameraSettings(
             exposure_s=settings.exposure_s, readout_s=settings.readout_s, noise_grey=settings.noise_grey
         )
@@ -355,6 +358,19 @@ class _Camera:
             pad_position_ned_m=truth.pad_position_ned_m,
             pad_heading_rad=truth.pad_heading_rad,
         )
+
+
+def ground_otherwise(calibration: CameraConfig, error: float, rng: np.random.Generator) -> CameraConfig:
+    """The lens itself, which no calibration meets; `error` is a standard deviation, of the focal length."""
+    longer, right, down = (error * rng.standard_normal(3)).tolist()
+    return calibration.model_copy(
+        update={
+            "fx_px": calibration.fx_px * (1.0 + longer),
+            "fy_px": calibration.fy_px * (1.0 + longer),
+            "cx_px": calibration.cx_px + right * calibration.fx_px,
+            "cy_px": calibration.cy_px + down * calibration.fy_px,
+        }
+    )
 
 
 def sensor_errors(settings: SensorSettings) -> SensorErrors:
