@@ -54,6 +54,8 @@ class EkfConfig(StrictModel):
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
     gyro_scale_error: float = Field(default=0.005, ge=0.0, le=0.1)  # scale and misalignment, of the rate
+    shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)  # of the force from sample to sample
+    shaking_share: float = Field(default=0.5, ge=0.0, le=5.0)  # of what is more: so far may its mean be off
     unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)  # before the first fix; each reading
     angular_acceleration_rad_s2_rthz: float = Field(default=5.0, gt=0.0, le=50.0)
     acceleration_time_constant_s: float = Field(default=1.0, ge=0.05, le=100.0)

@@ -26,6 +26,7 @@ from companion.estimate.ekf_start import (
     initial_state,
     noise_density,
 )
+from companion.estimate.fix_watch import FixWatch
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.second_gyro import BiasStep
 from companion.geometry import (
@@ -40,6 +41,7 @@ from companion.geometry import (
     quat_rotate,
     quat_rotate_inverse,
     scale,
+    vector3,
 )
 
 
@@ -47,12 +49,14 @@ from companion.geometry import (
 class ImuStep:
     """The mean of a few IMU samples at their mean time, and what else is known at that time.
 
-    `attitude` is the orientation filter's; the noises are of a small rotation (rad).
+    `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_doubt_m_s2` is
+    by how much the specific force may be off for a second or so.
     """
 
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
     samples: int = 1
+    force_doubt_m_s2: float = 0.0
     field_body_ut: Vector3 | None = None
     attitude: Quaternion | None = None
     tilt_noise_rad: float = 0.2
@@ -77,11 +81,11 @@ UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
+UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
+UNSEEN_JERK_M_S3: Final = 6.0
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope tells
 STEP_TURN_STD_RAD: Final = math.radians(0.5)
-FIX_SHARE: Final = 0.35  # of a new fix in the fading mean of their tests
-FIX_BOUND: Final = 4.5  # of that mean, a degree of freedom; 1 when all is well
-WILD_FIX: Final = 10.0  # one wild fix counts as no more
+DOUBT_S: Final = 1.0  # a doubtful force stays off for so long
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 _EYE3: Final = np.eye(3)
@@ -97,7 +101,7 @@ class EkfSnapshot(NamedTuple):
     gates: dict[str, Gate]
     has_position: bool
     gps_time_s: float
-    fix_excess: float
+    fix_watch: FixWatch
 
 
 class VehicleEkf:
@@ -118,20 +122,20 @@ class VehicleEkf:
         self.gates: dict[str, Gate] = {}
         self.has_position = False
         self.gps_time_s = -math.inf
-        self.fix_excess = 1.0
+        self.fix_watch = FixWatch()
 
     # ------------------------------------------------------------ replayable
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
         return EkfSnapshot(
-            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_excess)
+            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch)
         )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.fix_excess = snapshot[5:]
+        self.gps_time_s, self.fix_watch = snapshot[5:]
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
@@ -142,7 +146,7 @@ class VehicleEkf:
             self._take_bias_step(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples)
+        self.predict(time_s, u, item.samples, item.force_doubt_m_s2)
         self._take_imu(item)
 
     # ------------------------------------------------------------ state
@@ -167,7 +171,9 @@ class VehicleEkf:
 
     # ------------------------------------------------------------ eq. 17
 
-    def predict(self, time_s: float, u: model.InertialInput, samples: int = 1) -> None:
+    def predict(
+        self, time_s: float, u: model.InertialInput, samples: int = 1, force_doubt_m_s2: float = 0.0
+    ) -> None:
         """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing."""
         dt_s = time_s - self.time_s
         if dt_s <= 0.0:
@@ -178,7 +184,7 @@ class VehicleEkf:
         q = self.x[model.QUATERNION]
         P[model.QUATERNION, model.QUATERNION] += 0.25 * turn_variance * (_EYE4 - np.outer(q, q))
         diagonal = P.reshape(-1)[:: model.STATES + 1]
-        diagonal[model.VELOCITY] += push_variance
+        diagonal[model.VELOCITY] += push_variance + force_doubt_m_s2**2 * DOUBT_S * dt_s
         diagonal += self._noise * dt_s
         self.x, A = model.transition(self.x, u, dt_s, self._config.acceleration_time_constant_s)
         P[:n] = A @ P[:m]
@@ -191,7 +197,8 @@ class VehicleEkf:
         """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
 
         Scale errors and misalignment are proportional to the rate; a motion keeps its direction for about
-        a second. A step longer than any in a healthy stream has seen only its ends.
+        a second. A step longer than any in a healthy stream has seen only its ends: what lies between them
+        may differ the more the longer it took.
         """
         config = self._config
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
@@ -199,7 +206,9 @@ class VehicleEkf:
         scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
         push = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
-        return turn + (UNSEEN_RATE_RAD_S * unseen_s) ** 2, push + (UNSEEN_ACCELERATION_M_S2 * unseen_s) ** 2
+        rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
+        acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
+        return turn + (rate * unseen_s) ** 2, push + (acceleration * unseen_s) ** 2
 
     def _update(
         self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, doubt: FloatArray | None
@@ -248,6 +257,7 @@ class VehicleEkf:
         expected, C = model.imu_model(self.x)
         innovation = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2) - expected
         R = self._imu_noise / step.samples
+        R[range(3, 6), range(3, 6)] += step.force_doubt_m_s2**2
         self._update("imu", innovation, C, self._without_blows(innovation, C, R), None)
         if step.field_body_ut is not None:
             self._take_field(step.field_body_ut)
@@ -318,7 +328,7 @@ class VehicleEkf:
         self._doubt_rotation(SUSPECTED_TURN_RAD**2 * _EYE3)
         P = self.P.copy()
         P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * _EYE3
-        self.P, self.fix_excess = P, 0.0
+        self.P, self.fix_watch = P, self.fix_watch.suspected(self.time_s)
 
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
         """Take the orientation filter's attitude: the filter's own has proved wrong."""
@@ -346,7 +356,7 @@ class VehicleEkf:
     def _take_gps(self, time_s: float, fix: GpsStep) -> None:
         patience_s, later_s = self._config.gps_patience_s, time_s - self.time_s
         if not self.has_position:
-            self._start_from(time_s, fix)
+            self._start_from(time_s, fix, keep_speed=False)
             return
         expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
         R = np.diag(np.square(fix.velocity_std_m_s))
@@ -363,13 +373,14 @@ class VehicleEkf:
             self.gps_time_s = time_s
         kinds = ("gps_velocity", "gps_position")
         if any(self.gates[kind].shut_out(time_s, patience_s) for kind in kinds):
-            self._start_from(time_s, fix)
+            keep_speed = not self.gates["gps_velocity"].refused_in_a_row
+            self._start_from(time_s, fix, keep_speed)
 
     def _watch_fix(self, innovation: FloatArray, S: FloatArray) -> None:
-        """Fix after fix away from the predicted velocity: the attitude errs, by a bias that has changed."""
-        test = min(normalised_innovation_squared(innovation, S) / len(innovation), WILD_FIX)
-        self.fix_excess += FIX_SHARE * (test - self.fix_excess)
-        if self.fix_excess > FIX_BOUND:
+        test = normalised_innovation_squared(innovation, S) / len(innovation)
+        self.fix_watch = self.fix_watch.after(vector3(innovation), test)
+        gate = self.gates.get("gps_velocity", Gate())
+        if self.fix_watch.suspicious(self.time_s, gate.refused_in_a_row):
             self._suspect_bias()
 
     def _take_bias_step(self, step: BiasStep) -> None:
@@ -384,13 +395,17 @@ class VehicleEkf:
         self.x, self.P = x, P
         self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * _EYE3)
 
-    def _start_from(self, time_s: float, fix: GpsStep) -> None:
+    def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.
 
-        A component of the velocity that the fix does not know stays as it is.
+        A component of the velocity that the fix does not know stays as it is; with keep_speed also one that
+        it knows less well than we.
         """
         q, x = self.attitude, self.x.copy()
-        speed_known = np.less(fix.velocity_std_m_s, UNKNOWN_SPEED_M_S)
+        own = np.sqrt(self.P.diagonal()[model.VELOCITY])
+        speed_known = np.less(
+            fix.velocity_std_m_s, np.minimum(own, UNKNOWN_SPEED_M_S) if keep_speed else UNKNOWN_SPEED_M_S
+        )
         x[model.POSITION] = np.subtract(fix.position_ned_m, quat_rotate(q, self._antenna_body_m))
         x[model.VELOCITY] = np.where(speed_known, fix.velocity_ned_m_s, x[model.VELOCITY])
         P = self.P.copy()

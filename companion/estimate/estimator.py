@@ -19,7 +19,7 @@ from companion.estimate import freezing
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
-from companion.estimate.vehicle_estimator import VehicleEstimator
+from companion.estimate.vehicle_estimator import FUTURE_S, VehicleEstimator
 from companion.geometry import (
     FloatArray,
     Quaternion,
@@ -48,7 +48,8 @@ from companion.messages import (
 )
 
 CALIBRATION_SHARE = 0.99  # of a sighting's least variance; the rest keeps its covariance positive
-FUTURE_S = 0.1  # a measurement stamped further ahead of the IMU has a wrong time
+LARGEST_RATE_RAD_S = 70.0  # an MPU9250 tells 35 rad/s and 157 m/s² at most: more is a fault of the line
+LARGEST_FORCE_M_S2 = 320.0
 
 
 class Estimator:
@@ -83,8 +84,13 @@ class Estimator:
 
     def add_imu(self, sample: ImuSample) -> bool:
         """Take one sample; they must come in order of time."""
-        values = (sample.time_s, *sample.rate_body_rad_s, *sample.specific_force_body_m_s2)
-        return self._count("imu", _finite(values) and self._vehicle.add_imu(sample))
+        rate, force = sample.rate_body_rad_s, sample.specific_force_body_m_s2
+        usable = (
+            _finite((sample.time_s, *rate, *force))
+            and max(map(abs, rate)) <= LARGEST_RATE_RAD_S
+            and max(map(abs, force)) <= LARGEST_FORCE_M_S2
+        )
+        return self._count("imu", usable and self._vehicle.add_imu(sample))
 
     def add_mag(self, sample: MagSample) -> bool:
         """Take one calibrated sample."""

@@ -55,6 +55,7 @@ class SecondGyro:
         self._turns: list[Quaternion] = []
         self._anchors: list[tuple[float, Quaternion]] = []
         self._last: Vector3 | None = None
+        self._waiting: tuple[float, Quaternion] | None = None
 
     def add_rate(self, time_s: float, rate_body_rad_s: Vector3, dt_s: float) -> None:
         """Take our gyroscope's mean rate, bias and all, over the dt_s up to time_s."""
@@ -66,7 +67,14 @@ class SecondGyro:
             del self._times_s[:old], self._turns[:old]
 
     def add_attitude(self, time_s: float, attitude: Quaternion, gyro_bias_rad_s: Vector3) -> BiasStep | None:
-        """Take the autopilot's attitude; the step, when two windows agree that the bias is another."""
+        """Take the autopilot's attitude; the step, when two windows agree that the bias is another.
+
+        One waits for the next: it may be newer than our newest sample, which comes in batches.
+        """
+        waiting, self._waiting = self._waiting, (time_s, attitude)
+        return None if waiting is None else self._compare(*waiting, gyro_bias_rad_s)
+
+    def _compare(self, time_s: float, attitude: Quaternion, gyro_bias_rad_s: Vector3) -> BiasStep | None:
         anchors = self._anchors
         if anchors and not 0.0 <= time_s - anchors[-1][0] < LONGEST_GAP_S:
             anchors.clear()

@@ -20,6 +20,7 @@ from companion.estimate.madgwick import align
 from companion.estimate.motion import MotionHistory
 from companion.estimate.orientation import Orientation, new_orientation
 from companion.estimate.second_gyro import SecondGyro
+from companion.estimate.shaking import Shaking
 from companion.estimate.strapdown import Strapdown
 from companion.geometry import (
     GRAVITY_M_S2,
@@ -43,6 +44,8 @@ from companion.geometry import (
 from companion.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
+FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
+ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
 SETTLING_NOISE_RAD = 1.0
@@ -82,7 +85,7 @@ class VehicleEstimator:
         self.origin: Vector3 | None = None
         self.newest_s = -math.inf
         self._strapdown, self._fields = Strapdown(), _Mean()
-        self._second_gyro = SecondGyro()
+        self._second_gyro, self._shaking = SecondGyro(), Shaking()
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._rate: Vector3 = ZERO3
         self._gyro_bias: Vector3 = ZERO3
@@ -186,14 +189,15 @@ class VehicleEstimator:
         return add(vector3(self._ekf.x[model.VELOCITY]), self.motion.moved(self._ekf.time_s, time_s)[1])
 
     def state(self, now_s: float) -> VehicleState | None:
-        """The vehicle at now_s; None before the alignment and when the IMU has gone silent."""
+        """The vehicle at now_s; None before the alignment, when the IMU is silent or ahead of the clock."""
         ekf = self._ekf
-        if ekf is None or now_s - self.newest_s > IMU_TIMEOUT_S:
+        if ekf is None or not -FUTURE_S <= now_s - self.newest_s <= IMU_TIMEOUT_S:
             return None
         place, speed = self.motion.moved(ekf.time_s, now_s)
         velocity = vector3(ekf.x[model.VELOCITY])
         position = add(vector3(ekf.x[model.POSITION]), scale(velocity, now_s - ekf.time_s))
         variance = ekf.P.diagonal()
+        attitude_std_rad = 2.0 * math.sqrt(float(variance[model.QUATERNION].sum()))
         return VehicleState(
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
@@ -203,10 +207,10 @@ class VehicleEstimator:
             acceleration_ned_m_s2=self._acceleration,
             gyro_bias_rad_s=self._gyro_bias,
             accel_bias_m_s2=self._accel_bias,
-            attitude_std_rad=2.0 * math.sqrt(float(variance[model.QUATERNION].sum())),
+            attitude_std_rad=attitude_std_rad,
             velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
             position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
-            aligned=True,
+            aligned=attitude_std_rad < ALIGNED_STD_RAD,
             has_gps=now_s - ekf.gps_time_s < self._config.ekf.gps_timeout_s,
             origin=self.origin,
         )
@@ -264,6 +268,7 @@ class VehicleEstimator:
         mean_force = scale(add(last_force, raw[1]), 0.5)
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
+        self._shaking.add(raw[1], dt_s)
         turned = subtract(mean_rate, self._gyro_bias)
         self._attitude = quat_integrate(self._attitude, turned, dt_s)
         self._orientation.update_imu(turned, subtract(mean_force, self._accel_bias), dt_s)
@@ -288,12 +293,13 @@ class VehicleEstimator:
             return
         assert self._timeline is not None
         assert self._ekf is not None
-        time_s, felt = sample.time_s, self._strapdown.take()
-        with_attitude = time_s - self._orientation_step_s >= 1.0 / self._config.ekf.orientation_rate_hz
+        time_s, felt, config = sample.time_s, self._strapdown.take(), self._config.ekf
+        with_attitude = time_s - self._orientation_step_s >= 1.0 / config.orientation_rate_hz
         step = ImuStep(
             rate_body_rad_s=felt.rate_body_rad_s,
             specific_force_body_m_s2=felt.specific_force_body_m_s2,
             samples=felt.samples,
+            force_doubt_m_s2=self._shaking.doubt_m_s2(config.shaking_bound_m_s2, config.shaking_share),
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=self._tilt_noise_rad(),

@@ -28,7 +28,7 @@ from companion.sense.gps_commands import (
     configuration,
     port_command,
 )
-from companion.sense.gps_fixes import EpochClock, fix_from_nmea, fix_from_sol, fix_from_ubx
+from companion.sense.gps_fixes import EpochClock, fix_from_nmea, fix_from_sol, fix_from_ubx, has_fix
 from companion.sense.gps_frames import UBX_OVERHEAD, FrameSplitter, GpsMessage
 from companion.sense.gps_line import SILENCE_S, LineRate
 
@@ -219,9 +219,14 @@ class Neo6m:
         self._sol_only_epochs = 0
         parts, epoch.parts = epoch.parts, {}
         self._separation_m = (parts["POSLLH"].height - parts["POSLLH"].hMSL) / 1000.0
-        time_s = self._ubx_clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s
-        return self._trusted(
-            fix_from_ubx(time_s, parts["POSLLH"], parts["VELNED"], parts["SOL"]), epoch.began_s
+        time_s = self._time_s(self._ubx_clock, epoch, has_fix(parts["SOL"]))
+        fix = fix_from_ubx(time_s, parts["POSLLH"], parts["VELNED"], parts["SOL"])
+        return self._trusted(fix, epoch.began_s)
+
+    def _time_s(self, clock: EpochClock, epoch: _Epoch, valid: bool) -> float:
+        """When an epoch with a valid fix was measured, on our clock; of any other it is no matter."""
+        return (
+            clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s if valid else epoch.began_s
         )
 
     def _fix_of_sol_alone(self) -> GpsFix | None:
@@ -233,8 +238,9 @@ class Neo6m:
         self._sol_only_epochs += 1
         if self._sol_only_epochs < _SOL_ONLY_EPOCHS:
             return None
-        time_s = self._ubx_clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s
-        return self._trusted(fix_from_sol(time_s, epoch.parts["SOL"], self._separation_m), epoch.began_s)
+        sol = epoch.parts["SOL"]
+        time_s = self._time_s(self._ubx_clock, epoch, has_fix(sol))
+        return self._trusted(fix_from_sol(time_s, sol, self._separation_m), epoch.began_s)
 
     def _trusted(self, fix: GpsFix | None, began_s: float) -> GpsFix | None:
         """The fix, unless this epoch's NAV-STATUS or a NAV-DOP of late speaks against it."""
@@ -266,8 +272,8 @@ class Neo6m:
         epoch = self._nmea
         if len(epoch.parts) < 2 or not self._nmea_3d:
             return None
-        time_s = self._nmea_clock.local_s(epoch.epoch_s, epoch.began_s) - self._config.latency_s
         parts, epoch.parts = epoch.parts, {}
+        time_s = self._time_s(self._nmea_clock, epoch, parts["RMC"].status == "A")
         fix = fix_from_nmea(time_s, parts["RMC"], parts["GGA"])
         hdop = parts["GGA"].HDOP
         if fix is not None and hdop > self._config.maximum_hdop:

@@ -46,6 +46,7 @@ class SampleClock:
         else:
             newest_s = self._newest_s + count * self._period_s
             newest_s += self._correction(expected_s - newest_s, count)
+            newest_s = min(newest_s, read_s)  # a count that was too large has led ahead
         oldest_s = newest_s - (count - 1) * self._period_s
         self._newest_s = newest_s
         return [oldest_s + k * self._period_s for k in range(count)]
