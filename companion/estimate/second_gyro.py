@@ -121,7 +121,7 @@ class SecondGyro:
         )
 
     def _unexplained_rad_s(self, window: list[Told], change: Vector3) -> float:
-        """How much of a change is left beside what a wrong time and IMUs that lie askew make of the motion."""
+        """How much of a change a wrong time and IMUs that lie askew do not make of the motion."""
         start_s, end_s = window[0].time_s, window[-1].time_s
         ours = self._turned_between(start_s, end_s)
         earlier = self._turned_between(start_s - WRONG_TIME_S, end_s - WRONG_TIME_S)
