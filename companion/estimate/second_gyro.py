@@ -89,7 +89,7 @@ class SecondGyro:
             return None
         self._newest = attitude
         anchors = self._anchors
-        if anchors and not 0.0 <= time_s - anchors[-1].time_s < LONGEST_GAP_S:
+        if anchors and abs(time_s - anchors[-1].time_s) >= LONGEST_GAP_S:
             anchors.clear()
             self._last = None
         if anchors and time_s - anchors[-1].time_s < STRIDE_S:

@@ -147,8 +147,8 @@ def test_an_autopilot_that_falls_silent_now_and_then_is_no_step(silent_s: float)
 
 def test_a_silence_is_not_bridged_but_a_step_is_found_after_it() -> None:
     setting = Setting(gentle, (0.0, 2 * DEGREE, 0.0), 25.0)
-    found = setting.run(lambda t: None if 19.0 < t < 22.0 else setting.on_time(t))
-    assert [22.7 < time_s < 23.6 for time_s, _ in found] == [True]
+    found = setting.run(lambda t: None if 20.3 < t < 21.3 else setting.on_time(t))
+    assert [22.2 < time_s < 23.0 for time_s, _ in found] == [True]
 
 
 @pytest.mark.parametrize("attitude", [turning, yawing])
@@ -157,14 +157,21 @@ def test_a_frozen_attitude_is_no_step(attitude: Callable[[float], Quaternion]) -
     assert setting.run(lambda t: (t - 0.01, setting.noisy(min(t, 10.0) - 0.01))) == []
 
 
-def test_attitudes_out_of_order_are_no_step() -> None:
-    setting, order = Setting(), np.random.default_rng(3)
+@pytest.mark.parametrize("attitude", [turning, gentle])
+def test_attitudes_out_of_order_are_no_step_and_hide_none(attitude: Callable[[float], Quaternion]) -> None:
+    stepping = attitude is gentle
+    change = (2 * DEGREE, 0.0, 0.0) if stepping else ZERO3
+    setting, order = Setting(attitude, change), np.random.default_rng(3)
 
     def shuffled(t: float) -> tuple[float, Quaternion]:
         time_s = t - 0.01 - float(order.choice([0.0, 0.0, 0.1, 0.4]))
         return time_s, setting.noisy(time_s)
 
-    assert setting.run(shuffled) == []
+    assert [time_s - STEP_S < 2.0 for time_s, _ in setting.run(shuffled)] == [True] * stepping
+
+
+def test_a_change_too_large_for_a_bias_is_none() -> None:
+    assert Setting(gentle, (0.0, 15 * DEGREE, 0.0), 25.0).run() == []
 
 
 @pytest.mark.parametrize("jump_deg", [1.0, 2.0, 4.0, 7.0, 40.0])
