@@ -56,13 +56,13 @@ class ImuStep:
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
     samples: int = 1
-    force_doubt_m_s2: float = 0.0
     field_body_ut: Vector3 | None = None
     attitude: Quaternion | None = None
     tilt_noise_rad: float = 0.2
     heading_noise_rad: float = 0.35
     still: bool = False
     at_rest: bool = False
+    force_doubt_m_s2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

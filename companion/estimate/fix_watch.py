@@ -2,8 +2,8 @@
 
 A bias that steps tilts the estimate, and a tilt pushes the velocity away from the fixes in one direction for
 seconds. Noise, however large, has no direction; a receiver that hangs or jumps is refused by its own test.
-So the excess alone says nothing: it has to last in one direction, of fixes that are still taken. Immutable, so that a
-snapshot may hold it.
+So the excess alone says nothing: it has to last in one direction, of fixes that are still taken.
+Immutable, so that a snapshot may hold it.
 """
 
 from __future__ import annotations

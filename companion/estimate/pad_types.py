@@ -1,14 +1,14 @@
 """What goes into the pad filter, what it stands at, and what it says: plain data.
 
-NED, SI units. A snapshot is never written to again, and goes to plain numbers and back without loss
-(`plain_from_snapshot`), through JSON too: a filter resumed from it goes on as if it had never stopped.
+NED, SI units. A snapshot is never written to again, and goes to plain data and back without loss
+(`freezing.plain`), through JSON too: a filter resumed from it goes on as if it had never stopped.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -110,49 +110,6 @@ class PadEstimate:
     def velocity_std_m_s(self) -> float:
         """Standard deviation of the relative velocity, all axes together."""
         return math.sqrt(self.P[3, 3] + self.P[4, 4] + self.P[5, 5])
-
-
-def plain_from_snapshot(snapshot: PadSnapshot) -> dict[str, Any]:
-    """Numbers, lists and dicts that JSON keeps exactly."""
-    started = snapshot.horizontal is not None
-    return {
-        "time_s": snapshot.time_s if started else None,
-        "seen_time_s": snapshot.seen_time_s if started else None,
-        "horizontal": _plain_bank(snapshot.horizontal),
-        "vertical": _plain_bank(snapshot.vertical),
-        "turn": list(snapshot.turn),
-        "heading": snapshot.heading.tolist(),
-        "heading_covariance": snapshot.heading_covariance.tolist(),
-        "gates": {kind: list(gate) for kind, gate in snapshot.gates.items()},
-        "slow_share": snapshot.slow_share,
-    }
-
-
-def snapshot_from_plain(plain: dict[str, Any]) -> PadSnapshot:
-    """The inverse of `plain_from_snapshot`.
-
-    Raises:
-        KeyError: something is missing.
-    """
-    return PadSnapshot(
-        time_s=-math.inf if plain["time_s"] is None else plain["time_s"],
-        horizontal=_bank(plain["horizontal"]),
-        vertical=_bank(plain["vertical"]),
-        turn=Turn(*plain["turn"]),
-        heading=np.array(plain["heading"]),
-        heading_covariance=np.array(plain["heading_covariance"]),
-        gates={kind: Gate(*values) for kind, values in plain["gates"].items()},
-        seen_time_s=-math.inf if plain["seen_time_s"] is None else plain["seen_time_s"],
-        slow_share=plain["slow_share"],
-    )
-
-
-def _plain_bank(state: BankState | None) -> list[Any] | None:
-    return None if state is None else [part.tolist() for part in state]
-
-
-def _bank(parts: list[Any] | None) -> BankState | None:
-    return None if parts is None else BankState(*(np.array(part) for part in parts))
 
 
 def _lever(place: FloatArray) -> FloatArray:

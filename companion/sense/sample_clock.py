@@ -46,7 +46,6 @@ class SampleClock:
         else:
             newest_s = self._newest_s + count * self._period_s
             newest_s += self._correction(expected_s - newest_s, count)
-            newest_s = min(newest_s, read_s)  # a count that was too large has led ahead
         oldest_s = newest_s - (count - 1) * self._period_s
         self._newest_s = newest_s
         return [oldest_s + k * self._period_s for k in range(count)]
@@ -62,8 +61,8 @@ class SampleClock:
     def _correction(self, error_s: float, count: int) -> float:
         period = self._period_s
         self._far_reads = self._far_reads + 1 if abs(error_s) > LOST_PERIODS * period else 0
-        if self._far_reads >= LOST_READS and error_s > 0.0:
-            # samples were lost without a trace: start again from here
+        if self._far_reads >= LOST_READS:
+            # samples were lost without a trace, or a count was too large: start again from here
             self._far_reads = 0
             self._reads = FIRST_READS
             return error_s

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from companion.config import PadFilterConfig
+from companion.estimate.freezing import plain, thawed
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
-from companion.estimate.pad_types import plain_from_snapshot, snapshot_from_plain
 from companion.geometry import IDENTITY, Vector3
 
 SENSOR = (0.0, 0.0, 0.08)
@@ -167,18 +167,18 @@ def test_a_filter_resumed_from_json_goes_on_as_if_it_had_never_stopped() -> None
     fixes = [(k / 30, one.sighting(k / 30, heading=0.1 + 0.01 * k)) for k in range(90)]
     for time_s, fix in fixes[:45]:
         one.filter.apply(time_s, fix)
-    text = json.dumps(plain_from_snapshot(one.filter.snapshot()), allow_nan=False)
-    two.filter.restore(snapshot_from_plain(json.loads(text)))
+    text = json.dumps(plain(one.filter.snapshot()), allow_nan=False)
+    two.filter.restore(thawed(json.loads(text)))
     for time_s, fix in fixes[45:]:
         one.filter.apply(time_s, fix)
         two.filter.apply(time_s, fix)
-    assert plain_from_snapshot(one.filter.snapshot()) == plain_from_snapshot(two.filter.snapshot())
+    assert plain(one.filter.snapshot()) == plain(two.filter.snapshot())
 
 
 def test_a_filter_that_has_not_started_is_kept_too() -> None:
     fresh = Bench()
-    text = json.dumps(plain_from_snapshot(fresh.filter.snapshot()), allow_nan=False)
-    fresh.filter.restore(snapshot_from_plain(json.loads(text)))
+    text = json.dumps(plain(fresh.filter.snapshot()), allow_nan=False)
+    fresh.filter.restore(thawed(json.loads(text)))
     assert not fresh.filter.started
     fresh.see(0.0, 0.2)
     assert fresh.filter.started

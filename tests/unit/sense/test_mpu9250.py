@@ -476,3 +476,10 @@ def test_every_rate_and_filter_flows(rate_hz: int, filter_hz: int) -> None:
     rig.run(1.0)
     assert not rig.faults
     assert len(rig.imu) > 0.5 * rate_hz
+
+
+def test_a_count_that_was_too_large_once_does_not_keep_the_clock_ahead() -> None:
+    clock, newest_s = SampleClock(0.005), 0.0
+    for k in range(1, 400):
+        newest_s = clock.stamp(0.01 * k, 30 if k == 200 else 2)[-1]
+    assert abs(newest_s - 3.99) < 0.006
