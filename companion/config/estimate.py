@@ -36,7 +36,7 @@ class EkfConfig(StrictModel):
 
     imu_samples_per_step: int = Field(default=2, ge=1, le=10)
     gyro_noise_rad_s: float = Field(default=0.005, gt=0.0, le=1.0)
-    accel_noise_m_s2: float = Field(default=0.35, gt=0.0, le=20.0)
+    accel_noise_m_s2: float = Field(default=0.3, gt=0.0, le=20.0)
     mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     mag_dip_noise_ut: float = Field(default=20.0, gt=0.0, le=100.0)  # of the field along its own plane

@@ -19,7 +19,7 @@ BOUND: Final = 4.5  # of the tests' mean, a degree of freedom; 1 when all is wel
 WILD: Final = 10.0  # one wild fix counts as no more
 ONE_SIDED: Final = 0.75  # the mean's square against the mean square: 1 when all point the same way
 PAUSE_S: Final = 3.0  # for the last suspicion to have its effect
-MOST_REFUSED: Final = 3  # in a row
+MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
 
 
 class FixWatch(NamedTuple):

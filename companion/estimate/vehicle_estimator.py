@@ -44,6 +44,7 @@ from companion.geometry import (
 from companion.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
+LOST_S = 2.0  # and after so long it begins anew: where it has turned meanwhile is anyone's guess
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -107,6 +108,8 @@ class VehicleEstimator:
         if dt_s <= 0.0:
             return False
         self.newest_s = sample.time_s
+        if dt_s > LOST_S and self._ekf is not None:
+            self._start_over()
         block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
         if self._ekf is not None:
             if block is not None:
@@ -247,6 +250,13 @@ class VehicleEstimator:
         self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
+
+    def _start_over(self) -> None:
+        self._detector = StillnessDetector(self._config.alignment)
+        self._aligner = StaticAligner(self._config.alignment)
+        self.start = self._orientation = self._ekf = self._timeline = self._last_raw = None
+        self._strapdown, self._fields = Strapdown(), _Mean()
+        self._second_gyro, self._shaking = SecondGyro(), Shaking()
 
     def begin(self, start: InitialState) -> None:
         """Make what there is only after the alignment."""
