@@ -167,3 +167,42 @@ def test_sol_without_a_good_fix_is_no_position(fix: int, flags: int) -> None:
     for _ in range(5):
         line.epoch(sol(line.itow, fix, flags))
     assert line.fixes == []
+
+
+def age_s(line: Line) -> float:
+    """Of the last fix when it was read."""
+    return line.now_s - 0.2 - line.fixes[-1].time_s
+
+
+def usual_age_s() -> float:
+    line = Line()
+    line.whole()
+    return age_s(line)
+
+
+def test_a_receiver_clock_that_is_set_with_the_first_fix_does_not_shift_the_fixes() -> None:
+    line = Line()
+    line.itow += 900  # its own quartz runs ahead until then
+    for _ in range(10):
+        line.epoch(posllh(line.itow), sol(line.itow, 0, 0), velned(line.itow))
+    line.itow -= 900
+    line.whole()
+    assert age_s(line) == pytest.approx(usual_age_s(), abs=0.005)
+
+
+def test_a_receiver_clock_that_steps_back_is_followed_within_seconds() -> None:
+    line = Line()
+    for _ in range(20):
+        line.whole()
+    line.itow -= 300
+    for _ in range(30):
+        line.whole()
+    assert age_s(line) == pytest.approx(usual_age_s(), abs=0.005)
+
+
+def test_nmea_knows_no_vertical_speed_and_says_so() -> None:
+    rmc = nmea("GPRMC,120001.00,A,4730.00000,N,00815.00000,W,10.000,90.00,070126,,,A")
+    gga = nmea("GPGGA,120001.00,4730.00000,N,00815.00000,W,1,08,1.00,410.5,M,47.0,M,,")
+    (fix,) = Neo6m(GpsConfig()).feed(rmc + gga, 1.0)
+    assert fix.vertical_speed_accuracy_m_s is not None
+    assert fix.vertical_speed_accuracy_m_s >= 20.0

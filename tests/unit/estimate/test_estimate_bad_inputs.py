@@ -1,0 +1,166 @@
+"""Inputs that are wrong, not missing: GPS that is noisy or hangs, gaps of the IMU, a shaken accelerometer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from companion.estimate.fix_watch import FixWatch
+from companion.estimate.shaking import Shaking
+from companion.geometry import (
+    Vector3,
+    add,
+    quat_conjugate,
+    quat_multiply,
+    rotation_vector_from_quat,
+    vector3,
+)
+from companion.messages import GpsFix, ImuSample, MagSample
+from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
+
+FLOWN = Flight(path=circle(8.0, 4.0), duration_s=36.0)
+FROM_S = 20.0
+Change = Callable[[object], object | None]
+
+
+def attitude_errors_deg(change: Change) -> dict[float, Vector3]:
+    """Errors about NED axes by time, where there is a state."""
+    estimator, errors, due_s = new_estimator(), {}, FROM_S
+    for arrival_s, sample in FLOWN.samples:
+        changed = change(sample)
+        if changed is not None:
+            feed(estimator, changed)  # type: ignore[arg-type]
+        if arrival_s >= due_s:
+            due_s += 0.1
+            state = estimator.vehicle(arrival_s)
+            if state is not None and state.aligned:
+                off = quat_multiply(state.attitude, quat_conjugate(FLOWN.attitude(arrival_s)))
+                errors[arrival_s] = vector3(np.degrees(rotation_vector_from_quat(off)))
+    return errors
+
+
+def worst_tilt_deg(errors: dict[float, Vector3]) -> float:
+    return max(math.hypot(north, east) for north, east, _ in errors.values())
+
+
+def noisy(std_m_s: float, claimed_m_s: float) -> Change:
+    rng = np.random.default_rng(5)
+
+    def change(sample: object) -> object:
+        if not isinstance(sample, GpsFix):
+            return sample
+        noise = vector3(std_m_s * rng.standard_normal(3))
+        return replace(
+            sample, velocity_ned_m_s=add(sample.velocity_ned_m_s, noise), speed_accuracy_m_s=claimed_m_s
+        )
+
+    return change
+
+
+@pytest.mark.parametrize(("std_m_s", "claimed_m_s"), [(0.29, 0.5), (1.0, 1.0), (0.3, 0.15)])
+def test_a_noisy_gps_does_not_turn_the_attitude(std_m_s: float, claimed_m_s: float) -> None:
+    assert worst_tilt_deg(attitude_errors_deg(noisy(std_m_s, claimed_m_s))) < 2.5
+
+
+def test_a_gps_that_hangs_does_not_turn_the_attitude() -> None:
+    last: list[GpsFix] = []
+
+    def hung(sample: object) -> object:
+        if isinstance(sample, GpsFix):
+            if sample.time_s > 22.0 and last:
+                return replace(last[0], time_s=sample.time_s, velocity_ned_m_s=(0.0, 0.0, 0.0))
+            last[:] = [sample]
+        return sample
+
+    assert worst_tilt_deg(attitude_errors_deg(hung)) < 2.0
+
+
+def gap(seconds: float) -> Change:
+    def change(sample: object) -> object | None:
+        inertial = isinstance(sample, ImuSample | MagSample)
+        return None if inertial and 24.0 <= sample.time_s < 24.0 + seconds else sample  # type: ignore[attr-defined]
+
+    return change
+
+
+def test_a_gap_of_a_blink_costs_little() -> None:
+    assert worst_tilt_deg(attitude_errors_deg(gap(0.15))) < 2.0
+
+
+def test_after_a_long_gap_nothing_is_said_until_it_is_known_again() -> None:
+    errors = attitude_errors_deg(gap(3.0))
+    assert max(time_s for time_s in errors if time_s < 30.0) < 25.0
+
+
+@pytest.mark.parametrize(
+    ("rate", "force"), [((1e8, 0.0, 0.0), (0.0, 0.0, -9.8)), ((0.0, 0.0, 0.0), (0.0, 1e8, -9.8))]
+)
+def test_a_reading_no_sensor_can_give_is_refused(rate: Vector3, force: Vector3) -> None:
+    estimator = new_estimator()
+    assert not estimator.add_imu(ImuSample(0.1, rate, force, 25.0))
+    assert estimator.add_imu(ImuSample(0.2, (0.0, 0.0, 30.0), (0.0, 0.0, -150.0), 25.0))
+
+
+def test_a_stamp_from_the_future_leaves_no_state_to_fly_by() -> None:
+    estimator = new_estimator()
+    samples = [sample for arrival_s, sample in FLOWN.samples if arrival_s < 10.0]
+    for sample in samples:
+        feed(estimator, sample)
+    assert estimator.vehicle(10.0) is not None
+    estimator.add_imu(ImuSample(110.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0))
+    assert estimator.vehicle(10.1) is None
+
+
+# ------------------------------------------------------------ the watch over fixes
+
+
+def watched(innovations: list[Vector3], test: float, refused: int = 0) -> bool:
+    watch = FixWatch()
+    for innovation in innovations:
+        watch = watch.after(innovation, test)
+    return watch.suspicious(10.0, refused)
+
+
+def test_only_an_excess_that_lasts_in_one_direction_is_suspicious() -> None:
+    one_way = [(0.5, 0.1, 0.0)] * 12
+    to_and_fro = [(0.5, 0.1, 0.0), (-0.5, -0.1, 0.0)] * 6
+    assert watched(one_way, test=8.0)
+    assert not watched(to_and_fro, test=8.0)
+    assert not watched(one_way, test=3.0)
+    assert not watched(one_way, test=8.0, refused=8)
+
+
+def test_one_suspicion_has_time_to_take_effect() -> None:
+    watch = FixWatch()
+    for _ in range(12):
+        watch = watch.after((0.5, 0.0, 0.0), 8.0)
+    watch = watch.suspected(10.0)
+    for _ in range(12):
+        watch = watch.after((0.5, 0.0, 0.0), 8.0)
+    assert not watch.suspicious(12.0, 0)
+    assert watch.suspicious(13.0, 0)
+
+
+# ------------------------------------------------------------ shaking
+
+
+def shaken(std_m_s2: float, motion_m_s2: Callable[[float], float]) -> float:
+    rng, shaking = np.random.default_rng(1), Shaking()
+    for k in range(400):
+        noise = std_m_s2 * rng.standard_normal(3)
+        shaking.add(vector3(noise + np.array([motion_m_s2(0.005 * k), 0.0, -9.8])), 0.005)
+    return shaking.doubt_m_s2(bound_m_s2=2.0, share=0.5)
+
+
+def test_shaking_beyond_the_bound_is_doubted_by_its_excess() -> None:
+    assert shaken(0.6, lambda t: 0.0) == 0.0
+    # three axes together, less the bound, times the share
+    assert shaken(2.5, lambda t: 0.0) == pytest.approx(0.5 * (2.5 * math.sqrt(3.0) - 2.0), rel=0.3)
+
+
+def test_a_motion_of_the_vehicle_is_no_shaking() -> None:
+    assert shaken(0.1, lambda t: 8.0 * math.sin(2.0 * math.pi * 2.0 * t)) == 0.0
