@@ -118,12 +118,6 @@ class ModelBank:
         """Go on from a state."""
         self._state = state
 
-    def expected(self) -> Blend:
-        """What a measurement should say, and how far the bank doubts it: (k,), (k, k)."""
-        means, covariances, probabilities = self._state
-        k = self._k
-        return blend(BankState(means[:, :k], covariances[:, :k, :k], probabilities))
-
     def predict(self, dt_s: float, step: Step) -> None:
         """Blend, then move every model."""
         mixed = mix(self._state, change_chances(self._prior, self._dwell_s, dt_s))

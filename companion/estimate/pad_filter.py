@@ -14,11 +14,11 @@ import math
 from typing import Final
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
 
 from companion.config import PadFilterConfig
-from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
-from companion.estimate.model_bank import Blend, ModelBank, Step, advance, blend
+from companion.estimate.gating import CHI_SQUARE_999, Gate
+from companion.estimate.heading_filter import HeadingState
+from companion.estimate.model_bank import BankState, Blend, ModelBank, Step, advance, blend
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_models import (
     HORIZONTAL,
@@ -29,12 +29,11 @@ from companion.estimate.pad_models import (
     vertical_names,
 )
 from companion.estimate.pad_types import HeightFix, PadEstimate, PadFix, PadInput, PadSnapshot
-from companion.geometry import FloatArray, wrap_angle
+from companion.geometry import FloatArray, Vector3, wrap_angle
 
 __all__ = ["HeightFix", "PadEstimate", "PadFilter", "PadFix", "PadInput", "PadSnapshot"]
 
 _EYE3: Final = np.eye(3)
-_SEE_HEADING: Final = np.array([[1.0, 0.0]])
 # where the banks' states stand in (position, velocity, acceleration) of all three axes
 _HORIZONTAL_ROWS: Final = np.array([0, 1, 3, 4, 6, 7])
 _VERTICAL_ROWS: Final = np.array([2, 5, 8])
@@ -53,7 +52,7 @@ class PadFilter:
         self._horizontal = ModelBank(np.full(m, 1.0 / m), config.model_dwell_s, 8, seen=2)
         self._vertical = ModelBank(np.full(n, 1.0 / n), config.model_dwell_s, 4, seen=1)
         self._turn = Turn()
-        self._heading = KalmanFilter(dim_x=2, dim_z=1)
+        self._heading = HeadingState()
         self.time_s = -math.inf
         self.seen_time_s = -math.inf
         self.started = False
@@ -69,8 +68,7 @@ class PadFilter:
             self._horizontal.state if self.started else None,
             self._vertical.state if self.started else None,
             self._turn,
-            self._heading.x,
-            self._heading.P,
+            self._heading,
             self.gates,
             self.seen_time_s,
             self._slow_share,
@@ -80,7 +78,7 @@ class PadFilter:
         """Go on from a snapshot."""
         self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
         self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
-        self._heading.x, self._heading.P = snapshot.heading, snapshot.heading_covariance
+        self._heading = snapshot.heading
         self.started = snapshot.horizontal is not None
         if snapshot.horizontal is not None and snapshot.vertical is not None:
             self._horizontal.restore(snapshot.horizontal)
@@ -107,16 +105,16 @@ class PadFilter:
         plane, climb = self._steps(snapshot.time_s, time_s, snapshot.turn)
         horizontal = blend(advance(snapshot.horizontal, plane))
         vertical = blend(advance(snapshot.vertical, climb))
-        G, W = self._heading_step(time_s - snapshot.time_s)
-        heading = G @ snapshot.heading
+        density = self._config.heading_acceleration_rad_s2_rthz
+        heading = snapshot.heading.after(time_s - snapshot.time_s, density)
         x, P = _joined(horizontal, vertical)
         probabilities = (*snapshot.horizontal.probabilities, *snapshot.vertical.probabilities)
         return PadEstimate(
             x=x,
             P=P,
-            heading_rad=wrap_angle(float(heading[0, 0])),
-            heading_rate_rad_s=float(heading[1, 0]),
-            heading_covariance=G @ snapshot.heading_covariance @ G.T + W,
+            heading_rad=wrap_angle(heading.heading_rad),
+            heading_rate_rad_s=heading.rate_rad_s,
+            heading_std_rad=math.sqrt(heading.heading_variance),
             seen_time_s=snapshot.seen_time_s,
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
             slow_share=snapshot.slow_share,
@@ -130,8 +128,7 @@ class PadFilter:
         plane, climb = self._steps(self.time_s, time_s, self._turn)
         self._horizontal.predict(dt_s, plane)
         self._vertical.predict(dt_s, climb)
-        G, W = self._heading_step(dt_s)
-        self._heading.predict(F=G, Q=W)
+        self._heading = self._heading.after(dt_s, self._config.heading_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
     def _steps(self, start_s: float, end_s: float, turn: Turn) -> tuple[Step, Step]:
@@ -143,11 +140,6 @@ class PadFilter:
         return plane._replace(moved=moved), self._climb.step(dt_s)._replace(
             moved=np.array([-z, -vz, 0.0, 0.0])
         )
-
-    def _heading_step(self, dt_s: float) -> tuple[FloatArray, FloatArray]:
-        s = self._config.heading_acceleration_rad_s2_rthz**2
-        square, cube = 0.5 * s * dt_s**2, s * dt_s**3 / 3.0
-        return np.array([[1.0, dt_s], [0.0, 1.0]]), np.array([[cube, square], [square, s * dt_s]])
 
     # ------------------------------------------------------------ measurements
 
@@ -168,14 +160,12 @@ class PadFilter:
             self._start(time_s, fix, R)
 
     def _take_heading(self, fix: PadFix) -> None:
-        expected = float(self._heading.x[0, 0])
-        innovation = wrap_angle(fix.heading_rad - expected)
+        innovation = wrap_angle(fix.heading_rad - self._heading.heading_rad)
         noise = fix.heading_std_rad**2 + math.radians(self._config.heading_noise_deg) ** 2
-        variance = float(self._heading.P[0, 0]) + noise
-        passed = innovation * innovation / variance <= CHI_SQUARE_999[1]
+        passed = innovation * innovation <= CHI_SQUARE_999[1] * (self._heading.heading_variance + noise)
         self._record("heading", passed)
         if passed:
-            self._heading.update(np.array([[expected + innovation]]), R=np.array([[noise]]), H=_SEE_HEADING)
+            self._heading = self._heading.corrected(innovation, noise)
         elif self.gates["heading"].shut_out(self.time_s, self._config.patience_s):
             self._start_heading(fix)
 
@@ -184,28 +174,26 @@ class PadFilter:
         if not self.started or not self._over_the_board(fix):
             return
         z = fix.height_m + fix.sensor_offset_ned_m[2]
-        mean, covariance = self._vertical.expected()
-        variance = float(covariance[0, 0]) + fix.noise_m**2
-        passed = (z - float(mean[0])) ** 2 / variance <= CHI_SQUARE_999[1]
+        expected, variance = _expected_height(self._vertical.state)
+        passed = (z - expected) ** 2 <= CHI_SQUARE_999[1] * (variance + fix.noise_m**2)
         self._record("range", passed)
         if passed:
             self._vertical.update(np.array([z]), np.array([[fix.noise_m**2]]))
 
     def _over_the_board(self, fix: HeightFix) -> bool:
-        across, vertical = self._horizontal.expected(), self._vertical.expected()
-        north, east = (float(value) for value in across.mean)
+        north, east, north_variance, _, east_variance = _expected_place(self._horizontal.state)
         offset = math.hypot(north - fix.sensor_offset_ned_m[0], east - fix.sensor_offset_ned_m[1])
-        spread = math.sqrt(float(np.trace(across.covariance)))
-        low = float(vertical.mean[0]) < self._config.range_maximum_height_m
+        spread = math.sqrt(north_variance + east_variance)
+        low = _expected_height(self._vertical.state)[0] < self._config.range_maximum_height_m
         return low and offset + spread < self._half_width_m
 
     def _passes_sighting(self, fix: PadFix, R: FloatArray) -> bool:
-        across, vertical = self._horizontal.expected(), self._vertical.expected()
-        S = R.copy()
-        S[:2, :2] += across.covariance
-        S[2, 2] += vertical.covariance[0, 0]
-        expected = np.array([across.mean[0], across.mean[1], vertical.mean[0]])
-        distance = normalised_innovation_squared(np.array(fix.position_ned_m) - expected, S)
+        north, east, a, b, d = _expected_place(self._horizontal.state)
+        down, f = _expected_height(self._vertical.state)
+        (ra, rb, rc), (_, rd, re), (_, _, rf) = R.tolist()
+        x, y, z = fix.position_ned_m
+        S = (a + ra, b + rb, rc, d + rd, re, f + rf)
+        distance = _normalised_squared((x - north, y - east, z - down), S)
         passed = distance <= CHI_SQUARE_999[3]
         self._record("sighting", passed)
         return passed
@@ -214,12 +202,13 @@ class PadFilter:
         self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
 
     def _turned(self, fix: PadFix) -> Turn:
-        mean, covariance = blend(self._horizontal.state)
-        vn, ve, an, ae = mean[2:6].tolist()
+        means, covariances, probabilities = self._horizontal.state
+        vn, ve, an, ae = (probabilities @ means[:, 2:6]).tolist()
+        spreads = covariances[:, 4, 4] + covariances[:, 5, 5] + (means[:, 4:6] ** 2).sum(axis=1)
+        variance = 0.5 * (float(probabilities @ spreads) - an * an - ae * ae)
         north, east, _ = fix.vehicle_velocity_ned_m_s
-        variance = 0.5 * float(covariance[4, 4] + covariance[5, 5])
-        heading_rate, rate_variance = float(self._heading.x[1, 0]), float(self._heading.P[1, 1])
-        return course_turn((vn + north, ve + east), (an, ae), variance, heading_rate, rate_variance)
+        rate, rate_variance = self._heading.rate_rad_s, self._heading.rate_variance
+        return course_turn((vn + north, ve + east), (an, ae), variance, rate, rate_variance)
 
     # ------------------------------------------------------------ starting
 
@@ -245,9 +234,38 @@ class PadFilter:
         self._record("sighting", True)
 
     def _start_heading(self, fix: PadFix) -> None:
-        self._heading.x = np.array([[fix.heading_rad], [0.0]])
-        self._heading.P = np.diag([fix.heading_std_rad**2 + math.radians(1.0) ** 2, 0.5**2])
+        variance = fix.heading_std_rad**2 + math.radians(1.0) ** 2
+        self._heading = HeadingState(fix.heading_rad, 0.0, variance, 0.0, 0.5**2)
         self._record("heading", True)
+
+
+def _expected_place(state: BankState) -> tuple[float, float, float, float, float]:
+    """Of the plane's mixture: mean north and east, their variances with the covariance between; in floats."""
+    means, covariances = state.means[:, :2].tolist(), state.covariances[:, :2, :2].tolist()
+    x = y = xx = xy = yy = 0.0
+    for p, (mx, my), ((vxx, vxy), (_, vyy)) in zip(
+        state.probabilities.tolist(), means, covariances, strict=True
+    ):
+        x, y = x + p * mx, y + p * my
+        xx, xy, yy = xx + p * (vxx + mx * mx), xy + p * (vxy + mx * my), yy + p * (vyy + my * my)
+    return x, y, xx - x * x, xy - x * y, yy - y * y
+
+
+def _expected_height(state: BankState) -> tuple[float, float]:
+    """Of the vertical's mixture: mean and variance of the relative position."""
+    p, z = state.probabilities, state.means[:, 0]
+    mean = float(p @ z)
+    return mean, float(p @ (state.covariances[:, 0, 0] + z * z)) - mean * mean
+
+
+def _normalised_squared(y: Vector3, S: tuple[float, ...]) -> float:
+    """y' S^-1 y, S by its upper triangle; Cramer's rule, for a call of a solver costs more than that."""
+    a, b, c, d, e, f = S
+    u, v, w = y
+    p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
+    squares = p * u * u + (a * f - c * c) * v * v + (a * d - b * b) * w * w
+    products = q * u * v + r * u * w + (b * c - a * e) * v * w
+    return (squares + 2.0 * products) / (a * p + b * q + c * r)
 
 
 def _joined(horizontal: Blend, vertical: Blend) -> tuple[FloatArray, FloatArray]:

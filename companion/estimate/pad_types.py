@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from companion.estimate.gating import Gate
+from companion.estimate.heading_filter import HeadingState
 from companion.estimate.model_bank import BankState
 from companion.estimate.pad_models import Turn
 from companion.geometry import FloatArray, Vector3
@@ -61,8 +62,7 @@ class PadSnapshot(NamedTuple):
     horizontal: BankState | None
     vertical: BankState | None
     turn: Turn
-    heading: FloatArray
-    heading_covariance: FloatArray
+    heading: HeadingState
     gates: dict[str, Gate]
     seen_time_s: float
     slow_share: float
@@ -70,7 +70,7 @@ class PadSnapshot(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PadEstimate:
-    """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s), both's P (2, 2).
+    """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s).
 
     P is the filter's own; `covariance` adds what all of its measurements have in common. `slow_share` is the
     calibration's error as a share of the distance, `models` the probability of each model of motion by name.
@@ -80,7 +80,7 @@ class PadEstimate:
     P: FloatArray
     heading_rad: float
     heading_rate_rad_s: float
-    heading_covariance: FloatArray
+    heading_std_rad: float
     seen_time_s: float = field(default=-math.inf)
     turn_rate_rad_s: float = 0.0
     slow_share: float = 0.0
