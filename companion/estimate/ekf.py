@@ -362,6 +362,7 @@ class VehicleEkf:
         R = np.diag(np.square(fix.velocity_std_m_s))
         innovation = np.array(fix.velocity_ned_m_s) - expected
         self._watch_fix(innovation, C @ self.P @ C.T + R)
+        R *= self.fix_watch.noise_factor
         fits = self._update("gps_velocity", innovation, C, R, R)
         expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
         # the error of a position wanders slowly: so many fixes in a row tell no more than one
