@@ -54,6 +54,7 @@ bench-pad: $(VENV)/.dev
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev
+	@test -d "$(DATA)" || { echo "bench-ahrs: expected DATA=DIR, a folder of BROAD trials"; exit 2; }
 	-$(PIP) -e '.[peers]'
 	$(BIN)/python -m tests.bench.bench_ahrs $(DATA)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from companion.config.control import ControlConfig, LimitsConfig, TrackingConfig
 from companion.config.estimate import (
@@ -112,6 +112,13 @@ class CompanionConfig(StrictModel):
     control: ControlConfig = ControlConfig()
     link: LinkConfig = LinkConfig()
     compute: ComputeConfig = ComputeConfig()
+
+    @model_validator(mode="after")
+    def _one_rate(self) -> CompanionConfig:
+        ours, wanted = self.control.rate_hz, self.plan.rate_hz
+        if ours != wanted:
+            raise ValueError(f"control.rate_hz {ours:g}: expected that of plan.rate_hz, {wanted:g}")
+        return self
 
 
 def load_config(path: Path, overrides: dict[str, Any] | None = None) -> CompanionConfig:

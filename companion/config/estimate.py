@@ -50,6 +50,7 @@ class EkfConfig(StrictModel):
     gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)  # floor
     gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)  # for so long a position's error stays
     gps_velocity_noise_m_s: float = Field(default=0.1, gt=0.0, le=5.0)  # floor
+    gps_time_error_s: float = Field(default=0.05, ge=0.0, le=1.0)  # of a fix's time
     gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
@@ -127,4 +128,6 @@ class EstimateConfig(StrictModel):
     def _has_a_north(cls, field: Vector) -> Vector:
         if math.hypot(field[0], field[1]) < 1.0:
             raise ValueError(f"expected a horizontal field of at least 1 µT to tell north by, found {field}")
+        if not 15.0 <= math.hypot(*field) <= 100.0:
+            raise ValueError(f"expected a size of 15 to 100 µT, as on Earth, found {field}")
         return field

@@ -8,6 +8,13 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+# pydantic's words for these name its own types
+_EXPECTED = {
+    "missing": "expected a value, found none",
+    "dict_type": "expected keys with values",
+    "model_type": "expected keys with values",
+    "tuple_type": "expected a list",
+}
 CONFIG_FOLDER = Path(__file__).resolve().parent.parent.parent / "configs"
 
 
@@ -19,6 +26,20 @@ class StrictModel(BaseModel):
     """Base of all settings: unknown keys are refused, values cannot change after loading."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _Loader(yaml.SafeLoader):
+    """As YAML has it, a key may stand in a mapping once; the plain loader takes the last one silently."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        met = set()
+        for key, _ in node.value:
+            if key.value in met:
+                raise yaml.constructor.ConstructorError(
+                    problem=f"'{key.value}' stands here twice", problem_mark=key.start_mark
+                )
+            met.add(key.value)
+        return super().construct_mapping(node, deep)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -48,7 +69,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: unreadable, not YAML (with line and column), or not a mapping.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
@@ -100,7 +121,8 @@ def _one_line(error: ValidationError, source: str) -> str:
     key = ".".join(str(part) for part in first["loc"]) or "(top)"
     if first["type"] == "extra_forbidden":
         return f"{source}: unknown key '{key}'"
-    text = first["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
+    text = _EXPECTED.get(first["type"]) or first["msg"].removeprefix("Value error, ")
+    text = text.replace("Input should be", "expected")
     found = "" if first["type"] in {"missing", "value_error"} else f", found {first['input']!r}"
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     return f"{source}: {key}: {text}{found}{more}"

@@ -102,6 +102,12 @@ class RangeConfig(StrictModel):
             raise ValueError(f"echo_pin {self.echo_pin}: expected another than trigger_pin")
         return self
 
+    @model_validator(mode="after")
+    def _measures_something(self) -> RangeConfig:
+        if self.minimum_m >= self.maximum_m:
+            raise ValueError(f"maximum_m {self.maximum_m:g}: expected more than minimum_m")
+        return self
+
 
 class AutopilotSensorsConfig(StrictModel):
     """The autopilot's own sensors, by its telemetry: what is asked of it, and how old its stamps make them.

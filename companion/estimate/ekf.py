@@ -359,7 +359,9 @@ class VehicleEkf:
             self._start_from(time_s, fix, keep_speed=False)
             return
         expected, C = model.gps_velocity_model(self.x, self._antenna_body_m, later_s)
-        R = np.diag(np.square(fix.velocity_std_m_s))
+        # a fix whose time is off is off by what the vehicle's velocity has changed meanwhile
+        lag = self._config.gps_time_error_s * self.x[model.ACCELERATION]
+        R = np.diag(np.square(fix.velocity_std_m_s)) + np.outer(lag, lag)
         innovation = np.array(fix.velocity_ned_m_s) - expected
         self._watch_fix(innovation, C @ self.P @ C.T + R)
         R *= self.fix_watch.noise_factor

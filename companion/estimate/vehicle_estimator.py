@@ -86,6 +86,7 @@ class VehicleEstimator:
         self.origin: Vector3 | None = None
         self.newest_s = -math.inf
         self._strapdown, self._fields = Strapdown(), _Mean()
+        self._fields_untrusted = 0  # of the wrong size or dip
         self._second_gyro, self._shaking = SecondGyro(), Shaking()
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._rate: Vector3 = ZERO3
@@ -134,6 +135,8 @@ class VehicleEstimator:
         if self._orientation.mag_trusted:
             self._mag_trusted_s = sample.time_s
             self._fields.add(quat_rotate(self._attitude_near(sample.time_s), sample.field_body_ut))
+        else:
+            self._fields_untrusted += 1
         return True
 
     def add_gps(self, fix: GpsFix) -> bool:
@@ -175,7 +178,10 @@ class VehicleEstimator:
     @property
     def gates(self) -> dict[str, int]:
         """How many measurements of each kind have failed their innovation test."""
-        return {} if self._ekf is None else {kind: gate.refused for kind, gate in self._ekf.gates.items()}
+        if self._ekf is None:
+            return {}
+        counts = {kind: gate.refused for kind, gate in self._ekf.gates.items()}
+        return {**counts, "field": self._fields_untrusted}
 
     def rotation_covariance(self) -> FloatArray | None:
         """Covariance (3, 3) of the attitude about NED axes (rad²); None before the alignment."""

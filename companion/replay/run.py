@@ -70,19 +70,20 @@ def replay(events: Sequence[Event], rig: Rig, on_progress: Callable[[float], Non
         on_progress: called now and then with the share (0..1) that is done.
     """
     estimator, result = new_estimator(rig), Replayed()
-    told_s, every = -math.inf, max(len(events) // 100, 1)
+    told_s, asked_s, every = -math.inf, -math.inf, max(len(events) // 100, 1)
     has_asks = any(isinstance(event.item, Ask) for event in events)
     for k, (_, item) in enumerate(events if has_asks else asked_regularly(events)):
         if not isinstance(item, Ask):
             result.samples[_take(estimator, item)] += 1
         else:
-            _ask(estimator, item.time_s, result)
+            asked_s = item.time_s
+            _ask(estimator, asked_s, result)
             if item.time_s - told_s >= REFUSED_PERIOD_S:
                 told_s = item.time_s
                 result.refused.append((told_s, estimator.refused))
         if on_progress is not None and k % every == 0:
             on_progress(min(k / len(events), 1.0))
-    result.refused.append((max(told_s, events[-1].arrival_s), estimator.refused))
+    result.refused.append((asked_s, estimator.refused))
     return result
 
 

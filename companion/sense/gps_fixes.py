@@ -22,8 +22,8 @@ _GEOID_UNCERTAINTY_M: Final = 50.0  # sea level is within 110 m of the ellipsoid
 _SMALLEST_RADIUS_M: Final = 6.3e6
 _CLOCK_DRIFT: Final = 50e-6
 _CLOCK_JUMP_S: Final = 1.0
-_LATE_S: Final = 0.05
-_LATE_EPOCHS: Final = 25
+_LATE_S: Final = 0.03
+_LATE_EPOCHS: Final = 8
 
 
 class EpochClock:

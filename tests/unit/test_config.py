@@ -61,7 +61,7 @@ def test_an_unreadable_file_is_said(tmp_path: Path) -> None:
 
 def test_overrides_lie_over_the_file_and_leave_the_rest(tmp_path: Path) -> None:
     path = write(tmp_path, "plan: {rate_hz: 20, fuzzy: landing}\n")
-    config = load_config(path, {"plan": {"rate_hz": 40.0}})
+    config = load_config(path, {"plan": {"rate_hz": 40.0}, "control": {"rate_hz": 40.0}})
     assert config.plan.rate_hz == 40.0
     assert config.plan.fuzzy == "landing"
     assert merge({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
@@ -75,3 +75,22 @@ def test_every_shipped_settings_file_loads() -> None:
         assert load_model(CameraConfig, path).fx_px > 0
     for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"):
         assert load_model(VehicleConfig, path).leg_height_m > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("pad: a\npad: b\n", ":2:1: broken YAML: 'pad' stands here twice"),
+        ("sense: {source: boards}\nplan: {}\nsense: {source: autopilot}\n", "'sense' stands here twice"),
+        ("estimate: {magnetic_field_ned_ut: [20900, 600, 42900]}\n", "expected a size of 15 to 100 µT"),
+        ("sense: {range: {minimum_m: 0.5, maximum_m: 0.5}}\n", "expected more than minimum_m"),
+        ("control: {rate_hz: 50}\n", "expected that of plan.rate_hz, 30"),
+        ("sense: 3\n", "sense: expected keys with values, found 3"),
+    ],
+)
+def test_what_would_fly_otherwise_than_meant_is_refused(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert expected in str(caught.value)

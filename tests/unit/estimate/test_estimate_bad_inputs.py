@@ -164,3 +164,22 @@ def test_shaking_beyond_the_bound_is_doubted_by_its_excess() -> None:
 
 def test_a_motion_of_the_vehicle_is_no_shaking() -> None:
     assert shaken(0.1, lambda t: 8.0 * math.sin(2.0 * math.pi * 2.0 * t)) == 0.0
+
+
+def test_fixes_that_scatter_more_than_claimed_count_for_less() -> None:
+    calm, wild = FixWatch(), FixWatch()
+    for k in range(40):
+        side = 1.0 if k % 2 else -1.0
+        calm, wild = calm.after((side * 0.1, 0.0, 0.0), 0.8), wild.after((side * 0.5, 0.0, 0.0), 6.0)
+    assert calm.noise_factor == 1.0
+    assert wild.noise_factor == pytest.approx(6.0, rel=0.1)
+
+
+def test_a_field_of_the_wrong_size_is_counted_as_refused() -> None:
+    estimator = new_estimator()
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s > 12.0:
+            break
+        iron = isinstance(sample, MagSample) and arrival_s > 10.0
+        feed(estimator, replace(sample, field_body_ut=(60.0, 0.0, 60.0)) if iron else sample)  # type: ignore[type-var]
+    assert estimator.refused["field_gate"] > 50
