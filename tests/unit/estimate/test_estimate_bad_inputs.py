@@ -180,6 +180,6 @@ def test_a_field_of_the_wrong_size_is_counted_as_refused() -> None:
     for arrival_s, sample in FLOWN.samples:
         if arrival_s > 12.0:
             break
-        iron = isinstance(sample, MagSample) and arrival_s > 10.0
-        feed(estimator, replace(sample, field_body_ut=(60.0, 0.0, 60.0)) if iron else sample)  # type: ignore[type-var]
+        beside_iron = isinstance(sample, MagSample) and arrival_s > 10.0
+        feed(estimator, MagSample(sample.time_s, (60.0, 0.0, 60.0)) if beside_iron else sample)
     assert estimator.refused["field_gate"] > 50
