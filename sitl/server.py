@@ -1,4 +1,4 @@
-"""`companion-sitl`: the simulator as a process of its own, in real time.
+"""The simulator as a process of its own, in real time: what `companion-sitl` does when told nothing else.
 
 It serves MAVLink on a UDP port, the GPS and the ultrasonic on ptys, the MPU9250's registers and the
 camera's frames on unix sockets, and tells where by one line of JSON on standard output (the keys are the
@@ -9,29 +9,25 @@ does not stay behind.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import errno
 import json
 import os
 import sys
-import tempfile
 import threading
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 from companion.config import ConfigError
 from companion.messages import Phase
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
-from sitl.scenario import Scenario, load_scenario
+from sitl.scenario import Scenario
 from sitl.simulation import Simulation, write_report
 
 REPORT_NAME: Final = "report.json"
-USER_ERROR: Final = 2
 SENSOR_BAUD: Final = 9600
 
 
@@ -169,53 +165,3 @@ async def _final_phase() -> Phase | None:
 
 def _say(message: dict[str, Any]) -> None:
     print(json.dumps(message), flush=True)
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise ConfigError(f"{message}; see companion-sitl --help")
-
-
-def parse_arguments(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """The command line.
-
-    Raises:
-        ConfigError: an option is unknown, or its value is none.
-    """
-    parser = _Parser(prog="companion-sitl", description=__doc__.split("\n")[0])
-    parser.add_argument("--scenario", default="line", help="name in configs/scenarios, or a file")
-    parser.add_argument("--seed", type=_natural, default=0)
-    parser.add_argument("--port", type=_natural, default=0, help="UDP port; 0 takes a free one")
-    parser.add_argument("--folder", type=Path, help="where the sockets go; default: a temporary folder")
-    return parser.parse_args(arguments)
-
-
-def _natural(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}': expected 0 or a positive integer")
-    return int(text)
-
-
-def main(words: Sequence[str] | None = None) -> None:
-    """Entry point."""
-    try:
-        arguments = parse_arguments(words)
-        scenario = load_scenario(arguments.scenario)
-        with contextlib.ExitStack() as stack:
-            folder = arguments.folder or Path(
-                stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-"))
-            )
-            if not os.access(folder, os.W_OK) or not folder.is_dir():
-                raise ConfigError(f"--folder {folder}: expected a folder that can be written to")
-            asyncio.run(serve(scenario, arguments.seed, folder, arguments.port))
-    except ConfigError as error:
-        print(f"companion-sitl: {error}", file=sys.stderr)
-        sys.exit(USER_ERROR)
-    except KeyboardInterrupt:
-        pass
-
-
-if __name__ == "__main__":
-    main()

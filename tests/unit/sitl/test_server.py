@@ -10,19 +10,19 @@ from pathlib import Path
 import pytest
 
 from companion.config import CONFIG_FOLDER
-from sitl.server import main
+from sitl.cli import main
 from sitl.simulation import read_report
 
-COMMAND = (sys.executable, "-m", "sitl.server")
+COMMAND = (sys.executable, "-m", "sitl.cli")
 
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (("--scenario", "nowhere"), "scenarios: no 'nowhere'; expected the path of a .yaml file or one of: "),
-        (("--seed", "-1"), "argument --seed: '-1': expected 0 or a positive integer"),
-        (("--port", "99999"), "UDP port 127.0.0.1:99999: "),
-        (("--wings", "2"), "unrecognized arguments: --wings 2"),
+        (("--seed", "-1"), "Invalid value for '--seed': Input should be greater than or equal to 0"),
+        (("--port", "99999"), "Invalid value for '--port': Input should be less than or equal to 65535"),
+        (("--wings", "2"), "No such option: --wings"),
         (("--folder", "/nowhere"), "--folder /nowhere: expected a folder that can be written to"),
     ],
 )

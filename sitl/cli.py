@@ -1,0 +1,71 @@
+"""`companion-sitl`: the simulator by itself. Without a command it serves a vehicle; the commands do the rest.
+
+Exit codes: 0 well, 1 a run failed, 2 something the user can mend.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from typer.exceptions import TyperException
+
+from companion.config import ConfigError
+from sitl.scenario import load_scenario
+from sitl.server import serve
+
+USER_ERROR: Final = 2
+
+cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@cli.callback(invoke_without_command=True)
+def companion_sitl(
+    context: typer.Context,
+    *,
+    scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "line",
+    seed: Annotated[int, typer.Option(min=0, help="Repeats a flight.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="UDP port; 0 takes a free one.")] = 0,
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
+    ] = None,
+) -> None:
+    """Serve a simulated quadrotor with a camera over a pad that moves."""
+    if context.invoked_subcommand is not None:
+        return
+    loaded = load_scenario(scenario)
+    with contextlib.ExitStack() as stack:
+        place = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
+        if not os.access(place, os.W_OK) or not place.is_dir():
+            raise ConfigError(f"--folder {place}: expected a folder that can be written to")
+        asyncio.run(serve(loaded, seed, place, port))
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Entry point: whatever the user got wrong ends in one line on standard error."""
+    try:
+        code = cli(args=words, standalone_mode=False)
+    except TyperException as error:
+        code = _fail(f"{error.format_message().rstrip('.')}; see companion-sitl --help")
+    except ConfigError as error:
+        code = _fail(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        code = 0
+    sys.exit(code)
+
+
+def _fail(text: str) -> int:
+    print(f"companion-sitl: {text}", file=sys.stderr)
+    return USER_ERROR
+
+
+if __name__ == "__main__":
+    main()
