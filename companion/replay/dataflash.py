@@ -85,9 +85,9 @@ class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
 
 
 def _damage(words: str) -> str | None:
-    """What the library said in passing, as one note."""
+    """What the library said in passing, a line a byte or message that it skipped, as one note."""
     lines = words.splitlines()
-    return f"{len(lines)} damaged places passed over, the first: {lines[0]}" if lines else None
+    return f"damaged: {len(lines)} bytes or messages passed over, from '{lines[0]}' on" if lines else None
 
 
 class _Reading:
