@@ -49,7 +49,7 @@ class EkfConfig(StrictModel):
     gps_accuracy_factor: float = Field(default=0.3, gt=0.0, le=5.0)  # standard deviation of what is claimed
     gps_position_noise_m: float = Field(default=1.0, gt=0.0, le=50.0)  # floor
     gps_wander_s: float = Field(default=60.0, ge=0.0, le=1000.0)  # for so long a position's error stays
-    gps_velocity_noise_m_s: float = Field(default=0.1, gt=0.0, le=5.0)  # floor
+    gps_velocity_noise_m_s: float = Field(default=0.085, gt=0.0, le=5.0)  # floor; the NEO-6M: 0.1 m/s CEP
     gps_time_error_s: float = Field(default=0.05, ge=0.0, le=1.0)  # of a fix's time
     gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)

@@ -56,6 +56,7 @@ VEHICLE = VehicleConfig(
     hover_thrust=0.5,
 )
 ANTENNA = (0.1, 0.05, -0.05)
+NEO_6M_SPEED_NOISE_M_S = 0.085  # an axis: its data sheet has 0.1 m/s as the median of the horizontal error
 
 Path = Callable[[float], Vector3]
 Sample = ImuSample | MagSample | GpsFix | RangeSample | PadSighting
@@ -206,7 +207,7 @@ class Flight:
         lever = np.array(quat_rotate(self.attitude(t), ANTENNA))
         swing = np.array(quat_rotate(self.attitude(t), cross(self.rate(t), ANTENNA)))
         place = geodetic_from_ned(vector3(np.array(self.path(t)) + lever + wander + 0.2 * noise[:3]), HOME)
-        speed = vector3(np.array(velocity(self.path, t)) + swing + 0.1 * noise[3:])
+        speed = vector3(np.array(velocity(self.path, t)) + swing + NEO_6M_SPEED_NOISE_M_S * noise[3:])
         return [(t + delay_s, GpsFix(t, *place, speed, 2.5, 4.0, 0.15, 9))]
 
     def _range(self, t: float, rng: np.random.Generator) -> list[tuple[float, Sample]]:
