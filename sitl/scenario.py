@@ -7,7 +7,7 @@ would set in the app: overrides of its settings. All else stays in the simulator
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -15,9 +15,14 @@ from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.contact import ContactParameters
 from sitl.faults import Fault
-from sitl.pad_motion import Angle, Heading, HeaveMotion, Motion, StaticMotion
+from sitl.pad_motion import Motion
+from sitl.pad_paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.quadrotor import QuadrotorParameters
+from sitl.sea import DeckSettings
 from sitl.wind import WindSettings
+
+# of a board as large as the shipped pads are; a larger one may dip an edge into the sea
+LARGEST_HALF_DIAGONAL_M: Final = 1.0
 
 
 class Airframe(StrictModel):
@@ -35,16 +40,18 @@ class PadSettings(StrictModel):
     surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
     heading: Heading = "along"
     motion: Annotated[Motion, Field(discriminator="kind")] = StaticMotion(kind="static")
+    deck: DeckSettings | None = None
 
     @model_validator(mode="after")
     def _over_the_ground(self) -> PadSettings:
-        if isinstance(self.motion, HeaveMotion):
-            needed = self.motion.largest_excursion_m()
-            if needed > self.surface_height_m:
-                raise ValueError(
-                    f"surface_height_m is {self.surface_height_m:g}; expected at least {needed:.2f}, "
-                    "or the waves' troughs take the pad underground"
-                )
+        needed = self.motion.largest_excursion_m() if isinstance(self.motion, HeaveMotion) else 0.0
+        if self.deck is not None:
+            needed += self.deck.largest_excursion_m(LARGEST_HALF_DIAGONAL_M)
+        if needed > self.surface_height_m:
+            raise ValueError(
+                f"surface_height_m is {self.surface_height_m:g}; expected at least {needed:.2f}, "
+                "or the waves' troughs take the pad underground"
+            )
         return self
 
 

@@ -357,6 +357,8 @@ class _Camera:
             vehicle_attitude=truth.vehicle_attitude,
             pad_position_ned_m=truth.pad_position_ned_m,
             pad_heading_rad=truth.pad_heading_rad,
+            pad_roll_rad=truth.pad_roll_rad,
+            pad_pitch_rad=truth.pad_pitch_rad,
         )
 
 
