@@ -52,7 +52,7 @@ class Bend(NamedTuple):
 def bend_place(bend: Bend, t: float) -> Place:
     """The point t seconds along a bend; a straight one goes on beyond its ends.
 
-    The place is the velocity's integral by Gauss and Legendre's rule, exact to 1e-9 m in a bend of half a turn.
+    The place is the velocity's integral by Gauss and Legendre's rule: right to 1e-9 m in half a turn.
     """
     place, course0, turn, length_s, speed0, speed1 = bend
     gain, half = speed1 - speed0, 0.5 * t

@@ -24,6 +24,7 @@ Seconds = Annotated[float, Field(ge=0.5, le=60.0)]
 Point = tuple[Metres, Metres]
 DRIVES_FOR_S: Final = 1000.0
 SHARPEST_CORNER_DEG: Final = 150.0
+CLOSEST_M: Final = 0.1
 # of the acceleration's bound, so that both together keep it
 SIDEWAYS_SHARE: Final = 0.8
 LENGTHWISE_SHARE: Final = 0.6
@@ -64,9 +65,8 @@ class RandomTurnsMotion(StrictModel):
         while True:
             turn, length_s = self._turn(place, speed, rng)
             reach = LENGTHWISE_SHARE * self.max_acceleration_m_s2 * length_s / PEAK_OVER_MEAN
-            wanted = (
-                speed if self.slowest_m_s is None else float(rng.uniform(self.slowest_m_s, self.speed_m_s))
-            )
+            slowest = self.slowest_m_s
+            wanted = speed if slowest is None else float(rng.uniform(slowest, self.speed_m_s))
             after = speed + max(-reach, min(reach, wanted - speed))
             bend = Bend(place.position_ned_m, place.course_rad, turn, length_s, speed, after)
             yield bend
@@ -106,25 +106,20 @@ class WaypointsMotion(StrictModel):
     def _can_be_driven(self) -> WaypointsMotion:
         if self.loop and len(self.points_ned_m) < 3:
             raise ValueError("a loop of 2 points; expected 3 or more")
-        ends = (self.points_ned_m[-1], *self.points_ned_m[:2]) if self.loop else ()
-        route = (*self.points_ned_m, *ends[1:])
+        points = self.points_ned_m
+        route = (*points, *points[:3]) if self.loop else points
         for before, after in pairwise(route):
-            if math.dist(before, after) < 0.1:
+            if math.dist(before, after) < CLOSEST_M:
                 raise ValueError(
-                    f"points_ned_m: {list(after)} twice in a row; expected points 0.1 m apart or more"
+                    f"points_ned_m: {list(after)} comes twice in a row; expected points {CLOSEST_M:g} m apart"
                 )
-        reaches = [
-            0.0,
-            *(self._reach_m(*three) for three in zip(route, route[1:], route[2:], strict=False)),
-            0.0,
-        ]
-        if self.loop:
-            reaches[0] = reaches[len(self.points_ned_m)]
+        corners = zip(route, route[1:], route[2:], strict=False)
+        reaches = [0.0, *(self._reach_m(*corner) for corner in corners), 0.0]
         for (before, after), (out, into) in zip(pairwise(route), pairwise(reaches), strict=True):
             if out + into > math.dist(before, after):
                 raise ValueError(
-                    f"points_ned_m: {list(before)} to {list(after)} is {math.dist(before, after):.1f} m; expected "
-                    f"at least {out + into:.1f} m to round the corners there, or a lower speed_m_s"
+                    f"points_ned_m: {list(before)} to {list(after)} is {math.dist(before, after):.1f} m; "
+                    f"expected {out + into:.1f} m or more to round the corners there, or a lower speed_m_s"
                 )
         return self
 

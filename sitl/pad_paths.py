@@ -1,4 +1,4 @@
-"""The ways of a pad in closed form: it stands, or goes along a line, a circle, a figure of eight, or with a sea.
+"""The ways of a pad in closed form: standing, a line, a circle, a figure of eight, or with a sea.
 
 Each kind's settings make a path about the origin (NED, SI; courses clockwise from north); `pad_motion` puts
 it in its place. What is "random" is drawn from the generator handed in, so a seed gives one motion.

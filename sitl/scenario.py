@@ -15,6 +15,7 @@ from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.contact import ContactParameters
 from sitl.faults import Fault
+from sitl.faulty_link import LinkSettings
 from sitl.pad_motion import Motion
 from sitl.pad_paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.quadrotor import QuadrotorParameters
@@ -66,6 +67,8 @@ class CameraSettings(StrictModel):
     noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
     calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
     blur: bool = True
+    lost_share: float = Field(default=0.0, ge=0.0, lt=1.0)
+    lost_burst_frames: float = Field(default=1.0, ge=1.0, le=300.0)
 
 
 class SensorSettings(StrictModel):
@@ -86,9 +89,9 @@ class BeaconSettings(StrictModel):
 
     available: bool = True
     position_std_m: float = Field(default=1.5, ge=0.0, le=50.0)
-    velocity_std_m_s: float = Field(default=0.2, ge=0.0, le=5.0)
-    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0)
-    delay_s: float = Field(default=0.3, ge=0.0, le=5.0)
+    velocity_std_m_s: float = Field(default=0.1, ge=0.0, le=5.0)
+    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    delay_s: float = Field(default=0.5, ge=0.0, le=5.0)
 
 
 class PassBounds(StrictModel):
@@ -117,6 +120,7 @@ class Scenario(StrictModel):
     camera: CameraSettings = CameraSettings()
     sensors: SensorSettings = SensorSettings()
     beacon: BeaconSettings = BeaconSettings()
+    link: LinkSettings = LinkSettings()
     faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
     companion: dict[str, Any] = Field(default_factory=dict)

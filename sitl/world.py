@@ -27,6 +27,7 @@ from companion.geometry import (
 )
 from companion.messages import Truth
 from companion.pad import load_pad
+from sitl.actuators import Motors
 from sitl.contact import NO_CONTACT, Contact, ContactLoad
 from sitl.ground import Board, lean_over, rotor_ratios
 from sitl.pad_motion import PadTruth, build_pad_motion
@@ -76,6 +77,7 @@ class World:
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
         # the autopilot's wish, kept with the truth for the plots
         self.attitude_setpoint: Quaternion = IDENTITY
+        self.motors = Motors()
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
         self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
@@ -121,7 +123,7 @@ class World:
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
         self._state = self._quadrotor.step(
             self._state,
-            motor_commands,
+            self.motors.given(motor_commands),
             dt_s,
             wind_ned_m_s=self.wind_ned_m_s,
             thrust_ratio=thrust_ratio,
