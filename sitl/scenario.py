@@ -14,12 +14,15 @@ from pydantic import ConfigDict, Field, model_validator
 from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.contact import ContactParameters
+from sitl.exposure import DirtSettings
 from sitl.faults import Fault
 from sitl.faulty_link import LinkSettings
+from sitl.light import LightSettings
 from sitl.pad_motion import Motion
 from sitl.pad_paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.quadrotor import QuadrotorParameters
 from sitl.sea import DeckSettings
+from sitl.sensor_chip import ExposureSettings
 from sitl.wind import WindSettings
 
 # of a board as large as the shipped pads are; a larger one may dip an edge into the sea
@@ -67,6 +70,9 @@ class CameraSettings(StrictModel):
     noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
     calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
     blur: bool = True
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] | None = None
+    exposure: ExposureSettings = ExposureSettings()
+    dirt: DirtSettings | None = None
     lost_share: float = Field(default=0.0, ge=0.0, lt=1.0)
     lost_burst_frames: float = Field(default=1.0, ge=1.0, le=300.0)
 
@@ -117,6 +123,7 @@ class Scenario(StrictModel):
     start_heading_deg: Angle = "random"
     pad: PadSettings = PadSettings()
     wind: WindSettings = WindSettings()
+    light: LightSettings | None = None
     camera: CameraSettings = CameraSettings()
     sensors: SensorSettings = SensorSettings()
     beacon: BeaconSettings = BeaconSettings()

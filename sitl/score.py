@@ -1,8 +1,8 @@
 """How a flight ended: what the touchdown was like by the truth, and whether that counts as a landing.
 
 Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Where a deck leans,
-vertical means along its normal, horizontal along its surface, and tilt is from its normal. Everything is taken
-from the last state before contact forces acted.
+vertical means along its normal, horizontal along its surface, and tilt is from its normal. Everything is
+taken from the last state before contact forces acted.
 """
 
 from __future__ import annotations

@@ -359,13 +359,19 @@ class _Camera:
         calibration = load_model(CameraConfig, find_file("cameras", settings.config))
         config = ground_otherwise(calibration, settings.calibration_error, lens_rng)
         develop = exposure.CameraSettings(
-            exposure_s=settings.exposure_s, readout_s=settings.readout_s, noise_grey=settings.noise_grey
+            exposure_s=settings.exposure_s,
+            readout_s=settings.readout_s,
+            noise_grey=settings.noise_grey,
+            motion_blur=settings.blur,
+            light=scenario.light,
+            exposure=settings.exposure,
+            dirt=settings.dirt,
         )
         self._model = lens.CameraModel(config, vehicle, load_pad(scenario.pad.name), develop, noise_rng)
         self._world = world
         self._settings = settings
         self._rng = latency_rng
-        self._period_s = 1.0 / config.rate_hz
+        self._period_s = 1.0 / (settings.rate_hz or config.rate_hz)
         self._sequence = 0
         self._next_s = self._period_s
 
