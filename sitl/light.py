@@ -104,7 +104,7 @@ class LightInView:
 
         Args:
             ned_from_camera: rotation (3, 3).
-            camera_from_pad_ned_m: the camera's place less the pad's centre; all is taken to lie at its height.
+            camera_from_pad_ned_m: the camera's place less the pad's; all is taken to lie at its height.
             time_s: the world's.
         """
         shadow = self._lighting.shadow

@@ -2,8 +2,8 @@
 
 An incident-light meter's rule (ISO 2720: N^2 / t = E S / C with C = 250, S = 100, f/2) exposes a white sheet
 rightly when illuminance times exposure is 10 lux s. In less light an automatic exposure first takes longer,
-which smears, and then amplifies, which brings out noise: shot noise, whose variance goes with the light (few
-photons are few to count), and the amplifier's own.
+which smears, and then amplifies, which brings out noise: shot noise, whose variance goes with the light, and
+the amplifier's own.
 
 Noise that depends on the grey value is added where it does not: grey values are put through a table f with
 f' = 1 / sigma, constant noise is added, and the result is put through the inverse table (Anscombe's idea).
