@@ -16,7 +16,7 @@ from companion.geometry import Vector3, add, rotate_yaw
 
 # a lap over half the length: twice the lemniscate constant
 LEMNISCATE_LAP: Final = 5.244115108584239
-_NODES: Final = tuple(zip(*(values.tolist() for values in np.polynomial.legendre.leggauss(12)), strict=True))
+_NODES: Final = tuple(zip(*(values.tolist() for values in np.polynomial.legendre.leggauss(16)), strict=True))
 
 
 class Place(NamedTuple):
