@@ -20,6 +20,7 @@ from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.config import CameraConfig, VehicleConfig
 from companion.geometry import (
@@ -37,11 +38,11 @@ from companion.geometry import (
 )
 from companion.pad import Pad
 from sitl.exposure import CameraSettings, motion_blur, noise_bank, vignette
-from sitl.textures import GreyImage, Texture, TextureLevel, ground_texture, pad_texture
+from sitl.light import Lighting, LightInView
+from sitl.mesh import HORIZON, NODE_PX, Part, covers, node_rays, visible_part, within_board
+from sitl.sensor_chip import Metering, add_light, levelled, noise_std_grey, response, through
+from sitl.textures import PAD_WHITE, GreyImage, Texture, TextureLevel, ground_texture, pad_texture
 
-NODE_PX: Final = 8
-# a ray this close to the horizon (sine of its angle) or above it shows ground far away
-HORIZON: Final = 0.02
 FARTHEST_TEXEL: Final = 30000.0
 
 
@@ -90,8 +91,16 @@ class CameraModel:
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._pad_texture = pad_texture(pad)
         self._ground_texture = ground_texture(ground_seed)
-        self._node_rays = _node_rays(camera)
-        self._vignette = vignette(camera, settings)
+        self._node_rays = node_rays(camera)
+        # generators of their own: light and dirt change no noise
+        light_rng, dirt_rng = rng.spawn(2)
+        self._metering: Metering | None = None
+        if settings.light is not None:
+            self._lighting = Lighting(settings.light, light_rng)
+            self._light = LightInView(self._lighting, self._node_rays)
+            self._metering = Metering(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
+            self._exposure_s = self._metering.now.exposure_s
+        self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)
 
     @property
@@ -116,15 +125,35 @@ class CameraModel:
         image = np.empty((self._camera.height_px, self._camera.width_px), np.uint8)
         pad = self._surface(self._pad_texture, scenes, pads)
         pad_map = self._node_map(pad) if pad.height_m > 0.0 else None
-        part = None if pad_map is None else _visible_part(pad_map, pad.level.image.shape)
+        part = None if pad_map is None else visible_part(pad_map, pad.level.image.shape)
         seen = pad
-        if part is None or not _covers(pad_map, pad.level.image.shape):
+        if part is None or not covers(pad_map, pad.level.image.shape):
             ground = self._surface(self._ground_texture, scenes, grounds)
             self._draw(image, ground, self._node_map(ground), None)
             seen = pad if part is not None else ground
         if part is not None and pad_map is not None:
             self._draw(image, pad, pad_map, part)
-        return self._develop(image, seen, part)
+        glow = None
+        if self._metering is not None:
+            inside = None if pad_map is None else within_board(pad_map, pad.level.image.shape)
+            image, glow = self._lit(image, scenes[1], time_s, inside)
+        return self._expose(self._through_lens(image, seen, part), glow)
+
+    def _lit(
+        self, image: GreyImage, scene: ScenePose, time_s: float, inside: FloatArray | None
+    ) -> tuple[GreyImage, NDArray[np.float32] | None]:
+        """The picture with its shade, and apart from it the sun's image in the board: that is too bright."""
+        ned_from_camera = matrix_from_quat(scene.vehicle_attitude) @ self._body_from_camera
+        lever = quat_rotate(scene.vehicle_attitude, self._mount_position)
+        away = subtract(add(scene.vehicle_position_ned_m, lever), scene.pad_position_ned_m)
+        shade = self._light.shade(ned_from_camera, away, time_s)
+        if shade is not None:
+            rows, columns = image.shape
+            cv2.multiply(image, shade[:rows, :columns], dst=image, scale=1.0 / 255.0)
+        if inside is None:
+            return image, None
+        normal = quat_rotate(_pad_attitude(scene), (0.0, 0.0, 1.0))
+        return image, self._light.glow(ned_from_camera, normal, inside)
 
     def _surface(
         self, texture: Texture, scenes: list[ScenePose], planes: list[tuple[Vector3, Quaternion]]
@@ -161,9 +190,7 @@ class CameraModel:
         texels = self._node_rays @ homographies.transpose(0, 2, 1)
         return np.asarray(texels[..., :2] / np.maximum(texels[..., 2:], HORIZON))
 
-    def _draw(
-        self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: tuple[int, int, int, int] | None
-    ) -> None:
+    def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
         """Sample one surface into the image, or into a part of it given in cells of the mesh."""
         tile = surface.level.image
         top, bottom, left, right = part or (0, nodes.shape[0] - 2, 0, nodes.shape[1] - 2)
@@ -180,18 +207,41 @@ class CameraModel:
         # both coordinates are in the first map: OpenCV's type stubs do not know that there may be no second
         cv2.remap(tile, texels, None, cv2.INTER_LINEAR, dst=view, borderMode=border)  # type: ignore[call-overload]
 
-    def _develop(self, image: GreyImage, seen: _Surface, part: tuple[int, int, int, int] | None) -> GreyImage:
-        """Defocus, motion blur, vignetting and noise, in the order in which they happen."""
+    def _through_lens(self, image: GreyImage, seen: _Surface, part: Part | None) -> GreyImage:
+        """Defocus, motion blur, vignetting and dirt, in the order in which they happen."""
         sigma = self._defocus_px(seen.height_m)
         if sigma > 0.2:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.uint8)
-        image = motion_blur(image, *self._stroke_px(seen, part))
+        if self._settings.motion_blur:
+            image = motion_blur(image, *self._stroke_px(seen, part))
         if self._vignette is not None:
             cv2.multiply(image, self._vignette, dst=image, scale=self._settings.gain / 255.0)
+        return image
+
+    def _expose(self, image: GreyImage, glow: NDArray[np.float32] | None) -> GreyImage:
+        """What the sensor makes of the light; without a light of the scenario's, noise alone."""
+        metering = self._metering
+        if metering is None:
+            return self._noisy(image, 1.0)
+        image = through(response(metering.brightness, self._lighting.veil), image)
+        if glow is not None:
+            rows, columns = image.shape
+            image = add_light(image, glow[:rows, :columns] * (PAD_WHITE * metering.brightness))
+        white_std_grey = self._settings.noise_grey
+        if white_std_grey > 0.0:
+            there, back, std_grey = levelled(noise_std_grey(white_std_grey, metering.now.gain))
+            image = through(back, self._noisy(through(there, image), std_grey / white_std_grey))
+        metering.look(image)
+        self._exposure_s = metering.now.exposure_s
+        return image
+
+    def _noisy(self, image: GreyImage, factor: float) -> GreyImage:
+        """Noise of the bank's strength times a factor."""
         if self._noise is not None:
             rows, columns = image.shape
             y, x = self._rng.integers(0, (rows, columns))
-            cv2.addWeighted(image, 1.0, self._noise[y : y + rows, x : x + columns], 1.0, -128.0, dst=image)
+            noise = self._noise[y : y + rows, x : x + columns]
+            cv2.addWeighted(image, 1.0, noise, factor, -128.0 * factor, dst=image)
         return image
 
     def _defocus_px(self, distance_m: float) -> float:
@@ -200,7 +250,7 @@ class CameraModel:
         circle = self._camera.fx_px * s.aperture_m * abs(1.0 / max(distance_m, 0.02) - 1.0 / s.focus_m)
         return math.hypot(s.lens_blur_px, 0.25 * circle)
 
-    def _stroke_px(self, surface: _Surface, part: tuple[int, int, int, int] | None) -> tuple[float, float]:
+    def _stroke_px(self, surface: _Surface, part: Part | None) -> tuple[float, float]:
         """How far (right, down) the surface moves in the image within the exposure, at the part's middle."""
         if self._exposure_s == 0.0:
             return (0.0, 0.0)
@@ -243,44 +293,3 @@ def _pad_attitude(scene: ScenePose) -> Quaternion:
 def _texels(texel_from_ray: FloatArray, rays: FloatArray) -> FloatArray:
     homogeneous = rays @ texel_from_ray.T
     return np.asarray(homogeneous[:, :2] / np.maximum(homogeneous[:, 2:], HORIZON))
-
-
-def _visible_part(nodes: FloatArray, shape: tuple[int, ...]) -> tuple[int, int, int, int] | None:
-    """The rectangle of mesh cells (top, bottom, left, right; end exclusive) that may show the board.
-
-    Cell k lies about node k + 1. None: the board is out of view.
-    """
-    u, v = nodes[..., 0], nodes[..., 1]
-    inside = (u > -1.0) & (u < shape[1]) & (v > -1.0) & (v < shape[0])
-    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-    if rows.size == 0:
-        return None
-    last_row, last_column = nodes.shape[0] - 2, nodes.shape[1] - 2
-    return (
-        max(0, int(rows[0]) - 2),
-        min(last_row, int(rows[-1]) + 1),
-        max(0, int(columns[0]) - 2),
-        min(last_column, int(columns[-1]) + 1),
-    )
-
-
-def _covers(nodes: FloatArray | None, shape: tuple[int, ...]) -> bool:
-    """True when the board fills the image (a convex board holds all nodes when it holds the corners)."""
-    if nodes is None:
-        return False
-    corners = nodes[[0, 0, -1, -1], [0, -1, 0, -1]]
-    return bool((corners >= 1.0).all() and (corners <= (shape[1] - 2, shape[0] - 2)).all())
-
-
-def _node_rays(camera: CameraConfig) -> FloatArray:
-    """Rays (rows, columns, 3), z = 1, of the mesh: a node in the middle of each cell and one row around."""
-    columns, rows = -(-camera.width_px // NODE_PX) + 2, -(-camera.height_px // NODE_PX) + 2
-    u = NODE_PX * (np.arange(columns) - 1.0) + 0.5 * (NODE_PX - 1)
-    v = NODE_PX * (np.arange(rows) - 1.0) + 0.5 * (NODE_PX - 1)
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
-    matrix = np.array([[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]])
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    ideal = cv2.undistortPoints(pixels, matrix, np.array(camera.distortion), criteria=criteria)
-    rays = np.ones((rows, columns, 3))
-    rays[..., :2] = ideal.reshape(rows, columns, 2)
-    return rays

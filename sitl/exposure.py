@@ -11,9 +11,19 @@ from pydantic import Field
 
 from companion.config import CameraConfig, StrictModel
 from companion.geometry import FloatArray
+from sitl.light import LightSettings
+from sitl.sensor_chip import ExposureSettings
 from sitl.textures import GreyImage
 
 LONGEST_KERNEL_PX: Final = 2.5
+
+
+class DirtSettings(StrictModel):
+    """Dust and dried drops on the lens: soft dark blobs that stay where they are in the image."""
+
+    blobs: int = Field(default=12, ge=1, le=200)  # How many
+    largest_share: float = Field(default=0.08, gt=0.005, le=0.5)  # Width of the largest, of the image's
+    opacity: float = Field(default=0.7, gt=0.0, le=1.0)  # Of the most opaque one's middle
 
 
 class CameraSettings(StrictModel):
@@ -32,6 +42,10 @@ class CameraSettings(StrictModel):
     focus_m: float = Field(default=1.5, gt=0.01, le=100.0)
     vignette: float = Field(default=0.25, ge=0.0, le=1.0)
     gain: float = Field(default=1.0, gt=0.0, le=4.0)
+    motion_blur: bool = True
+    light: LightSettings | None = None
+    exposure: ExposureSettings = ExposureSettings()
+    dirt: DirtSettings | None = None
 
 
 def motion_blur(image: GreyImage, right_px: float, down_px: float) -> GreyImage:
@@ -77,15 +91,32 @@ def _stroke_kernel(right_px: float, down_px: float) -> FloatArray:
     return kernel / samples
 
 
-def vignette(camera: CameraConfig, settings: CameraSettings) -> GreyImage | None:
-    """How much light (0..255) reaches each pixel: falls with the square of the distance from the axis."""
-    if settings.vignette == 0.0 and settings.gain == 1.0:
+def vignette(camera: CameraConfig, settings: CameraSettings, rng: np.random.Generator) -> GreyImage | None:
+    """How much light (0..255) reaches each pixel: falls with the square of the distance from the axis.
+
+    Dirt takes its share of it.
+    """
+    if settings.vignette == 0.0 and settings.gain == 1.0 and settings.dirt is None:
         return None
     y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
     r2 = (x - camera.cx_px) ** 2 + (y - camera.cy_px) ** 2
     corner2 = camera.cx_px**2 + camera.cy_px**2
     light = 255.0 * (1.0 - settings.vignette * r2 / corner2)
+    if settings.dirt is not None:
+        light *= _transmission(camera, settings.dirt, rng)
     return np.asarray(light.clip(0, 255), dtype=np.uint8)
+
+
+def _transmission(camera: CameraConfig, dirt: DirtSettings, rng: np.random.Generator) -> FloatArray:
+    """What dirt lets through (rows, columns): each blob a Gauss bell as wide as four standard deviations."""
+    y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    clear = np.ones(x.shape)
+    for _ in range(dirt.blobs):
+        right, down, size, opacity = rng.uniform(0.0, 1.0, 4).tolist()
+        std_px = 0.25 * camera.width_px * dirt.largest_share * (0.3 + 0.7 * size)
+        r2 = (x - right * camera.width_px) ** 2 + (y - down * camera.height_px) ** 2
+        clear *= 1.0 - dirt.opacity * (0.3 + 0.7 * opacity) * np.exp(-0.5 * r2 / std_px**2)
+    return clear
 
 
 def noise_bank(camera: CameraConfig, noise_grey: float, rng: np.random.Generator) -> GreyImage | None:

@@ -108,3 +108,41 @@ def test_random_bytes_do_no_harm() -> None:
     for _ in range(10):
         ask(ground, 0.0)
     assert ground.requests > 0
+
+
+# ---------------------------------------------------------------- a beacon's settings
+
+
+def test_a_pad_without_a_beacon_is_told_of_and_gives_no_answer() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME, available=False)
+    ask(ground, 1.0)
+    acknowledgement = next(m for m in listen(ground, 1.0) if m.get_type() == "COMMAND_ACK")
+    assert acknowledgement.result == mavlink.MAV_RESULT_UNSUPPORTED
+    assert not [m for m in listen(ground, 5.0) if m.get_type() == "FOLLOW_TARGET"]
+
+
+def test_the_answer_is_the_newest_fix_after_the_delay() -> None:
+    ground = GroundStation(np.random.default_rng(1), 0.0, HOME, rate_hz=0.5, delay_s=0.1)
+    assert listen(ground, 10.0)  # a fix at 10 s, the next at 12 s
+    ask(ground, 11.0)
+    assert not [m for m in listen(ground, 11.05) if m.get_type() == "FOLLOW_TARGET"]
+    moved = (PAD[0] + 5.0, PAD[1], PAD[2])
+    messages = mavlink.MAVLink(None).parse_buffer(ground.transmit(11.1, moved, PAD_VELOCITY)) or []
+    answer = next(m for m in messages if m.get_type() == "FOLLOW_TARGET")
+    assert answer.timestamp == 10_000
+    shown = ned_from_geodetic(answer.lat * 1e-7, answer.lon * 1e-7, answer.alt, HOME)
+    assert shown[0] == pytest.approx(PAD[0], abs=1.0)
+
+
+def test_the_beacons_velocity_is_as_good_as_it_is_said_to_be() -> None:
+    def off(std_m_s: float) -> float:
+        ground = GroundStation(np.random.default_rng(3), 1.5, HOME, velocity_std_m_s=std_m_s)
+        errors = []
+        for k in range(60):
+            ask(ground, float(k))
+            answer = next(m for m in listen(ground, k + 0.6) if m.get_type() == "FOLLOW_TARGET")
+            errors.append(math.dist(answer.vel, PAD_VELOCITY))
+        return float(np.mean(errors))
+
+    assert off(0.0) < 1e-6
+    assert off(2.0) == pytest.approx(2.0 * 1.6, rel=0.2)  # the mean length of three normal numbers

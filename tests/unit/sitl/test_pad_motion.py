@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from companion.geometry import wrap_angle
-from sitl.pad_motion import (
+from sitl.driven_paths import RandomTurnsMotion, WaypointsMotion
+from sitl.pad_motion import Motion, PadMotion, build_pad_motion
+from sitl.pad_paths import (
     CircleMotion,
     FigureEightMotion,
     Heading,
     HeaveMotion,
     LineMotion,
     Meeting,
-    Motion,
-    PadMotion,
-    RandomTurnsMotion,
     StaticMotion,
-    build_pad_motion,
 )
 
+BLOCK = ((8.0, -9.0), (8.0, 7.0), (20.0, 7.0), (20.0, -9.0))
 MOTIONS: dict[str, Motion] = {
     "static": StaticMotion(kind="static"),
     "line": LineMotion(kind="line", speed_m_s=1.0),
@@ -30,8 +30,19 @@ MOTIONS: dict[str, Motion] = {
     "figure_8": FigureEightMotion(kind="figure_8", speed_m_s=2.0, half_length_m=12.0),
     "heave": HeaveMotion(kind="heave", significant_height_m=0.5, peak_period_s=5.0, drift_speed_m_s=0.2),
     "random_turns": RandomTurnsMotion(kind="random_turns", speed_m_s=1.2),
+    "moody_turns": RandomTurnsMotion(kind="random_turns", speed_m_s=1.5, slowest_m_s=0.5),
+    "waypoints": WaypointsMotion(kind="waypoints", points_ned_m=BLOCK, speed_m_s=1.3, loop=True),
 }
-CONSTANT_SPEED = {"line": 1.0, "circle": 1.5, "anticlockwise": 1.5, "figure_8": 2.0, "random_turns": 1.2}
+CONSTANT_SPEED = {
+    "line": 1.0,
+    "circle": 1.5,
+    "anticlockwise": 1.5,
+    "figure_8": 2.0,
+    "random_turns": 1.2,
+    "waypoints": 1.3,
+}
+# the others are where their points are
+MET = [name for name in MOTIONS if name != "waypoints"]
 
 
 def built(motion: Motion, seed: int = 0, heading: Heading = "along", height: float = 1.0) -> PadMotion:
@@ -78,7 +89,7 @@ def test_a_fixed_heading_stays(name: str) -> None:
     assert pad.at(7.0).heading_rate_rad_s == 0.0
 
 
-@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("name", MET)
 def test_it_is_met_where_and_when_the_settings_say(name: str) -> None:
     meet = Meeting(point_ned_m=(12.0, -3.0), time_s=17.0, spread_m=2.0)
     motion = MOTIONS[name].model_copy(update={"meet": meet})
@@ -97,7 +108,7 @@ def test_it_keeps_clear_of_home_until_it_is_met(name: str) -> None:
         assert min(math.hypot(*pad.at(0.25 * i).position_ned_m[:2]) for i in range(88)) > 3.0
 
 
-@pytest.mark.parametrize("name", MOTIONS)
+@pytest.mark.parametrize("name", MET)
 def test_a_seed_gives_one_motion_and_another_seed_another(name: str) -> None:
     assert built(MOTIONS[name], 4).at(33.3) == built(MOTIONS[name], 4).at(33.3)
     assert built(MOTIONS[name], 4).at(33.3) != built(MOTIONS[name], 5).at(33.3)
@@ -155,3 +166,80 @@ def test_random_turns_stay_about_their_middle_and_turn_within_the_limit() -> Non
         assert max(abs(p.heading_rate_rad_s) for p in track) <= math.radians(25.0) + 1e-9
         steps = np.diff([p.position_ned_m for p in track], axis=0)
         assert np.linalg.norm(steps, axis=1).max() <= 1.5 * 0.5 + 1e-9
+
+
+# ---------------------------------------------------------------- driven ways
+
+
+@pytest.mark.parametrize("slowest", [None, 0.4])
+def test_random_turns_keep_their_bounds_and_nothing_jumps(slowest: float | None) -> None:
+    motion = RandomTurnsMotion(
+        kind="random_turns", speed_m_s=3.0, slowest_m_s=slowest, max_acceleration_m_s2=0.9
+    )
+    for seed in range(4):
+        pad = built(motion, seed)
+        track = [pad.at(0.02 * i) for i in range(3000)]
+        speeds = [math.hypot(*p.velocity_ned_m_s[:2]) for p in track]
+        accelerations = np.array([p.acceleration_ned_m_s2[:2] for p in track])
+        assert max(speeds) <= 3.0 + 1e-9
+        assert min(speeds) >= (3.0 if slowest is None else slowest) - 1e-9
+        assert np.hypot(*accelerations.T).max() <= 0.9 + 1e-9
+        assert max(abs(p.heading_rate_rad_s) for p in track) <= math.radians(20.0) + 1e-9
+        # a jump from arc to arc would be of the size of the acceleration itself
+        assert np.abs(np.diff(accelerations, axis=0)).max() < 0.06
+    assert np.ptp(speeds) > (0.5 if slowest else -1.0)
+
+
+def waypoints(**values: object) -> WaypointsMotion:
+    return WaypointsMotion.model_validate(
+        {"kind": "waypoints", "points_ned_m": BLOCK, "speed_m_s": 1.0, **values}
+    )
+
+
+def test_waypoints_are_driven_in_their_order_with_rounded_corners() -> None:
+    motion = waypoints(start_s=5.0, max_acceleration_m_s2=0.5)
+    pad = built(motion)
+    assert pad.at(5.0).position_ned_m == pytest.approx((8.0, -9.0, -1.0))
+    assert pad.at(3.0).position_ned_m == pytest.approx((8.0, -11.0, -1.0))
+    track = np.array([pad.at(5.0 + 0.05 * i).position_ned_m[:2] for i in range(1200)])
+    nearest = [np.hypot(*(track - corner).T) for corner in BLOCK]
+    passed = [int(np.argmin(distance)) for distance in nearest]
+    assert passed == sorted(passed)
+    # it cuts the corners, by less than a circle of v^2 / a with its straight legs would twice over
+    assert [0.05 < distance.min() < 2.0 for distance in nearest[1:3]] == [True, True]
+    for a, b in ((BLOCK[0], BLOCK[1]), (BLOCK[1], BLOCK[2])):
+        middle = (np.array(a) + b) / 2.0
+        assert np.hypot(*(track - middle).T).min() < 0.05
+
+
+def test_the_corners_keep_the_bounds_on_acceleration_and_rate_of_turn() -> None:
+    for bounds in ({"max_acceleration_m_s2": 0.4}, {"max_turn_rate_deg_s": 20.0}):
+        pad = built(waypoints(**bounds))
+        track = [pad.at(0.05 * i) for i in range(1200)]
+        sideways = max(math.hypot(*p.acceleration_ned_m_s2[:2]) for p in track)
+        turning = math.degrees(max(abs(p.heading_rate_rad_s) for p in track))
+        assert sideways <= bounds.get("max_acceleration_m_s2", 1.0) + 1e-6
+        assert turning <= bounds.get("max_turn_rate_deg_s", 45.0) + 1e-6
+        assert sideways > 0.38 or turning > 19.5
+
+
+def test_a_loop_comes_round_again_and_again() -> None:
+    pad = built(waypoints(loop=True))
+    at_first = [pad.at(0.1 * i).position_ned_m for i in range(3000)]
+    near = [math.hypot(p[0] - 8.0, p[1] - 7.0) < 2.0 for p in at_first]
+    rounds = sum(1 for before, now in itertools.pairwise(near) if now and not before)
+    assert rounds >= 4
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"speed_m_s": 4.0}, "to round the corners"),
+        ({"points_ned_m": ((0.0, 5.0), (9.0, 5.0), (0.0, 5.5))}, "at most 150"),
+        ({"points_ned_m": ((0.0, 5.0), (0.0, 5.0))}, "twice in a row"),
+        ({"points_ned_m": ((0.0, 5.0), (9.0, 5.0)), "loop": True}, "3 or more"),
+    ],
+)
+def test_a_route_that_cannot_be_driven_is_refused(values: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        waypoints(**values)

@@ -10,8 +10,10 @@ import pytest
 from sitl.wind import (
     FADE_HEIGHT_M,
     FOOT_M,
+    KNOT_M_S,
     TURBULENCE_STEP_S,
     W20_M_S,
+    DiscreteGust,
     DrydenTurbulence,
     GustSettings,
     Wind,
@@ -130,3 +132,38 @@ def test_a_seed_gives_one_wind_and_another_seed_another() -> None:
 
     assert blown(5) == blown(5)
     assert blown(5) != blown(6)
+
+
+# ---------------------------------------------------------------- by name, and at a time
+
+
+def test_light_moderate_and_severe_are_the_standards_winds_at_twenty_feet() -> None:
+    assert {name: w20 / KNOT_M_S for name, w20 in W20_M_S.items()} == pytest.approx(
+        {"none": 0.0, "light": 15.0, "moderate": 30.0, "severe": 45.0}
+    )
+    spreads = []
+    for name in ("light", "moderate", "severe"):
+        wind = Wind(WindSettings(turbulence=name, mean_m_s=8.0, from_deg=180.0), rng(3))  # type: ignore[arg-type]
+        spreads.append(float(np.std([wind.at(0.1 * i, 6.0)[2] for i in range(6000)])))
+    # vertical: a tenth of the wind at 20 ft
+    assert spreads == pytest.approx([0.772, 1.543, 2.315], rel=0.12)
+
+
+def gusty(**values: object) -> Wind:
+    gust = DiscreteGust.model_validate({"at_s": 10.0, "amplitude_m_s": 6.0, "duration_s": 4.0, **values})
+    return Wind(WindSettings(mean_m_s=2.0, from_deg=180.0, gust=gust), rng())
+
+
+def test_a_gust_comes_at_its_time_and_once() -> None:
+    wind = gusty()
+    speeds = [wind.at(t, 20 * FOOT_M)[0] for t in (9.9, 11.0, 12.0, 13.0, 14.1, 40.0)]
+    assert speeds == pytest.approx([2.0, 5.0, 8.0, 5.0, 2.0, 2.0])
+
+
+def test_a_gust_may_come_again_and_from_elsewhere() -> None:
+    wind = gusty(every_s=10.0, from_deg=90.0)
+    assert [wind.at(t, 20 * FOOT_M)[1] for t in (5.0, 12.0, 22.0, 27.0, 32.0)] == pytest.approx(
+        [0.0, -6.0, -6.0, 0.0, -6.0], abs=1e-9
+    )
+    with pytest.raises(ValueError, match="at least duration_s"):
+        gusty(every_s=2.0)
