@@ -22,6 +22,18 @@ _OVER_HOME: Final = {
     mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
 }
 _POSITION_OF_LONG: Final = mavlink.MAV_FRAME_GLOBAL
+_GLOBAL_FRAMES: Final = _OVER_HOME | {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
+_REBOOT: Final = (1, 3)  # 3 stays in the boot loader, which there is none of here
+# x and y of COMMAND_INT are degrees times 1e7 for these, plain numbers for all others
+_WITH_PLACE: Final = {
+    mavlink.MAV_CMD_NAV_TAKEOFF,
+    mavlink.MAV_CMD_NAV_LAND,
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+    mavlink.MAV_CMD_DO_REPOSITION,
+    mavlink.MAV_CMD_DO_SET_HOME,
+    mavlink.MAV_CMD_DO_LAND_START,
+}
+_NAV_PRECLAND: Final = 23  # PX4's own, where MAVLink's dialects have NAV_LAND_LOCAL
 
 
 class Sender(Protocol):
@@ -52,6 +64,11 @@ class Request:
         value = self.parameters[index - 1]
         return int(value) if math.isfinite(value) else -1
 
+    def place(self) -> tuple[float, float, float]:
+        """Parameters 5 to 7: latitude, longitude (deg), altitude (m)."""
+        _, _, _, _, latitude, longitude, altitude = self.parameters
+        return latitude, longitude, altitude
+
 
 def request_from_message(message: Any) -> Request:
     """The request in a COMMAND_LONG or COMMAND_INT."""
@@ -59,7 +76,8 @@ def request_from_message(message: Any) -> Request:
     first = (m.param1, m.param2, m.param3, m.param4)
     if m.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
         return Request(m.command, (*first, m.param5, m.param6, m.param7), _POSITION_OF_LONG)
-    latitude, longitude = (math.nan if e7 == _NOT_GIVEN_E7 else e7 * 1e-7 for e7 in (m.x, m.y))
+    scale = 1e-7 if m.command in _WITH_PLACE else 1.0
+    latitude, longitude = (math.nan if e7 == _NOT_GIVEN_E7 else e7 * scale for e7 in (m.x, m.y))
     return Request(m.command, (*first, latitude, longitude, m.z), m.frame)
 
 
@@ -69,7 +87,7 @@ def _arm_or_disarm(sender: Sender, request: Request, now_s: float) -> Result:
         return sender.autopilot.arm(force)
     if request.parameters[0] == 0.0:
         return sender.autopilot.disarm(force)
-    return Result.DENIED
+    return Result.UNSUPPORTED
 
 
 def _set_mode(sender: Sender, request: Request, now_s: float) -> Result:
@@ -96,18 +114,82 @@ def _hold(sender: Sender, request: Request, now_s: float) -> Result:
 
 
 def _reposition(sender: Sender, request: Request, now_s: float) -> Result:
-    speed, _, _, yaw, *place = request.parameters
+    speed, yaw = request.parameters[0], request.parameters[3]
+    if request.frame not in _GLOBAL_FRAMES:
+        return Result.DENIED
     changes_mode = request.whole(2) > 0 and request.whole(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
     autopilot = sender.autopilot
     if not changes_mode and autopilot.mode != autopilot.manner.after_take_off_mode:
         return Result.DENIED
-    latitude, longitude, altitude = place
     return autopilot.go_to(
-        (latitude, longitude, altitude),
+        request.place(),
         over_home=request.frame in _OVER_HOME,
         yaw_rad=yaw,
         speed_m_s=speed if math.isfinite(speed) and speed > 0.0 else None,
     )
+
+
+def _start_mission(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.start_mission(request.whole(1) if request.whole(1) > 0 else -1)
+
+
+def _select_item(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.select_mission_item(request.whole(1))
+
+
+def _land_by_mission(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.land_by_mission()
+
+
+def _land_precisely(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.land_precisely()
+
+
+def _pause(sender: Sender, request: Request, now_s: float) -> Result:
+    if request.whole(1) not in (0, 1):
+        return Result.DENIED
+    return sender.autopilot.pause(request.whole(1) == 0)
+
+
+def _change_speed(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.change_speed(request.whole(1), request.parameters[1])
+
+
+def _turn(sender: Sender, request: Request, now_s: float) -> Result:
+    if not sender.autopilot.manner.turns_by_command:
+        return Result.UNSUPPORTED
+    return sender.autopilot.turn_to(request.parameters)
+
+
+def _set_home(sender: Sender, request: Request, now_s: float) -> Result:
+    if request.whole(1) == 1:
+        return sender.autopilot.set_home(None)
+    latitude, longitude, altitude = request.place()
+    usable = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(altitude) < 1e5
+    if not usable or request.frame not in _GLOBAL_FRAMES:
+        return Result.DENIED
+    return sender.autopilot.set_home((latitude, longitude, altitude), request.frame in _OVER_HOME)
+
+
+def _terminate(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.terminate() if request.parameters[0] > 0.5 else Result.DENIED
+
+
+def _reboot(sender: Sender, request: Request, now_s: float) -> Result:
+    return sender.autopilot.reboot() if request.whole(1) in _REBOOT else Result.UNSUPPORTED
+
+
+def _store_parameters(sender: Sender, request: Request, now_s: float) -> Result:
+    """PREFLIGHT_STORAGE: 0 and 1 load and save, which they are anyhow for this run; 2 resets."""
+    if sender.autopilot.armed or request.whole(1) not in (0, 1, 2):
+        return Result.DENIED
+    if request.whole(1) == 2:
+        sender.autopilot.parameters.reset()
+    return Result.ACCEPTED
+
+
+def _prearm(sender: Sender, request: Request, now_s: float) -> Result:
+    return Result.TEMPORARILY_REJECTED if sender.autopilot.armed else Result.ACCEPTED
 
 
 def _request_message(sender: Sender, request: Request, now_s: float) -> Result:
@@ -143,6 +225,18 @@ HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
     mavlink.MAV_CMD_NAV_LOITER_UNLIM: _hold,
     mavlink.MAV_CMD_DO_REPOSITION: _reposition,
+    mavlink.MAV_CMD_MISSION_START: _start_mission,
+    mavlink.MAV_CMD_DO_SET_MISSION_CURRENT: _select_item,
+    mavlink.MAV_CMD_DO_LAND_START: _land_by_mission,
+    mavlink.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
+    mavlink.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
+    mavlink.MAV_CMD_CONDITION_YAW: _turn,
+    mavlink.MAV_CMD_DO_SET_HOME: _set_home,
+    mavlink.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+    mavlink.MAV_CMD_PREFLIGHT_STORAGE: _store_parameters,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _prearm,
+    _NAV_PRECLAND: _land_precisely,
     mavlink.MAV_CMD_REQUEST_MESSAGE: _request_message,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,

@@ -9,14 +9,18 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.geometry import Quaternion, Vector3, quat_normalise
+from sitl import pilot_inputs
 from sitl.autopilot import AttitudeSetpoint, Autopilot, Frame, Severity, StreamedMotion
 from sitl.commands import execute, request_from_message
+from sitl.mission_protocol import MissionProtocol
 from sitl.onboard import OnboardSensors
+from sitl.parameter_protocol import ParameterProtocol
 from sitl.sensor_telemetry import SensorMessages
 from sitl.telemetry import BUILDERS, Message, Streams, milliseconds
 
@@ -24,7 +28,6 @@ _TEXT_BYTES: Final = 50
 _IGNORE_ATTITUDE: Final = 128
 _IGNORE_THROTTLE: Final = 64
 _IGNORE_YAW_RATE: Final = 4
-_INT32, _REAL32 = mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_REAL32
 _ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
 
 
@@ -54,11 +57,14 @@ class MavlinkEndpoint:
             mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._on_global_target,
             mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._on_attitude_target,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
-            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_param_list,
-            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_param_read,
-            mavlink.MAVLINK_MSG_ID_PARAM_SET: self._on_param_set,
-            mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: self._on_mission_list,
         }
+        self._parameters = ParameterProtocol(autopilot)
+        self._mission = MissionProtocol(autopilot.mission)
+        for protocol in (self._parameters, self._mission):
+            for message_id in protocol.message_ids:
+                self._handlers[message_id] = partial(self._answer_by, protocol)
+        for message_id, handler in pilot_inputs.HANDLERS.items():
+            self._handlers[message_id] = partial(handler, autopilot)
 
     # ------------------------------------------------------------ bytes
 
@@ -73,6 +79,8 @@ class MavlinkEndpoint:
         """All that is due: answers, texts, telemetry."""
         for severity, text in self.autopilot.take_texts():
             self._queue_text(severity, text)
+        self._outgoing += self._parameters.due(now_s)
+        self._outgoing += self._mission.due(now_s)
         for message_id in self._streams.due(now_s):
             self.send_once(message_id, now_s)
         if not self._outgoing:
@@ -93,7 +101,7 @@ class MavlinkEndpoint:
         return packed
 
     def _is_for_us(self, message: Message) -> bool:
-        system = getattr(message, "target_system", 0)
+        system = getattr(message, "target_system", getattr(message, "target", 0))
         component = getattr(message, "target_component", 0)
         return system in (0, self._mav.srcSystem) and component in (0, self._mav.srcComponent)
 
@@ -179,43 +187,10 @@ class MavlinkEndpoint:
             ours_ns = milliseconds(self.autopilot, now_s) * 1_000_000
             self._outgoing.append(mavlink.MAVLink_timesync_message(max(ours_ns, 1), message.ts1))
 
-    def _on_param_list(self, message: Message, now_s: float) -> None:
-        for name in self.autopilot.parameters:
-            self._queue_parameter(name)
-
-    def _on_param_read(self, message: Message, now_s: float) -> None:
-        parameters = self.autopilot.parameters
-        index = message.param_index
-        name = parameters.name_at(index) if index >= 0 else _text(message.param_id)
-        if name is not None and name in parameters:
-            self._queue_parameter(name)
-
-    def _on_param_set(self, message: Message, now_s: float) -> None:
-        name, value = _text(message.param_id), message.param_value
-        if name not in self.autopilot.parameters:
-            return
-        if self.autopilot.manner.parameters_bytewise and message.param_type == _INT32:
-            value = float(struct.unpack("<i", struct.pack("<f", value))[0])
-        self.autopilot.parameters.set(name, value)
-        self._queue_parameter(name)  # a refused value is answered by the one that stands
-
-    def _queue_parameter(self, name: str) -> None:
-        parameters = self.autopilot.parameters
-        value, kind = parameters[name], _INT32 if parameters.is_integer(name) else _REAL32
-        if kind == _INT32 and self.autopilot.manner.parameters_bytewise:
-            value = struct.unpack("<f", struct.pack("<i", int(value)))[0]
-        self._outgoing.append(
-            mavlink.MAVLink_param_value_message(
-                name.encode(), value, kind, len(parameters), parameters.index_of(name)
-            )
-        )
-
-    def _on_mission_list(self, message: Message, now_s: float) -> None:
-        self._outgoing.append(
-            mavlink.MAVLink_mission_count_message(
-                message.get_srcSystem(), message.get_srcComponent(), 0, message.mission_type
-            )
-        )
+    def _answer_by(
+        self, protocol: ParameterProtocol | MissionProtocol, message: Message, now_s: float
+    ) -> None:
+        self._outgoing += protocol.handle(message, now_s)
 
 
 def _motion(m: Message, frame: int, position: Vector3) -> StreamedMotion:
@@ -231,7 +206,3 @@ def _unit_quaternion(values: list[float]) -> Quaternion | None:
     if not math.isfinite(length) or length < 0.5:
         return None
     return quat_normalise((w, x, y, z))
-
-
-def _text(value: str | bytes) -> str:
-    return value if isinstance(value, str) else value.decode("ascii", "replace")

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One entry: its name (at most 16 characters), default, bounds, and whether it is an integer."""
+    """One entry: its name (at most 16 characters), default, bounds, whether it is an integer, its bits."""
 
     name: str
     default: float
     minimum: float
     maximum: float
     integer: bool = False
+    bits: int = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,9 @@ class Parameters:
     def __init__(self, table: Iterable[Parameter]) -> None:
         self._table = {parameter.name: parameter for parameter in table}
         self._names = tuple(self._table)
-        self._values = {parameter.name: parameter.default for parameter in self._table.values()}
+        self._indices = {name: index for index, name in enumerate(self._names)}
+        self._values: dict[str, float] = {}
+        self.reset()
 
     def __len__(self) -> int:
         return len(self._names)
@@ -55,11 +58,19 @@ class Parameters:
 
     def index_of(self, name: str) -> int:
         """Place of a known name in the list."""
-        return self._names.index(name)
+        return self._indices[name]
 
     def is_integer(self, name: str) -> bool:
         """Whether a known parameter holds an integer."""
         return self._table[name].integer
+
+    def bits(self, name: str) -> int:
+        """Size of a known parameter's number."""
+        return self._table[name].bits
+
+    def reset(self) -> None:
+        """All defaults again."""
+        self._values = {parameter.name: float(parameter.default) for parameter in self._table.values()}
 
     def si(self, setting: Setting) -> float:
         """Value in SI units."""

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.geometry import Vector3, euler_from_quat
 from companion.messages import LandedState
+from sitl import mission_protocol
 from sitl.autopilot import Autopilot
 
 Message = Any  # pymavlink's classes are generated without types
@@ -139,6 +140,19 @@ def extended_sys_state(autopilot: Autopilot, now_s: float) -> Message:
     return mavlink.MAVLink_extended_sys_state_message(0, _LANDED[autopilot.landed_state])
 
 
+def rc_channels(autopilot: Autopilot, now_s: float) -> Message | None:
+    """RC_CHANNELS: the sticks and switches (microseconds), once there is somebody at them."""
+    channels = autopilot.radio.channels
+    if channels is None:
+        return None
+    return mavlink.MAVLink_rc_channels_message(milliseconds(autopilot, now_s), len(channels), *channels, 255)
+
+
+def mission_current(autopilot: Autopilot, now_s: float) -> Message:
+    """MISSION_CURRENT."""
+    return mission_protocol.mission_current(autopilot.mission)
+
+
 def battery_status(autopilot: Autopilot, now_s: float) -> Message:
     """BATTERY_STATUS of a battery that never drains."""
     return mavlink.MAVLink_battery_status_message(0, 1, 1, 32767, _CELL_MV, 1500, -1, -1, 90)
@@ -181,6 +195,8 @@ BUILDERS: Final[dict[int, Builder]] = {
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
 }
 DEFAULT_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
@@ -193,6 +209,8 @@ DEFAULT_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 2.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
 }
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+from sitl.autopilot.ardupilot_lander import ardupilot_lander
+from sitl.autopilot.ardupilot_parameters import PARAMETERS
 from sitl.autopilot.manners import (
     FLAG_CUSTOM,
     FLAG_GUIDED,
@@ -19,12 +21,25 @@ from sitl.autopilot.manners import (
     aligned,
     landed_after_flight,
     level,
+    mission_missing,
     mode_armable,
+    not_from_flight,
 )
-from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, Response, Result, Severity, Task
+from sitl.autopilot.mission_items import Command, MissionRules
+from sitl.autopilot.modes import (
+    ArmingCheck,
+    Failsafe,
+    Mode,
+    ModeCheck,
+    Response,
+    Result,
+    Severity,
+    StickLaw,
+    Task,
+)
 from sitl.autopilot.position_control import PositionGains
 from sitl.autopilot.setpoints import Frame
-from sitl.parameters import Parameter, Setting
+from sitl.parameters import Setting
 
 _GUIDED = FLAG_CUSTOM | FLAG_GUIDED | FLAG_STABILIZE | FLAG_MANUAL
 _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
@@ -41,13 +56,16 @@ ARDUPILOT = Manner(
     landed_time_s=2.0,
     still_speed_m_s=1.0,
     modes=(
-        Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False),
+        Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False, sticks=StickLaw.ANGLE_AND_THRUST),
+        Mode("ALT_HOLD", 2, _STICKS, Task.HOLD, sticks=StickLaw.ANGLE_AND_CLIMB),
+        Mode("AUTO", 3, _GUIDED, Task.MISSION, armable=False),
         Mode("GUIDED", 4, _GUIDED, Task.HOLD, takes_setpoints=True, takes_positions=True),
-        Mode("LOITER", 5, _STICKS, Task.HOLD),
+        Mode("LOITER", 5, _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY),
         Mode("RTL", 6, _GUIDED, Task.RETURN, armable=False),
         Mode("LAND", 9, _GUIDED, Task.LAND, armable=False),
-        Mode("POSHOLD", 16, _STICKS, Task.HOLD),
+        Mode("POSHOLD", 16, _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY),
         Mode("BRAKE", 17, _STICKS, Task.HOLD, armable=False),
+        Mode("SMART_RTL", 21, _GUIDED, Task.RETURN, armable=False, offered=False),
     ),
     boot_mode="STABILIZE",
     after_disarm_mode="",
@@ -62,6 +80,10 @@ ARDUPILOT = Manner(
     take_off_needs_guided=True,
     external_times_out_in_mode=True,
     thrust_is_climb_rate=True,
+    forward_is_low=True,
+    turns_by_command=True,
+    refused_mode=Result.FAILED,
+    refused_selection=Result.FAILED,
     refused_arming=Result.FAILED,
     refused_disarming=Result.FAILED,
     refused_disarming_text="",
@@ -70,8 +92,22 @@ ARDUPILOT = Manner(
         setpoint_timeout=Setting("GUID_TIMEOUT"),
         cruise_speed=Setting("WPNAV_SPEED", 0.01),
         top_speed=Setting("WPNAV_SPEED", 0.01),
+        climb_speed=Setting("WPNAV_SPEED_UP", 0.01),
+        descent_speed=Setting("WPNAV_SPEED_DN", 0.01),
+        take_off_speed=Setting("WPNAV_SPEED_UP", 0.01),
         landing_speed=Setting("LAND_SPEED_HIGH", 0.01),
+        final_landing_speed=Setting("LAND_SPEED", 0.01),
+        final_landing_height=Setting("LAND_ALT_LOW", 0.01),
         return_height=Setting("RTL_ALT", 0.01),
+        acceptance_radius=Setting("WPNAV_RADIUS", 0.01),
+        radio_timeout=Setting("RC_OVERRIDE_TIME"),
+        stick_speed=Setting("LOIT_SPEED", 0.01),
+        stick_climb=Setting("PILOT_SPEED_UP", 0.01),
+        stick_descent=Setting("PILOT_SPEED_DN", 0.01),
+        stick_tilt=Setting("ANGLE_MAX", math.pi / 18000.0),
+        stick_yaw_rate=Setting("PILOT_Y_RATE", math.pi / 180.0),
+        radio_watched=Setting("FS_THR_ENABLE"),
+        own_ground_station=Setting("SYSID_MYGCS"),
         guided_options=Setting("GUID_OPTIONS"),
     ),
     texts=Texts(
@@ -82,21 +118,43 @@ ARDUPILOT = Manner(
         lifted="",
         landed="",
         landing="",
-        mode_unavailable="Mode change to {mode} failed: throttle too high",
+        no_such_mode="No such mode {number}",
+    ),
+    mode_checks=(
+        ModeCheck(lambda mode, _now: not mode.offered, "Mode change to {mode} failed: init failed"),
+        ModeCheck(mission_missing, "Mode change to {mode} failed: init failed"),
+        ModeCheck(
+            lambda mode, now: (
+                mode.task is Task.MISSION and now.armed and now.landed and not now.mission_climbs
+            ),
+            "Auto: Missing Takeoff Cmd",
+        ),
+        ModeCheck(not_from_flight, "Mode change to {mode} failed: throttle too high"),
     ),
     arming_checks=(
         ArmingCheck(mode_armable, "Arm: Mode not armable"),
         ArmingCheck(aligned, "Arm: Need Position Estimate"),
         ArmingCheck(level, "Arm: Leaning"),
+        ArmingCheck(lambda now: not now.throttle_up, "Arm: Throttle too high"),
     ),
     failsafes=(
         Failsafe(
             "landed in LAND",
-            lambda now: landed_after_flight(now) and now.task is Task.LAND,
+            lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
             0.5,
             Response.DISARM,
             Severity.INFO,
             "Disarming motors",
+        ),
+        Failsafe(
+            "radio lost",
+            lambda now: now.radio_lost and not now.landed,
+            0.5,
+            Response.LEAVE_MODE,
+            Severity.WARNING,
+            "Radio Failsafe - RTL",
+            mode="RTL",
+            returns=False,
         ),
         Failsafe(
             "on the ground", lambda now: now.landed, 10.0, Response.DISARM, Severity.INFO, "Disarming motors"
@@ -110,16 +168,33 @@ ARDUPILOT = Manner(
             "Crash: Disarming: AngErr=45>30",
         ),
     ),
-    parameters=(
-        Parameter("SYSID_THISMAV", 1, 1, 255, integer=True),
-        Parameter("FRAME_CLASS", 1, 0, 15, integer=True),
-        Parameter("FRAME_TYPE", 0, 0, 20, integer=True),
-        Parameter("GUID_TIMEOUT", 3.0, 0.1, 5.0),
-        Parameter("GUID_OPTIONS", 0, 0, 255, integer=True),
-        Parameter("WPNAV_SPEED", 1000.0, 20.0, 2000.0),
-        Parameter("LAND_SPEED_HIGH", 70.0, 0.0, 500.0),
-        Parameter("RTL_ALT", 1500.0, 30.0, 300000.0),
+    parameters=PARAMETERS,
+    mission=MissionRules(
+        flown=frozenset(Command),
+        # change of altitude, servo, relay, ROI, mounts, camera, gimbal: taken whether or not there is one
+        unheeded=frozenset({113, 181, 182, 183, 184, 195, 197, 201, 202, 203, 205, 206, 211, 222, 223})
+        | frozenset({1000, 2000, 2500, 2501}),
+        max_items=724,
+        retry_s=1.0,
+        timeout_s=8.0,
+        home_first=True,
+        asks_for_integers=False,
+        writes_in_place=True,
+        restarts=True,
+        partial_lists=True,
+        own_take_off=False,
+        waits_for_start=True,
+        heeds_heading=False,
+        rewinds_on_disarm=True,
+        received_text="Flight plan received",
+        timeout_text="Mission upload timeout",
+        unknown_current_text="",
+        item_text="Mission: {number}",
+        reached_text="Reached command #{number}",
+        finished_text="",
     ),
+    lander=ardupilot_lander,
+    lands_precisely=frozenset({Task.LAND, Task.PRECISION_LAND}),
     gains=PositionGains(
         horizontal_p=1.0, velocity_p=2.0, velocity_i=1.0, climb_p=5.0, integrates_acceleration=True
     ),

@@ -6,10 +6,12 @@ Commands are method calls that answer with a MAV_RESULT; what it has to say is i
 from __future__ import annotations
 
 import dataclasses
-from math import isfinite, nan
+from math import isnan, nan
 
-from companion.geometry import Vector3, ned_from_geodetic, yaw_from_quat
+from companion.geometry import Vector3, yaw_from_quat
 from sitl.autopilot.flight import FlightLoop
+from sitl.autopilot.landing_target import Sight
+from sitl.autopilot.mission import heading_from_condition
 from sitl.autopilot.modes import Result, Severity, Task
 from sitl.autopilot.setpoints import (
     AttitudeSetpoint,
@@ -18,8 +20,10 @@ from sitl.autopilot.setpoints import (
     StreamedMotion,
     motion_from_fields,
 )
+from sitl.autopilot.sticks import Sticks
 
 _LEAST_TAKE_OFF_M = 0.5
+_MOST_ALTITUDE_M = 30_000.0
 
 
 class Autopilot(FlightLoop):
@@ -37,7 +41,7 @@ class Autopilot(FlightLoop):
 
     def set_mode(self, custom_mode: int) -> Result:
         """Change to the mode of that custom_mode."""
-        return self._commander.change_mode(self.manner.mode_by_number(custom_mode))
+        return self._commander.change_mode(self.manner.mode_by_number(custom_mode), custom_mode)
 
     def take_off(self, altitude_m: float) -> Result:
         """NAV_TAKEOFF.
@@ -48,7 +52,7 @@ class Autopilot(FlightLoop):
         if self.manner.take_off_needs_guided:
             if self.mode != self.manner.take_off_mode or not self.armed or not self._cascade.landed:
                 return Result.FAILED
-            if not altitude_m >= _LEAST_TAKE_OFF_M:
+            if not _LEAST_TAKE_OFF_M <= altitude_m <= _MOST_ALTITUDE_M:
                 return Result.FAILED
             self._navigator.climb_to_m = altitude_m
             self._commander.begin(Task.TAKE_OFF)
@@ -56,7 +60,7 @@ class Autopilot(FlightLoop):
         if not self._cascade.landed:
             return self.set_mode_named(self.manner.hold_mode)
         height = altitude_m - self.geodetic(self._navigator.home_ned_m)[2]
-        if self.manner.settings.take_off_height and not height >= _LEAST_TAKE_OFF_M:
+        if self.manner.settings.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
             height = self.parameters.si(self.manner.settings.take_off_height)
             self._commander.say(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
         self._navigator.climb_to_m = height
@@ -69,7 +73,7 @@ class Autopilot(FlightLoop):
 
         NaN keeps the present latitude and longitude, or altitude.
         """
-        if not self.armed or self._cascade.landed:
+        if not self.armed or self._cascade.landed or not _is_place(place):
             return Result.DENIED
         result = self.set_mode_named(self.manner.after_take_off_mode)
         if result is Result.ACCEPTED:
@@ -79,14 +83,106 @@ class Autopilot(FlightLoop):
             self._commander.begin(Task.GO_TO)
         return result
 
-    def _local(self, place: Vector3, over_home: bool) -> Vector3:
-        """Place in the own NED; a coordinate that is no number is the present one."""
-        latitude, longitude, altitude = self.geodetic(self.estimate.position_ned_m)
-        if isfinite(place[0]) and isfinite(place[1]):
-            latitude, longitude = place[0], place[1]
-        if isfinite(place[2]):
-            altitude = place[2] + (self.geodetic(self.home_ned_m)[2] if over_home else 0.0)
-        return ned_from_geodetic(latitude, longitude, altitude, self._origin)
+    def land_precisely(self) -> Result:
+        """Land on the target of LANDING_TARGET, where there is a mode of its own for it."""
+        mode = next((mode for mode in self.manner.modes if mode.task is Task.PRECISION_LAND), None)
+        return Result.UNSUPPORTED if mode is None else self._commander.change_mode(mode)
+
+    def change_speed(self, kind: int, speed_m_s: float) -> Result:
+        """DO_CHANGE_SPEED."""
+        if not self._navigator.speeds.change(kind, speed_m_s):
+            return Result.DENIED
+        if self.task is Task.GO_TO and kind in (0, 1) and speed_m_s > 0.0:
+            self._navigator.target_speed_m_s = speed_m_s
+        return Result.ACCEPTED
+
+    def turn_to(self, parameters: tuple[float, ...]) -> Result:
+        """CONDITION_YAW while it holds a place or flies to one; parameters 1 to 4 of the command."""
+        heading = heading_from_condition(parameters, yaw_from_quat(self.estimate.attitude))
+        if heading is None or not self.armed or self.task not in (Task.HOLD, Task.GO_TO):
+            return Result.FAILED
+        self._navigator.target_yaw_rad = self._navigator.held_yaw_rad = heading
+        return Result.ACCEPTED
+
+    def set_home(self, place: Vector3 | None, over_home: bool = False) -> Result:
+        """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is."""
+        if not self.aligned:
+            return Result.FAILED
+        self._navigator.fix_home(
+            self.estimate.position_ned_m if place is None else self._local(place, over_home)
+        )
+        return Result.ACCEPTED
+
+    def terminate(self) -> Result:
+        """Flight termination: motors off."""
+        self._commander.terminate()
+        return Result.ACCEPTED
+
+    def reboot(self) -> Result:
+        """Start anew on the ground, as after power-up; parameters and mission stay. Refused while armed."""
+        if self.armed:
+            return self.manner.refused_arming
+        self._boot()
+        return Result.ACCEPTED
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Tell the ground something."""
+        self._commander.say(severity, text)
+
+    # ------------------------------------------------------------ missions
+
+    def start_mission(self, first: int = -1) -> Result:
+        """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
+        if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
+            self._commander.say(Severity.CRITICAL, self.manner.texts.no_mission)
+            return self.manner.refused_mode
+        mode = next(mode for mode in self.manner.modes if mode.task is Task.MISSION)
+        waits = self.manner.mission.waits_for_start
+        if waits and not self.armed:
+            return Result.FAILED
+        result = self._commander.change_mode(mode)
+        if result is Result.ACCEPTED and not waits:
+            result = self.arm()
+        if result is Result.ACCEPTED:
+            self._runner.started = True
+        return result
+
+    def select_mission_item(self, number: int) -> Result:
+        """DO_SET_MISSION_CURRENT."""
+        return Result.ACCEPTED if self.mission.select(number) else self.manner.refused_selection
+
+    def land_by_mission(self) -> Result:
+        """DO_LAND_START: go on from the mission's item of that name."""
+        number = self.mission.landing_start()
+        return Result.FAILED if number is None else self.start_mission(number)
+
+    def pause(self, paused: bool) -> Result:
+        """DO_PAUSE_CONTINUE: hold within a mission, and go on with it."""
+        if self.task is not Task.MISSION:
+            return Result.DENIED
+        self._runner.paused = paused
+        return Result.ACCEPTED
+
+    # ------------------------------------------------------------ sticks and targets
+
+    def override_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
+        """RC_CHANNELS_OVERRIDE (microseconds, 0 releases, None leaves), from a system that may."""
+        if self._may_fly_by_hand(sender_system):
+            self.radio.override(values, now_s)
+
+    def take_sticks(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
+        """MANUAL_CONTROL, from a system that may."""
+        if self._may_fly_by_hand(sender_system):
+            self.radio.manual(sticks, now_s)
+
+    def see_target(self, sight: Sight) -> None:
+        """LANDING_TARGET."""
+        if self._lander is not None:
+            self._lander.see(sight)
+
+    def _may_fly_by_hand(self, sender_system: int) -> bool:
+        own = self.manner.settings.own_ground_station
+        return own is None or sender_system == int(self.parameters.si(own))
 
     # ------------------------------------------------------------ streamed setpoints
 
@@ -111,3 +207,11 @@ class Autopilot(FlightLoop):
         self._commander.situation.setpoint_age_s = 0.0
         if self._commander.mode.takes_setpoints and not self._cascade.landed:
             self._commander.begin(Task.SETPOINT)
+
+
+def _is_place(place: Vector3) -> bool:
+    """Latitude, longitude and altitude within what there is; NaN stands for the present one."""
+    return all(
+        isnan(value) or abs(value) <= most
+        for value, most in zip(place, (90.0, 180.0, _MOST_ALTITUDE_M), strict=True)
+    )

@@ -6,15 +6,20 @@ Everything that differs between autopilots comes from the `Manner`'s tables.
 from __future__ import annotations
 
 from collections import deque
+from math import inf
 
 from sitl.autopilot.manners import Manner
 from sitl.autopilot.modes import Failsafe, Mode, Response, Result, Severity, Situation, Task
 
 Text = tuple[Severity, str]
+_ENDS_WITH_FLIGHT = (Task.LAND, Task.PRECISION_LAND, Task.RETURN, Task.TAKE_OFF)
 
 
 class Commander:
-    """Armed or not, the mode, the task within it, and what there is to say (`texts`)."""
+    """Armed or not, the mode, the task within it, and what there is to say (`texts`).
+
+    `subtask` is what a mission has flown at present, None for plain flying.
+    """
 
     def __init__(self, manner: Manner) -> None:
         self._manner = manner
@@ -24,6 +29,7 @@ class Commander:
         self.texts: deque[Text] = deque((Severity.INFO, text) for text in manner.texts.boot)
         self.mode = manner.mode(manner.boot_mode)
         self.task = self.mode.task
+        self.subtask: Task | None = None
         self._left_mode: Mode | None = None
         self._left_by: Failsafe | None = None
         self._held_s = [0.0] * len(manner.failsafes)
@@ -54,14 +60,16 @@ class Commander:
         self._stop(Severity.INFO, self._manner.texts.disarmed)
         return Result.ACCEPTED
 
-    def change_mode(self, mode: Mode | None) -> Result:
+    def change_mode(self, mode: Mode | None, number: int = 0) -> Result:
         """Enter a mode with its own task; None is a number the autopilot does not know."""
         if mode is None:
-            return Result.FAILED
-        if not self._available(mode):
-            name = mode.name.capitalize() if self._manner.external_needs_setpoints else mode.name
-            self.say(Severity.CRITICAL, self._manner.texts.mode_unavailable.format(mode=name))
-            return Result.TEMPORARILY_REJECTED
+            self.say(Severity.WARNING, self._manner.texts.no_such_mode.format(number=number))
+            return self._manner.refused_mode
+        self._refresh()
+        refusal = next((c.text for c in self._manner.mode_checks if c.fails(mode, self.situation)), None)
+        if refusal is not None:
+            self.say(Severity.CRITICAL, refusal.format(mode=mode.shown))
+            return self._manner.refused_mode
         self._forget_failsafe()
         self._enter(mode)
         if mode.task is Task.LAND and self.armed:
@@ -70,7 +78,17 @@ class Commander:
 
     def begin(self, task: Task) -> None:
         """Another task within the present mode."""
-        self.task = task
+        self.task, self.subtask = task, None
+
+    @property
+    def flown(self) -> Task:
+        """The task on hand, a mission's own where there is one."""
+        return self.task if self.subtask is None else self.subtask
+
+    def terminate(self) -> None:
+        """Stop the motors wherever that is."""
+        if self.armed:
+            self._stop(Severity.CRITICAL, self._manner.texts.terminated or self._manner.texts.disarmed)
 
     def say(self, severity: Severity, text: str) -> None:
         """Queue a text for the ground; an empty one is not worth sending."""
@@ -97,12 +115,14 @@ class Commander:
                 continue
             self._held_s[index] += dt_s
             if self._held_s[index] >= failsafe.after_s:
+                if not failsafe.returns:
+                    self._held_s[index] = -inf  # once: a mode chosen after that is the pilot's own
                 self._respond(failsafe)
                 return
 
     def _refresh(self) -> None:
         now = self.situation
-        now.task, now.armable = self.task, self.mode.armable
+        now.task, now.armable, now.armed = self.flown, self.mode.armable, self.armed
         now.streaming = self.mode.task is Task.SETPOINT
 
     def _respond(self, failsafe: Failsafe) -> None:
@@ -110,28 +130,25 @@ class Commander:
             self._stop(failsafe.severity, failsafe.text)
             return
         self.say(failsafe.severity, failsafe.text)
-        self._left_mode, self._left_by = self.mode, failsafe
+        if failsafe.returns:
+            self._left_mode, self._left_by = self.mode, failsafe
         self.in_failsafe = True
         self._enter(self._manner.mode(failsafe.mode))
-
-    def _available(self, mode: Mode) -> bool:
-        if mode.task is Task.SETPOINT and self._manner.external_needs_setpoints:
-            return self.situation.setpoint_age_s < min(0.5, self.situation.setpoint_timeout_s)
-        return mode.in_flight or not self.armed or self.situation.landed
 
     def _enter(self, mode: Mode) -> None:
         # entering the mode one is in already does not interrupt what is flown there
         if mode is not self.mode:
-            self.mode, self.task = mode, mode.task
+            self.mode = mode
+            self.begin(mode.task)
 
     def _stop(self, severity: Severity, text: str) -> None:
         self.armed = False
         self.say(severity, text)
         self._forget_failsafe()
         self._held_s = [0.0] * len(self._held_s)
-        if self._manner.after_disarm_mode and self.mode.task in (Task.LAND, Task.RETURN, Task.TAKE_OFF):
+        if self._manner.after_disarm_mode and self.mode.task in _ENDS_WITH_FLIGHT:
             self._enter(self._manner.mode(self._manner.after_disarm_mode))
-        self.task = self.mode.task
+        self.begin(self.mode.task)
 
     def _forget_failsafe(self) -> None:
         self._left_mode, self._left_by, self.in_failsafe = None, None, False

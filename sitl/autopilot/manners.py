@@ -10,10 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.messages import Manner as MannerName
-from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, Result, Situation
+from sitl.autopilot.landing_target import Lander
+from sitl.autopilot.mission_items import MissionRules
+from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, ModeCheck, Result, Situation, Task
 from sitl.autopilot.position_control import PositionGains
 from sitl.autopilot.setpoints import Frame
-from sitl.parameters import Parameter, Setting
+from sitl.parameters import Parameter, Parameters, Setting
 
 # MAV_MODE_FLAG bits without "armed"
 FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 64
@@ -21,13 +23,33 @@ FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Which parameter holds what; None: the autopilot has none for it."""
+    """Which parameter holds what; None: the autopilot has none for it.
+
+    `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
+    `radio_watched` at 0 lets a lost radio be; `radio_exceptions` are bits of modes that a lost radio does not
+    end: 1 mission, 2 hold, 4 external.
+    """
 
     setpoint_timeout: Setting
     cruise_speed: Setting
     top_speed: Setting
+    climb_speed: Setting
+    descent_speed: Setting
+    take_off_speed: Setting
     landing_speed: Setting
+    final_landing_speed: Setting
+    final_landing_height: Setting
     return_height: Setting
+    acceptance_radius: Setting
+    radio_timeout: Setting
+    stick_speed: Setting
+    stick_climb: Setting
+    stick_descent: Setting
+    stick_tilt: Setting
+    stick_yaw_rate: Setting
+    radio_exceptions: Setting | None = None
+    radio_watched: Setting | None = None
+    own_ground_station: Setting | None = None
     take_off_height: Setting | None = None
     still_speed: Setting | None = None
     guided_options: Setting | None = None
@@ -44,13 +66,17 @@ class Texts:
     lifted: str
     landed: str
     landing: str
-    mode_unavailable: str
+    no_such_mode: str = ""
+    terminated: str = ""
+    no_mission: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Manner:
     """One autopilot's habits.
 
+    `forward_is_low`: the RC channel of the pitch stick falls when it is pushed. `lander` makes the precision
+    landing, if the parameters ask for one at boot; it flies the tasks in `lands_precisely`.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
     register value that the simulated IMU knows.
     """
@@ -78,15 +104,23 @@ class Manner:
     take_off_needs_guided: bool
     external_times_out_in_mode: bool
     thrust_is_climb_rate: bool
+    forward_is_low: bool
+    turns_by_command: bool
     refused_arming: Result
+    refused_mode: Result
+    refused_selection: Result
     refused_disarming: Result
     refused_disarming_text: str
     unsupported_request: Result
     settings: Settings
     texts: Texts
+    mode_checks: tuple[ModeCheck, ...]
     arming_checks: tuple[ArmingCheck, ...]
     failsafes: tuple[Failsafe, ...]
     parameters: tuple[Parameter, ...]
+    mission: MissionRules
+    lander: Callable[[Parameters], Lander | None]
+    lands_precisely: frozenset[Task]
     gains: PositionGains
     imu_messages: tuple[str, ...]
     imu_filter: int
@@ -130,6 +164,21 @@ def aligned(now: Situation) -> bool:
 def mode_armable(now: Situation) -> bool:
     """The present mode allows arming."""
     return now.armable
+
+
+def mission_missing(mode: Mode, now: Situation) -> bool:
+    """A mission is to be flown, and there is none."""
+    return mode.task is Task.MISSION and not now.mission_ready
+
+
+def not_from_flight(mode: Mode, now: Situation) -> bool:
+    """Flown by hand alone, in flight, and nobody is at the sticks."""
+    return not mode.in_flight and now.armed and not now.landed and not now.radio
+
+
+def radio_lost(now: Situation) -> bool:
+    """Somebody was at the sticks, and no longer is."""
+    return now.radio_lost
 
 
 def setpoints_stopped(now: Situation) -> bool:

@@ -21,6 +21,16 @@ class Task(Enum):
     SETPOINT = "setpoint"
     LAND = "land"
     RETURN = "return"
+    MISSION = "mission"
+    PRECISION_LAND = "precision land"
+
+
+class StickLaw(Enum):
+    """What the sticks mean: velocities, leaning angles and a climb rate, or leaning angles and thrust."""
+
+    VELOCITY = "velocity"
+    ANGLE_AND_CLIMB = "angle and climb"
+    ANGLE_AND_THRUST = "angle and thrust"
 
 
 class Result(IntEnum):
@@ -45,7 +55,11 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """One flight mode: HEARTBEAT's custom_mode, base_mode without the armed bit, and what it may do."""
+    """One flight mode: HEARTBEAT's custom_mode, base_mode without the armed bit, and what it may do.
+
+    `title` is its name in texts. A mode with `sticks` is flown by them once there are any, and holds until
+    then. One that is not `offered` is known and always refused.
+    """
 
     name: str
     custom_mode: int
@@ -55,12 +69,30 @@ class Mode:
     takes_positions: bool = False
     armable: bool = True
     in_flight: bool = True
+    sticks: StickLaw | None = None
+    title: str = ""
+    offered: bool = True
+
+    @property
+    def shown(self) -> str:
+        """The mode's name in texts."""
+        return self.title or self.name
 
 
 @dataclass(slots=True)
 class Situation:
-    """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one."""
+    """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one.
 
+    `radio`: somebody's sticks are heard; `radio_lost`: they were, and no longer are. `mission_ready`: there
+    is one to fly, `mission_climbs`: and it begins with a take-off.
+    """
+
+    armed: bool = False
+    radio: bool = False
+    radio_lost: bool = False
+    throttle_up: bool = False
+    mission_ready: bool = False
+    mission_climbs: bool = False
     aligned: bool = False
     armable: bool = True
     landed: bool = True
@@ -83,6 +115,14 @@ class ArmingCheck:
     text: str
 
 
+@dataclass(frozen=True, slots=True)
+class ModeCheck:
+    """A mode is refused with `text` (which may name the `{mode}`) when it `fails`."""
+
+    fails: Callable[[Mode, Situation], bool]
+    text: str
+
+
 class Response(Enum):
     """What a failsafe does."""
 
@@ -94,7 +134,7 @@ class Response(Enum):
 class Failsafe:
     """When `condition` has held for `after_s`, do `response` and say `text`.
 
-    LEAVE_MODE goes to `mode`, and back as soon as the condition has ended.
+    LEAVE_MODE goes to `mode`, and with `returns` back as soon as the condition has ended.
     """
 
     name: str
@@ -104,3 +144,4 @@ class Failsafe:
     severity: Severity
     text: str
     mode: str = ""
+    returns: bool = True

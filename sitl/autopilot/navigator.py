@@ -14,13 +14,53 @@ from sitl.autopilot.modes import Task
 from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.parameters import Parameters
 
-TAKE_OFF_SPEED_M_S = 1.5
-FINAL_LANDING_SPEED_M_S = 0.5
-_FINAL_HEIGHT_M = 2.0
 _HEIGHT_REACHED_M = 0.2
 _HOME_REACHED_M = 0.8
 _HOME_SPEED_M_S = 0.4
 _STOPPED_M_S = 0.25
+_FASTEST_M_S = 50.0
+
+
+class Speeds:
+    """Horizontal, climb and descent speed (m/s): the parameters', until DO_CHANGE_SPEED says otherwise."""
+
+    def __init__(self, manner: Manner, parameters: Parameters) -> None:
+        settings = manner.settings
+        self._parameters = parameters
+        self._settings = (settings.cruise_speed, settings.climb_speed, settings.descent_speed)
+        self._changed: list[float | None] = [None, None, None]
+
+    def forget(self) -> None:
+        """Back to the parameters'."""
+        self._changed = [None, None, None]
+
+    def change(self, kind: int, speed_m_s: float) -> bool:
+        """DO_CHANGE_SPEED: SPEED_TYPE and m/s (-1: as it is, -2: the default); False when that is none."""
+        index = {0: 0, 1: 0, 2: 1, 3: 2}.get(kind)
+        if index is None or not (0.0 < speed_m_s <= _FASTEST_M_S or speed_m_s in (-1.0, -2.0)):
+            return False
+        if speed_m_s != -1.0:
+            self._changed[index] = speed_m_s if speed_m_s > 0.0 else None
+        return True
+
+    @property
+    def horizontal(self) -> float:
+        """Horizontal speed (m/s)."""
+        return self._value(0)
+
+    @property
+    def climb(self) -> float:
+        """Climb speed (m/s), upward positive."""
+        return self._value(1)
+
+    @property
+    def descent(self) -> float:
+        """Descent speed (m/s), downward positive."""
+        return self._value(2)
+
+    def _value(self, index: int) -> float:
+        changed = self._changed[index]
+        return self._parameters.si(self._settings[index]) if changed is None else changed
 
 
 class Navigator:
@@ -31,20 +71,45 @@ class Navigator:
         self._parameters = parameters
         self._held: Vector3 | None = None
         self._task = Task.HOLD
+        self.speeds = Speeds(manner, parameters)
         self.home_ned_m = ZERO3
+        self.home_is_fixed = False
         self.climb_to_m = 0.0
         self.target_ned_m = ZERO3
         self.target_yaw_rad = nan
         self.target_speed_m_s: float | None = None
+        self.held_yaw_rad = nan
 
     def let_go(self) -> None:
         """Forget the held place: the next hold brakes and stays where it comes to rest."""
         self._held = None
 
+    def fix_home(self, position_ned_m: Vector3) -> None:
+        """Somebody has said where home is: it no longer is where the vehicle was armed."""
+        self.home_ned_m, self.home_is_fixed = position_ned_m, True
+
+    def towards(self, target: Vector3) -> MotionSetpoint:
+        """Fly to a place at the speeds in force."""
+        speeds = self.speeds
+        return MotionSetpoint(
+            target,
+            horizontal_speed_m_s=speeds.horizontal,
+            climb_speed_m_s=speeds.climb,
+            descent_speed_m_s=speeds.descent,
+        )
+
+    def landing_speed(self, position: Vector3) -> float:
+        """How fast to sink (m/s) at a place, by its height over home."""
+        height = self.home_ned_m[2] - position[2]
+        final = self._parameters.si(self._settings.final_landing_speed)
+        if height < self._parameters.si(self._settings.final_landing_height):
+            return final
+        return max(self._parameters.si(self._settings.landing_speed) or self.speeds.descent, final)
+
     def step(self, task: Task, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
         """The setpoint for a task, and the task to go on with when this one is done."""
         if task is not self._task:
-            self._task, self._held = task, None
+            self._task, self._held, self.held_yaw_rad = task, None, nan
         if task is Task.TAKE_OFF:
             return self._take_off(position)
         if task is Task.GO_TO:
@@ -60,29 +125,28 @@ class Navigator:
             if math.dist(velocity, ZERO3) > _STOPPED_M_S:
                 return MotionSetpoint(velocity_ned_m_s=ZERO3)
             self._held = position
-        return MotionSetpoint(position_ned_m=self._held, horizontal_speed_m_s=self._cruise())
+        cruise = self.speeds.horizontal
+        return MotionSetpoint(self._held, yaw_rad=self.held_yaw_rad, horizontal_speed_m_s=cruise)
 
     def _take_off(self, position: Vector3) -> tuple[MotionSetpoint, Task | None]:
         if self._held is None:
             self._held = position
         north, east, _ = self._held
         down = self.home_ned_m[2] - self.climb_to_m
+        climb = self._parameters.si(self._settings.take_off_speed)
         if abs(position[2] - down) < _HEIGHT_REACHED_M:
             self._held, self._task = (north, east, down), Task.HOLD
-            return MotionSetpoint(position_ned_m=self._held, climb_speed_m_s=TAKE_OFF_SPEED_M_S), Task.HOLD
-        return MotionSetpoint((north, east, down), climb_speed_m_s=TAKE_OFF_SPEED_M_S), None
+            return MotionSetpoint(position_ned_m=self._held, climb_speed_m_s=climb), Task.HOLD
+        return MotionSetpoint((north, east, down), climb_speed_m_s=climb), None
 
     def _go(self, target: Vector3) -> MotionSetpoint:
-        speed = self._cruise() if self.target_speed_m_s is None else self.target_speed_m_s
+        speed = self.speeds.horizontal if self.target_speed_m_s is None else self.target_speed_m_s
         return MotionSetpoint(target, yaw_rad=self.target_yaw_rad, horizontal_speed_m_s=speed)
 
     def _land(self, position: Vector3, velocity: Vector3) -> MotionSetpoint:
         if self._held is None and math.hypot(velocity[0], velocity[1]) < _STOPPED_M_S:
             self._held = position
-        height = self.home_ned_m[2] - position[2]
-        speed = self._parameters.si(self._settings.landing_speed)
-        if height < _FINAL_HEIGHT_M:
-            speed = min(speed, FINAL_LANDING_SPEED_M_S)
+        speed = self.landing_speed(position)
         if self._held is None:
             return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, speed))
         north, east, _ = self._held
@@ -98,7 +162,5 @@ class Navigator:
             return self._go((north, east, self._held[2])), Task.LAND
         if position[2] - self._held[2] > 0.5:
             return MotionSetpoint(self._held), None
-        return MotionSetpoint((north, east, self._held[2]), horizontal_speed_m_s=self._cruise()), None
-
-    def _cruise(self) -> float:
-        return self._parameters.si(self._settings.cruise_speed)
+        speed = self.speeds.horizontal
+        return MotionSetpoint((north, east, self._held[2]), horizontal_speed_m_s=speed), None

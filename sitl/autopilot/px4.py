@@ -6,6 +6,8 @@ times); the recording's 6 to 11 s come from very noisy estimates.
 
 from __future__ import annotations
 
+import math
+
 from sitl.autopilot.manners import (
     FLAG_AUTO,
     FLAG_CUSTOM,
@@ -18,14 +20,30 @@ from sitl.autopilot.manners import (
     aligned,
     landed_after_flight,
     level,
+    mission_missing,
     mode_armable,
     never_flown,
+    not_from_flight,
+    radio_lost,
     setpoints_stopped,
 )
-from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, Response, Result, Severity, Task
+from sitl.autopilot.mission_items import Command, MissionRules
+from sitl.autopilot.modes import (
+    ArmingCheck,
+    Failsafe,
+    Mode,
+    ModeCheck,
+    Response,
+    Result,
+    Severity,
+    StickLaw,
+    Task,
+)
 from sitl.autopilot.position_control import PositionGains
+from sitl.autopilot.px4_lander import PX4Lander
+from sitl.autopilot.px4_parameters import PARAMETERS
 from sitl.autopilot.setpoints import Frame
-from sitl.parameters import Parameter, Setting
+from sitl.parameters import Setting
 
 _AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
 _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
@@ -48,13 +66,48 @@ PX4 = Manner(
     landed_time_s=1.5,
     still_speed_m_s=0.25,
     modes=(
-        Mode("MANUAL", _number(1), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, in_flight=False),
-        Mode("POSCTL", _number(3), _STICKS, Task.HOLD),
-        Mode("AUTO_TAKEOFF", _number(4, 2), _AUTO, Task.TAKE_OFF, takes_positions=True),
-        Mode("AUTO_LOITER", _number(4, 3), _AUTO, Task.HOLD, takes_positions=True),
-        Mode("AUTO_RTL", _number(4, 5), _AUTO, Task.RETURN, armable=False),
-        Mode("AUTO_LAND", _number(4, 6), _AUTO, Task.LAND, armable=False),
-        Mode("OFFBOARD", _number(6), FLAG_CUSTOM | FLAG_STABILIZE, Task.SETPOINT, takes_setpoints=True),
+        Mode(
+            "MANUAL",
+            _number(1),
+            FLAG_CUSTOM | FLAG_MANUAL,
+            Task.HOLD,
+            in_flight=False,
+            sticks=StickLaw.ANGLE_AND_THRUST,
+            title="Manual",
+        ),
+        Mode("ALTCTL", _number(2), _STICKS, Task.HOLD, sticks=StickLaw.ANGLE_AND_CLIMB, title="Altitude"),
+        Mode("POSCTL", _number(3), _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY, title="Position"),
+        Mode("AUTO_TAKEOFF", _number(4, 2), _AUTO, Task.TAKE_OFF, takes_positions=True, title="Takeoff"),
+        Mode("AUTO_LOITER", _number(4, 3), _AUTO, Task.HOLD, takes_positions=True, title="Hold"),
+        Mode("AUTO_MISSION", _number(4, 4), _AUTO, Task.MISSION, title="Mission"),
+        Mode("AUTO_RTL", _number(4, 5), _AUTO, Task.RETURN, armable=False, title="Return"),
+        Mode("AUTO_LAND", _number(4, 6), _AUTO, Task.LAND, armable=False, title="Land"),
+        Mode(
+            "AUTO_PRECLAND",
+            _number(4, 9),
+            _AUTO,
+            Task.PRECISION_LAND,
+            armable=False,
+            title="Precision Landing",
+        ),
+        Mode("ACRO", _number(5), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, title="Acro", offered=False),
+        Mode(
+            "OFFBOARD",
+            _number(6),
+            FLAG_CUSTOM | FLAG_STABILIZE,
+            Task.SETPOINT,
+            takes_setpoints=True,
+            title="Offboard",
+        ),
+        Mode(
+            "STABILIZED",
+            _number(7),
+            _STICKS,
+            Task.HOLD,
+            in_flight=False,
+            sticks=StickLaw.ANGLE_AND_THRUST,
+            title="Stabilized",
+        ),
     ),
     boot_mode="AUTO_LOITER",
     after_disarm_mode="AUTO_LOITER",
@@ -69,6 +122,10 @@ PX4 = Manner(
     take_off_needs_guided=False,
     external_times_out_in_mode=False,
     thrust_is_climb_rate=False,
+    forward_is_low=False,
+    turns_by_command=False,
+    refused_mode=Result.TEMPORARILY_REJECTED,
+    refused_selection=Result.DENIED,
     refused_arming=Result.TEMPORARILY_REJECTED,
     refused_disarming=Result.TEMPORARILY_REJECTED,
     refused_disarming_text="Disarming denied: not landed",
@@ -77,8 +134,21 @@ PX4 = Manner(
         setpoint_timeout=Setting("COM_OF_LOSS_T"),
         cruise_speed=Setting("MPC_XY_CRUISE"),
         top_speed=Setting("MPC_XY_VEL_MAX"),
+        climb_speed=Setting("MPC_Z_V_AUTO_UP"),
+        descent_speed=Setting("MPC_Z_V_AUTO_DN"),
+        take_off_speed=Setting("MPC_TKO_SPEED"),
         landing_speed=Setting("MPC_LAND_SPEED"),
+        final_landing_speed=Setting("MPC_LAND_CRWL"),
+        final_landing_height=Setting("MPC_LAND_ALT3"),
         return_height=Setting("RTL_RETURN_ALT"),
+        acceptance_radius=Setting("NAV_ACC_RAD"),
+        radio_timeout=Setting("COM_RC_LOSS_T"),
+        stick_speed=Setting("MPC_VEL_MANUAL"),
+        stick_climb=Setting("MPC_Z_VEL_MAX_UP"),
+        stick_descent=Setting("MPC_Z_VEL_MAX_DN"),
+        stick_tilt=Setting("MPC_MAN_TILT_MAX", math.pi / 180.0),
+        stick_yaw_rate=Setting("MPC_MAN_Y_MAX", math.pi / 180.0),
+        radio_exceptions=Setting("COM_RCL_EXCEPT"),
         still_speed=Setting("LNDMC_Z_VEL_MAX"),
         take_off_height=Setting("MIS_TAKEOFF_ALT"),
     ),
@@ -90,7 +160,19 @@ PX4 = Manner(
         lifted="Takeoff detected",
         landed="Landing detected",
         landing="Landing at current position",
-        mode_unavailable="Switching to mode '{mode}' is currently not available",
+        terminated="Flight termination active",
+        no_mission="Mission start denied! No valid mission",
+    ),
+    mode_checks=tuple(
+        ModeCheck(fails, "Switching to mode '{mode}' is currently not available")
+        for fails in (
+            lambda mode, _now: not mode.offered,
+            mission_missing,
+            not_from_flight,
+            lambda mode, now: (
+                mode.task is Task.SETPOINT and now.setpoint_age_s >= min(0.5, now.setpoint_timeout_s)
+            ),
+        )
     ),
     arming_checks=(
         ArmingCheck(aligned, "Arming denied: Resolve system health failures first"),
@@ -108,6 +190,16 @@ PX4 = Manner(
             "Failsafe activated: No offboard control signal, switching to Position",
             mode="POSCTL",
         ),
+        Failsafe(
+            "radio lost",
+            radio_lost,
+            5.0,  # COM_FAIL_ACT_T
+            Response.LEAVE_MODE,
+            Severity.CRITICAL,
+            "Failsafe activated: Manual control lost, switching to Return",
+            mode="AUTO_RTL",
+            returns=False,
+        ),
         Failsafe("landed", landed_after_flight, 2.0, Response.DISARM, Severity.INFO, "Disarmed by landing"),
         Failsafe(
             "not taken off",
@@ -118,17 +210,47 @@ PX4 = Manner(
             "Disarmed by auto preflight disarming",
         ),
     ),
-    parameters=(
-        Parameter("SYS_AUTOSTART", 4001, 0, 9999999, integer=True),
-        Parameter("MAV_SYS_ID", 1, 1, 250, integer=True),
-        Parameter("MIS_TAKEOFF_ALT", 2.5, 0.0, 80.0),
-        Parameter("COM_OF_LOSS_T", 1.0, 0.0, 60.0),
-        Parameter("MPC_XY_VEL_MAX", 12.0, 0.0, 20.0),
-        Parameter("MPC_XY_CRUISE", 5.0, 3.0, 20.0),
-        Parameter("MPC_LAND_SPEED", 0.7, 0.6, 2.0),
-        Parameter("RTL_RETURN_ALT", 10.0, 0.0, 150.0),
-        Parameter("LNDMC_Z_VEL_MAX", 0.25, 0.0, 1.0),
+    parameters=PARAMETERS,
+    mission=MissionRules(
+        flown=frozenset(
+            {
+                Command.WAYPOINT,
+                Command.LOITER_UNLIM,
+                Command.LOITER_TIME,
+                Command.RETURN_TO_LAUNCH,
+                Command.LAND,
+                Command.TAKEOFF,
+                Command.DELAY,
+                Command.DO_JUMP,
+                Command.DO_CHANGE_SPEED,
+                Command.DO_SET_HOME,
+                Command.DO_LAND_START,
+            }
+        ),
+        # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
+        unheeded=frozenset({183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001})
+        | frozenset({2500, 2501}),
+        max_items=2000,
+        retry_s=0.25,
+        timeout_s=5.0,
+        home_first=False,
+        asks_for_integers=True,
+        writes_in_place=False,
+        restarts=False,
+        partial_lists=False,
+        own_take_off=True,
+        waits_for_start=False,
+        heeds_heading=True,
+        rewinds_on_disarm=False,
+        received_text="",
+        timeout_text="Operation timeout",
+        unknown_current_text="WPM: WP CURR CMD: Not in list",
+        item_text="",
+        reached_text="",
+        finished_text="Mission finished, loitering",
     ),
+    lander=PX4Lander,
+    lands_precisely=frozenset({Task.PRECISION_LAND}),
     gains=PositionGains(),
     imu_messages=("HIGHRES_IMU",),
     imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF

@@ -229,11 +229,13 @@ def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
     flight = Flight(manner)
     flight.take_off(5.0)
     assert flight.autopilot.set_mode_named(flight.autopilot.manner.land_mode) is Result.ACCEPTED
+    # PX4 crawls below MPC_LAND_ALT3, ArduPilot keeps LAND_SPEED from LAND_ALT_LOW (10 m) down
+    first, last = (0.7, 0.3) if manner == "px4" else (0.5, 0.5)
     flight.run(2.0)
-    assert flight.vehicle.velocity[2] == pytest.approx(0.7, abs=0.05)
+    assert flight.vehicle.velocity[2] == pytest.approx(first, abs=0.05)
     assert landed_state(flight) is LandedState.LANDING
     speeds = [s.velocity[2] for s in flight.run(16.0) if s.position[2] < -0.2]
-    assert speeds[-1] == pytest.approx(0.5, abs=0.05)
+    assert speeds[-1] == pytest.approx(last, abs=0.05)
     assert not flight.autopilot.armed
     assert landed_state(flight) is LandedState.ON_GROUND
 

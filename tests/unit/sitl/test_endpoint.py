@@ -271,7 +271,9 @@ def test_global_positions_are_flown() -> None:
 
 def test_parameters_are_listed_read_and_set() -> None:
     link = Link("px4")
-    values = of(link.send(mavlink.MAVLink_param_request_list_message(1, 1)), "PARAM_VALUE")
+    link.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    link.run(2.0)
+    values = [m for m in of(link.heard, "PARAM_VALUE") if m.param_id != "_HASH_CHECK"]
     assert len(values) == values[0].param_count
     assert [value.param_index for value in values] == list(range(len(values)))
     answer = of(

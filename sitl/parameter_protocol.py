@@ -1,0 +1,134 @@
+"""MAVLink's parameter protocol, sans I/O: list, read, set, and PX4's hash.
+
+One object a link. A list is paced as a real link paces it, so that a client that asks again for what it
+missed is served meanwhile. Integers go bytewise in the float field with PX4, as plain numbers with ArduPilot.
+Sources: mavlink.io's parameter protocol; PX4 1.16 `mavlink_parameters.cpp`; ArduPilot 4.6 `GCS_Param.cpp`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilot import Autopilot, Severity
+
+Message = Any  # pymavlink's classes are generated without types
+
+HASH_NAME: Final = "_HASH_CHECK"
+_BURST: Final = 20
+_BURST_PERIOD_S: Final = 0.05
+_NO_INDEX: Final = 0xFFFF
+_REAL32: Final = mavlink.MAV_PARAM_TYPE_REAL32
+_INTEGERS: Final = {
+    8: mavlink.MAV_PARAM_TYPE_INT8,
+    16: mavlink.MAV_PARAM_TYPE_INT16,
+    32: mavlink.MAV_PARAM_TYPE_INT32,
+}
+_ALL_ONES: Final = 0xFFFFFFFF
+
+
+class ParameterProtocol:
+    """One link's end of the protocol."""
+
+    def __init__(self, autopilot: Autopilot) -> None:
+        self._autopilot = autopilot
+        self._next: int | None = None
+        self._due_s = -math.inf
+        self._handlers: dict[int, Callable[[Message, float], list[Message]]] = {
+            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_list,
+            mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_read,
+            mavlink.MAVLINK_MSG_ID_PARAM_SET: self._on_set,
+        }
+        self.message_ids: Final = frozenset(self._handlers)
+
+    def handle(self, message: Message, now_s: float) -> list[Message]:
+        """Answers to a message; none to one that is not of this protocol."""
+        handler = self._handlers.get(message.get_msgId())
+        return [] if handler is None else handler(message, now_s)
+
+    def due(self, now_s: float) -> list[Message]:
+        """The next parameters of a list under way."""
+        first = self._next
+        if first is None or now_s < self._due_s:
+            return []
+        self._due_s = now_s + _BURST_PERIOD_S
+        last = min(first + _BURST, len(self._autopilot.parameters))
+        self._next = last if last < len(self._autopilot.parameters) else None
+        names = (self._autopilot.parameters.name_at(index) for index in range(first, last))
+        return [self._value(name, index) for index, name in enumerate(names, first) if name is not None]
+
+    def _on_list(self, m: Message, now_s: float) -> list[Message]:
+        self._next, self._due_s = 0, now_s
+        return [self._hash()] if self._bytewise else []
+
+    def _on_read(self, m: Message, now_s: float) -> list[Message]:
+        index = m.param_index
+        parameters = self._autopilot.parameters
+        name = parameters.name_at(index) if index >= 0 else _text(m.param_id)
+        if name == HASH_NAME and self._bytewise:
+            return [self._hash()]
+        if name is None or name not in parameters:
+            return []
+        by_name = index < 0 and not self._bytewise
+        return [self._value(name, _NO_INDEX if by_name else parameters.index_of(name))]
+
+    def _on_set(self, m: Message, now_s: float) -> list[Message]:
+        parameters, name, value = self._autopilot.parameters, _text(m.param_id), m.param_value
+        if name == HASH_NAME and self._bytewise:
+            self._next = None  # the client has all of these values already
+            return []
+        if name not in parameters:
+            return []
+        if self._bytewise:
+            if m.param_type != self._type(name):
+                self._autopilot.say(Severity.CRITICAL, f"param types mismatch param: {name}")
+                return []
+            if parameters.is_integer(name):
+                value = float(struct.unpack("<i", struct.pack("<f", value))[0])
+        parameters.set(name, value)
+        # a refused value is answered by the one that stands
+        return [self._value(name, parameters.index_of(name) if self._bytewise else _NO_INDEX)]
+
+    @property
+    def _bytewise(self) -> bool:
+        return self._autopilot.manner.parameters_bytewise
+
+    def _type(self, name: str) -> int:
+        parameters = self._autopilot.parameters
+        kind: int = _INTEGERS[parameters.bits(name)] if parameters.is_integer(name) else _REAL32
+        return kind
+
+    def _value(self, name: str, index: int) -> Message:
+        parameters = self._autopilot.parameters
+        value = parameters[name]
+        if self._bytewise:
+            value = struct.unpack("<f", self._raw(name))[0]
+        return mavlink.MAVLink_param_value_message(
+            name.encode(), value, self._type(name), len(parameters), index
+        )
+
+    def _raw(self, name: str) -> bytes:
+        value = self._autopilot.parameters[name]
+        integer = self._autopilot.parameters.is_integer(name)
+        return struct.pack("<i", int(value)) if integer else struct.pack("<f", value)
+
+    def _hash(self) -> Message:
+        """_HASH_CHECK: the CRC of all names and values, by which a client sees that it knows them already."""
+        crc = 0
+        for name in self._autopilot.parameters:
+            for part in (name.encode(), self._raw(name)):
+                crc = zlib.crc32(part, crc ^ _ALL_ONES) ^ _ALL_ONES
+        value = struct.unpack("<f", struct.pack("<I", crc))[0]
+        count = len(self._autopilot.parameters)
+        return mavlink.MAVLink_param_value_message(
+            HASH_NAME.encode(), value, mavlink.MAV_PARAM_TYPE_UINT32, count, _NO_INDEX
+        )
+
+
+def _text(value: str | bytes) -> str:
+    return value if isinstance(value, str) else value.decode("ascii", "replace")
