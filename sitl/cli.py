@@ -18,12 +18,15 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
+from sitl.campaign.command import HELP as CAMPAIGN_HELP
+from sitl.campaign.command import campaign_command
 from sitl.scenario import load_scenario
 from sitl.server import serve
 
 USER_ERROR: Final = 2
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+cli.command("campaign", help=CAMPAIGN_HELP, short_help="Fly scenarios under many seeds.")(campaign_command)
 
 
 @cli.callback(invoke_without_command=True)
