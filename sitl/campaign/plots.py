@@ -8,6 +8,7 @@ people who see few colours tell apart.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
@@ -36,6 +37,7 @@ OUTCOME_COLOURS: Final = {
 }
 # from here on a picture would rather show what is inside
 FAR_PADS: Final = 1.5
+CLOSE_BOUNDS: Final = 1.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,11 +141,13 @@ def draw_share(
     """Share of all runs whose `column` is at most so large; one that never came down is in none."""
     figure = Figure(figsize=(9.0, 5.5), dpi=110, layout="constrained")
     axes: Any = figure.subplots()
+    quantity, _, unit = label.removesuffix(")").partition(" (")
     widest = 1.15 * factor * max(bounds)
     beyond = 0
     for name, group in groups.items():
         sizes = factor * np.array(values(group, column))
         beyond += int(np.sum(sizes > widest))
+        sizes = sizes[sizes <= widest]
         x = np.concatenate([[0.0], sizes, [widest]])
         y = 100.0 * np.concatenate([[0.0], np.arange(1, len(sizes) + 1), [len(sizes)]]) / len(group)
         look = looks[name]
@@ -158,13 +162,13 @@ def draw_share(
         )
     for bound in bounds:
         axes.axvline(factor * bound, color="black", linestyle=":", linewidth=1.2)
-        axes.text(factor * bound, 2.0, f" passes at {factor * bound:g} ", ha="right", fontsize=9)
+        axes.text(factor * bound, 2.0, f" passes at {factor * bound:g} {unit} ", ha="right", fontsize=9)
     axes.set_xlim(0.0, widest)
     axes.set_ylim(0.0, 103.0)
     axes.grid(visible=True, alpha=0.25)
     axes.set_xlabel(label + (f"; {_runs(beyond)} farther right than this" if beyond else ""))
     axes.set_ylabel("share of all runs (%)")
-    axes.set_title(f"{label.rpartition(' (')[0].capitalize()}: share of the runs at or below")
+    axes.set_title(f"{quantity.capitalize()}: share of the runs at or below")
     figure.legend(loc="outside lower center", ncols=min(5, len(groups)), frameon=False)
     return figure
 
@@ -175,30 +179,49 @@ def draw_share(
 def draw_touchdowns(
     groups: Mapping[str, Sequence[Row]], looks: Mapping[str, Look], scenarios: Mapping[str, Scenario]
 ) -> Figure:
-    """Where the vehicles came down: the whole pad on the left, its middle on the right."""
-    figure = Figure(figsize=(11.0, 6.2), dpi=110, layout="constrained")
-    whole, middle = figure.subplots(1, 2)
-    pads = {scenarios[name].pad.name: load_pad(scenarios[name].pad.name) for name in groups}
-    bounds = _bounds(groups, scenarios, "lateral_error_m")
-    side_m = max(max(pad.length_m, pad.width_m) for pad in pads.values())
-    for axes, reach_m in ((whole, 0.5 * FAR_PADS * side_m), (middle, 1.25 * max(bounds))):
-        for pad in pads.values():
-            _draw_pad(axes, pad)
-        for bound in bounds:
-            axes.add_patch(
-                Circle((0.0, 0.0), bound, fill=False, linestyle="--", linewidth=1.3, color="black")
-            )
-        beyond = _draw_places(axes, groups, looks, reach_m)
-        axes.set_aspect("equal")
-        axes.set_xlim(-reach_m, reach_m)
-        axes.set_ylim(-reach_m, reach_m)
-        axes.set_xlabel("to the right of the pad's heading (m)" + (f"; {beyond} outside" if beyond else ""))
-        axes.set_ylabel("along the pad's heading (m)")
-    whole.set_title("Touchdowns on the pad")
-    middle.set_title("The middle of it; dashed: passes within")
+    """Where the vehicles came down: the whole pad on the left, then the middle of it for each scenario."""
+    columns = math.ceil(math.sqrt(len(groups)))
+    lines = math.ceil(len(groups) / columns)
+    figure = Figure(figsize=(6.0 + 3.0 * columns, max(6.2, 3.2 * lines)), dpi=110, layout="constrained")
+    halves = figure.add_gridspec(1, 2, width_ratios=(5.5, 3.0 * columns))
+    panels = halves[1].subgridspec(lines, columns)
+    whole: Any = figure.add_subplot(halves[0])
+    pads = {scenario.pad.name: load_pad(scenario.pad.name) for scenario in scenarios.values()}
+    reach_m = 0.5 * FAR_PADS * max(max(pad.length_m, pad.width_m) for pad in pads.values())
+    draw_places(whole, groups, looks, scenarios, pads, reach_m)
+    whole.set_title("Touchdowns on the pad; dashed: passes within")
+    whole.set_xlabel("to the right of the pad's heading (m)")
+    whole.set_ylabel("along the pad's heading (m)")
+    for place, (name, group) in enumerate(groups.items()):
+        axes: Any = figure.add_subplot(panels[divmod(place, columns)])
+        bound_m = scenarios[name].pass_bounds.lateral_error_m
+        draw_places(axes, {name: group}, looks, scenarios, pads, CLOSE_BOUNDS * bound_m)
+        axes.set_title(name, fontsize=10)
+        axes.tick_params(labelsize=7)
     handles, labels = whole.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(groups)), frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(6, len(groups)), frameon=False)
     return figure
+
+
+def draw_places(
+    axes: Any,
+    groups: Mapping[str, Sequence[Row]],
+    looks: Mapping[str, Look],
+    scenarios: Mapping[str, Scenario],
+    pads: Mapping[str, Pad],
+    reach_m: float,
+) -> None:
+    """Pads, bounds and touchdowns within `reach_m` of the centre; a note counts those beyond."""
+    for name in {scenarios[group].pad.name for group in groups}:
+        _draw_pad(axes, pads[name])
+    for bound in _bounds(groups, scenarios, "lateral_error_m"):
+        axes.add_patch(Circle((0.0, 0.0), bound, fill=False, linestyle="--", linewidth=1.3, color="black"))
+    beyond = sum(_draw_group(axes, name, group, looks[name], reach_m) for name, group in groups.items())
+    axes.set_aspect("equal")
+    axes.set_xlim(-reach_m, reach_m)
+    axes.set_ylim(-reach_m, reach_m)
+    if beyond:
+        axes.text(0.02, 0.98, f"{beyond} outside", transform=axes.transAxes, va="top", fontsize=8)
 
 
 def _draw_pad(axes: Any, pad: Pad) -> None:
@@ -215,27 +238,21 @@ def _draw_pad(axes: Any, pad: Pad) -> None:
     axes.axvline(0.0, color="grey", linewidth=0.4)
 
 
-def _draw_places(
-    axes: Any, groups: Mapping[str, Sequence[Row]], looks: Mapping[str, Look], reach_m: float
-) -> int:
-    """The touchdowns; returns how many lie outside the picture."""
-    beyond = 0
-    for name, group in groups.items():
-        met = [row for row in group if row.touchdown_along_m is not None]
-        across = np.array([row.touchdown_across_m for row in met], dtype=float)
-        along = np.array([row.touchdown_along_m for row in met], dtype=float)
-        beyond += int(np.sum(np.maximum(np.abs(across), np.abs(along)) > reach_m))
-        look = looks[name]
-        axes.scatter(
-            across,
-            along,
-            s=26,
-            marker=look.marker,
-            facecolor=look.colour,
-            edgecolor="white",
-            linewidth=0.5,
-            alpha=0.85,
-            zorder=3,
-            label=f"{name} ({len(met)})",
-        )
-    return beyond
+def _draw_group(axes: Any, name: str, group: Sequence[Row], look: Look, reach_m: float) -> int:
+    """A scenario's touchdowns; returns how many lie outside the picture."""
+    met = [row for row in group if row.touchdown_along_m is not None]
+    across = np.array([row.touchdown_across_m for row in met], dtype=float)
+    along = np.array([row.touchdown_along_m for row in met], dtype=float)
+    axes.scatter(
+        across,
+        along,
+        s=24,
+        marker=look.marker,
+        facecolor=look.colour,
+        edgecolor="white",
+        linewidth=0.5,
+        alpha=0.85,
+        zorder=3,
+        label=f"{name} ({len(met)})",
+    )
+    return int(np.sum(np.maximum(np.abs(across), np.abs(along)) > reach_m))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -39,19 +40,29 @@ def groups_and_all(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def outcome_table(rows: Sequence[Row]) -> Table:
-    """How the runs ended, a scenario a row."""
-    table = Table(title="How the runs ended", title_justify="left")
-    table.add_column("scenario")
-    met = [outcome for outcome in OUTCOMES if outcome == "landed" or any(r.outcome == outcome for r in rows)]
-    for heading in ("runs", *met, "success % (95 % interval)", "flight s", "x real time"):
-        table.add_column(heading, justify="right")
+    """How the runs ended, a scenario a row; times and speeds are medians."""
+    table = _table("How the runs ended", "scenario")
+    table.add_column("runs", justify="right")
+    table.add_column("landed", justify="right")
+    table.add_column("success, 95 % interval", justify="right", no_wrap=True)
+    table.add_column("otherwise")
+    table.add_column("flight s", justify="right", no_wrap=True)
+    table.add_column("x real", justify="right", no_wrap=True)
     for name, group in groups_and_all(rows).items():
-        counts = [sum(row.outcome == outcome for row in group) for outcome in met]
-        success = share(counts[0], len(group))
+        counts = {outcome: sum(row.outcome == outcome for row in group) for outcome in OUTCOMES}
+        otherwise = [
+            f"{count} {outcome}" for outcome, count in counts.items() if count and outcome != "landed"
+        ]
+        success = share(counts["landed"], len(group))
         medians = (_middle(spread(group, "total_s"), 0), _middle(spread(group, "real_time_factor"), 1))
-        if name == "all" and len(table.rows) > 1:
-            table.add_section()
-        table.add_row(name, str(len(group)), *(str(count) for count in counts), str(success), *medians)
+        table.add_row(name, str(len(group)), str(success.hits), str(success), ", ".join(otherwise), *medians)
+    return table
+
+
+def _table(title: str, first: str) -> Table:
+    """Narrow enough for eighty columns."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column(first, no_wrap=True)
     return table
 
 
@@ -60,28 +71,26 @@ def _middle(found: Spread | None, digits: int) -> str:
 
 
 def error_table(rows: Sequence[Row], bounds: Mapping[str, PassBounds]) -> Table:
-    """The errors of all touchdowns: median, 95th percentile and worst, beside what passes."""
-    table = Table(title="At touchdown: p50 / p95 / worst (passes at)", title_justify="left")
-    table.add_column("scenario")
-    table.add_column("touchdowns", justify="right")
-    for _, heading, *_ in ERRORS:
-        table.add_column(heading, justify="right")
+    """The errors of all touchdowns: median, 95th percentile and worst, under what passes."""
+    table = _table("At touchdown: p50 p95 worst", "scenario")
+    table.add_column("came down", justify="right")
+    for _, heading, factor, _, bound in ERRORS:
+        # where the scenarios differ in what passes, one heading cannot say it
+        limits = {factor * float(getattr(own, bound)) for own in bounds.values()}
+        passes = f"\n<= {limits.pop():g}" if len(limits) == 1 else ""
+        table.add_column(heading + passes, justify="right", no_wrap=True)
     for name, group in groups_and_all(rows).items():
-        cells = []
-        for column, _, factor, digits, bound in ERRORS:
-            limit = getattr(bounds[name], bound) if name in bounds else None
-            cells.append(_spread_text(spread(group, column), factor, digits, limit))
-        if name == "all" and len(table.rows) > 1:
-            table.add_section()
+        cells = [
+            _spread_text(spread(group, column), factor, digits) for column, _, factor, digits, _ in ERRORS
+        ]
         table.add_row(name, str(sum(row.touchdown_lateral_m is not None for row in group)), *cells)
     return table
 
 
-def _spread_text(found: Spread | None, factor: float, digits: int, limit: float | None) -> str:
+def _spread_text(found: Spread | None, factor: float, digits: int) -> str:
     if found is None:
         return "-"
-    text = " / ".join(f"{factor * value:.{digits}f}" for value in (found.p50, found.p95, found.worst))
-    return text if limit is None else f"{text} ({factor * limit:g})"
+    return " ".join(f"{factor * value:.{digits}f}" for value in (found.p50, found.p95, found.worst))
 
 
 def print_worst(console: Console, rows: Sequence[Row]) -> None:
