@@ -119,7 +119,7 @@ def serve_flights() -> None:
         asked = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
         threading.Thread(target=_read, args=(asked, requests.put, os._exit), daemon=True).start()
         while True:
-            line = answer(requests.get()).model_dump_json(exclude_none=True)
+            line = answer(requests.get()).model_dump_json()
             answers.write(line.encode() + b"\n")
 
 

@@ -119,6 +119,7 @@ def draw_outcomes(groups: Mapping[str, Sequence[Row]]) -> Figure:
         axes.errorbar(100.0 * success.value, place, xerr=np.maximum(ends, 0.0), color="black", capsize=5)
         axes.text(102.0, place, f"{success.hits} of {success.of}", va="center", fontsize=9)
     axes.set_xlim(0.0, 114.0)
+    axes.set_ylim(-0.6, len(names) - 0.4)
     axes.set_xticks(range(0, 101, 10))
     axes.set_xlabel("share of the runs (%); black: landed, 95 % interval")
     axes.set_title("How the runs ended")
@@ -182,8 +183,9 @@ def draw_touchdowns(
     """Where the vehicles came down: the whole pad on the left, then the middle of it for each scenario."""
     columns = math.ceil(math.sqrt(len(groups)))
     lines = math.ceil(len(groups) / columns)
-    figure = Figure(figsize=(6.0 + 3.0 * columns, max(6.2, 3.2 * lines)), dpi=110, layout="constrained")
-    halves = figure.add_gridspec(1, 2, width_ratios=(5.5, 3.0 * columns))
+    beside_in = max(5.0, 3.0 * columns)
+    figure = Figure(figsize=(6.0 + beside_in, max(6.6, 3.2 * lines)), dpi=110, layout="constrained")
+    halves = figure.add_gridspec(1, 2, width_ratios=(5.5, beside_in))
     panels = halves[1].subgridspec(lines, columns)
     whole: Any = figure.add_subplot(halves[0])
     pads = {scenario.pad.name: load_pad(scenario.pad.name) for scenario in scenarios.values()}

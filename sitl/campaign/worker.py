@@ -46,7 +46,7 @@ class Flown:
     wall_s: float
     result: dict[str, Any] | None = None
     reason: str = ""
-    touchdown_pad_m: tuple[float, float] | None = None
+    touchdown_pad_m: Sequence[float] | None = None
     error: str = ""
 
 
@@ -84,15 +84,13 @@ class Worker:
             self._end()
             return Flown(flight, wall_clock_s() - started_s, error=str(error))
         wall_s = wall_clock_s() - started_s
-        if "refused" in answer:
+        if answer["refused"] is not None:
             raise ConfigError(answer["refused"])
-        if "fault" in answer:
+        if answer["fault"] is not None:
             # what state it was left in nobody knows
             self._end()
             return Flown(flight, wall_s, error=answer["fault"])
-        where = answer.get("touchdown_pad_m")
-        place = None if where is None else (where[0], where[1])
-        return Flown(flight, wall_s, answer["result"], answer["reason"], place)
+        return Flown(flight, wall_s, answer["result"], answer["reason"], answer["touchdown_pad_m"])
 
     def stop(self) -> None:
         """End the process, whatever it does, for good; a run that is being flown ends as failed."""
