@@ -6,8 +6,10 @@ each worker compares before it flies.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Generator, Sequence
+from concurrent.futures import CancelledError
 from functools import lru_cache
 from typing import Final
 
@@ -18,6 +20,7 @@ from sitl.campaign.manifest import Flight, code_digest, scenario_digest
 from sitl.campaign.worker import Flown, Worker
 
 CONNECT_S: Final = 10.0
+LOGGERS: Final = ("distributed", "distributed.client")
 _mine = threading.local()
 
 
@@ -32,11 +35,14 @@ def fly_on_cluster(flights: Sequence[Flight], address: str) -> Generator[Flown, 
     except (OSError, ValueError) as error:
         text = str(error).splitlines()[0]
         raise ConfigError(f"--scheduler {address}: {text}; expected a Dask scheduler's address") from error
+    # what it has to say about connections that end, we say ourselves
+    for name in LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     with client:
         futures = client.map(fly_here, flights, pure=False)
         asked = dict(zip(futures, flights, strict=True))
         try:
-            for future in as_completed(futures):
+            for future in as_completed(futures, loop=client.loop):
                 yield _flown(future, asked[future])
                 # what has been taken need not stay in the cluster's memory
                 future.release()
@@ -49,6 +55,8 @@ def _flown(future: Future, flight: Flight) -> Flown:
         flown: Flown = future.result()
     except KilledWorker as error:
         return Flown(flight, 0.0, error=f"the cluster's workers died of it: {' '.join(str(error).split())}")
+    except CancelledError as error:
+        raise ConfigError("--scheduler: it has gone; give the same command again when it is back") from error
     except ModuleNotFoundError as error:
         raise ConfigError(
             f"--scheduler: a worker of the cluster has {error}; expected companion there"
