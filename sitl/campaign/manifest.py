@@ -104,12 +104,10 @@ def make_plan(sources: Sequence[str], first_seed: int, runs: int, config: Path |
     Raises:
         ConfigError: a scenario or the settings are wrong, or two scenarios have one name.
     """
-    if "all" in sources:
-        sources = sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
     entries: dict[str, Entry] = {}
     scenarios: dict[str, Scenario] = {}
     settings = None if config is None else str(config.resolve())
-    for source in dict.fromkeys(_command_word(source) for source in sources):
+    for source in dict.fromkeys(_command_word(source) for source in _expanded(sources)):
         scenario = load_scenario(source)
         if scenario.name in entries:
             first = entries[scenario.name].source
@@ -128,6 +126,14 @@ def make_plan(sources: Sequence[str], first_seed: int, runs: int, config: Path |
         runs=runs,
     )
     return Plan(manifest, scenarios)
+
+
+def _expanded(sources: Sequence[str]) -> Iterator[str]:
+    for source in sources:
+        if source == "all":
+            yield from sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
+        else:
+            yield source
 
 
 def _command_word(source: str) -> str:
