@@ -9,10 +9,10 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 import cv2
 import typer
@@ -23,13 +23,15 @@ from companion.app import App
 from companion.clock import start_unix_s
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
 from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
+from companion.flights import HELP as FLIGHTS_HELP
+from companion.flights import reason, score, serve_flights
 from companion.hardware import make_actions, open_hardware
-from companion.messages import Outcome, Phase, Truth
+from companion.messages import Outcome, Phase
 from companion.record import FlightLog
 from companion.replay.command import HELP as REPLAY_HELP
 from companion.replay.command import replay_command
 from companion.report import result_table, write_plots
-from companion.result import Result, build_result, from_start
+from companion.result import Result, from_start
 from companion.terminal import StatusView
 
 USER_ERROR: Final = 2
@@ -78,10 +80,7 @@ def companion(
     if context.invoked_subcommand is not None:
         alone(context)
         return
-    # one thread for OpenCV: detection must not take the cores from the control loop, and repeats exactly
-    cv2.setNumThreads(1)
-    # what OpenCV has to say about a camera that is not there, we say ourselves
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    prepare_opencv()
     output = Output(Console(), record, json_file, live=not no_ui)
     try:
         if sitl:
@@ -94,6 +93,20 @@ def companion(
     except SimulatorError as error:
         code = fail(str(error), SIMULATOR_FAILED)
     raise typer.Exit(code)
+
+
+@cli.command("flights", help=FLIGHTS_HELP, hidden=True)
+def flights() -> None:
+    """Fly many in one process, for a campaign."""
+    prepare_opencv()
+    serve_flights()
+
+
+def prepare_opencv() -> None:
+    """One thread, so that detection does not take the cores from the control loop, and repeats exactly."""
+    cv2.setNumThreads(1)
+    # what OpenCV has to say about a camera that is not there, we say ourselves
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,30 +173,12 @@ def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bo
         raise
     finally:
         log.close()
-    kept, truth = from_start(log.kept, flight.report.truth)
-    result = score(trial, flight, kept, truth)
+    result = score(trial, flight, log)
     publish(trial, result, flight, output)
     if output.record is not None:
-        write_plots(output.record, kept, truth)
+        write_plots(output.record, *from_start(log.kept, flight.report.truth))
         output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
-
-
-def score(
-    trial: Trial, flight: DeskFlight, kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]
-) -> Result:
-    """The result contract of a flight."""
-    report = flight.report
-    return build_result(
-        scenario=trial.scenario.name,
-        seed=trial.seed,
-        outcome=report.outcome,
-        touchdown=report.touchdown,
-        pad_speed_m_s=report.pad_speed_m_s,
-        kept=kept,
-        truth=truth,
-        real_time_factor=flight.real_time_factor,
-    )
 
 
 def publish(trial: Trial, result: Result, flight: DeskFlight, output: Output) -> None:
@@ -202,12 +197,6 @@ def publish(trial: Trial, result: Result, flight: DeskFlight, output: Output) ->
         )
     if result.outcome is not Outcome.LANDED:
         fail(f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
-
-
-def reason(result: Result, flight: DeskFlight) -> str:
-    """Why a flight did not end in a landing: the mission's own words, or the bounds that were broken."""
-    said = [event.text.removeprefix("abort: ") for event in result.events if event.kind == "phase"]
-    return said[-1] if result.outcome is Outcome.ABORTED and said else "; ".join(flight.report.failures)
 
 
 # ---------------------------------------------------------------- on the vehicle

@@ -18,6 +18,8 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
+from sitl.campaign.command import HELP as CAMPAIGN_HELP
+from sitl.campaign.command import campaign_command
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import serve
@@ -27,6 +29,7 @@ USER_ERROR: Final = 2
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 cli.command("scenarios", help=SCENARIOS_HELP)(scenarios_command)
 cli.command("schema", help=SCHEMA_HELP)(schema_command)
+cli.command("campaign", help=CAMPAIGN_HELP, short_help="Fly scenarios under many seeds.")(campaign_command)
 
 
 @cli.callback(invoke_without_command=True)

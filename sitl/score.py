@@ -11,7 +11,17 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import Vector3, dot, norm, scale, subtract, tilt_from_quat, wrap_angle, yaw_from_quat
+from companion.geometry import (
+    Vector3,
+    dot,
+    norm,
+    rotate_yaw,
+    scale,
+    subtract,
+    tilt_from_quat,
+    wrap_angle,
+    yaw_from_quat,
+)
 from companion.messages import Outcome, Phase
 from sitl.contact import ContactLoad
 from sitl.ground import lean_over
@@ -27,7 +37,10 @@ UPSIDE_DOWN_RAD: Final = math.radians(90.0)
 
 @dataclass(frozen=True, slots=True)
 class Touchdown:
-    """The first contact after a flight. `impact_speed_m_s` is relative to what was hit."""
+    """The first contact after a flight. `impact_speed_m_s` is relative to what was hit.
+
+    `offset_pad_m` is where on the pad: along its heading and to its right.
+    """
 
     time_s: float
     lateral_error_m: float
@@ -38,6 +51,7 @@ class Touchdown:
     pad_speed_m_s: float
     impact_speed_m_s: float
     on_pad: bool
+    offset_pad_m: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +125,7 @@ def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool
         pad_speed_m_s=norm(pad.velocity_ned_m_s),
         impact_speed_m_s=norm(relative if on_pad else state.velocity_ned_m_s),
         on_pad=on_pad,
+        offset_pad_m=rotate_yaw(away, -pad.heading_rad)[:2],
     )
 
 

@@ -94,6 +94,7 @@ class SimulationReport:
     """How a flight ended by the truth, and the truth itself.
 
     `latest_tick_s` is how far the simulation fell behind the clock at worst: 0 in virtual time.
+    `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right.
     """
 
     outcome: Outcome
@@ -103,6 +104,7 @@ class SimulationReport:
     duration_s: float
     latest_tick_s: float
     truth: tuple[Truth, ...]
+    touchdown_pad_m: tuple[float, float] | None = None
 
 
 class Simulation:
@@ -232,6 +234,7 @@ class Simulation:
             duration_s=world.time_s,
             latest_tick_s=self._latest_tick_s,
             truth=tuple(self._truth),
+            touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
         )
 
     # ------------------------------------------------------------ one tick

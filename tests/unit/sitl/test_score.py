@@ -21,6 +21,7 @@ GOOD = Touchdown(
     pad_speed_m_s=1.0,
     impact_speed_m_s=0.32,
     on_pad=True,
+    offset_pad_m=(0.04, 0.0),
 )
 
 

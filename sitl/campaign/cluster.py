@@ -1,0 +1,92 @@
+"""Runs on a Dask cluster (the extra `campaign`): each of its worker threads flies one run after another.
+
+The cluster needs `companion` installed in the same version, and sees the same files under the same paths;
+each worker compares before it flies.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Generator, Sequence
+from concurrent.futures import CancelledError
+from functools import lru_cache
+from typing import Final
+
+from distributed import Client, Future, KilledWorker, as_completed
+
+from companion.config import ConfigError
+from sitl.campaign.manifest import Flight, code_digest, scenario_digest
+from sitl.campaign.worker import Flown, Worker
+
+CONNECT_S: Final = 10.0
+LOGGERS: Final = ("distributed", "distributed.client")
+_mine = threading.local()
+
+
+def fly_on_cluster(flights: Sequence[Flight], address: str) -> Generator[Flown, None, None]:
+    """Fly runs on the cluster of a scheduler; they come as they end.
+
+    Raises:
+        ConfigError: no scheduler is there, or its workers have other files or another version.
+    """
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        text = str(error).splitlines()[0]
+        raise ConfigError(f"--scheduler {address}: {text}; expected a Dask scheduler's address") from error
+    # what it has to say about connections that end, we say ourselves
+    for name in LOGGERS:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    with client:
+        futures = client.map(fly_here, flights, pure=False)
+        asked = dict(zip(futures, flights, strict=True))
+        try:
+            for future in as_completed(futures, loop=client.loop):
+                yield _flown(future, asked[future])
+                # what has been taken need not stay in the cluster's memory
+                future.release()
+        finally:
+            client.cancel(futures)
+
+
+def _flown(future: Future, flight: Flight) -> Flown:
+    try:
+        flown: Flown = future.result()
+    except KilledWorker as error:
+        return Flown(flight, 0.0, error=f"the cluster's workers died of it: {' '.join(str(error).split())}")
+    except CancelledError as error:
+        raise ConfigError("--scheduler: it has gone; give the same command again when it is back") from error
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"--scheduler: a worker of the cluster has {error}; expected companion there"
+        ) from error
+    return flown
+
+
+def fly_here(flight: Flight) -> Flown:
+    """What a worker of the cluster does: fly in this thread's own process.
+
+    Raises:
+        ConfigError: version or files differ from those of whoever asks, or the app refuses them.
+    """
+    here = identity(flight.source, flight.config)
+    if here != flight.identity:
+        raise ConfigError(
+            f"--scheduler: a worker of the cluster has '{flight.scenario}' as {here}, the campaign as "
+            f"{flight.identity}; expected the same version and files"
+        )
+    if not hasattr(_mine, "worker"):
+        _mine.worker = Worker()
+    flown: Flown = _mine.worker.fly(flight)
+    return flown
+
+
+@lru_cache(maxsize=256)
+def identity(source: str, config: str | None) -> str:
+    """What decides a run here, but for its seed: see `Flight.identity`.
+
+    Raises:
+        ConfigError: a file is missing here.
+    """
+    return f"{code_digest()}-{scenario_digest(source, config)}"

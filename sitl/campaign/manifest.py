@@ -1,0 +1,236 @@
+"""What a campaign is: scenarios, seeds, settings and code, each by its content.
+
+The manifest lies beside the rows. A command that says something else is refused there, so that a table never
+mixes two campaigns; one that asks for more seeds or more scenarios goes on with what there is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import ValidationError
+
+from companion.config import (
+    CONFIG_FOLDER,
+    CompanionConfig,
+    ConfigError,
+    StrictModel,
+    find_file,
+    load_config,
+    merge,
+    validate,
+)
+from sitl.scenario import Scenario, load_scenario
+
+MANIFEST_NAME: Final = "campaign.json"
+SHIPPED_SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
+PACKAGES: Final = ("companion", "sitl")
+_SOURCES: Final = Path(__file__).resolve().parents[2]
+_DIGEST_LENGTH: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One run that is to be flown. `source` is what `--scenario` takes, `scenario` the name in the file.
+
+    `identity` is the digest of all that decides it but the seed: files, settings and code.
+    """
+
+    scenario: str
+    source: str
+    seed: int
+    config: str | None
+    time_limit_s: float
+    identity: str
+
+    @property
+    def command(self) -> str:
+        """What repeats it."""
+        words = ["companion", "--sitl", "--fast", "--scenario", self.source, "--seed", str(self.seed)]
+        return shlex.join(words if self.config is None else [*words, "--config", self.config])
+
+
+class Entry(StrictModel):
+    """A scenario of a campaign; the digest covers the settings under its overrides too."""
+
+    source: str
+    digest: str
+
+
+class Manifest(StrictModel):
+    """What a campaign is."""
+
+    format: Literal[1] = 1
+    version: str
+    code: str
+    config: str | None
+    settings: str
+    scenarios: dict[str, Entry]
+    first_seed: int
+    runs: int
+
+    @property
+    def seeds(self) -> range:
+        """All seeds."""
+        return range(self.first_seed, self.first_seed + self.runs)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A campaign that is to be flown: its manifest and its scenarios by name."""
+
+    manifest: Manifest
+    scenarios: dict[str, Scenario]
+
+    def flights(self) -> Iterator[Flight]:
+        """Every run, seed by seed, so that one which is cut short has flown all scenarios alike."""
+        manifest = self.manifest
+        for seed in manifest.seeds:
+            for name, entry in manifest.scenarios.items():
+                limit_s = self.scenarios[name].time_limit_s
+                identity = f"{manifest.code}-{entry.digest}"
+                yield Flight(name, entry.source, seed, manifest.config, limit_s, identity)
+
+
+def make_plan(sources: Sequence[str], first_seed: int, runs: int, config: Path | None) -> Plan:
+    """Read what is to be flown; "all" stands for every shipped scenario.
+
+    Raises:
+        ConfigError: a scenario or the settings are wrong, or two scenarios have one name.
+    """
+    entries: dict[str, Entry] = {}
+    scenarios: dict[str, Scenario] = {}
+    settings = None if config is None else str(config.resolve())
+    for source in dict.fromkeys(_command_word(source) for source in _expanded(sources)):
+        scenario = load_scenario(source)
+        if scenario.name in entries:
+            first = entries[scenario.name].source
+            raise ConfigError(
+                f"--scenarios: {first} and {source} are both '{scenario.name}'; expected two names"
+            )
+        scenarios[scenario.name] = scenario
+        entries[scenario.name] = Entry(source=source, digest=scenario_digest(source, settings))
+    manifest = Manifest(
+        version=metadata.version("companion"),
+        code=code_digest(),
+        config=settings,
+        settings=_digest([load_config(config or SHIPPED_SETTINGS).model_dump_json().encode()]),
+        scenarios=entries,
+        first_seed=first_seed,
+        runs=runs,
+    )
+    return Plan(manifest, scenarios)
+
+
+def _expanded(sources: Sequence[str]) -> Iterator[str]:
+    for source in sources:
+        if source == "all":
+            yield from sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
+        else:
+            yield source
+
+
+def _command_word(source: str) -> str:
+    """What `--scenario` takes wherever one stands: a shipped name stays, a path becomes absolute."""
+    path = find_file("scenarios", source)
+    return (
+        source
+        if path.parent == CONFIG_FOLDER / "scenarios" and not Path(source).suffix
+        else str(path.resolve())
+    )
+
+
+# ---------------------------------------------------------------- digests
+
+
+def scenario_digest(source: str, config: str | None) -> str:
+    """Digest of a scenario under the app's settings, and of the files that the two name.
+
+    Raises:
+        ConfigError: one of them is wrong or missing.
+    """
+    scenario = load_scenario(source)
+    settings = load_config(SHIPPED_SETTINGS if config is None else Path(config))
+    merged = validate(
+        CompanionConfig, merge(settings.model_dump(), scenario.companion), f"{source}: companion"
+    )
+    files = (
+        find_file("airframes", scenario.airframe),
+        find_file("pads", scenario.pad.name),
+        find_file("cameras", scenario.camera.config),
+        find_file("pads", merged.pad),
+        find_file("cameras", merged.camera),
+        find_file("vehicles", merged.vehicle),
+        find_file("fuzzy", merged.plan.fuzzy),
+    )
+    texts = (scenario.model_dump_json().encode(), merged.model_dump_json().encode())
+    return _digest([*texts, *(path.read_bytes() for path in files)])
+
+
+def code_digest() -> str:
+    """Digest of the program's own sources: another version of them may fly otherwise."""
+    paths = sorted(path for package in PACKAGES for path in (_SOURCES / package).rglob("*.py"))
+    return _digest(
+        part for path in paths for part in (str(path.relative_to(_SOURCES)).encode(), path.read_bytes())
+    )
+
+
+def _digest(parts: Iterable[bytes]) -> str:
+    """A digest of parts, each by itself, so that no two lists of parts run together."""
+    total = hashlib.sha256()
+    for part in parts:
+        total.update(hashlib.sha256(part).digest())
+    return total.hexdigest()[:_DIGEST_LENGTH]
+
+
+# ---------------------------------------------------------------- the file
+
+
+def read_manifest(folder: Path) -> Manifest | None:
+    """The manifest in a folder; None when there is none.
+
+    Raises:
+        ConfigError: the file is none.
+    """
+    path = folder / MANIFEST_NAME
+    if not path.exists():
+        return None
+    try:
+        return Manifest.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
+        raise ConfigError(f"{path}: is no campaign's manifest; expected one, or another --out") from error
+
+
+def check_goes_on(old: Manifest, new: Manifest, folder: Path) -> None:
+    """Make sure that a new command goes on with the campaign in a folder.
+
+    Raises:
+        ConfigError: it is another campaign; the line says by what.
+    """
+    if (difference := _difference(old, new)) is not None:
+        raise ConfigError(
+            f"--out {folder}: holds another campaign: {difference}; expected the same or a new folder"
+        )
+
+
+def _difference(old: Manifest, new: Manifest) -> str | None:
+    if (old.version, old.code) != (new.version, new.code):
+        return f"flown by version {old.version} ({old.code}), this is {new.version} ({new.code})"
+    if old.settings != new.settings:
+        return (
+            f"the app's settings were {old.config or 'the shipped ones'} ({old.settings}), now {new.settings}"
+        )
+    for name, entry in old.scenarios.items():
+        if name not in new.scenarios:
+            return f"it flies '{name}' too"
+        if new.scenarios[name].digest != entry.digest:
+            return f"'{name}' ({entry.source}) or a file that it names has changed"
+    if not set(old.seeds) <= set(new.seeds):
+        return f"its seeds are {old.seeds[0]} to {old.seeds[-1]}"
+    return None

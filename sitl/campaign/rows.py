@@ -1,0 +1,241 @@
+"""One row a run: its columns, and the file that holds them (`runs.csv`, at the end also `runs.parquet`).
+
+A row is one line, written at once and flushed to the disk before the next, so a campaign that is killed has
+lost no run that had ended; half a line, which only a full disk or a power cut leaves, is cut off when the
+file is opened again. SI units, as the names say; angles in degrees.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import io
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from companion.config import ConfigError, StrictModel, validate
+from sitl.campaign.manifest import Flight
+from sitl.campaign.worker import Flown
+
+RowOutcome = Literal["landed", "missed", "aborted", "timeout", "crashed", "failed"]
+OUTCOMES: Final[tuple[RowOutcome, ...]] = ("landed", "missed", "aborted", "timeout", "crashed", "failed")
+CSV_NAME: Final = "runs.csv"
+PARQUET_NAME: Final = "runs.parquet"
+# a column and where result.json has it
+RESULT_KEYS: Final = {
+    "touchdown_lateral_m": "touchdown.lateral_error_m",
+    "vertical_speed_m_s": "touchdown.vertical_speed_m_s",
+    "horizontal_speed_m_s": "touchdown.horizontal_speed_m_s",
+    "tilt_deg": "touchdown.tilt_deg",
+    "yaw_error_deg": "touchdown.yaw_error_deg",
+    "pad_speed_m_s": "pad.speed_m_s",
+    "search_s": "time.search_s",
+    "approach_s": "time.approach_s",
+    "descent_s": "time.descent_s",
+    "total_s": "time.total_s",
+    "frames": "vision.frames",
+    "frames_with_pad": "vision.frames_with_pad",
+    "sighting_rmse_m": "vision.relative_position_rmse_m",
+    "attitude_rmse_deg": "estimate.attitude_rmse_deg",
+    "velocity_rmse_m_s": "estimate.velocity_rmse_m_s",
+    "pad_velocity_rmse_m_s": "estimate.pad_velocity_rmse_m_s",
+    "latency_p50_ms": "latency_ms.exposure_to_setpoint_p50",
+    "latency_p99_ms": "latency_ms.exposure_to_setpoint_p99",
+    "real_time_factor": "sim.real_time_factor",
+}
+
+
+class Row(StrictModel):
+    """One run. None (an empty field) where there was nothing to measure.
+
+    `failed` is a run without a result: its process died or hung, and `error` has its last words. `reason` is
+    why a flight that has a result did not land. Along is along the pad's heading, across to its right.
+    """
+
+    scenario: str
+    seed: int
+    outcome: RowOutcome
+    reason: str = ""
+    touchdown_lateral_m: float | None = None
+    touchdown_along_m: float | None = None
+    touchdown_across_m: float | None = None
+    vertical_speed_m_s: float | None = None
+    horizontal_speed_m_s: float | None = None
+    tilt_deg: float | None = None
+    yaw_error_deg: float | None = None
+    pad_speed_m_s: float | None = None
+    search_s: float | None = None
+    approach_s: float | None = None
+    descent_s: float | None = None
+    total_s: float | None = None
+    frames: int | None = None
+    frames_with_pad: int | None = None
+    sighting_rmse_m: float | None = None
+    attitude_rmse_deg: float | None = None
+    velocity_rmse_m_s: float | None = None
+    pad_velocity_rmse_m_s: float | None = None
+    latency_p50_ms: float | None = None
+    latency_p99_ms: float | None = None
+    real_time_factor: float | None = None
+    wall_s: float
+    version: str
+    command: str
+    error: str = ""
+
+    @property
+    def landed(self) -> bool:
+        """Whether it landed within its scenario's bounds."""
+        return self.outcome == "landed"
+
+
+COLUMNS: Final = tuple(Row.model_fields)
+
+
+def make_row(flown: Flown, version: str) -> Row:
+    """The row of a run that has ended."""
+    flight, result = flown.flight, flown.result
+    along, across = flown.touchdown_pad_m or (None, None)
+    return Row(
+        scenario=flight.scenario,
+        seed=flight.seed,
+        outcome="failed" if result is None else result["outcome"],
+        reason=_one_line(flown.reason),
+        touchdown_along_m=None if along is None else round(along, 6),
+        touchdown_across_m=None if across is None else round(across, 6),
+        wall_s=round(flown.wall_s, 2),
+        version=version,
+        command=flight.command,
+        error=_one_line(flown.error),
+        **{} if result is None else {name: _at(result, key) for name, key in RESULT_KEYS.items()},
+    )
+
+
+def _at(result: Mapping[str, Any], key: str) -> Any:
+    value: Any = result
+    for part in key.split("."):
+        value = None if value is None else value[part]
+    return value
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+# ---------------------------------------------------------------- the file
+
+
+class RunsFile:
+    """`runs.csv` of a campaign, held by one process at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open it, or begin it, and read what it holds.
+
+        Raises:
+            ConfigError: it cannot be written, another campaign writes it, or it holds something else.
+        """
+        self.path = folder / CSV_NAME
+        try:
+            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o644)
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _cut_half_line(self._file, self.path)
+            if os.fstat(self._file).st_size == 0:
+                self._write(COLUMNS)
+            self.rows = read_rows(self.path)
+        except BlockingIOError as error:
+            self.close()
+            raise ConfigError(
+                f"{self.path}: another campaign writes it; expected it to have ended"
+            ) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def append(self, row: Row) -> None:
+        """Add a row; when this returns it is on the disk.
+
+        Raises:
+            ConfigError: it cannot be written; what was written before stays.
+        """
+        values = row.model_dump()
+        self._write([_text(values[name]) for name in COLUMNS])
+        self.rows.append(row)
+
+    def close(self) -> None:
+        """Let go of it."""
+        os.close(self._file)
+
+    def _write(self, values: Sequence[str]) -> None:
+        line = io.StringIO(newline="")
+        csv.writer(line, lineterminator="\n").writerow(values)
+        data = line.getvalue().encode()
+        before = os.fstat(self._file).st_size
+        try:
+            if os.write(self._file, data) < len(data):
+                raise OSError(0, "no space for a whole line")
+            os.fsync(self._file)
+        except OSError as error:
+            os.ftruncate(self._file, before)
+            raise ConfigError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+
+def _text(value: object) -> str:
+    return "" if value is None else str(value)
+
+
+def _cut_half_line(file: int, path: Path) -> None:
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole < len(data):
+        os.ftruncate(file, whole)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a `runs.csv`.
+
+    Raises:
+        ConfigError: other columns, or a line that is no row; the line says which.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            lines = list(csv.reader(stream))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    if not lines or tuple(lines[0]) != COLUMNS:
+        raise ConfigError(f"{path}: expected the columns {', '.join(COLUMNS[:3])} and so on")
+    return [_parse(line, f"{path}:{number}") for number, line in enumerate(lines[1:], start=2)]
+
+
+def _parse(line: Sequence[str], where: str) -> Row:
+    if len(line) != len(COLUMNS):
+        raise ConfigError(f"{where}: expected {len(COLUMNS)} fields, found {len(line)}")
+    return validate(Row, {name: text for name, text in zip(COLUMNS, line, strict=True) if text}, where)
+
+
+def write_parquet(rows: Sequence[Row], folder: Path) -> Path | None:
+    """Write `runs.parquet`; None when pyarrow (the extra `campaign`) is not installed."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        from pyarrow import parquet  # noqa: PLC0415
+    except ImportError:
+        return None
+    kinds = {"seed": pa.int64(), "frames": pa.int64(), "frames_with_pad": pa.int64()}
+    texts = {name for name, field in Row.model_fields.items() if field.annotation in {str, RowOutcome}}
+    schema = pa.schema(
+        [(name, kinds.get(name, pa.string() if name in texts else pa.float64())) for name in COLUMNS]
+    )
+    path = folder / PARQUET_NAME
+    part = path.with_name(path.name + ".part")
+    parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in rows], schema=schema), part)
+    part.replace(path)
+    return path
+
+
+def pending(flights: Sequence[Flight], rows: Sequence[Row]) -> list[Flight]:
+    """The runs that have no row yet."""
+    flown = {(row.scenario, row.seed) for row in rows}
+    return [flight for flight in flights if (flight.scenario, flight.seed) not in flown]
