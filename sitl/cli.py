@@ -18,6 +18,7 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
+from sitl.external import serve_external
 from sitl.scenario import load_scenario
 from sitl.server import serve
 
@@ -37,6 +38,17 @@ def companion_sitl(
         Path | None,
         typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
     ] = None,
+    external: Annotated[
+        str | None,
+        typer.Option(
+            help="No vehicle of its own: pad and camera about that of an ArduPilot or PX4 SITL, at "
+            "udp:HOST:PORT (called), udpin:HOST:PORT (listened at) or tcp:HOST:PORT.",
+            metavar="CONNECTION",
+        ),
+    ] = None,
+    serve_truth: Annotated[
+        bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION when asked for.")
+    ] = False,
 ) -> None:
     """Serve a simulated quadrotor with a camera over a pad that moves."""
     if context.invoked_subcommand is not None:
@@ -46,7 +58,10 @@ def companion_sitl(
         place = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
         if not os.access(place, os.W_OK) or not place.is_dir():
             raise ConfigError(f"--folder {place}: expected a folder that can be written to")
-        asyncio.run(serve(loaded, seed, place, port))
+        if external is not None:
+            asyncio.run(serve_external(loaded, seed, place, external))
+        else:
+            asyncio.run(serve(loaded, seed, place, port, serve_truth=serve_truth))
 
 
 def main(words: Sequence[str] | None = None) -> None:

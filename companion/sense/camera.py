@@ -70,9 +70,7 @@ async def open_camera(spec: str, camera: CameraConfig, unstamped_latency_s: floa
         return V4l2Camera(capture, camera, Clock())
     if ADDRESS_FORM.fullmatch(spec):
         return await SocketCamera.connect(spec, camera, unstamped_latency_s)
-    raise ConfigError(
-        f"sense.vision.source: '{spec}'; expected v4l2:NUMBER, socket:PATH or tcp:HOST:PORT"
-    )
+    raise ConfigError(f"sense.vision.source: '{spec}'; expected v4l2:NUMBER, socket:PATH or tcp:HOST:PORT")
 
 
 class _Newest:
