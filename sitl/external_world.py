@@ -1,9 +1,9 @@
 """The world around somebody else's vehicle: a pad on its simulator's flat ground, and the score. Pure.
 
 The vehicle's pose is given, so nothing here pushes it: its own simulator has the ground, level and at the
-height on which the vehicle stands when it is first seen, disarmed. There lies the pad, flush, whatever height the
-scenario gives it. The pad sets off when the vehicle is armed. Touchdown is when a foot meets the ground; a
-vehicle on the pad is not carried by its own simulator, so the pad waits under it until it flies again.
+height on which the vehicle stands when it is first seen, disarmed. There lies the pad, flush, whatever height
+the scenario gives it. The pad sets off when the vehicle is armed. Touchdown is when a foot meets the ground;
+its own simulator does not carry a vehicle on the pad along, so the pad waits under it until it flies again.
 
 NED from where the vehicle was first seen, z = 0 the ground, the vehicle's reference point at its airframe's
 standing height over it; SI.

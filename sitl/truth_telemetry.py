@@ -33,7 +33,7 @@ class TruthMessages:
 
     def __contains__(self, message_id: int) -> bool:
         """Whether there is such a message."""
-        return message_id == self._message_id
+        return bool(message_id == self._message_id)
 
     def build(self, message_id: int, now_s: float) -> Message:
         """The message of this moment."""

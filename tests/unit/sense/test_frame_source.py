@@ -191,7 +191,7 @@ async def test_another_clock_than_ours_is_told(off_s: float, tmp_path: Path, cam
         (b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(64), "does not send frames: not a frame"),
         (
             pack_frame(np.zeros((480, 640), np.uint8), 0, None)[:-1],
-            "after 307199 of 307200 bytes of an image",
+            "after 307199 of 307200 bytes",
         ),
         (b"CFRM", "after 4 of 32 bytes of a frame's header"),
     ],
