@@ -21,10 +21,13 @@ from companion.config import ConfigError
 from sitl.external import serve_external
 from sitl.scenario import load_scenario
 from sitl.server import serve
+from sitl.view import HELP as VIEW_HELP
+from sitl.view import view_command
 
 USER_ERROR: Final = 2
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+cli.command("view", help=VIEW_HELP)(view_command)
 
 
 @cli.callback(invoke_without_command=True)

@@ -223,7 +223,8 @@ class ExternalSimulation:
             await self._clock.sleep_until(self._camera.exposed_s)
             await self._pose_after(self._camera.exposed_s)
             now_s = self._clock.now_s()
-            self._camera.skip_to(now_s - CAMERA_BACKLOG_S)
+            watched = self._parts.frames.client_count > 0
+            self._camera.skip_to(now_s - CAMERA_BACKLOG_S if watched else now_s)
             taken = await asyncio.to_thread(self._camera.step, now_s)
             if taken is not None:
                 self._deliver_later(*taken)
