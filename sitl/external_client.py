@@ -39,6 +39,7 @@ _ASK_S: Final = 2.0
 _SYNC_S: Final = 1.0
 _OLDEST_STAMP_S: Final = 0.5
 _TRIPS: Final = 10
+_SLOW_WINDOWS: Final = 2
 _NS: Final = 1e9
 
 TRUTH: Final[dict[int, str]] = {SIM_STATE: "SIM_STATE", HIL_STATE: "HIL_STATE_QUATERNION"}
@@ -107,7 +108,8 @@ class VehicleClient:
         self._attitude: Message | None = None
         self._anchor: tuple[Vector3, Vector3] | None = None  # a place, and the local position there
         self._global: Message | None = None
-        self._lost = self._blind = self._slow = False
+        self._lost = self._blind = False
+        self._slow_windows = 0
 
     @property
     def found(self) -> bool:
@@ -252,9 +254,10 @@ class VehicleClient:
     def _watch_rate(self, count: int) -> None:
         rate_hz = count / _ASK_S
         slow = 0.0 < rate_hz < SLOWEST_HZ and self._pose_s - self._found_s > 2.0 * _ASK_S
-        if slow and not self._slow:
+        # twice in a row: one that begins or ends within the window is no slow one
+        self._slow_windows = self._slow_windows + 1 if slow else 0
+        if self._slow_windows == _SLOW_WINDOWS:
             self._tell(f"{self.source} comes at {rate_hz:.0f} Hz only; expected {SLOWEST_HZ:g} Hz or more")
-        self._slow = slow
 
     def _watch(self, now_s: float) -> None:
         """Tell what has fallen silent, and give the truth up when it never came."""

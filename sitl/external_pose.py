@@ -163,13 +163,14 @@ class PoseTrack:
 
 
 def _smoothed(last: Pose, pose: Pose) -> Pose:
-    """The place that velocity leads to, drawn to the message's own."""
+    """The place that velocity leads to, drawn to the message's; the height, in mm or finer, is its own."""
     dt_s = pose.time_s - last.time_s
     led = add(last.position_ned_m, scale(add(last.velocity_ned_m_s, pose.velocity_ned_m_s), 0.5 * dt_s))
     missed = subtract(pose.position_ned_m, led)
     if norm(missed) > JUMP_M:
         return pose
-    return pose._replace(position_ned_m=add(led, scale(missed, 1.0 - math.exp(-dt_s / SMOOTHING_S))))
+    north, east, _ = add(led, scale(missed, 1.0 - math.exp(-dt_s / SMOOTHING_S)))
+    return pose._replace(position_ned_m=(north, east, pose.position_ned_m[2]))
 
 
 def _carried_on(pose: Pose, dt_s: float) -> Pose:
