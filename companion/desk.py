@@ -4,6 +4,9 @@ Virtual (`--fast`): app and simulator share one process and one virtual-time loo
 in-process pipe. Real: the simulator is a process of its own; MAVLink goes over UDP, the serial sensors
 over ptys, registers and frames over local sockets. Either way the app cannot tell, and the truth comes out
 at the end, for the score.
+
+With an external autopilot (an ArduPilot or PX4 SITL of the user's) that process is the world alone: pad,
+camera and ultrasonic about the user's vehicle, whose own sensors the app takes by telemetry.
 """
 
 from __future__ import annotations
@@ -42,6 +45,9 @@ from sitl.scenario import Scenario, load_scenario
 from sitl.simulation import MemoryFrames, Simulation, SimulationReport, read_report
 
 START_TIMEOUT_S: Final = 20.0
+# an external autopilot may still be booting, and finding its position before it arms
+EXTERNAL_START_TIMEOUT_S: Final = 60.0
+EXTERNAL_PATIENCE_S: Final = 60.0
 END_TIMEOUT_S: Final = 10.0
 # what a settings file for a real vehicle may say otherwise, and the simulated one is
 SIMULATED_HARDWARE: Final[dict[str, Any]] = {
@@ -60,22 +66,47 @@ class SimulatorError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
+class External:
+    """Where the user's own autopilot is: udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT.
+
+    With `world` the simulated world has a connection of its own and the app goes to `app` directly; without,
+    the world goes there and lets the app share it.
+    """
+
+    app: str
+    world: str | None = None
+
+
+# what the app is to be told when its IMU, compass and GPS are those of the user's own autopilot
+_BY_TELEMETRY: Final[dict[str, Any]] = {
+    "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}}
+}
+
+
+@dataclass(frozen=True, slots=True)
 class Trial:
-    """What is to be flown: a scenario (and the file it came from) under a seed."""
+    """What is to be flown: a scenario (and the file it came from) under a seed, on whose autopilot."""
 
     path: Path
     scenario: Scenario
     seed: int
+    external: External | None = None
 
     @classmethod
-    def load(cls, name: str, seed: int) -> Trial:
+    def load(cls, name: str, seed: int, external: External | None = None) -> Trial:
         """Take a scenario by name or path.
 
         Raises:
             ConfigError: no such scenario, or its file breaks a rule.
         """
         path = find_file("scenarios", name)
-        return cls(path, load_scenario(path), seed)
+        return cls(path, load_scenario(path), seed, external)
+
+    @property
+    def time_limit_s(self) -> float:
+        """How long the flight may take, from the app's start."""
+        patience_s = 0.0 if self.external is None else EXTERNAL_PATIENCE_S
+        return self.scenario.time_limit_s + patience_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +127,8 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})
+    if trial.external is not None:
+        overrides = merge(overrides, _BY_TELEMETRY)
     # the file by itself first, so that a mistake is reported where it was made
     settings = load_config(config_path).model_dump()
     config = validate(CompanionConfig, merge(settings, overrides), f"{trial.path}: companion")
@@ -244,13 +277,18 @@ async def _fly_against(
     try:
         async with open_hardware(wired) as hardware:
             app = App(wired, hardware, log, make_actions, on_status)
-            phase = await _fly(app, trial.scenario.time_limit_s, world)
+            phase = await _fly(app, trial.time_limit_s, world)
     finally:
         await _cancel(world)
     report = await simulator.finish(phase)
     # both processes count by the same clock of the kernel's
     elapsed_s = Clock().now_s() - report.truth[0].time_s
     return DeskFlight(report, report.duration_s / elapsed_s)
+
+
+def _world_options(external: External | None) -> tuple[str, ...]:
+    """How the simulator is told of the user's autopilot."""
+    return () if external is None else ("--external", external.world or external.app)
 
 
 class SimulatorProcess:
@@ -274,6 +312,7 @@ class SimulatorProcess:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "sitl.cli", "--scenario", str(trial.path)),
                 *("--seed", str(trial.seed), "--folder", str(folder)),
+                *_world_options(trial.external),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=stderr,
@@ -282,7 +321,12 @@ class SimulatorProcess:
             )
         simulator = cls(process, {}, words)
         try:
-            simulator.endpoints = await simulator._listen(START_TIMEOUT_S)
+            external = trial.external
+            simulator.endpoints = await simulator._listen(
+                START_TIMEOUT_S if external is None else EXTERNAL_START_TIMEOUT_S
+            )
+            if external is not None and external.world is not None:
+                simulator.endpoints["link"]["connection"] = external.app
         except BaseException as error:
             await simulator.kill()
             if isinstance(error, SimulatorError):
@@ -321,7 +365,7 @@ class SimulatorProcess:
         try:
             line = await asyncio.wait_for(self._process.stdout.readline(), timeout_s)
         except TimeoutError as error:
-            raise SimulatorError(f"the simulator said nothing for {timeout_s:g} s") from error
+            raise SimulatorError(f"nothing for {timeout_s:g} s: {self._last_words()}") from error
         if not line:
             raise SimulatorError(self._last_words())
         said: dict[str, Any] = json.loads(line)

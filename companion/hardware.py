@@ -76,7 +76,10 @@ async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
             gps_port = opened.enter_context(closing(SerialPort(sense.gps.port, sense.gps.baud)))
         if not sense.range_by_telemetry:
             range_port = opened.enter_context(closing(_open_range_port(sense.range)))
-        frames = opened.enter_context(closing(await open_camera(sense.vision.source, camera)))
+        vision = sense.vision
+        frames = opened.enter_context(
+            closing(await open_camera(vision.source, camera, vision.unstamped_latency_s))
+        )
         yield Hardware(transport, frames, imu_bus, gps_port, range_port)
 
 

@@ -20,9 +20,12 @@ from typer.exceptions import TyperException
 from companion.config import ConfigError
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
+from sitl.external import serve_external
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import serve
+from sitl.view import HELP as VIEW_HELP
+from sitl.view import view_command
 
 USER_ERROR: Final = 2
 
@@ -30,6 +33,7 @@ cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 cli.command("scenarios", help=SCENARIOS_HELP)(scenarios_command)
 cli.command("schema", help=SCHEMA_HELP)(schema_command)
 cli.command("campaign", help=CAMPAIGN_HELP, short_help="Fly scenarios under many seeds.")(campaign_command)
+cli.command("view", help=VIEW_HELP)(view_command)
 
 
 @cli.callback(invoke_without_command=True)
@@ -43,6 +47,17 @@ def companion_sitl(
         Path | None,
         typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
     ] = None,
+    external: Annotated[
+        str | None,
+        typer.Option(
+            help="No vehicle of its own: pad and camera about that of an ArduPilot or PX4 SITL, at "
+            "udp:HOST:PORT (called), udpin:HOST:PORT (listened at) or tcp:HOST:PORT.",
+            metavar="CONNECTION",
+        ),
+    ] = None,
+    serve_truth: Annotated[
+        bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION when asked for.")
+    ] = False,
 ) -> None:
     """Serve a simulated quadrotor with a camera over a pad that moves."""
     if context.invoked_subcommand is not None:
@@ -52,7 +67,10 @@ def companion_sitl(
         place = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
         if not os.access(place, os.W_OK) or not place.is_dir():
             raise ConfigError(f"--folder {place}: expected a folder that can be written to")
-        asyncio.run(serve(loaded, seed, place, port))
+        if external is not None:
+            asyncio.run(serve_external(loaded, seed, place, external))
+        else:
+            asyncio.run(serve(loaded, seed, place, port, serve_truth=serve_truth))
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -23,6 +23,7 @@ from sitl.onboard import OnboardSensors
 from sitl.parameter_protocol import ParameterProtocol
 from sitl.sensor_telemetry import SensorMessages
 from sitl.telemetry import BUILDERS, Message, Streams, milliseconds
+from sitl.truth_telemetry import TruthMessages
 
 _TEXT_BYTES: Final = 50
 _IGNORE_ATTITUDE: Final = 128
@@ -32,7 +33,10 @@ _ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
 
 
 class MavlinkEndpoint:
-    """One autopilot's end of a link; without `sensors` it tells nothing of what its own ones measure."""
+    """One autopilot's end of a link; without `sensors` it tells nothing of what its own ones measure.
+
+    With `truth` it tells the simulator's truth to those who ask for it.
+    """
 
     def __init__(
         self,
@@ -40,8 +44,10 @@ class MavlinkEndpoint:
         sensors: OnboardSensors | None = None,
         system_id: int = 1,
         component_id: int = 1,
+        truth: TruthMessages | None = None,
     ) -> None:
         self.autopilot = autopilot
+        self._truth = truth
         self._sensors = None if sensors is None else SensorMessages(autopilot, sensors)
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._parser = mavlink.MAVLink(None)
@@ -115,6 +121,8 @@ class MavlinkEndpoint:
         elif self._sensors is not None and message_id in self._sensors:
             self._sensors.ask(message_id)
             message = self._sensors.build(message_id, now_s)
+        elif self._truth is not None and message_id in self._truth:
+            message = self._truth.build(message_id, now_s)
         else:
             return False
         if message is not None:
@@ -132,7 +140,8 @@ class MavlinkEndpoint:
         self._outgoing.append(mavlink.MAVLink_message_interval_message(max(message_id, 0), interval))
 
     def _has(self, message_id: int) -> bool:
-        return message_id in BUILDERS or (self._sensors is not None and message_id in self._sensors)
+        others = (self._sensors, self._truth)
+        return message_id in BUILDERS or any(told is not None and message_id in told for told in others)
 
     def _queue_text(self, severity: Severity, text: str) -> None:
         data = text.encode("ascii", "replace")

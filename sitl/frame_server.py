@@ -1,4 +1,4 @@
-"""Serves frames to other processes on a unix socket (companion/frame_format.py).
+"""Serves frames to other processes on a unix socket or a TCP port (companion/frame_format.py).
 
 A client that has not taken its last frame yet misses this one: the camera never waits.
 """
@@ -15,8 +15,9 @@ from companion.messages import Frame
 class FrameServer:
     """One socket, any number of clients."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, where: Path | int) -> None:
+        """Serve on a unix socket's path, or on a TCP port of the loopback (0: a free one)."""
+        self._where = where
         self._server: asyncio.Server | None = None
         self._clients: set[asyncio.StreamWriter] = set()
 
@@ -25,15 +26,26 @@ class FrameServer:
         """How many are connected."""
         return len(self._clients)
 
+    @property
+    def address(self) -> str:
+        """What a client has to open, as in `sense.vision.source`; once started."""
+        if isinstance(self._where, Path):
+            return f"socket:{self._where}"
+        assert self._server is not None
+        return f"tcp:127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
+
     async def start(self) -> None:
         """Listen. A socket file left behind is replaced.
 
         Raises:
-            OSError: the path cannot be used.
+            OSError: the path or port cannot be used.
         """
-        if self._path.is_socket():
-            self._path.unlink()
-        self._server = await asyncio.start_unix_server(self._serve, self._path)
+        if isinstance(self._where, int):
+            self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._where)
+            return
+        if self._where.is_socket():
+            self._where.unlink()
+        self._server = await asyncio.start_unix_server(self._serve, self._where)
 
     def deliver(self, frame: Frame) -> None:
         """Hand a frame to every client that can take it."""
@@ -50,7 +62,8 @@ class FrameServer:
             self._server.close()
         for client in self._clients:
             client.transport.abort()
-        self._path.unlink(missing_ok=True)
+        if isinstance(self._where, Path):
+            self._where.unlink(missing_ok=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Keep a client until it goes; it has nothing to say."""

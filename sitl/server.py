@@ -12,18 +12,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
-import json
-import os
-import sys
-import threading
 from pathlib import Path
 from typing import Any, Final
 
 from companion.config import ConfigError
-from companion.messages import Phase
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
+from sitl.orders import final_phase, say
 from sitl.scenario import Scenario
 from sitl.simulation import Simulation, write_report
 
@@ -81,7 +77,7 @@ class UdpLink(asyncio.DatagramProtocol):
             self._socket.close()
 
 
-async def serve(scenario: Scenario, seed: int, folder: Path, port: int) -> None:
+async def serve(scenario: Scenario, seed: int, folder: Path, port: int, *, serve_truth: bool = False) -> None:
     """Run a simulation until standard input says so; see the module's docstring.
 
     Raises:
@@ -104,11 +100,13 @@ async def serve(scenario: Scenario, seed: int, folder: Path, port: int) -> None:
             gps_port=gps_port,
             range_port=range_port,
             deliver_frame=frames.deliver,
+            frames_wanted=lambda: frames.client_count > 0,
+            serve_truth=serve_truth,
         )
         registers = await serve_registers(simulation.imu_bus, folder / "registers")
         stack.callback(registers.close)
         bus = "spi-socket" if scenario.sensors.imu_interface == "spi" else "socket"
-        _say(_endpoints(udp_port, gps_port.path, range_port.path, f"{bus}:{folder / 'registers'}", folder))
+        say(_endpoints(udp_port, gps_port.path, range_port.path, f"{bus}:{folder / 'registers'}", folder))
         await _fly_until_told(simulation, folder)
 
 
@@ -127,7 +125,7 @@ def _endpoints(udp_port: int, gps_path: str, range_path: str, bus: str, folder: 
 
 async def _fly_until_told(simulation: Simulation, folder: Path) -> None:
     flying = asyncio.create_task(simulation.run())
-    listening = asyncio.create_task(_final_phase())
+    listening = asyncio.create_task(final_phase())
     await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
     if flying.done():
         listening.cancel()
@@ -137,31 +135,4 @@ async def _fly_until_told(simulation: Simulation, folder: Path) -> None:
     await asyncio.wait([flying])
     if phase is not None:
         write_report(simulation.report(phase), folder / REPORT_NAME)
-        _say({"report": str(folder / REPORT_NAME)})
-
-
-async def _final_phase() -> Phase | None:
-    """Wait for `finish PHASE` on standard input; None when it ends without."""
-    loop = asyncio.get_running_loop()
-    said: asyncio.Future[str] = loop.create_future()
-
-    def settle(line: str) -> None:
-        if not said.done():
-            said.set_result(line)
-
-    def listen() -> None:
-        # a thread, since a loop cannot watch a standard input that is a file or /dev/null; unbuffered, since
-        # a buffer's lock that a waiting thread holds breaks the end of the interpreter
-        line = b""
-        while b"\n" not in line and (data := os.read(sys.stdin.fileno(), 100)):
-            line += data
-        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
-            loop.call_soon_threadsafe(settle, line.decode(errors="replace"))
-
-    threading.Thread(target=listen, name="standard input", daemon=True).start()
-    word, _, phase = (await said).strip().partition(" ")
-    return Phase(phase) if word == "finish" and phase in set(Phase) else None
-
-
-def _say(message: dict[str, Any]) -> None:
-    print(json.dumps(message), flush=True)
+        say({"report": str(folder / REPORT_NAME)})

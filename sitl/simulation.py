@@ -12,6 +12,7 @@ The world counts from 0 at the loop's time `start_s`; stamps that leave it (fram
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -41,6 +42,7 @@ from sitl.onboard import OnboardSensors
 from sitl.scenario import Scenario, SensorSettings
 from sitl.score import judge
 from sitl.sensors import GpsErrors, MagErrors, RangeErrors
+from sitl.truth_telemetry import TruthMessages
 from sitl.world import World
 
 PHYSICS_STEP_S: Final = 1.0 / 400.0
@@ -119,8 +121,13 @@ class Simulation:
         gps_port: DevicePort,
         range_port: DevicePort,
         deliver_frame: Callable[[Frame], None],
+        frames_wanted: Callable[[], bool] = lambda: True,
+        serve_truth: bool = False,
     ) -> None:
         """Build the world and plug the devices in.
+
+        While `frames_wanted` says no, none is rendered; `serve_truth` lets clients of the link ask for the
+        truth.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -182,9 +189,10 @@ class Simulation:
             gps_errors=errors.gps,
             range_errors=errors.range,
         )
-        self._camera = _Camera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
-        self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard)
-        self._deliver_frame = deliver_frame
+        self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
+        truth = TruthMessages(self._autopilot, self._world, HOME) if serve_truth else None
+        self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard, truth=truth)
+        self._deliver_frame, self._frames_wanted = deliver_frame, frames_wanted
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
@@ -280,6 +288,8 @@ class Simulation:
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
+        if not self._frames_wanted():
+            self._camera.skip_to(now_s)
         taken = self._camera.step(now_s)
         if taken is None:
             return
@@ -346,17 +356,26 @@ def read_report(path: Path) -> SimulationReport:
 # ---------------------------------------------------------------- parts
 
 
-class _Camera:
+class Scene(Protocol):
+    """A world as the camera sees it."""
+
+    def truth_at(self, time_s: float) -> Truth:
+        """Vehicle and pad at a time of the last 0.3 s, s of the world."""
+        ...
+
+
+class SceneCamera:
     """Exposes at the camera's rate and renders when the last row has been read."""
 
     def __init__(
         self,
         scenario: Scenario,
         vehicle: VehicleConfig,
-        world: World,
+        world: Scene,
         noise_rng: np.random.Generator,
         latency_rng: np.random.Generator,
         lens_rng: np.random.Generator,
+        start_s: float = 0.0,
     ) -> None:
         settings = scenario.camera
         calibration = load_model(CameraConfig, find_file("cameras", settings.config))
@@ -376,11 +395,22 @@ class _Camera:
         self._rng = latency_rng
         self._period_s = 1.0 / (settings.rate_hz or config.rate_hz)
         self._sequence = 0
-        self._next_s = self._period_s
+        self._next_s = start_s + self._period_s
+
+    @property
+    def exposed_s(self) -> float:
+        """When the next frame's last row will have been read (world time)."""
+        return self._next_s + 0.5 * self._model.span_s
+
+    def skip_to(self, now_s: float) -> None:
+        """Drop the frames whose exposure ended before now_s (world time); they are counted."""
+        missed = max(0, math.ceil((now_s - self.exposed_s) / self._period_s))
+        self._next_s += missed * self._period_s
+        self._sequence += missed
 
     def step(self, now_s: float) -> tuple[Frame, float] | None:
         """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
-        if now_s < self._next_s + 0.5 * self._model.span_s:
+        if now_s < self.exposed_s:
             return None
         time_s = self._next_s
         self._next_s += self._period_s

@@ -10,21 +10,22 @@ from pydantic import Field, field_validator, model_validator
 from companion.config.reading import StrictModel
 
 CONNECTION_FORM = re.compile(
-    r"(?P<kind>udp|udpin):(?P<host>[^:\s]+):(?P<port>\d{1,5})|serial:(?P<path>/\S+):(?P<baud>\d{4,7})"
+    r"(?P<kind>udp|udpin|tcp):(?P<host>[^:\s]+):(?P<port>\d{1,5})|serial:(?P<path>/\S+):(?P<baud>\d{4,7})"
 )
 
 
 class LinkConfig(StrictModel):
     """The autopilot's port, who we are on it, and how patient we are.
 
-    `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call) or udpin:HOST:PORT (we listen). `system_id` is
-    the vehicle's and so ours; 0 takes the first autopilot heard. `component_id` is ours; MAVSDK, which speaks
-    beside us, is another component. `force_disarm` allows disarming by force after a
-    touchdown that several signs have confirmed for seconds while the autopilot's land detector still
-    believes itself in the air, as it may on a pad that moves; never elsewhere. The pad's beacon is taken from
-    `ground_system_id` alone, and only when it is not faster than `maximum_pad_speed_m_s`. `set_parameters`
-    allows setting the one autopilot parameter that we need: bit 3 of ArduPilot's GUID_OPTIONS, for attitude
-    setpoints; without it control is refused while the bit is missing.
+    `connection` is serial:PATH:BAUD, udp:HOST:PORT (we call), udpin:HOST:PORT (we listen) or tcp:HOST:PORT
+    (we call). `system_id` is the vehicle's and so ours; 0 takes the first autopilot heard. `component_id`
+    is ours; MAVSDK, which speaks beside us, is another component. `force_disarm` allows disarming by
+    force after a touchdown that several signs have confirmed for seconds while the autopilot's land
+    detector still believes itself in the air, as it may on a pad that moves; never elsewhere. The pad's
+    beacon is taken from `ground_system_id` alone, and only when it is not faster than
+    `maximum_pad_speed_m_s`. `set_parameters` allows setting the one autopilot parameter that we need: bit
+    3 of ArduPilot's GUID_OPTIONS, for attitude setpoints; without it control is refused while the bit is
+    missing.
     """
 
     connection: str = "udpin:127.0.0.1:14540"
@@ -46,7 +47,8 @@ class LinkConfig(StrictModel):
         form = CONNECTION_FORM.fullmatch(value)
         if form is None or not 1 <= int(form["port"] or 1) <= 65535:
             raise ValueError(
-                "expected serial:PATH:BAUD, udp:HOST:PORT or udpin:HOST:PORT with a port of 1..65535, "
+                "expected serial:PATH:BAUD, udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT with a port of "
+                "1..65535, "
                 f"found '{value}'"
             )
         return value

@@ -130,7 +130,10 @@ class AutopilotSensorsConfig(StrictModel):
 class VisionConfig(StrictModel):
     """Marker detection and pose."""
 
-    source: str = "v4l2:0"  # "v4l2:N", or "socket:PATH" for frames from another process
+    source: str = "v4l2:0"  # "v4l2:N"; "socket:PATH" or "tcp:HOST:PORT" for frames from another process
+    unstamped_latency_s: float = Field(
+        default=0.045, ge=0.0, le=0.5
+    )  # age, when it comes, of another process's frame that does not say when it was exposed
     minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
     maximum_markers: int = Field(default=12, ge=1, le=100)  # refined and used in one frame
     region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected

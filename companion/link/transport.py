@@ -1,4 +1,4 @@
-"""Byte transports to the autopilot: serial port, UDP, and an in-process pipe for virtual time.
+"""Byte transports to the autopilot: serial port, UDP, TCP, and an in-process pipe for virtual time.
 
 All queues are bounded, and what does not fit is dropped and counted: a setpoint that waited for a stuck line
 is worse than none. `read` gives what came, one byte or more, and raises OSError once the transport is gone.
@@ -194,6 +194,44 @@ class UdpTransport(asyncio.DatagramProtocol):
             _log.warning("link: %s:%d is not heard: no heartbeat %s", *address[:2], wanted)
 
 
+class TcpTransport:
+    """A TCP connection that we have opened, as a simulated autopilot's serial ports are. Made by `open`."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+        self.dropped_bytes = 0
+
+    @classmethod
+    async def open(cls, host: str, port: int) -> TcpTransport:
+        """Connect.
+
+        Raises:
+            OSError: nobody listens there, or the host is not known.
+        """
+        return cls(*await asyncio.open_connection(host, port))
+
+    async def read(self) -> bytes:
+        """See `Transport`."""
+        data = await self._reader.read(_READ_BYTES)
+        if not data:
+            raise OSError("the TCP connection is closed")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`: whole writes are dropped while the other side does not take them."""
+        transport = self._writer.transport
+        if transport.is_closing():
+            return
+        if transport.get_write_buffer_size() + len(data) > _WRITE_QUEUE_BYTES:
+            self.dropped_bytes += len(data)
+            return
+        self._writer.write(data)
+
+    def close(self) -> None:
+        """See `Transport`."""
+        self._writer.transport.abort()
+
+
 class SerialTransport:
     """A serial port, raw, 8N1, without flow control.
 
@@ -268,7 +306,7 @@ class SerialTransport:
 
 
 async def open_transport(spec: str, system_id: int = 0) -> Transport:
-    """Open `serial:PATH:BAUD`, `udp:HOST:PORT` (we call) or `udpin:HOST:PORT` (we listen).
+    """Open `serial:PATH:BAUD`; `udp:HOST:PORT` or `tcp:HOST:PORT` (we call); `udpin:HOST:PORT` (we listen).
 
     A listener takes the autopilot of `system_id` for its peer; 0 takes the first one heard.
 
@@ -278,11 +316,14 @@ async def open_transport(spec: str, system_id: int = 0) -> Transport:
     form = CONNECTION_FORM.fullmatch(spec)
     if form is None:
         raise ConfigError(
-            f"link.connection: expected serial:PATH:BAUD, udp:HOST:PORT or udpin:HOST:PORT, found '{spec}'"
+            "link.connection: expected serial:PATH:BAUD, udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT, "
+            f"found '{spec}'"
         )
     try:
         if form["path"] is not None:
             return SerialTransport(form["path"], int(form["baud"]))
+        if form["kind"] == "tcp":
+            return await TcpTransport.open(form["host"], int(form["port"]))
         transport = UdpTransport(system_id)
         await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
     except (OSError, ValueError, OverflowError) as error:

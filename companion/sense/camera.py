@@ -3,14 +3,14 @@
 The newest frame wins: whoever is slow misses frames and never works through old ones. `Frame.time_s` is
 mid-exposure of the image's middle row on the loop's clock (CLOCK_MONOTONIC).
 
-Sources, as in `sense.vision.source`: "v4l2:0" (/dev/video0), "socket:/run/companion/frames".
+Sources, as in `sense.vision.source`: "v4l2:0" (/dev/video0), "socket:/run/companion/frames" and
+"tcp:127.0.0.1:5600" (frames in the format of `companion.frame_format`).
 """
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from pathlib import Path
 from typing import Any, Final, Protocol
 
 import cv2
@@ -19,13 +19,17 @@ from numpy.typing import NDArray
 
 from companion.clock import Clock
 from companion.config import CameraConfig, ConfigError
-from companion.frame_format import HEADER_SIZE, FrameHeader, unpack_header, unpack_image
+from companion.frame_format import FrameHeader
+from companion.frame_stream import ADDRESS_FORM, FrameStream
 from companion.messages import Frame
 
 V4L2_MANUAL_EXPOSURE: Final = 1
 V4L2_EXPOSURE_UNIT_S: Final = 1e-4
 # a driver's time stamp is believed when it is not from the future and not older than this
 OLDEST_STAMP_S: Final = 0.5
+# a frame from another process that is further off than this was stamped by another clock than ours
+EARLIEST_FOREIGN_S: Final = 0.05
+OLDEST_FOREIGN_S: Final = 5.0
 
 
 class FrameSource(Protocol):
@@ -52,8 +56,10 @@ class Capture(Protocol):
     def release(self) -> None: ...
 
 
-async def open_camera(spec: str, camera: CameraConfig) -> FrameSource:
+async def open_camera(spec: str, camera: CameraConfig, unstamped_latency_s: float = 0.0) -> FrameSource:
     """Open the source named by `spec`.
+
+    `unstamped_latency_s` is how old a socket's frame without a time is when it has come.
 
     Raises:
         ConfigError: no such source; one line with what was expected.
@@ -62,9 +68,9 @@ async def open_camera(spec: str, camera: CameraConfig) -> FrameSource:
     if kind == "v4l2" and where.isdigit():
         capture = await asyncio.to_thread(_open_v4l2, int(where), camera)
         return V4l2Camera(capture, camera, Clock())
-    if kind == "socket" and where:
-        return await SocketCamera.connect(Path(where), camera)
-    raise ConfigError(f"sense.vision.source: '{spec}'; expected v4l2:NUMBER or socket:PATH")
+    if ADDRESS_FORM.fullmatch(spec):
+        return await SocketCamera.connect(spec, camera, unstamped_latency_s)
+    raise ConfigError(f"sense.vision.source: '{spec}'; expected v4l2:NUMBER, socket:PATH or tcp:HOST:PORT")
 
 
 class _Newest:
@@ -95,32 +101,30 @@ class _Newest:
 
 
 class SocketCamera:
-    """Frames in the format of `companion.frame_format` from a unix socket."""
+    """Frames from another process, grey or in colour."""
 
     def __init__(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, camera: CameraConfig, clock: Clock
+        self, stream: FrameStream, camera: CameraConfig, unstamped_latency_s: float, clock: Clock
     ) -> None:
-        self._reader, self._writer = reader, writer
+        self._stream = stream
         self._camera = camera
+        self._unstamped_latency_s = unstamped_latency_s
         self._clock = clock
         self._newest = _Newest()
         self._task = asyncio.create_task(self._receive(), name="frames from the socket")
 
     @classmethod
-    async def connect(cls, path: Path, camera: CameraConfig) -> SocketCamera:
+    async def connect(cls, address: str, camera: CameraConfig, unstamped_latency_s: float) -> SocketCamera:
         """Connect to whoever serves frames there.
 
         Raises:
             ConfigError: nobody does.
         """
         try:
-            reader, writer = await asyncio.open_unix_connection(path, limit=2**20)
-        except OSError as error:
-            raise ConfigError(
-                f"sense.vision.source: socket:{path}: {error.strerror or error}; "
-                "expected a program that serves frames"
-            ) from error
-        return cls(reader, writer, camera, Clock())
+            stream = await FrameStream.open(address)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"sense.vision.source: {error}") from error
+        return cls(stream, camera, unstamped_latency_s, Clock())
 
     async def next(self) -> Frame:
         """See `FrameSource`."""
@@ -129,24 +133,36 @@ class SocketCamera:
     def close(self) -> None:
         """See `FrameSource`."""
         self._task.cancel()
-        self._writer.close()
+        self._stream.close()
 
     async def _receive(self) -> None:
         try:
             while True:
-                header = unpack_header(await self._reader.readexactly(HEADER_SIZE))
-                self._check(header)
-                image = unpack_image(header, await self._reader.readexactly(header.size))
-                self._newest.put(Frame(header.time_s, self._clock.now_s(), header.sequence, image))
-        except (OSError, EOFError) as error:
-            self._newest.fail(OSError(f"the camera's socket was closed: {error}"))
-        except ValueError as error:
-            self._newest.fail(OSError(f"the camera's socket does not send frames: {error}"))
-        except ConfigError as error:
+                header = await self._stream.read_header()
+                # before the image: what is of another size is not waited for
+                _check_size(header.width_px, header.height_px, self._camera)
+                image = await self._stream.read_image(header)
+                received_s = self._clock.now_s()
+                time_s = self._exposure_s(header, received_s)
+                self._newest.put(Frame(time_s, received_s, header.sequence, _grey(image)))
+        except (OSError, ConfigError) as error:
             self._newest.fail(error)
 
-    def _check(self, header: FrameHeader) -> None:
-        _check_size(header.width_px, header.height_px, self._camera)
+    def _exposure_s(self, header: FrameHeader, received_s: float) -> float:
+        """When it was exposed on our clock; a frame without a time is as old as the settings say.
+
+        Raises:
+            ConfigError: the sender's clock is not CLOCK_MONOTONIC.
+        """
+        if header.time_s is None:
+            return received_s - self._unstamped_latency_s
+        age_s = received_s - header.time_s
+        if not -EARLIEST_FOREIGN_S <= age_s <= OLDEST_FOREIGN_S:
+            raise ConfigError(
+                f"{self._stream.address}: a frame stamped {header.time_s:.3f} s came at {received_s:.3f} s; "
+                "expected CLOCK_MONOTONIC at mid-exposure, or 0 where that is not known"
+            )
+        return header.time_s
 
 
 class V4l2Camera:

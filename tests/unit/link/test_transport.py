@@ -302,7 +302,10 @@ async def test_a_stuck_line_drops_what_it_cannot_take() -> None:
         ("serial:/dev/null:57600", "."),
         ("udpin:no-such-host.invalid:14540", "."),
         ("udpin:203.0.113.1:14540", "."),
-        ("tcp:127.0.0.1:5760", "expected serial:PATH:BAUD, udp:HOST:PORT or udpin:HOST:PORT"),
+        (
+            "tcpin:127.0.0.1:5760",
+            "expected serial:PATH:BAUD, udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT",
+        ),
         ("udp:127.0.0.1:99999", "."),
     ],
 )

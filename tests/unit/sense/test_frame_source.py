@@ -13,6 +13,7 @@ import pytest
 
 from companion.clock import Clock
 from companion.config import CameraConfig, ConfigError
+from companion.frame_format import pack_frame
 from companion.messages import Frame
 from companion.sense.camera import SocketCamera, V4l2Camera, exposure_time_s, open_camera
 from sitl.frame_server import FrameServer
@@ -83,22 +84,24 @@ def test_a_true_stamp_is_used(camera: CameraConfig) -> None:
     assert exposure_time_s(99.9, 100.0, camera) == pytest.approx(expected)
 
 
-async def connected(path: Path, camera: CameraConfig) -> tuple[FrameServer, SocketCamera]:
-    server = FrameServer(path)
+async def connected(where: Path | int, camera: CameraConfig) -> tuple[FrameServer, SocketCamera]:
+    server = FrameServer(where)
     await server.start()
-    source = await open_camera(f"socket:{path}", camera)
+    source = await open_camera(server.address, camera)
     assert isinstance(source, SocketCamera)
     while server.client_count == 0:  # noqa: ASYNC110 - the server has no event for it
         await asyncio.sleep(0)
     return server, source
 
 
-async def test_frames_cross_the_socket_unchanged(tmp_path: Path, camera: CameraConfig) -> None:
-    server, source = await connected(tmp_path / "frames", camera)
+@pytest.mark.parametrize("kind", ["unix", "tcp"])
+async def test_frames_cross_the_socket_unchanged(kind: str, tmp_path: Path, camera: CameraConfig) -> None:
+    server, source = await connected(tmp_path / "frames" if kind == "unix" else 0, camera)
     image = np.random.default_rng(0).integers(0, 256, (480, 640)).astype(np.uint8)
-    server.deliver(Frame(12.5, 12.5, 41, image))
+    time_s = round(Clock().now_s() - 0.04, 6)
+    server.deliver(Frame(time_s, time_s, 41, image))
     frame = await asyncio.wait_for(source.next(), 5.0)
-    assert (frame.sequence, frame.time_s) == (41, 12.5)
+    assert (frame.sequence, frame.time_s) == (41, time_s)
     assert np.array_equal(frame.image, image)
     source.close()
     await server.close()
@@ -108,14 +111,14 @@ async def test_the_newest_frame_wins_and_a_slow_client_never_holds_the_server_up
     tmp_path: Path, camera: CameraConfig
 ) -> None:
     server, source = await connected(tmp_path / "frames", camera)
-    image = np.zeros((480, 640), np.uint8)
+    image, time_s = np.zeros((480, 640), np.uint8), Clock().now_s()
     for sequence in range(50):  # without a pause: most cannot be taken and are dropped
-        server.deliver(Frame(float(sequence), float(sequence), sequence, image))
+        server.deliver(Frame(time_s, time_s, sequence, image))
     first = await asyncio.wait_for(source.next(), 5.0)
     assert first.sequence < 49
     for sequence in range(100, 103):  # with pauses: all are taken, and the last is what the reader gets
         await asyncio.sleep(0.1)
-        server.deliver(Frame(float(sequence), float(sequence), sequence, image))
+        server.deliver(Frame(time_s, time_s, sequence, image))
     await asyncio.sleep(0.05)
     newest = await asyncio.wait_for(source.next(), 5.0)
     assert newest.sequence == 102
@@ -126,7 +129,7 @@ async def test_the_newest_frame_wins_and_a_slow_client_never_holds_the_server_up
 async def test_a_server_that_goes_is_an_error(tmp_path: Path, camera: CameraConfig) -> None:
     server, source = await connected(tmp_path / "frames", camera)
     await server.close()
-    with pytest.raises(OSError, match="socket"):
+    with pytest.raises(OSError, match="closed by its server"):
         await asyncio.wait_for(source.next(), 5.0)
     source.close()
 
@@ -142,30 +145,74 @@ async def test_frames_of_another_size_than_the_calibrations_are_refused(
     await server.close()
 
 
-async def test_what_is_not_a_frame_is_an_error(tmp_path: Path, camera: CameraConfig) -> None:
+async def from_a_server_that_says(data: bytes, folder: Path, camera: CameraConfig) -> Frame:
+    """The frame that the app makes of a stranger's bytes."""
+
     async def talk(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(64))
+        writer.write(data)
         await writer.drain()
         writer.close()
 
-    server = await asyncio.start_unix_server(talk, tmp_path / "frames")
-    source = await open_camera(f"socket:{tmp_path / 'frames'}", camera)
-    with pytest.raises(OSError, match="does not send frames"):
-        await asyncio.wait_for(source.next(), 5.0)
-    source.close()
-    server.close()
+    server = await asyncio.start_unix_server(talk, folder / "frames")
+    source = await open_camera(f"socket:{folder / 'frames'}", camera, unstamped_latency_s=0.03)
+    try:
+        return await asyncio.wait_for(source.next(), 5.0)
+    finally:
+        source.close()
+        server.close()
 
 
-@pytest.mark.parametrize("spec", ["usb", "v4l2:", "v4l2:front", "socket:", ""])
+async def test_a_colour_image_becomes_grey(tmp_path: Path, camera: CameraConfig) -> None:
+    image = np.full((480, 640, 3), (0, 100, 0), np.uint8)
+    frame = await from_a_server_that_says(pack_frame(image, 3, Clock().now_s()), tmp_path, camera)
+    assert frame.image.shape == (480, 640)
+    assert int(frame.image[0, 0]) == 59  # green's weight, 0.587
+
+
+async def test_a_frame_without_a_time_is_as_old_as_the_settings_say(
+    tmp_path: Path, camera: CameraConfig
+) -> None:
+    frame = await from_a_server_that_says(
+        pack_frame(np.zeros((480, 640), np.uint8), 0, None), tmp_path, camera
+    )
+    assert frame.time_s == pytest.approx(frame.received_s - 0.03)
+
+
+@pytest.mark.parametrize("off_s", [-60.0, 3600.0])
+async def test_another_clock_than_ours_is_told(off_s: float, tmp_path: Path, camera: CameraConfig) -> None:
+    data = pack_frame(np.zeros((480, 640), np.uint8), 0, max(Clock().now_s() + off_s, 1e-9))
+    with pytest.raises(ConfigError, match="expected CLOCK_MONOTONIC at mid-exposure, or 0"):
+        await from_a_server_that_says(data, tmp_path, camera)
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(64), "does not send frames: not a frame"),
+        (
+            pack_frame(np.zeros((480, 640), np.uint8), 0, None)[:-1],
+            "after 307199 of 307200 bytes",
+        ),
+        (b"CFRM", "after 4 of 32 bytes of a frame's header"),
+    ],
+)
+async def test_what_is_not_a_whole_frame_is_an_error(
+    data: bytes, text: str, tmp_path: Path, camera: CameraConfig
+) -> None:
+    with pytest.raises(OSError, match=text):
+        await from_a_server_that_says(data, tmp_path, camera)
+
+
+@pytest.mark.parametrize("spec", ["usb", "v4l2:", "v4l2:front", "socket:", "tcp:host", ""])
 async def test_a_source_that_is_not_one_is_named_with_what_was_expected(
     spec: str, camera: CameraConfig
 ) -> None:
-    with pytest.raises(ConfigError, match="expected v4l2:NUMBER or socket:PATH"):
+    with pytest.raises(ConfigError, match="expected v4l2:NUMBER, socket:PATH or tcp:HOST"):
         await open_camera(spec, camera)
 
 
 async def test_a_missing_camera_or_server_is_one_line(tmp_path: Path, camera: CameraConfig) -> None:
-    for spec in ("v4l2:63", f"socket:{tmp_path / 'nobody'}"):
+    for spec in ("v4l2:63", f"socket:{tmp_path / 'nobody'}", "tcp:127.0.0.1:1"):
         with pytest.raises(ConfigError) as caught:
             await open_camera(spec, camera)
         assert "\n" not in str(caught.value)

@@ -1,0 +1,202 @@
+"""Bytes to and from somebody else's vehicle, over UDP or TCP, and a UDP port by which the app shares them.
+
+`udp:HOST:PORT` calls that port, `udpin:HOST:PORT` listens there (a PX4 SITL sends to 14540 and 14550 by
+itself), `tcp:HOST:PORT` calls and calls again (an ArduPilot SITL listens on 5760, 5762 and 5763). A vehicle
+that is not there yet, or gone, is waited for; `tell` gets one line about it, and one when it is back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import re
+from collections.abc import Callable
+from typing import Final
+
+from companion.config import ConfigError
+
+CONNECTION_FORM: Final = re.compile(r"(?P<kind>udp|udpin|tcp):(?P<host>[^:\s]+):(?P<port>\d{1,5})")
+RETRY_S: Final = 1.0
+_INBOX_CHUNKS: Final = 1000
+_READ_BYTES: Final = 4096
+_WRITE_BYTES: Final = 1 << 16
+
+Tell = Callable[[str], None]
+
+
+class _Inbox:
+    """What came and was not read yet; the oldest goes when nobody reads."""
+
+    def __init__(self) -> None:
+        self._chunks: asyncio.Queue[bytes] = asyncio.Queue(maxsize=_INBOX_CHUNKS)
+
+    def put(self, data: bytes) -> None:
+        if self._chunks.full():
+            self._chunks.get_nowait()
+        self._chunks.put_nowait(data)
+
+    async def read(self) -> bytes:
+        """Wait for bytes; all that has come is returned in one."""
+        data = await self._chunks.get()
+        while not self._chunks.empty():
+            data += self._chunks.get_nowait()
+        return data
+
+
+class UdpEnd(asyncio.DatagramProtocol):
+    """One UDP socket: calling a fixed peer, or listening and answering whoever spoke last."""
+
+    def __init__(self) -> None:
+        self._inbox = _Inbox()
+        self._socket: asyncio.DatagramTransport | None = None
+        self._calls = False
+        self._peer: tuple[str, int] | None = None
+
+    @property
+    def has_peer(self) -> bool:
+        """Whether anybody has spoken."""
+        return self._peer is not None
+
+    async def open(self, host: str, port: int, *, listen: bool) -> int:
+        """Bind (listen) or call; returns our port.
+
+        Raises:
+            OSError: the port is taken, or the host is not known.
+        """
+        self._calls = not listen
+        where = (host, port)
+        self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: self, local_addr=where if listen else None, remote_addr=None if listen else where
+        )
+        ours: tuple[str, int] = self._socket.get_extra_info("sockname")
+        return ours[1]
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """asyncio: a datagram came."""
+        self._peer = addr
+        self._inbox.put(data)
+
+    def error_received(self, exc: Exception) -> None:
+        """asyncio: nobody listens there yet; somebody may."""
+
+    async def read(self) -> bytes:
+        """Wait for bytes."""
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """Send to the peer; dropped while there is none."""
+        if self._socket is None or not data or self._socket.is_closing():
+            return
+        if self._calls:
+            self._socket.sendto(data)
+        elif self._peer is not None:
+            self._socket.sendto(data, self._peer)
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self._socket is not None:
+            self._socket.close()
+
+
+class TcpEnd:
+    """A TCP connection that we open, and open again whenever it is closed."""
+
+    def __init__(self, host: str, port: int, tell: Tell) -> None:
+        self._name = f"tcp:{host}:{port}"
+        self._inbox = _Inbox()
+        self._writer: asyncio.StreamWriter | None = None
+        self._tell = tell
+        self._told = False
+        self._task = asyncio.create_task(self._stay_connected(host, port), name=self._name)
+
+    async def read(self) -> bytes:
+        """Wait for bytes."""
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """Send; dropped while nobody takes it."""
+        writer = self._writer
+        if writer is not None and data and writer.transport.get_write_buffer_size() < _WRITE_BYTES:
+            writer.write(data)
+
+    def close(self) -> None:
+        """Part, for good."""
+        self._task.cancel()
+        if self._writer is not None:
+            self._writer.transport.abort()
+
+    async def _stay_connected(self, host: str, port: int) -> None:
+        while True:
+            try:
+                reader, self._writer = await asyncio.open_connection(host, port)
+                if self._told:
+                    self._told = False
+                    self._tell(f"{self._name}: connected again")
+                while data := await reader.read(_READ_BYTES):
+                    self._inbox.put(data)
+                self._complain("closed by the other side")
+            except OSError as error:
+                self._complain(error.strerror or str(error))
+            finally:
+                if self._writer is not None:
+                    self._writer.close()
+                    self._writer = None
+            await asyncio.sleep(RETRY_S)
+
+    def _complain(self, reason: str) -> None:
+        """Tell a trouble once; what follows until it is over is the same one."""
+        if not self._told:
+            self._told = True
+            self._tell(f"{self._name}: {reason}; trying again every {RETRY_S:g} s")
+
+
+ExternalLink = UdpEnd | TcpEnd
+
+
+def check_connection(spec: str, option: str) -> None:
+    """Refuse what is no connection, before anything is opened.
+
+    Raises:
+        ConfigError: one line that says what was expected.
+    """
+    form = CONNECTION_FORM.fullmatch(spec)
+    if form is None or not 1 <= int(form["port"]) <= 65535:
+        raise ConfigError(
+            f"{option} {spec}: expected udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT, port 1..65535"
+        )
+
+
+async def open_link(spec: str, tell: Tell) -> ExternalLink:
+    """Open a connection that `check_connection` has let pass.
+
+    Raises:
+        ConfigError: the port is taken, or the host is not known.
+    """
+    form = CONNECTION_FORM.fullmatch(spec)
+    assert form is not None
+    host, port = form["host"], int(form["port"])
+    if form["kind"] == "tcp":
+        return TcpEnd(host, port, tell)
+    end = UdpEnd()
+    try:
+        await end.open(host, port, listen=form["kind"] == "udpin")
+    except OSError as error:
+        raise ConfigError(
+            f"{spec}: {error.strerror or error}; expected a free port of a known host"
+        ) from error
+    return end
+
+
+async def open_relay() -> tuple[UdpEnd, int]:
+    """A UDP port of the loopback for the app, and its number."""
+    relay = UdpEnd()
+    return relay, await relay.open("127.0.0.1", 0, listen=True)
+
+
+async def pump(source: ExternalLink, *sinks: Callable[[bytes], None]) -> None:
+    """Hand on whatever comes, until cancelled."""
+    with contextlib.suppress(asyncio.CancelledError):
+        while True:
+            data = await source.read()
+            for sink in sinks:
+                sink(data)

@@ -1,0 +1,203 @@
+"""Where somebody else's vehicle is: its simulator's MAVLink messages -> poses, and poses between them. Pure.
+
+    SIM_STATE             ArduPilot's SITL: the truth. Float quaternion, altitude (m) and velocity; place in
+                          1e-7 deg (11 mm). Older ones have the place as float alone (0.4 m). Without a stamp
+    HIL_STATE_QUATERNION  PX4's SITL and SIH: the truth. 1e-7 deg, mm, cm/s; PX4 leaves the stamp 0
+    LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, for want of better
+
+A message without a stamp is taken to tell of the moment at which it came: on a loopback it is some
+milliseconds old. NED, FRD, SI; quaternions (w, x, y, z) body to NED.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from typing import Any, Final, NamedTuple
+
+from companion.geometry import (
+    Quaternion,
+    Vector3,
+    add,
+    norm,
+    quat_from_euler,
+    quat_integrate,
+    quat_normalise,
+    scale,
+    subtract,
+)
+from companion.link.codec import mavlink
+
+Message = Any  # pymavlink's classes are generated without types
+
+SIM_STATE: Final = mavlink.MAVLINK_MSG_ID_SIM_STATE
+HIL_STATE: Final = mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+LOCAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+ATTITUDE: Final = mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+GLOBAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+
+MEMORY_S: Final = 2.0
+LONGEST_GUESS_S: Final = 0.1  # how far a pose is carried on beyond the newest message
+SMOOTHING_S: Final = 0.1  # place follows velocity, and the message's place over so long: 11 mm steps vanish
+JUMP_M: Final = 1.0  # a place that is this far from where the velocity led is a new one
+GAP_S: Final = 0.5
+
+
+class Sample(NamedTuple):
+    """One message: place as latitude (deg), longitude (deg), altitude (m)."""
+
+    time_s: float
+    place: Vector3
+    velocity_ned_m_s: Vector3
+    attitude: Quaternion
+    rate_body_rad_s: Vector3
+
+
+class Pose(NamedTuple):
+    """The vehicle at one time; position NED from the world's origin."""
+
+    time_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    attitude: Quaternion
+    rate_body_rad_s: Vector3
+
+
+def sim_state(message: Message, time_s: float) -> Sample | None:
+    """SIM_STATE that came at time_s; None when it holds no pose."""
+    attitude = _unit((message.q1, message.q2, message.q3, message.q4))
+    if attitude is None:
+        attitude = quat_from_euler(message.roll, message.pitch, message.yaw)
+    latitude, longitude = message.lat_int * 1e-7, message.lon_int * 1e-7
+    if message.lat_int == 0 and message.lon_int == 0:
+        # the float fields; ArduPilot puts 1e-7 deg into them as well
+        factor = 1e-7 if max(abs(message.lat), abs(message.lon)) > 360.0 else 1.0
+        latitude, longitude = message.lat * factor, message.lon * factor
+    return _sample(
+        time_s,
+        (latitude, longitude, message.alt),
+        (message.vn, message.ve, message.vd),
+        attitude,
+        (message.xgyro, message.ygyro, message.zgyro),
+    )
+
+
+def hil_state(message: Message, time_s: float) -> Sample | None:
+    """HIL_STATE_QUATERNION of time_s; None when it holds no pose (PX4 sends zeros before it has one)."""
+    attitude = _unit(tuple(message.attitude_quaternion))
+    if attitude is None:
+        return None
+    return _sample(
+        time_s,
+        (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3),
+        (message.vx * 1e-2, message.vy * 1e-2, message.vz * 1e-2),
+        attitude,
+        (message.rollspeed, message.pitchspeed, message.yawspeed),
+    )
+
+
+def _sample(
+    time_s: float, place: Vector3, velocity: Vector3, attitude: Quaternion, rate: Vector3
+) -> Sample | None:
+    if not all(map(math.isfinite, (*place, *velocity, *attitude, *rate))):
+        return None
+    if (place[0] == 0.0 and place[1] == 0.0) or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
+        return None
+    return Sample(time_s, place, velocity, attitude, rate)
+
+
+def _unit(values: tuple[float, ...]) -> Quaternion | None:
+    w, x, y, z = values
+    length = w * w + x * x + y * y + z * z
+    if not math.isfinite(length) or abs(length - 1.0) > 0.1:
+        return None
+    return quat_normalise((w, x, y, z))
+
+
+class PoseTrack:
+    """The poses of the last seconds. `at` may be called from another thread than `put`."""
+
+    def __init__(self) -> None:
+        self._poses: tuple[Pose, ...] = ()
+
+    @property
+    def newest(self) -> Pose | None:
+        """The newest pose; None before the first."""
+        return self._poses[-1] if self._poses else None
+
+    def put(self, pose: Pose) -> Pose | None:
+        """Take the next pose; returns it as it is kept, smoothed, or None when it is no newer than the last.
+
+        A clock that has gone back by more than is kept is a simulator that has started anew.
+        """
+        last = self.newest
+        if last is not None and last.time_s - MEMORY_S < pose.time_s <= last.time_s:
+            return None
+        if last is None or not 0.0 < pose.time_s - last.time_s < GAP_S:
+            self._poses = (pose,)
+            return pose
+        kept = _smoothed(last, pose)
+        older = tuple(p for p in self._poses if p.time_s > pose.time_s - MEMORY_S)
+        self._poses = (*older, kept)
+        return kept
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._poses = ()
+
+    def at(self, time_s: float) -> Pose:
+        """The pose at a time: between two messages, or carried on from the newest for `LONGEST_GUESS_S`.
+
+        Raises:
+            ValueError: there is no pose at all.
+        """
+        poses = self._poses
+        if not poses:
+            raise ValueError("no pose has come")
+        i = bisect_right(poses, time_s, key=lambda pose: pose.time_s)
+        if i == 0:
+            return poses[0]
+        if i == len(poses):
+            return _carried_on(poses[-1], min(time_s - poses[-1].time_s, LONGEST_GUESS_S))
+        return _between(poses[i - 1], poses[i], time_s)
+
+
+def _smoothed(last: Pose, pose: Pose) -> Pose:
+    """The place that velocity leads to, drawn to the message's; the height, in mm or finer, is its own."""
+    dt_s = pose.time_s - last.time_s
+    led = add(last.position_ned_m, scale(add(last.velocity_ned_m_s, pose.velocity_ned_m_s), 0.5 * dt_s))
+    missed = subtract(pose.position_ned_m, led)
+    if norm(missed) > JUMP_M:
+        return pose
+    north, east, _ = add(led, scale(missed, 1.0 - math.exp(-dt_s / SMOOTHING_S)))
+    return pose._replace(position_ned_m=(north, east, pose.position_ned_m[2]))
+
+
+def _carried_on(pose: Pose, dt_s: float) -> Pose:
+    return pose._replace(
+        time_s=pose.time_s + dt_s,
+        position_ned_m=add(pose.position_ned_m, scale(pose.velocity_ned_m_s, dt_s)),
+        attitude=quat_integrate(pose.attitude, pose.rate_body_rad_s, dt_s),
+    )
+
+
+def _between(a: Pose, b: Pose, time_s: float) -> Pose:
+    """A cubic through both places with both velocities; the attitude straight between."""
+    dt_s = b.time_s - a.time_s
+    k = (time_s - a.time_s) / dt_s
+    h = k * k * (3.0 - 2.0 * k)
+    from_a, from_b = dt_s * k * (1.0 - k) ** 2, -dt_s * k * k * (1.0 - k)
+    position = add(_mixed(a.position_ned_m, b.position_ned_m, h), scale(a.velocity_ned_m_s, from_a))
+    sign = 1.0 if sum(x * y for x, y in zip(a.attitude, b.attitude, strict=True)) >= 0.0 else -1.0
+    w, x, y, z = (p + k * (sign * q - p) for p, q in zip(a.attitude, b.attitude, strict=True))
+    return Pose(
+        time_s=time_s,
+        position_ned_m=add(position, scale(b.velocity_ned_m_s, from_b)),
+        velocity_ned_m_s=_mixed(a.velocity_ned_m_s, b.velocity_ned_m_s, k),
+        attitude=quat_normalise((w, x, y, z)),
+        rate_body_rad_s=_mixed(a.rate_body_rad_s, b.rate_body_rad_s, k),
+    )
+
+
+def _mixed(a: Vector3, b: Vector3, k: float) -> Vector3:
+    return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))

@@ -1,0 +1,41 @@
+"""How a simulator talks with whoever started it: lines of JSON out, one order in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+import threading
+from typing import Any
+
+from companion.messages import Phase
+
+
+async def final_phase() -> Phase | None:
+    """Wait for `finish PHASE` on standard input; None when it ends without."""
+    loop = asyncio.get_running_loop()
+    said: asyncio.Future[str] = loop.create_future()
+
+    def settle(line: str) -> None:
+        if not said.done():
+            said.set_result(line)
+
+    def listen() -> None:
+        # a thread, since a loop cannot watch a standard input that is a file or /dev/null; unbuffered, since
+        # a buffer's lock that a waiting thread holds breaks the end of the interpreter
+        line = b""
+        while b"\n" not in line and (data := os.read(sys.stdin.fileno(), 100)):
+            line += data
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(settle, line.decode(errors="replace"))
+
+    threading.Thread(target=listen, name="standard input", daemon=True).start()
+    word, _, phase = (await said).strip().partition(" ")
+    return Phase(phase) if word == "finish" and phase in set(Phase) else None
+
+
+def say(message: dict[str, Any]) -> None:
+    """Put one line of JSON on standard output."""
+    print(json.dumps(message), flush=True)

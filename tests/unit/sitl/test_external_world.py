@@ -1,0 +1,163 @@
+"""The pad on the flat ground of somebody else's simulator, and the score of recorded flights over it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from companion.config import ConfigError
+from companion.messages import Outcome, Phase
+from sitl.external_world import ExternalWorld
+from sitl.scenario import Scenario, load_scenario
+from tests.unit.sitl.external_vehicle import GROUND, Flight, hop, sample
+
+STEP_S = 0.02
+START_S = 1000.0
+STANDING_M = 0.18
+
+
+def scenario(motion: dict[str, Any]) -> Scenario:
+    return Scenario.model_validate(
+        {"name": "t", "description": "t", "pad": {"heading": 0.0, "motion": motion}}
+    )
+
+
+def static(spread_m: float = 0.0) -> Scenario:
+    return scenario({"kind": "static", "meet": {"point_ned_m": [4.0, 3.0], "spread_m": spread_m}})
+
+
+def line(speed_m_s: float) -> Scenario:
+    meet = {"point_ned_m": [4.0, 3.0], "time_s": 10.0, "spread_m": 0.0}
+    return scenario({"kind": "line", "speed_m_s": speed_m_s, "course_deg": 90.0, "meet": meet})
+
+
+def play(
+    world: ExternalWorld, flight: Flight, seconds: float, *, disarm_s: float = math.inf
+) -> ExternalWorld:
+    """Stand for a second, fly armed, and tell the world at 50 Hz."""
+    world.begin(GROUND)
+    for k in range(50):
+        world.see(sample(START_S - 1.0 + k * STEP_S, (0.0, 0.0, 0.0)), armed=False)
+    for k in range(round(seconds / STEP_S)):
+        position, velocity = flight(k * STEP_S)
+        world.see(sample(START_S + k * STEP_S, position, velocity), armed=k * STEP_S < disarm_s)
+    return world
+
+
+def test_a_landing_on_the_pad_is_scored() -> None:
+    flight, contact_s = hop(4.05, 3.0)
+    world = play(ExternalWorld(static(), 0), flight, contact_s + 2.0, disarm_s=contact_s + 1.0)
+    touchdown = world.touchdown
+    assert touchdown is not None
+    assert touchdown.on_pad
+    assert touchdown.time_s == pytest.approx(START_S + contact_s, abs=0.1)
+    assert touchdown.lateral_error_m == pytest.approx(0.05, abs=0.005)
+    # of the last message in the air: those of the ground say that it stands
+    assert touchdown.vertical_speed_m_s == pytest.approx(0.3, abs=1e-3)
+    assert touchdown.horizontal_speed_m_s == pytest.approx(0.0, abs=1e-6)
+    verdict = world.judge(Phase.LANDED)
+    assert (verdict.outcome, verdict.failures) == (Outcome.LANDED, ())
+
+
+def test_beside_the_pad_is_missed_and_armed_is_no_landing() -> None:
+    flight, contact_s = hop(4.0, 0.5)
+    beside = play(ExternalWorld(static(), 0), flight, contact_s + 2.0, disarm_s=contact_s + 1.0)
+    assert beside.judge(Phase.LANDED).outcome is Outcome.MISSED
+    flight, contact_s = hop(4.0, 3.0)
+    armed = play(ExternalWorld(static(), 0), flight, contact_s + 2.0)
+    assert armed.judge(Phase.LANDED).failures == ("not disarmed",)
+
+
+def test_a_hard_landing_is_a_crash_and_no_flight_is_a_timeout() -> None:
+    flight, contact_s = hop(4.0, 3.0, sink_m_s=3.0)
+    world = play(ExternalWorld(static(), 0), flight, contact_s + 2.0)
+    assert world.judge(Phase.LANDED).outcome is Outcome.CRASHED
+    stood = play(ExternalWorld(static(), 0), lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 3.0)
+    assert stood.touchdown is None
+    assert stood.judge(Phase.SEARCH).outcome is Outcome.TIMEOUT
+
+
+def test_the_pad_lies_on_the_ground_whatever_height_the_scenario_gives_it() -> None:
+    world = ExternalWorld(load_scenario("line"), 0)
+    assert world.pad_at(START_S).position_ned_m[2] == 0.0
+    play(world, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    # the vehicle's reference point stands over its feet
+    assert world.truth_at(START_S).vehicle_position_ned_m == pytest.approx((0.0, 0.0, -STANDING_M), abs=1e-6)
+
+
+def test_a_pad_that_heaves_is_refused_in_one_line() -> None:
+    with pytest.raises(
+        ConfigError, match=r"'heave': its pad leaves the ground.*expected one that stays level"
+    ):
+        ExternalWorld(load_scenario("heave"), 0)
+
+
+def test_the_pad_sets_off_when_the_vehicle_is_armed() -> None:
+    world = ExternalWorld(line(1.0), 0)
+    world.begin(GROUND)
+    still = world.pad_at(START_S - 1.0)
+    assert still.velocity_ned_m_s == (0.0, 0.0, 0.0)
+    play(world, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 10.0)
+    assert world.pad_at(START_S - 0.5).position_ned_m == still.position_ned_m
+    met = world.pad_at(START_S + 10.0)
+    assert met.position_ned_m == pytest.approx((4.0, 3.0, 0.0), abs=1e-6)
+    assert met.velocity_ned_m_s == pytest.approx((0.0, 1.0, 0.0), abs=1e-6)
+
+
+def test_a_moving_pad_waits_under_a_vehicle_that_stands_on_it_and_goes_on_after_it() -> None:
+    """The vehicle's own simulator does not carry it along."""
+    top_m, sink_m_s = 3.0, 0.5
+    down_s = top_m / sink_m_s
+    world = ExternalWorld(line(0.4), 0)
+    contact_s = 10.0  # when the pad is at (4, 3)
+
+    def flight(time_s: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        east = 3.0 + 0.4 * (min(time_s, contact_s) - contact_s)
+        height = max(0.0, sink_m_s * (contact_s - time_s))
+        if time_s < contact_s - down_s:
+            return (4.0, east, -top_m), (0.0, 0.4, 0.0)
+        moving = time_s < contact_s
+        if time_s > 12.0:
+            return (4.0, 3.0, -(time_s - 12.0)), (0.0, 0.0, -1.0)
+        return (4.0, east, -height), (0.0, 0.4 if moving else 0.0, sink_m_s if moving else 0.0)
+
+    play(world, flight, 14.0)
+    touchdown = world.touchdown
+    assert touchdown is not None
+    assert touchdown.horizontal_speed_m_s == pytest.approx(0.0, abs=1e-3)
+    assert touchdown.pad_speed_m_s == pytest.approx(0.4, abs=1e-6)
+    assert touchdown.lateral_error_m < 0.01
+    # it stood from contact to 12 s, and has gone on since
+    gone = world.pad_at(START_S + 13.9).position_ned_m[1] - 3.0
+    assert gone == pytest.approx(0.4 * 1.9, abs=0.03)
+
+
+def test_while_it_stands_there_it_is_at_rest_on_the_pad() -> None:
+    flight, contact_s = hop(4.0, 3.0)
+    world = play(ExternalWorld(static(), 0), flight, contact_s + 1.0)
+    assert world.at_rest_on_pad
+    assert world.pad_at(START_S + contact_s + 0.9).velocity_ned_m_s == (0.0, 0.0, 0.0)
+
+
+def test_the_same_seed_gives_the_bundled_simulators_pad() -> None:
+    from sitl.world import World
+
+    shipped = load_scenario("static")
+    bundled, external = World(shipped, 3).pad_state, ExternalWorld(shipped, 3).pad_at(0.0)
+    assert external.position_ned_m[:2] == bundled.position_ned_m[:2]
+    assert external.heading_rad == bundled.heading_rad
+
+
+def test_the_ultrasonic_hears_the_ground_under_a_level_vehicle() -> None:
+    world = ExternalWorld(static(), 0)
+    assert world.range_m((0.0, 0.0, 0.05), 0.26) is None
+    world.begin(GROUND)
+    world.see(sample(START_S, (0.0, 0.0, -2.0)), armed=True)
+    assert world.range_m((0.0, 0.0, 0.05), 0.26) == pytest.approx(2.0 + STANDING_M - 0.05, abs=1e-6)
+    rolled = sample(START_S + 0.02, (0.0, 0.0, -2.0))._replace(
+        attitude=(math.cos(0.2), math.sin(0.2), 0.0, 0.0)
+    )
+    world.see(rolled, armed=True)
+    assert world.range_m((0.0, 0.0, 0.05), 0.26) is None
