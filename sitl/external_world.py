@@ -100,7 +100,7 @@ class ExternalWorld:
         lowest_m = -max(foot[2] for foot in feet)
         pad, touched = self.pad_at(pose.time_s), self._load.touching
         if lowest_m <= CONTACT_M:
-            over = sum(self.board.holds(pad, foot[0], foot[1]) for foot in feet)
+            over = sum(self.board.bears(self.board.local(pad, foot)) for foot in feet)
             self._load = ContactLoad(on_board=over, on_ground=len(feet) - over)
         else:
             self._load = NO_CONTACT

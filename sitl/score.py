@@ -15,7 +15,6 @@ from companion.geometry import (
     Vector3,
     dot,
     norm,
-    rotate_yaw,
     scale,
     subtract,
     tilt_from_quat,
@@ -114,7 +113,8 @@ def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool
     carried = pad.velocity_at_ned_m_s(state.position_ned_m) if on_pad else pad.velocity_ned_m_s
     relative = subtract(state.velocity_ned_m_s, carried)
     away = subtract(state.position_ned_m, pad.position_ned_m)
-    normal = pad.axes().down
+    axes = pad.axes()
+    normal = axes.down
     return Touchdown(
         time_s=time_s,
         lateral_error_m=math.hypot(*_along_surface(away, normal)),
@@ -125,7 +125,7 @@ def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool
         pad_speed_m_s=norm(pad.velocity_ned_m_s),
         impact_speed_m_s=norm(relative if on_pad else state.velocity_ned_m_s),
         on_pad=on_pad,
-        offset_pad_m=rotate_yaw(away, -pad.heading_rad)[:2],
+        offset_pad_m=(dot(away, axes.forward), dot(away, axes.right)),
     )
 
 
