@@ -244,7 +244,7 @@ def test_a_frozen_gps_repeats_its_place_while_its_time_runs_on(healthy: Heard) -
     heard = fly(3, SECONDS, [GpsFrozen(kind="gps_frozen", **TIMES)])
     frozen = [fix for fix in heard.fixes if START_S + EPOCH_S < fix.time_s < END_S - EPOCH_S]
     assert len({(fix.latitude_deg, fix.longitude_deg) for fix in frozen}) == 1
-    assert len({fix.time_s for fix in frozen}) == len(frozen) > 7
+    assert len({fix.time_s for fix in frozen}) == len(frozen) > 5
     after = END_S + EPOCH_S
     assert [f for f in heard.fixes if f.time_s > after] == [f for f in healthy.fixes if f.time_s > after]
 

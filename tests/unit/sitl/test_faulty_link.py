@@ -19,7 +19,7 @@ def arrivals(seed: int = 1, **settings: float) -> list[float | None]:
 
 def delays(**settings: float) -> list[float]:
     """Of what arrives."""
-    pairs = zip(SENT, arrivals(**settings), strict=True)
+    pairs = zip(SENT, arrivals(1, **settings), strict=True)
     return [arrival - sent for sent, arrival in pairs if arrival is not None]
 
 
