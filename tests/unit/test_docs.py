@@ -69,7 +69,8 @@ def code_words(text: str) -> list[str]:
 
 def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a command of ours with this interpreter and this tree."""
-    module = ["companion.cli", *words[1:]] if words[0] == "companion" else words[2:]
+    ours = {"companion": "companion.cli", "companion-sitl": "sitl.cli"}
+    module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
         [sys.executable, "-m", *module],
         cwd=folder,
@@ -85,6 +86,8 @@ def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
+    if words[0] == "companion-sitl":
+        return words[1] in {"scenarios", "schema"}
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
