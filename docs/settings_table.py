@@ -59,6 +59,7 @@ UNITS: Final = {
     "px": "px",
     "ut": "µT",
     "grey": "grey values",
+    "lux": "lx",
     "g": "g",
     "m": "m",
     "s": "s",

@@ -36,7 +36,7 @@ class CameraSettings(StrictModel):
 
     exposure_s: float | None = Field(default=None, ge=0.0, le=0.05)
     readout_s: float | None = Field(default=None, ge=0.0, le=0.05)
-    noise_grey: float = Field(default=3.0, ge=0.0, le=40.0)
+    noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
     lens_blur_px: float = Field(default=0.45, ge=0.0, le=5.0)
     aperture_m: float = Field(default=0.0015, ge=0.0, le=0.02)
     focus_m: float = Field(default=1.5, gt=0.01, le=100.0)

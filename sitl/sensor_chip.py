@@ -17,7 +17,7 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from companion.config import StrictModel
 from companion.geometry import FloatArray
@@ -40,6 +40,14 @@ class ExposureSettings(StrictModel):
     longest_s: float = Field(default=0.01, gt=0.0, le=0.03)  # Shutter; then it amplifies
     gain: float = Field(default=1.0, ge=1.0, le=64.0)  # When it is not automatic
     most_gain: float = Field(default=16.0, ge=1.0, le=64.0)  # When it is
+
+    @model_validator(mode="after")
+    def _shortest_first(self) -> ExposureSettings:
+        if self.shortest_s > self.longest_s:
+            raise ValueError(
+                f"shortest_s is {self.shortest_s:g}; expected at most longest_s, {self.longest_s:g}"
+            )
+        return self
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -53,8 +54,9 @@ class Texture:
         return next((level for level in self.levels if level.texels_per_m <= finest), self.levels[-1])
 
 
+@lru_cache(maxsize=4)
 def pad_texture(pad: Pad) -> Texture:
-    """The board as printed: black codes on white, scales a factor of sqrt(2) apart."""
+    """The board as printed: black codes on white, scales a factor of sqrt(2) apart. Not to be drawn on."""
     finest = _paint_pad(pad, PAD_TEXELS_PER_M)
     levels: list[TextureLevel] = []
     texels_per_m = PAD_TEXELS_PER_M
@@ -66,6 +68,7 @@ def pad_texture(pad: Pad) -> Texture:
     return Texture(tuple(levels))
 
 
+@lru_cache(maxsize=4)
 def ground_texture(seed: int) -> Texture:
     """Bare earth and grass: noise at several scales, without a seam, the same for the same seed.
 

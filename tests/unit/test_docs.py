@@ -69,7 +69,8 @@ def code_words(text: str) -> list[str]:
 
 def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a command of ours with this interpreter and this tree."""
-    module = ["companion.cli", *words[1:]] if words[0] == "companion" else words[2:]
+    ours = {"companion": "companion.cli", "companion-sitl": "sitl.cli"}
+    module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
         [sys.executable, "-m", *module],
         cwd=folder,
@@ -85,6 +86,8 @@ def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
+    if words[0] == "companion-sitl":
+        return words[1] in {"scenarios", "schema"}
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
@@ -162,7 +165,7 @@ def test_every_setting_that_is_named_exists(name: str) -> None:
     named = [word for word in code_words(TEXTS[name]) if re.fullmatch(r"[a-z]+(\.[a-z_0-9]+)+", word)]
     # a scenario's own sections and the result's share some of these words
     scenario = {setting.key for setting in settings_table.settings_of(Scenario)}
-    known = keys | parents | scenario | {"pad.motion"} | set(result_keys(Result))
+    known = keys | parents | scenario | {"pad.motion", "pad.deck"} | set(result_keys(Result))
     assert [word for word in named if word.startswith(sections) and word not in known] == []
 
 

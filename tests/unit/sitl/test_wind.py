@@ -143,7 +143,7 @@ def test_light_moderate_and_severe_are_the_standards_winds_at_twenty_feet() -> N
     )
     spreads = []
     for name in ("light", "moderate", "severe"):
-        wind = Wind(WindSettings(turbulence=name, mean_m_s=8.0, from_deg=180.0), rng(3))  # type: ignore[arg-type]
+        wind = Wind(WindSettings(turbulence=name, mean_m_s=8.0, from_deg=180.0), rng(3))
         spreads.append(float(np.std([wind.at(0.1 * i, 6.0)[2] for i in range(6000)])))
     # vertical: a tenth of the wind at 20 ft
     assert spreads == pytest.approx([0.772, 1.543, 2.315], rel=0.12)

@@ -1,0 +1,161 @@
+"""The simulation as a whole, without an app: a scenario's settings reach the line and the camera."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.clock import Clock, run_in_virtual_time
+from companion.config import validate
+from companion.messages import Frame
+from sitl.devices.ports import MemoryPort
+from sitl.scenario import Scenario
+from sitl.simulation import Simulation
+
+SMALL = {"camera": {"rate_hz": 10.0}}
+
+
+class Desk:
+    """The other end of the line: hears everything, and asks the ground station where the pad is."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[float, bytes]] = []
+        self._clock = Clock()
+
+    async def read(self) -> bytes:
+        """A request each half second."""
+        await self._clock.sleep_until((int(self._clock.now_s() / 0.5) + 1) * 0.5)
+        companion = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+        message = mavlink.MAVLink_command_long_message(255, 0, 512, 0, 144, 0, 0, 0, 0, 0, 0)
+        return bytes(message.pack(companion))
+
+    def write(self, data: bytes) -> None:
+        """One datagram."""
+        self.heard.append((self._clock.now_s(), data))
+
+    def messages(self, kind: str) -> list[tuple[float, Any]]:
+        """Those of a kind, with the time they came."""
+        found = []
+        for time_s, data in self.heard:
+            parser = mavlink.MAVLink(None)
+            parser.robust_parsing = True
+            found += [(time_s, m) for m in parser.parse_buffer(data) or [] if m.get_type() == kind]
+        return found
+
+
+class Flown(NamedTuple):
+    """What left the vehicle."""
+
+    desk: Desk
+    frames: list[Frame]
+
+
+def stand(seconds: float, **values: Any) -> Flown:
+    """A vehicle stands at home for a while."""
+
+    async def main() -> Flown:
+        desk, frames = Desk(), list[Frame]()
+        scenario = validate(Scenario, {"name": "x", "description": "x", **SMALL, **values}, "x")
+        simulation = Simulation(
+            scenario,
+            3,
+            link=desk,
+            gps_port=MemoryPort(9600),
+            range_port=MemoryPort(9600),
+            deliver_frame=frames.append,
+        )
+        task = asyncio.create_task(simulation.run())
+        await Clock().sleep_until(seconds)
+        task.cancel()
+        await asyncio.wait([task])
+        return Flown(desk, frames)
+
+    return run_in_virtual_time(main())
+
+
+@pytest.fixture(scope="module")
+def plain() -> Flown:
+    return stand(3.0)
+
+
+def test_a_perfect_line_tells_at_once(plain: Flown) -> None:
+    answers = plain.desk.messages("FOLLOW_TARGET")
+    # asked at 0.5, 1.0, ..., answered half a second later
+    assert [round(time_s, 1) for time_s, _ in answers] == [1.0, 1.5, 2.0, 2.5]
+    assert len(plain.desk.messages("HEARTBEAT")) >= 5
+
+
+def test_a_line_delays_both_ways_and_repeats_by_its_seed(plain: Flown) -> None:
+    slow = {"delay_s": 0.1}
+    late = stand(3.0, link=slow)
+    answers = [time_s for time_s, _ in late.desk.messages("FOLLOW_TARGET")]
+    prompt = [time_s for time_s, _ in plain.desk.messages("FOLLOW_TARGET")]
+    assert answers == pytest.approx([time_s + 0.2 for time_s in prompt[: len(answers)]], abs=0.015)
+    bad = {"loss_share": 0.4, "delay_s": 0.02, "jitter_s": 0.1, "reorder_share": 0.2}
+    assert stand(2.0, link=bad).desk.heard == stand(2.0, link=bad).desk.heard
+
+
+def test_a_lossy_line_loses_and_a_blackout_takes_all() -> None:
+    lossy = stand(3.0, link={"loss_share": 1.0})
+    assert lossy.desk.heard == []
+    black = {"kind": "link_blackout", "start_s": 1.0, "duration_s": 1.0}
+    times = [time_s for time_s, _ in stand(3.0, faults=[black]).desk.heard]
+    assert not [t for t in times if 1.01 < t < 2.0]
+    assert [t for t in times if t < 1.0]
+    assert [t for t in times if t > 2.0]
+
+
+@pytest.mark.parametrize(("way", "answered"), [("to_vehicle", 0), ("to_app", 0), (None, 4)])
+def test_a_blackout_of_either_way_stops_the_answers(way: str | None, answered: int) -> None:
+    faults = [] if way is None else [{"kind": "link_blackout", "start_s": 0.0, "way": way}]
+    desk = stand(3.0, faults=faults).desk
+    assert len(desk.messages("FOLLOW_TARGET")) == answered
+    assert bool(desk.messages("HEARTBEAT")) == (way != "to_app")
+
+
+def test_the_beacon_is_as_the_scenario_has_it(plain: Flown) -> None:
+    assert stand(3.0, beacon={"available": False}).desk.messages("FOLLOW_TARGET") == []
+    late = stand(3.0, beacon={"delay_s": 1.0}).desk.messages("FOLLOW_TARGET")
+    assert [round(time_s, 1) for time_s, _ in late] == [1.5, 2.0, 2.5]
+    rare = stand(3.0, beacon={"rate_hz": 0.5, "position_std_m": 0.0}).desk.messages("FOLLOW_TARGET")
+    stamps = {m.timestamp for _, m in rare}
+    assert len(stamps) == 2
+    assert len({m.timestamp for _, m in plain.desk.messages("FOLLOW_TARGET")}) == 4
+
+
+def test_frames_come_at_the_cameras_rate_after_its_latency(plain: Flown) -> None:
+    assert len(plain.frames) == pytest.approx(29, abs=1)
+    late = [frame.received_s - frame.time_s for frame in plain.frames]
+    assert 0.035 < min(late) < max(late) < 0.06
+
+
+def test_a_camera_may_drop_frames_of_itself() -> None:
+    kept = stand(6.0, camera={"rate_hz": 10.0, "lost_share": 0.5, "lost_burst_frames": 3.0}).frames
+    missing = np.diff([frame.sequence for frame in kept]) - 1
+    assert 15 < len(kept) < 45
+    assert missing.max() >= 2
+
+
+def test_a_stuck_camera_repeats_its_picture_with_new_stamps() -> None:
+    stuck = {"kind": "frame_stuck", "start_s": 1.0, "duration_s": 1.0}
+    frames = stand(3.0, faults=[stuck]).frames
+    held = [frame for frame in frames if 1.1 < frame.time_s < 1.9]
+    assert len({frame.time_s for frame in held}) == len(held) > 5
+    assert all(np.array_equal(frame.image, held[0].image) for frame in held)
+    after = [frame for frame in frames if frame.time_s > 2.1]
+    assert not np.array_equal(after[0].image, after[1].image)
+
+
+def test_light_and_dirt_reach_the_camera(plain: Flown) -> None:
+    def mean(**values: Any) -> float:
+        return float(stand(0.4, **values).frames[-1].image.mean())
+
+    usual = float(plain.frames[2].image.mean())
+    fixed = {"rate_hz": 10.0, "exposure": {"automatic": False}}
+    assert mean(light={"illuminance_lux": 500.0}, camera=fixed) < 0.3 * usual
+    dirt = {"blobs": 60, "largest_share": 0.4, "opacity": 1.0}
+    assert mean(camera={"rate_hz": 10.0, "dirt": dirt}) < 0.8 * usual
