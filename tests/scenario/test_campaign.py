@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from sitl.campaign.rows import CSV_NAME, RESULT_KEYS, Row, read_rows
-from tests.scenario.flying import FLIGHT_TIMEOUT_S, ROOT, environment, fly, scenario_file
+from tests.scenario.flying import COMMAND, FLIGHT_TIMEOUT_S, ROOT, environment, fly, scenario_file
 
 
 def campaign(*words: str | int | Path) -> subprocess.CompletedProcess[str]:
@@ -75,6 +75,20 @@ def test_what_the_app_refuses_is_one_line(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
     assert "expected the same size" in done.stderr
     assert read_rows(tmp_path / "out" / CSV_NAME) == []
+
+
+def test_a_process_ends_with_its_input_whatever_it_flies() -> None:
+    done = subprocess.run(
+        (*COMMAND, "flights"),
+        cwd=ROOT,
+        env=environment(),
+        input='{"scenario": "static", "seed": 0}\n',
+        capture_output=True,
+        text=True,
+        timeout=FLIGHT_TIMEOUT_S,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
 def other_camera(folder: Path) -> Path:
