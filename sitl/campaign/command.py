@@ -81,7 +81,7 @@ def campaign_command(
             show_default=" ".join(SCENARIOS),
         ),
     ] = None,
-    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="")] = None,
+    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="NAME")] = None,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each scenario, one a seed.", metavar="N")] = 10,
     first_seed: Annotated[int, typer.Option(min=0, help="The first of the seeds.", metavar="N")] = 0,
     jobs: Annotated[
