@@ -43,18 +43,24 @@ def fly_on_cluster(flights: Sequence[Flight], address: str) -> Generator[Flown, 
         asked = dict(zip(futures, flights, strict=True))
         try:
             for future in as_completed(futures, loop=client.loop):
-                yield _flown(future, asked[future])
+                yield taken(future, asked[future])
                 # what has been taken need not stay in the cluster's memory
                 future.release()
         finally:
             client.cancel(futures)
 
 
-def _flown(future: Future, flight: Flight) -> Flown:
+def taken(future: Future, flight: Flight) -> Flown:
+    """What became of a run on the cluster.
+
+    Raises:
+        ConfigError: the cluster cannot go on.
+    """
     try:
         flown: Flown = future.result()
     except KilledWorker as error:
-        return Flown(flight, 0.0, error=f"the cluster's workers died of it: {' '.join(str(error).split())}")
+        tries, last = error.allowed_failures + 1, error.last_worker.address
+        return Flown(flight, 0.0, error=f"{tries} workers of the cluster died of it, the last {last}")
     except CancelledError as error:
         raise ConfigError("--scheduler: it has gone; give the same command again when it is back") from error
     except ModuleNotFoundError as error:

@@ -81,7 +81,7 @@ def campaign_command(
             show_default=" ".join(SCENARIOS),
         ),
     ] = None,
-    more: Annotated[list[str] | None, typer.Argument(hidden=True)] = None,
+    more: Annotated[list[str] | None, typer.Argument(hidden=True, metavar="NAME")] = None,
     runs: Annotated[int, typer.Option(min=1, help="Runs of each scenario, one a seed.", metavar="N")] = 10,
     first_seed: Annotated[int, typer.Option(min=0, help="The first of the seeds.", metavar="N")] = 0,
     jobs: Annotated[
@@ -137,11 +137,11 @@ def run_campaign(options: Options, console: Console) -> int:
         try:
             with _terminated_as_interrupted():
                 _fly(plan, runs, options, console)
+                rows = _in_order(plan, runs.rows)
+                _publish(folder, plan, rows, console)
         except KeyboardInterrupt:
             _say_how_to_go_on(console, options, runs, len(list(plan.flights())))
             return INTERRUPTED
-        rows = _in_order(plan, runs.rows)
-        _publish(folder, plan, rows, console)
         if options.folder is not None:
             console.print(f"rows, tables and plots in {folder}", highlight=False, soft_wrap=True)
         return _verdict(rows, console, bars=options.bars)

@@ -34,6 +34,7 @@ from companion.config import (
 from companion.result import Result
 from docs import settings_table
 from sitl.campaign import SCENARIOS
+from sitl.cli import cli as sitl_cli
 from sitl.scenario import Scenario, load_scenario
 
 ROOT = CONFIG_FOLDER.parent
@@ -45,6 +46,7 @@ EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULT
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND_TIMEOUT_S = 300.0
+PROGRAMS = {"companion": cli, "companion-sitl": sitl_cli}
 FOLDERS = ("companion/", "sitl/", "configs/", "docs/", "tests/", "systemd/")
 
 
@@ -93,9 +95,9 @@ def is_run(words: list[str]) -> bool:
 
 def check_without_running(words: list[str]) -> None:
     """Raise when a command names an option, module, target or file that does not exist."""
-    if words[0] == "companion":
-        command = typer.main.get_command(cli)
-        context = command.make_context("companion", words[1:])
+    if words[0] in PROGRAMS:
+        command = typer.main.get_command(PROGRAMS[words[0]])
+        context = command.make_context(words[0], words[1:])
         if (other := getattr(command, "commands", {}).get(words[1])) is not None:
             other.make_context(words[1], words[2:])
         if context.params["scenario"] is not None:

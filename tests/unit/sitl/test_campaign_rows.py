@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import BaseModel
 
-from companion.config import ConfigError
+from companion.config import CONFIG_FOLDER, ConfigError
 from companion.result import Result
 from docs.settings_table import inner_model
 from sitl.campaign.rows import (
@@ -41,6 +42,13 @@ def result_keys(model: type[BaseModel], prefix: str = "") -> set[str]:
 def test_every_figure_of_the_result_has_its_column() -> None:
     assert set(RESULT_KEYS.values()) == result_keys(Result) - {"scenario", "seed", "outcome", "events"}
     assert set(RESULT_KEYS) <= set(COLUMNS)
+
+
+def test_every_column_is_documented() -> None:
+    page = (CONFIG_FOLDER.parent / "docs" / "campaigns.md").read_text(encoding="utf-8")
+    table = page.partition("| Column | |")[2].partition("\n\n")[0]
+    told = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in table.splitlines() if line))
+    assert told == list(COLUMNS)
 
 
 def test_a_landing_fills_its_row() -> None:
