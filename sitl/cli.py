@@ -52,6 +52,7 @@ def companion_sitl(
     serve_truth: Annotated[
         bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION when asked for.")
     ] = False,
+    child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
     """Serve a simulated quadrotor with a camera over a pad that moves."""
     if context.invoked_subcommand is not None:
@@ -62,7 +63,7 @@ def companion_sitl(
         if not os.access(place, os.W_OK) or not place.is_dir():
             raise ConfigError(f"--folder {place}: expected a folder that can be written to")
         if external is not None:
-            asyncio.run(serve_external(loaded, seed, place, external))
+            asyncio.run(serve_external(loaded, seed, place, external, child=child))
         else:
             asyncio.run(serve(loaded, seed, place, port, serve_truth=serve_truth))
 

@@ -2,8 +2,9 @@
 
 It flies nothing: it watches the vehicle of an ArduPilot or PX4 SITL over MAVLink and puts a pad, a camera
 and an ultrasonic about it, in real time. It says by one line of JSON on standard output where these are
-once the vehicle is found (the keys are the app's settings), judges when standard input says `finish PHASE`,
-and ends with standard input, just as the bundled simulator does. On standard error it says what it waits for.
+once the vehicle is found (the keys are the app's settings), and on standard error what it waits for. Ctrl-C
+ends it and has the last landing judged. As the app's child it judges when standard input says `finish PHASE`,
+and ends with standard input, as the bundled simulator does.
 
 The app may share the connection: `link.connection` of that line is a UDP port behind which the vehicle is.
 """
@@ -12,8 +13,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -262,8 +264,10 @@ def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
     Console(stderr=True).print(table)
 
 
-async def serve_external(scenario: Scenario, seed: int, folder: Path, connection: str) -> None:
-    """Run the world until standard input says so; see the module's docstring.
+async def serve_external(
+    scenario: Scenario, seed: int, folder: Path, connection: str, *, child: bool = False
+) -> None:
+    """Run the world until it is told to end; see the module's docstring.
 
     Raises:
         ConfigError: the connection is none, a port is taken, or the scenario does not suit.
@@ -280,9 +284,11 @@ async def serve_external(scenario: Scenario, seed: int, folder: Path, connection
         await frames.start()
         stack.push_async_callback(frames.close)
         simulation = ExternalSimulation(scenario, seed, _Parts(link, relay, range_port, frames), tell)
+        ending = final_phase() if child else _landed_once(_stop_signals())
         _tell_pad(scenario)
         tell(f"waiting for a vehicle on {connection}")
-        await _watch_until_told(simulation, folder, _endpoints(relay_port, range_port.path, frames.address))
+        endpoints = _endpoints(relay_port, range_port.path, frames.address)
+        await _watch_until_told(simulation, folder, endpoints, ending)
 
 
 def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
@@ -298,9 +304,14 @@ def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
     }
 
 
-async def _watch_until_told(simulation: ExternalSimulation, folder: Path, endpoints: dict[str, Any]) -> None:
+async def _watch_until_told(
+    simulation: ExternalSimulation,
+    folder: Path,
+    endpoints: dict[str, Any],
+    ending: Coroutine[Any, Any, Phase | None],
+) -> None:
     flying = asyncio.create_task(simulation.run())
-    listening = asyncio.create_task(final_phase())
+    listening = asyncio.create_task(ending)
     found = asyncio.create_task(simulation.ready.wait())
     await asyncio.wait([flying, listening, found], return_when=asyncio.FIRST_COMPLETED)
     if found.done():
@@ -316,6 +327,20 @@ async def _watch_until_told(simulation: ExternalSimulation, folder: Path, endpoi
     if phase is not None:
         write_report(simulation.report(phase), folder / REPORT_NAME)
         say({"report": str(folder / REPORT_NAME)})
+
+
+def _stop_signals() -> asyncio.Event:
+    """Set by Ctrl-C, SIGTERM or SIGHUP, from now on."""
+    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stopped.set)
+    return stopped
+
+
+async def _landed_once(stopped: asyncio.Event) -> Phase:
+    """Whoever flew the vehicle did not say how it ended: the truth alone decides."""
+    await stopped.wait()
+    return Phase.LANDED
 
 
 def _tell_pad(scenario: Scenario) -> None:

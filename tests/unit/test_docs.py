@@ -34,6 +34,7 @@ from companion.config import (
 from companion.result import Result
 from docs import settings_table
 from sitl.campaign import SCENARIOS
+from sitl.cli import cli as sitl_cli
 from sitl.scenario import Scenario, load_scenario
 
 ROOT = CONFIG_FOLDER.parent
@@ -90,9 +91,9 @@ def is_run(words: list[str]) -> bool:
 
 def check_without_running(words: list[str]) -> None:
     """Raise when a command names an option, module, target or file that does not exist."""
-    if words[0] == "companion":
-        command = typer.main.get_command(cli)
-        context = command.make_context("companion", words[1:])
+    if words[0] in ("companion", "companion-sitl"):
+        command = typer.main.get_command(cli if words[0] == "companion" else sitl_cli)
+        context = command.make_context(words[0], words[1:])
         if (other := getattr(command, "commands", {}).get(words[1])) is not None:
             other.make_context(words[1], words[2:])
         if context.params["scenario"] is not None:

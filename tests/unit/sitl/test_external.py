@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
+import socket
 import subprocess
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -258,7 +260,7 @@ async def test_one_that_flies_already_has_its_ground_at_home(tmp_path: Path) -> 
 # ---------------------------------------------------------------- the process
 
 
-def test_as_a_process_it_says_what_it_waits_for_and_ends_with_its_standard_input() -> None:
+def test_as_a_process_it_refuses_what_is_no_connection_in_one_line() -> None:
     done = subprocess.run(
         (sys.executable, "-m", "sitl.cli", "--external", "udpin:127.0.0.1:0", "--scenario", "line"),
         cwd=CONFIG_FOLDER.parent, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=20,
@@ -268,12 +270,35 @@ def test_as_a_process_it_says_what_it_waits_for_and_ends_with_its_standard_input
     assert done.stderr.startswith("companion-sitl: --external udpin:127.0.0.1:0: expected udp:HOST:PORT")
 
 
+def test_for_people_it_waits_until_it_is_stopped_and_judges_then(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        (sys.executable, "-m", "sitl.cli", "--external", f"udpin:127.0.0.1:{free_port()}",
+         "--folder", str(tmp_path)),
+        cwd=CONFIG_FOLDER.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        assert "pad lies flush" in process.stderr.readline()
+        assert "waiting for a vehicle" in process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        said, words = process.communicate(timeout=20.0)
+    assert (process.returncode, words) == (0, "")
+    assert read_report(Path(json.loads(said)["report"])).failures == ("never touched down",)
+
+
+def free_port() -> int:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as finder:
+        finder.bind(("127.0.0.1", 0))
+        number: int = finder.getsockname()[1]
+        return number
+
+
 async def test_as_a_process_it_serves_and_judges(tmp_path: Path) -> None:
     player = Player(PX4, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
     await player.open()
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "sitl.cli", "--external", f"udp:127.0.0.1:{player.port}"),
-        *("--scenario", "line", "--folder", str(tmp_path)),
+        *("--scenario", "line", "--folder", str(tmp_path), "--child"),
         cwd=CONFIG_FOLDER.parent,
         stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
     )  # fmt: skip
