@@ -18,7 +18,7 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
-from sitl.external import serve_external
+from sitl.external_server import serve_external
 from sitl.scenario import load_scenario
 from sitl.server import serve
 from sitl.view import HELP as VIEW_HELP

@@ -10,7 +10,8 @@ import pytest
 
 from companion import cli
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.desk import External, SimulatorProcess, Trial, desk_settings
+from companion.desk import SimulatorProcess, Trial, desk_settings
+from companion.external import External
 
 UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
 
@@ -22,9 +23,9 @@ def options(
 
 
 def test_they_name_the_connections() -> None:
-    assert cli.external(options(autopilot=None, connect=None), fast=True) is None
-    assert cli.external(options(), fast=False) == External(UDP)
-    assert cli.external(options(world=TCP), fast=False) == External(UDP, TCP)
+    assert External.of(options(autopilot=None, connect=None), fast=True) is None
+    assert External.of(options(), fast=False) == External(UDP)
+    assert External.of(options(world=TCP), fast=False) == External(UDP, TCP)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_they_name_the_connections() -> None:
 )
 def test_what_does_not_go_together_is_said(given: dict[str, Any], fast: bool, text: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        cli.external(given, fast=fast)
+        External.of(given, fast=fast)
     assert str(caught.value).startswith(text)
     assert "\n" not in str(caught.value)
 

@@ -32,7 +32,7 @@ from companion.sense.ultrasonic import Ultrasonic
 from sitl import camera as lens
 from sitl.devices.ports import PtyPort
 from sitl.exposure import CameraSettings
-from sitl.external import ExternalSimulation, _Parts
+from sitl.external import ExternalSimulation, Parts
 from sitl.external_link import UdpEnd, open_link, open_relay
 from sitl.frame_server import FrameServer
 from sitl.scenario import Scenario
@@ -120,7 +120,7 @@ async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> 
     relay, relay_port = await open_relay()
     range_port, server = PtyPort(9600), FrameServer(folder / "camera")
     await server.start()
-    simulation = ExternalSimulation(scenario, 0, _Parts(link, relay, range_port, server), texts.append)
+    simulation = ExternalSimulation(scenario, 0, Parts(link, relay, range_port, server), texts.append)
     stream = await FrameStream.open(server.address)
     running = asyncio.create_task(simulation.run())
     built = Bench(simulation, player, stream, range_port.path, relay_port, texts)
