@@ -21,6 +21,7 @@ from typer.exceptions import TyperException
 
 from companion.app import App
 from companion.clock import start_unix_s
+<<<<<<< HEAD
 from companion.config import CONFIG_FOLDER, CONNECTION_FORM, CompanionConfig, ConfigError, load_config
 from companion.desk import (
     DeskFlight,
@@ -33,6 +34,11 @@ from companion.desk import (
 )
 from companion.flights import HELP as FLIGHTS_HELP
 from companion.flights import reason, score, serve_flights
+=======
+from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
+from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
+from companion.external import External
+>>>>>>> external
 from companion.hardware import make_actions, open_hardware
 from companion.messages import Outcome, Phase
 from companion.record import FlightLog
@@ -113,7 +119,7 @@ def companion(
     try:
         theirs = {"--autopilot": autopilot, "--connect": connect, "--connect-world": connect_world}
         if sitl:
-            trial = Trial.load(scenario or "line", seed or 0, external(theirs, fast=fast))
+            trial = Trial.load(scenario or "line", seed or 0, External.of(theirs, fast=fast))
             code = fly_on_the_desk(config, trial, output, fast=fast)
         else:
             ours = {"--scenario": scenario, "--seed": seed, "--fast": fast or None, "--json": json_file}
@@ -181,36 +187,6 @@ def refuse(options: Mapping[str, object]) -> None:
 
 
 # ---------------------------------------------------------------- on the desk
-
-
-def external(options: Mapping[str, str | None], *, fast: bool) -> External | None:
-    """The user's own autopilot, of --autopilot, --connect and --connect-world; None for the bundled one.
-
-    Raises:
-        ConfigError: they do not go together.
-    """
-    autopilot, connect, connect_world = options.values()
-    if autopilot is None:
-        for name in ("--connect", "--connect-world"):
-            if options[name] is not None:
-                raise ConfigError(f"{name}: needs --autopilot external")
-        return None
-    if autopilot != "external":
-        raise ConfigError(
-            f"--autopilot {autopilot}: expected external; the bundled one's manners are the scenario's "
-            "'autopilot: px4' or 'autopilot: ardupilot'"
-        )
-    if connect is None:
-        raise ConfigError("--autopilot external: expected --connect with where it is, as udp:127.0.0.1:14540")
-    if fast:
-        raise ConfigError("--fast: expected to be left out; an external autopilot flies in real time")
-    for name in ("--connect", "--connect-world"):
-        form = CONNECTION_FORM.fullmatch(options[name] or connect)
-        if form is None or form["host"] is None:
-            raise ConfigError(
-                f"{name} {options[name]}: expected udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT"
-            )
-    return External(connect, connect_world)
 
 
 def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bool) -> int:

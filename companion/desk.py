@@ -36,6 +36,7 @@ from companion.config import (
     merge,
     validate,
 )
+from companion.external import External
 from companion.hardware import Hardware, make_actions, make_own_actions, open_hardware
 from companion.link.transport import memory_pair
 from companion.messages import Phase
@@ -63,18 +64,6 @@ StatusCallback = Callable[[Status], None]
 
 class SimulatorError(Exception):
     """The simulator's process failed; the text is the one line to show."""
-
-
-@dataclass(frozen=True, slots=True)
-class External:
-    """Where the user's own autopilot is: udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT.
-
-    With `world` the simulated world has a connection of its own and the app goes to `app` directly; without,
-    the world goes there and lets the app share it.
-    """
-
-    app: str
-    world: str | None = None
 
 
 # what the app is to be told when its IMU, compass and GPS are those of the user's own autopilot
@@ -313,6 +302,7 @@ class SimulatorProcess:
                 *(sys.executable, "-m", "sitl.cli", "--scenario", str(trial.path)),
                 *("--seed", str(trial.seed), "--folder", str(folder)),
                 *_world_options(trial.external),
+                "--child",
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=stderr,

@@ -7,6 +7,7 @@ that says what: nobody there, closed half way, not frames.
 from __future__ import annotations
 
 import asyncio
+import os
 import re
 from typing import Final
 
@@ -45,7 +46,8 @@ class FrameStream:
         try:
             reader, writer = await asyncio.wait_for(opening, CONNECT_TIMEOUT_S)
         except OSError as error:  # TimeoutError is one
-            reason = error.strerror or str(error) or f"no answer within {CONNECT_TIMEOUT_S:g} s"
+            known = error.errno is not None and error.errno > 0
+            reason = os.strerror(error.errno or 0) if known else f"{error}" or "no answer"
             raise OSError(f"{address}: {reason}; expected a program that serves frames") from error
         return cls(reader, writer, address)
 

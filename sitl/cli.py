@@ -18,9 +18,13 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
+<<<<<<< HEAD
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
 from sitl.external import serve_external
+=======
+from sitl.external_server import serve_external
+>>>>>>> external
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import serve
@@ -58,6 +62,7 @@ def companion_sitl(
     serve_truth: Annotated[
         bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION when asked for.")
     ] = False,
+    child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
     """Serve a simulated quadrotor with a camera over a pad that moves."""
     if context.invoked_subcommand is not None:
@@ -68,7 +73,7 @@ def companion_sitl(
         if not os.access(place, os.W_OK) or not place.is_dir():
             raise ConfigError(f"--folder {place}: expected a folder that can be written to")
         if external is not None:
-            asyncio.run(serve_external(loaded, seed, place, external))
+            asyncio.run(serve_external(loaded, seed, place, external, child=child))
         else:
             asyncio.run(serve(loaded, seed, place, port, serve_truth=serve_truth))
 

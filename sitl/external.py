@@ -1,22 +1,15 @@
-"""The world for somebody else's autopilot as a process: what `companion-sitl --external` does.
+"""The world about somebody else's vehicle, put together, in real time: pad, camera, ultrasonic, beacon, score.
 
-It flies nothing: it watches the vehicle of an ArduPilot or PX4 SITL over MAVLink and puts a pad, a camera
-and an ultrasonic about it, in real time. It says by one line of JSON on standard output where these are
-once the vehicle is found (the keys are the app's settings), judges when standard input says `finish PHASE`,
-and ends with standard input, just as the bundled simulator does. On standard error it says what it waits for.
-
-The app may share the connection: `link.connection` of that line is a UDP port behind which the vehicle is.
+It watches a vehicle over MAVLink and flies nothing. The app may share the connection: what it sends to the
+relay's port goes to the vehicle, and what the vehicle sends comes there too.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from rich.console import Console
@@ -29,27 +22,23 @@ from companion.messages import Frame, Phase, Truth
 from sitl.devices.ports import PtyPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.external_client import VehicleClient
-from sitl.external_link import ExternalLink, UdpEnd, check_connection, open_link, open_relay, pump
+from sitl.external_link import ExternalLink, UdpEnd, pump
 from sitl.external_pose import LONGEST_GUESS_S
 from sitl.external_world import ExternalWorld
 from sitl.frame_server import FrameServer
 from sitl.ground_station import GroundStation
-from sitl.orders import final_phase, say
 from sitl.scenario import PassBounds, Scenario
 from sitl.score import Verdict
 from sitl.sensors import RangeSensor
-from sitl.server import REPORT_NAME, SENSOR_BAUD
 from sitl.simulation import (
     OUT_OF_RANGE_M,
     TRUTH_EVERY_TICKS,
     SceneCamera,
     SimulationReport,
     sensor_errors,
-    write_report,
 )
 
 TICK_S: Final = 0.005
-HOME_PATIENCE_S: Final = 10.0
 # a picture waits so long for the message after its last row; then the newest pose is carried on
 POSE_WAIT_S: Final = 0.04
 CAMERA_BACKLOG_S: Final = 0.2
@@ -57,7 +46,7 @@ STREAM: Final = 22  # random draws of this world: (seed, 22); the pad's are the 
 
 
 @dataclass(slots=True)
-class _Parts:
+class Parts:
     """What is plugged together; the ports are the caller's to close."""
 
     link: ExternalLink
@@ -69,7 +58,7 @@ class _Parts:
 class ExternalSimulation:
     """A scenario's pad, camera and ultrasonic about a vehicle that a client watches."""
 
-    def __init__(self, scenario: Scenario, seed: int, parts: _Parts, tell: Callable[[str], None]) -> None:
+    def __init__(self, scenario: Scenario, seed: int, parts: Parts, tell: Callable[[str], None]) -> None:
         """Build it inside the running loop.
 
         Raises:
@@ -260,73 +249,3 @@ def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
         for name, value in asdict(verdict.touchdown).items():
             table.add_row(name, f"{value:.3f}", f"<= {limits[name]:g}" if name in limits else "")
     Console(stderr=True).print(table)
-
-
-async def serve_external(scenario: Scenario, seed: int, folder: Path, connection: str) -> None:
-    """Run the world until standard input says so; see the module's docstring.
-
-    Raises:
-        ConfigError: the connection is none, a port is taken, or the scenario does not suit.
-    """
-    check_connection(connection, "--external")
-    async with contextlib.AsyncExitStack() as stack:
-        link = await open_link(connection, tell)
-        stack.callback(link.close)
-        relay, relay_port = await open_relay()
-        stack.callback(relay.close)
-        range_port = PtyPort(SENSOR_BAUD)
-        stack.callback(range_port.close)
-        frames = FrameServer(folder / "camera")
-        await frames.start()
-        stack.push_async_callback(frames.close)
-        simulation = ExternalSimulation(scenario, seed, _Parts(link, relay, range_port, frames), tell)
-        _tell_pad(scenario)
-        tell(f"waiting for a vehicle on {connection}")
-        await _watch_until_told(simulation, folder, _endpoints(relay_port, range_port.path, frames.address))
-
-
-def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
-    """The app's settings that lead here."""
-    return {
-        "link": {"connection": f"udp:127.0.0.1:{relay_port}"},
-        "sense": {
-            "source": "autopilot",
-            "autopilot": {"range_source": "boards"},
-            "range": {"port": range_path},
-            "vision": {"source": frames},
-        },
-    }
-
-
-async def _watch_until_told(simulation: ExternalSimulation, folder: Path, endpoints: dict[str, Any]) -> None:
-    flying = asyncio.create_task(simulation.run())
-    listening = asyncio.create_task(final_phase())
-    found = asyncio.create_task(simulation.ready.wait())
-    await asyncio.wait([flying, listening, found], return_when=asyncio.FIRST_COMPLETED)
-    if found.done():
-        say(endpoints)
-    found.cancel()
-    await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
-    if flying.done():
-        listening.cancel()
-        flying.result()
-    phase = listening.result()
-    flying.cancel()
-    await asyncio.wait([flying])
-    if phase is not None:
-        write_report(simulation.report(phase), folder / REPORT_NAME)
-        say({"report": str(folder / REPORT_NAME)})
-
-
-def _tell_pad(scenario: Scenario) -> None:
-    height_m = scenario.pad.surface_height_m
-    if height_m > 0.0:
-        tell(
-            f"scenario '{scenario.name}': pad.surface_height_m {height_m:g} is taken as 0: the ground of an "
-            "external simulator is flat, so the pad lies flush with it"
-        )
-
-
-def tell(text: str) -> None:
-    """One line for people, on standard error."""
-    print(f"companion-sitl: {text}", file=sys.stderr, flush=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import re
 from collections.abc import Callable
 from typing import Final
@@ -136,7 +137,7 @@ class TcpEnd:
                     self._inbox.put(data)
                 self._complain("closed by the other side")
             except OSError as error:
-                self._complain(error.strerror or str(error))
+                self._complain(_reason(error))
             finally:
                 if self._writer is not None:
                     self._writer.close()
@@ -181,10 +182,13 @@ async def open_link(spec: str, tell: Tell) -> ExternalLink:
     try:
         await end.open(host, port, listen=form["kind"] == "udpin")
     except OSError as error:
-        raise ConfigError(
-            f"{spec}: {error.strerror or error}; expected a free port of a known host"
-        ) from error
+        raise ConfigError(f"{spec}: {_reason(error)}; expected a free port of a known host") from error
     return end
+
+
+def _reason(error: OSError) -> str:
+    """What went wrong in one short clause."""
+    return os.strerror(error.errno) if error.errno is not None and error.errno > 0 else str(error)
 
 
 async def open_relay() -> tuple[UdpEnd, int]:

@@ -20,6 +20,7 @@ class FrameServer:
         self._where = where
         self._server: asyncio.Server | None = None
         self._clients: set[asyncio.StreamWriter] = set()
+        self._gone: set[asyncio.Event] = set()
 
     @property
     def client_count(self) -> int:
@@ -62,12 +63,16 @@ class FrameServer:
             self._server.close()
         for client in self._clients:
             client.transport.abort()
+        for gone in tuple(self._gone):
+            await gone.wait()
         if isinstance(self._where, Path):
             self._where.unlink(missing_ok=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Keep a client until it goes; it has nothing to say."""
+        gone = asyncio.Event()
         self._clients.add(writer)
+        self._gone.add(gone)
         try:
             while await reader.read(4096):
                 pass
@@ -75,4 +80,6 @@ class FrameServer:
             pass  # gone is gone, however it went
         finally:
             self._clients.discard(writer)
+            self._gone.discard(gone)
+            gone.set()
             writer.close()

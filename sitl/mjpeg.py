@@ -30,6 +30,7 @@ class MjpegServer:
     def __init__(self) -> None:
         self._server: asyncio.Server | None = None
         self._viewers: set[asyncio.StreamWriter] = set()
+        self._answering: set[asyncio.Task[None]] = set()
 
     @property
     def viewer_count(self) -> int:
@@ -63,9 +64,15 @@ class MjpegServer:
             self._server.close()
         for viewer in self._viewers:
             viewer.transport.abort()
+        if self._answering:
+            await asyncio.wait(self._answering, timeout=1.0)
 
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """One request a connection."""
+        task = asyncio.current_task()
+        assert task is not None
+        self._answering.add(task)
+        task.add_done_callback(self._answering.discard)
         with contextlib.suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
             request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _REQUEST_TIMEOUT_S)
             words = request.split(b"\r\n", 1)[0].split(b" ")

@@ -100,7 +100,7 @@ async def serve(scenario: Scenario, seed: int, folder: Path, port: int, *, serve
             gps_port=gps_port,
             range_port=range_port,
             deliver_frame=frames.deliver,
-            frames_wanted=lambda: frames.client_count > 0,
+            camera_wanted=lambda: frames.client_count > 0,
             serve_truth=serve_truth,
         )
         registers = await serve_registers(simulation.imu_bus, folder / "registers")

@@ -121,12 +121,12 @@ class Simulation:
         gps_port: DevicePort,
         range_port: DevicePort,
         deliver_frame: Callable[[Frame], None],
-        frames_wanted: Callable[[], bool] = lambda: True,
+        camera_wanted: Callable[[], bool] = lambda: True,
         serve_truth: bool = False,
     ) -> None:
         """Build the world and plug the devices in.
 
-        While `frames_wanted` says no, none is rendered; `serve_truth` lets clients of the link ask for the
+        Nothing is rendered while the camera is not wanted; `serve_truth` lets clients of the link ask for the
         truth.
 
         Raises:
@@ -192,7 +192,7 @@ class Simulation:
         self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         truth = TruthMessages(self._autopilot, self._world, HOME) if serve_truth else None
         self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard, truth=truth)
-        self._deliver_frame, self._frames_wanted = deliver_frame, frames_wanted
+        self._deliver_frame, self._camera_wanted = deliver_frame, camera_wanted
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
@@ -288,7 +288,7 @@ class Simulation:
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
-        if not self._frames_wanted():
+        if not self._camera_wanted():
             self._camera.skip_to(now_s)
         taken = self._camera.step(now_s)
         if taken is None:

@@ -162,9 +162,13 @@ def annotated(image: Image, header: FrameHeader, received_s: float) -> Image:
     time = "no time"
     if header.time_s is not None:
         time = f"{header.time_s:.3f} s, {1e3 * (received_s - header.time_s):.0f} ms old"
-    where = (8, header.height_px - 8)
-    cv2.putText(colour, f"{header.sequence}  {time}", where, _FONT, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(colour, f"{header.sequence}  {time}", where, _FONT, 0.5, (0, 255, 255), 1, cv2.LINE_AA)
+    text = f"{header.sequence}  {time}"
+    (width, height), below = cv2.getTextSize(text, _FONT, 0.5, 1)
+    left, base = 6, header.height_px - 6 - below
+    cv2.rectangle(
+        colour, (left - 3, base - height - 3), (left + width + 3, base + below + 3), (0, 0, 0), cv2.FILLED
+    )
+    cv2.putText(colour, text, (left, base), _FONT, 0.5, (0, 255, 255), 1, cv2.LINE_AA)
     return np.asarray(colour, dtype=np.uint8)
 
 

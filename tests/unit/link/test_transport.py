@@ -13,7 +13,7 @@ import pytest
 from companion.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
-from companion.link.transport import SerialTransport, UdpTransport, memory_pair, open_transport
+from companion.link.transport import SerialTransport, TcpTransport, UdpTransport, memory_pair, open_transport
 
 
 async def read_count(transport: UdpTransport | SerialTransport, count: int) -> bytes:
@@ -314,3 +314,40 @@ async def test_what_cannot_be_opened_is_told_in_one_line(spec: str, reason: str)
         await open_transport(spec)
     assert "\n" not in str(caught.value)
     assert spec in str(caught.value)
+
+
+async def test_tcp_carries_bytes_both_ways_and_its_end_is_an_error() -> None:
+    heard = asyncio.get_running_loop().create_future()
+
+    async def vehicle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b"heartbeat")
+        heard.set_result(await reader.read(100))
+        writer.close()
+
+    server = await asyncio.start_server(vehicle, "127.0.0.1", 0)
+    link = await open_transport(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}")
+    assert await asyncio.wait_for(link.read(), 5.0) == b"heartbeat"
+    link.write(b"setpoint")
+    assert await asyncio.wait_for(heard, 5.0) == b"setpoint"
+    with pytest.raises(OSError, match="closed"):
+        await asyncio.wait_for(link.read(), 5.0)
+    link.close()
+    link.write(b"to nobody")
+    server.close()
+
+
+async def test_tcp_drops_whole_writes_while_nobody_takes_them() -> None:
+    server = await asyncio.start_server(lambda _reader, _writer: None, "127.0.0.1", 0)
+    link = await open_transport(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}")
+    assert isinstance(link, TcpTransport)
+    for _ in range(20_000):
+        link.write(bytes(1000))
+    assert link.dropped_bytes > 0
+    assert link.dropped_bytes % 1000 == 0
+    link.close()
+    server.close()
+
+
+async def test_a_tcp_port_where_nobody_listens_is_told_in_one_line() -> None:
+    with pytest.raises(ConfigError, match=r"^link\.connection: tcp:127\.0\.0\.1:1: Connection refused$"):
+        await open_transport("tcp:127.0.0.1:1")

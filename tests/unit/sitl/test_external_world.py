@@ -94,6 +94,11 @@ def test_a_pad_that_heaves_is_refused_in_one_line() -> None:
         ExternalWorld(load_scenario("heave"), 0)
 
 
+@pytest.mark.parametrize("name", ["static", "line", "circle", "figure_8"])
+def test_the_shipped_ones_that_stay_on_the_ground_suit(name: str) -> None:
+    assert ExternalWorld(load_scenario(name), 0).pad_at(0.0).position_ned_m[2] == 0.0
+
+
 def test_the_pad_sets_off_when_the_vehicle_is_armed() -> None:
     world = ExternalWorld(line(1.0), 0)
     world.begin(GROUND)

@@ -1,0 +1,88 @@
+"""The options of a flight on the user's own autopilot: what goes together, and what it makes of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion import cli
+from companion.config import CONFIG_FOLDER, ConfigError
+from companion.desk import SimulatorProcess, Trial, desk_settings
+from companion.external import External
+
+UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
+
+
+def options(
+    autopilot: str | None = "external", connect: str | None = UDP, world: str | None = None
+) -> dict[str, str | None]:
+    return {"--autopilot": autopilot, "--connect": connect, "--connect-world": world}
+
+
+def test_they_name_the_connections() -> None:
+    assert External.of(options(autopilot=None, connect=None), fast=True) is None
+    assert External.of(options(), fast=False) == External(UDP)
+    assert External.of(options(world=TCP), fast=False) == External(UDP, TCP)
+
+
+@pytest.mark.parametrize(
+    ("given", "fast", "text"),
+    [
+        (options(autopilot=None), False, "--connect: needs --autopilot external"),
+        (
+            options(autopilot=None, connect=None, world=TCP),
+            False,
+            "--connect-world: needs --autopilot external",
+        ),
+        (
+            options(autopilot="px4"),
+            False,
+            "--autopilot px4: expected external; the bundled one's manners are",
+        ),
+        (options(connect=None), False, "--autopilot external: expected --connect with where it is"),
+        (options(), True, "--fast: expected to be left out"),
+        (
+            options(connect="serial:/dev/ttyS0:57600"),
+            False,
+            "--connect serial:/dev/ttyS0:57600: expected udp:",
+        ),
+        (options(world="nowhere"), False, "--connect-world nowhere: expected udp:HOST:PORT, udpin"),
+    ],
+)
+def test_what_does_not_go_together_is_said(given: dict[str, Any], fast: bool, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        External.of(given, fast=fast)
+    assert str(caught.value).startswith(text)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("words", [("--connect", UDP), ("--autopilot", "external")])
+def test_without_the_desk_they_are_refused(
+    words: tuple[str, str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["companion", *words])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.startswith(f"companion: {words[0]}: needs --sitl")
+
+
+def test_the_app_takes_the_autopilots_own_sensors_and_our_echoes() -> None:
+    trial = Trial.load("static", 0, External(UDP))
+    sense = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=False).sense
+    assert (sense.source, sense.autopilot.range_source) == ("autopilot", "boards")
+    assert trial.time_limit_s == Trial.load("static", 0).time_limit_s + 60.0
+
+
+async def test_an_autopilot_that_is_not_there_is_said_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("companion.desk.EXTERNAL_START_TIMEOUT_S", 6.0)
+    trial = Trial.load("static", 0, External("tcp:127.0.0.1:1"))
+    with pytest.raises(ConfigError) as caught:
+        await SimulatorProcess.start(trial, tmp_path)
+    assert str(caught.value).startswith("the simulator did not start: nothing for 6 s: companion-sitl: ")
+    assert str(caught.value).endswith("tcp:127.0.0.1:1: Connection refused; trying again every 1 s")
