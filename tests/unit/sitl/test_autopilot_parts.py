@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import dataclasses
 import math
 from math import inf, isnan, nan
 
