@@ -1,4 +1,4 @@
-"""The autopilots' own precision landing on LANDING_TARGET, as the simulator has it: what ours is compared with.
+"""The autopilots' own precision landing on LANDING_TARGET, as the simulator has it, for comparison with ours.
 
     python -m tests.bench.bench_precision_landing --runs 6
 

@@ -46,8 +46,11 @@ class Station:
     def command(self, number: int, *parameters: float) -> int:
         """Send a COMMAND_LONG; returns the result in its COMMAND_ACK."""
         filled = (*parameters, *NANS[len(parameters) :])
-        answers = self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *filled))
-        return int(next(m for m in answers if m.get_type() == "COMMAND_ACK").result)
+        return self.result(mavlink.MAVLink_command_long_message(1, 1, number, 0, *filled))
+
+    def result(self, command: Any) -> int:
+        """Send a COMMAND_LONG or COMMAND_INT; returns the result in its COMMAND_ACK."""
+        return int(next(m for m in self.send(command) if m.get_type() == "COMMAND_ACK").result)
 
     def upload(self, items: list[Any]) -> int:
         """A whole upload as the protocol has it; returns the MISSION_ACK's result."""
@@ -71,8 +74,8 @@ class Station:
 
     @property
     def texts(self) -> list[str]:
-        """What the autopilot has said (STATUSTEXT)."""
-        return [m.text for m in self.heard if m.get_type() == "STATUSTEXT"]
+        """What the autopilot has said, over the link or before it got there."""
+        return self.flight.texts + [m.text for m in self.heard if m.get_type() == "STATUSTEXT"]
 
     def reached(self) -> list[int]:
         """Numbers in the MISSION_ITEM_REACHED heard."""
