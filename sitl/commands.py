@@ -60,9 +60,9 @@ class Request:
     frame: int
 
     def whole(self, index: int) -> int:
-        """Parameter 1..7 as an integer, -1 when it is not a finite number."""
+        """Parameter 1..7 as an integer, -1 when it is no number of 32 bits."""
         value = self.parameters[index - 1]
-        return int(value) if math.isfinite(value) else -1
+        return int(value) if abs(value) < _NOT_GIVEN_E7 else -1
 
     def place(self) -> tuple[float, float, float]:
         """Parameters 5 to 7: latitude, longitude (deg), altitude (m)."""

@@ -137,7 +137,9 @@ class MavlinkEndpoint:
         """MESSAGE_INTERVAL: 0 for a message that does not exist, -1 for one that is not streamed."""
         period = self._streams.period_s(message_id)
         interval = 0 if not self._has(message_id) else -1 if period is None else round(period * 1e6)
-        self._outgoing.append(mavlink.MAVLink_message_interval_message(max(message_id, 0), interval))
+        self._outgoing.append(
+            mavlink.MAVLink_message_interval_message(min(max(message_id, 0), 0xFFFF), interval)
+        )
 
     def _has(self, message_id: int) -> bool:
         others = (self._sensors, self._truth)

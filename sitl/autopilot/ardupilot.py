@@ -154,7 +154,7 @@ ARDUPILOT = Manner(
             Severity.WARNING,
             "Radio Failsafe - RTL",
             mode="RTL",
-            returns=False,
+            over=lambda now: now.radio,
         ),
         Failsafe(
             "on the ground", lambda now: now.landed, 10.0, Response.DISARM, Severity.INFO, "Disarming motors"

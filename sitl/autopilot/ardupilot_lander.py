@@ -1,10 +1,11 @@
 """ArduPilot's precision landing on LANDING_TARGET (AC_PrecLand and ModeLand of 4.6), in its main lines.
 
-The target is a constant-velocity filter in the own NED, fed with the vector in body axes at the pose of
-PLND_LAG ago. Its velocity is fed forward if PLND_OPTIONS says that targets move, its acceleration never is.
-It sinks at LAND_SPEED within PLND_XY_DIST_MAX, at half that or less between 2 and 0.35 m. A target lost is
-waited for, then sought where it was last seen, at most PLND_RET_MAX times. Parameters are read at boot.
-Without a range finder the height over home takes its place. SI units.
+The target is a constant-velocity filter relative to the vehicle, in the own NED, at the time of PLND_LAG ago;
+it is fed with the vector in body axes and the own velocity's changes. The target's velocity is fed forward if
+PLND_OPTIONS says that targets move, its acceleration never is. It sinks at LAND_SPEED within
+PLND_XY_DIST_MAX, at half that or less between 2 and 0.35 m. A target lost is waited for, then sought where it
+was last seen, at most PLND_RET_MAX times. Parameters are read at boot. Without a range finder the height over
+home takes its place. SI units.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 from collections import deque
 from math import inf, nan
 
-from companion.geometry import Quaternion, Vector3, add, norm, quat_rotate, scale
+from companion.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.landing_target import AxisFilter, Sight, SightFrame, View, direction_from_angles
 from sitl.autopilot.modes import Severity
 from sitl.autopilot.setpoints import MotionSetpoint
@@ -23,7 +24,7 @@ _MAVLINK_TYPE = 1
 _MOVING_OPTION = 1
 _RAW = 0
 _FRESH_S = 2.0
-_HISTORY_S = 0.3
+_EARLY_S = 1e-6
 _LOOP_S = 0.0025  # the real filter's pace, which its noise is given for
 _VELOCITY_VAR = 4.0
 _SURPRISING = 3.0
@@ -50,7 +51,8 @@ class ArduPilotLander:
         self._timeout_s = parameters["PLND_TIMEOUT"]
         self._lowest_retry_m = parameters["PLND_ALT_MIN"]
         self._pending: Sight | None = None
-        self._poses: deque[tuple[float, Vector3, Quaternion]] = deque()
+        self._views: deque[View] = deque()
+        self._then: View | None = None
         self._axes: tuple[AxisFilter, AxisFilter] | None = None
         self._rejected = 0
         self._below_m = 0.0
@@ -72,46 +74,60 @@ class ArduPilotLander:
     # ------------------------------------------------------------ the target
 
     def watch(self, view: View, dt_s: float) -> None:
-        """Predict, and fuse what has come."""
-        self._poses.append((view.now_s, view.position_ned_m, view.attitude))
-        while view.now_s - self._poses[0][0] > _HISTORY_S:
-            self._poses.popleft()
+        """Predict, and fuse what has come; all of it at the time of PLND_LAG ago."""
+        self._views.append(view)
+        before, then = self._then, self._views[0]
+        while len(self._views) > 1 and self._views[1].now_s <= view.now_s - self._lag_s + _EARLY_S:
+            self._views.popleft()
+            then = self._views[0]
+        self._then = then
         if view.now_s - self._seen_s > _FRESH_S:
             self._axes = None
-        if self._axes is not None:
-            for axis in self._axes:
-                axis.predict(dt_s, self._noise_m_s2 * self._noise_m_s2 * _LOOP_S * dt_s)
+        if self._axes is not None and before is not None:
+            noise = self._noise_m_s2 * self._noise_m_s2 * _LOOP_S * dt_s
+            for index, axis in enumerate(self._axes):
+                change = then.velocity_ned_m_s[index] - before.velocity_ned_m_s[index]
+                axis.predict(then.now_s - before.now_s, change, noise)
         if self._pending is not None:
             sight, self._pending = self._pending, None
-            self._fuse(sight, view)
+            self._fuse(sight, view, then)
 
-    def _fuse(self, sight: Sight, view: View) -> None:
-        body = self._vector(sight, view.height_m)
+    def _fuse(self, sight: Sight, view: View, then: View) -> None:
+        body = self._vector(sight, then.height_m)
         if body is None:
             return
-        then_s = view.now_s - self._lag_s
-        _, position, attitude = min(self._poses, key=lambda pose: abs(pose[0] - then_s))
-        offset = quat_rotate(attitude, body)
-        if offset[2] <= 0.0:
+        away = quat_rotate(then.attitude, body)
+        if away[2] <= 0.0:
             return
-        north, east, _ = add(position, offset)
-        variance = (offset[2] * 0.01 + 0.02) ** 2
-        self._below_m, self._seen_s = offset[2], view.now_s
+        variance = (away[2] * 0.01 + 0.02) ** 2
+        self._below_m, self._seen_s = away[2], view.now_s
         self._last_seen_at = view.position_ned_m
-        axes = self._axes
-        if axes is None or self._raw:
+        if self._axes is None or self._raw:
+            (north, east, _), (vn, ve, _) = away, then.velocity_ned_m_s
             self._axes = (
-                AxisFilter(north, variance, _VELOCITY_VAR),
-                AxisFilter(east, variance, _VELOCITY_VAR),
+                AxisFilter(north, -vn, variance, _VELOCITY_VAR),
+                AxisFilter(east, -ve, variance, _VELOCITY_VAR),
             )
             return
-        surprise = max(axes[0].surprise(north, variance), axes[1].surprise(east, variance))
-        if surprise > _SURPRISING and self._rejected < _REJECTS_BEFORE_TAKING:
+        pairs = list(zip(self._axes, away, strict=False))
+        surprising = max(axis.surprise(measured, variance) for axis, measured in pairs) > _SURPRISING
+        if surprising and self._rejected < _REJECTS_BEFORE_TAKING:
             self._rejected += 1
             return
         self._rejected = 0
-        axes[0].fuse(north, variance)
-        axes[1].fuse(east, variance)
+        for axis, measured in pairs:
+            axis.fuse(measured, variance)
+
+    def _now(self, axes: tuple[AxisFilter, AxisFilter], view: View, dt_s: float) -> tuple[Vector3, Vector3]:
+        """Where the target is by now in the own NED, and how fast, from the state of PLND_LAG ago."""
+        then = self._views[0]
+        place, speed = [], []
+        for index, axis in enumerate(axes):
+            own = sum(later.velocity_ned_m_s[index] for later in list(self._views)[1:]) * dt_s
+            speed.append(axis.velocity_m_s + then.velocity_ned_m_s[index])
+            moved = speed[index] * (view.now_s - then.now_s)
+            place.append(view.position_ned_m[index] + axis.position_m + moved - own)
+        return (place[0], place[1], nan), (speed[0], speed[1], nan)
 
     def _vector(self, sight: Sight, height_m: float) -> Vector3 | None:
         """The target from the vehicle in body axes (m)."""
@@ -139,10 +155,8 @@ class ArduPilotLander:
         if not self._found:
             self.texts.append((Severity.INFO, "PrecLand: Target Found"))
         self._found, self._retrying = True, False
-        north, east = (axis.position_m for axis in self._axes)
-        speed = (0.0, 0.0)
-        if self._moves and not self._raw:
-            speed = (self._axes[0].velocity_m_s, self._axes[1].velocity_m_s)
+        (north, east, _), velocity = self._now(self._axes, view, dt_s)
+        speed = velocity[:2] if self._moves and not self._raw else (0.0, 0.0)
         error = math.hypot(north - view.position_ned_m[0], east - view.position_ned_m[1])
         return MotionSetpoint((north, east, nan), (*speed, self._sink(error, view.landing_speed_m_s)))
 

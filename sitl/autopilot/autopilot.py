@@ -41,7 +41,7 @@ class Autopilot(FlightLoop):
 
     def set_mode(self, custom_mode: int) -> Result:
         """Change to the mode of that custom_mode."""
-        return self._commander.change_mode(self.manner.mode_by_number(custom_mode), custom_mode)
+        return self._change_mode(self.manner.mode_by_number(custom_mode), custom_mode)
 
     def take_off(self, altitude_m: float) -> Result:
         """NAV_TAKEOFF.
@@ -86,7 +86,7 @@ class Autopilot(FlightLoop):
     def land_precisely(self) -> Result:
         """Land on the target of LANDING_TARGET, where there is a mode of its own for it."""
         mode = next((mode for mode in self.manner.modes if mode.task is Task.PRECISION_LAND), None)
-        return Result.UNSUPPORTED if mode is None else self._commander.change_mode(mode)
+        return Result.UNSUPPORTED if mode is None else self._change_mode(mode)
 
     def change_speed(self, kind: int, speed_m_s: float) -> Result:
         """DO_CHANGE_SPEED."""
@@ -140,7 +140,7 @@ class Autopilot(FlightLoop):
         waits = self.manner.mission.waits_for_start
         if waits and not self.armed:
             return Result.FAILED
-        result = self._commander.change_mode(mode)
+        result = self._change_mode(mode)
         if result is Result.ACCEPTED and not waits:
             result = self.arm()
         if result is Result.ACCEPTED:

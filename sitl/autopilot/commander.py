@@ -111,12 +111,13 @@ class Commander:
             return
         for index, failsafe in enumerate(self._manner.failsafes):
             if not failsafe.condition(self.situation):
-                self._held_s[index] = 0.0
+                if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
+                    self._held_s[index] = 0.0
                 continue
             self._held_s[index] += dt_s
             if self._held_s[index] >= failsafe.after_s:
-                if not failsafe.returns:
-                    self._held_s[index] = -inf  # once: a mode chosen after that is the pilot's own
+                if failsafe.over is not None:
+                    self._held_s[index] = -inf
                 self._respond(failsafe)
                 return
 
@@ -130,7 +131,7 @@ class Commander:
             self._stop(failsafe.severity, failsafe.text)
             return
         self.say(failsafe.severity, failsafe.text)
-        if failsafe.returns:
+        if failsafe.over is None:
             self._left_mode, self._left_by = self.mode, failsafe
         self.in_failsafe = True
         self._enter(self._manner.mode(failsafe.mode))

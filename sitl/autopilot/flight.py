@@ -31,7 +31,7 @@ from sitl.autopilot.manners import Manner
 from sitl.autopilot.mission import Here, MissionRunner
 from sitl.autopilot.mission_items import Command, ItemFrame, MissionItem, MissionStore
 from sitl.autopilot.mixer import Motors
-from sitl.autopilot.modes import Result, Severity, StickLaw, Task
+from sitl.autopilot.modes import Mode, Result, Severity, StickLaw, Task
 from sitl.autopilot.navigator import Navigator
 from sitl.autopilot.px4 import PX4
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
@@ -175,7 +175,11 @@ class FlightLoop:
 
     def set_mode_named(self, name: str) -> Result:
         """Change to a mode of the manner's own."""
-        return self._commander.change_mode(self.manner.mode(name))
+        return self._change_mode(self.manner.mode(name))
+
+    def _change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+        self._watch_mission()  # one that has come since the last step counts already
+        return self._commander.change_mode(mode, number)
 
     # ------------------------------------------------------------ time
 
@@ -200,8 +204,9 @@ class FlightLoop:
         if self._commander.armed != self._was_armed:
             self._was_armed = self._commander.armed
             self._cascade.disarm(estimate)
-            self._runner.rest()
-            self._navigator.speeds.forget()
+            if not self._was_armed:
+                self._runner.rest()
+                self._navigator.speeds.forget()
         if self._lander is not None:
             self._lander.watch(self._view(), _OUTER_PERIOD_S)
         if self._commander.armed:

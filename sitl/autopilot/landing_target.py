@@ -69,16 +69,17 @@ class Lander(Protocol):
 
 
 class AxisFilter:
-    """Position and velocity of the target along one axis, measured in position alone."""
+    """Position and velocity of the target relative to the vehicle along one axis."""
 
-    def __init__(self, position_m: float, position_var: float, velocity_var: float) -> None:
+    def __init__(self, position_m: float, velocity_m_s: float, position_var: float, velocity_var: float):
         self.position_m = position_m
-        self.velocity_m_s = 0.0
+        self.velocity_m_s = velocity_m_s
         self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
 
-    def predict(self, dt_s: float, velocity_var: float) -> None:
-        """Move on at constant velocity, whose variance grows by `velocity_var`."""
-        self.position_m += self.velocity_m_s * dt_s
+    def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
+        """Move on by dt, in which the own velocity changed; the target's is constant but for noise."""
+        self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
+        self.velocity_m_s -= own_change_m_s
         self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
         self._pv += dt_s * self._vv
         self._vv += velocity_var

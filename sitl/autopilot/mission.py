@@ -27,6 +27,7 @@ from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.parameters import Parameters
 
 _MOST_ITEMS_A_STEP = 100
+_FROM_THE_GROUND = (Command.TAKEOFF, Command.LAND, Command.RETURN_TO_LAUNCH)
 _REQUIRED = 2  # PRECISION_LAND_MODE
 _HEIGHT_REACHED_M = 0.8
 _FACE_BEYOND_M = 2.0
@@ -178,7 +179,7 @@ class MissionRunner:
         """An autopilot that takes off by itself does so before it flies anywhere."""
         if self._now.climbing_first:
             return Task.TAKE_OFF
-        goes = item.command in NAVIGATION and item.command not in (Command.TAKEOFF, Command.LAND)
+        goes = item.command in NAVIGATION and item.command not in _FROM_THE_GROUND
         if not (here.landed and goes and self._store.rules.own_take_off and self._settings.take_off_height):
             return None
         self._navigator.climb_to_m = self._parameters.si(self._settings.take_off_height)
@@ -212,7 +213,9 @@ class MissionRunner:
         return math.atan2(east, north)
 
     def _towards(self, item: MissionItem, target: Vector3, here: Here) -> MotionSetpoint:
-        return replace(self._navigator.towards(target), yaw_rad=self._heading(item, target, here))
+        return replace(
+            self._navigator.towards(target, here.position_ned_m), yaw_rad=self._heading(item, target, here)
+        )
 
     def _waypoint(self, item: MissionItem, here: Here) -> Wanted | None:
         return self._stay(item, here, item.parameter(1))
@@ -255,7 +258,8 @@ class MissionRunner:
     def _take_off(self, item: MissionItem, here: Here) -> Wanted | None:
         ground = self._navigator.home_ned_m[2]
         top = self._to_ned((nan, nan, item.z), item.frame is ItemFrame.RELATIVE)[2]
-        if not here.landed and here.position_ned_m[2] - top < _HEIGHT_REACHED_M:
+        begun, self._now.within = self._now.within, Task.TAKE_OFF
+        if begun is None and not here.landed and here.position_ned_m[2] - top < _HEIGHT_REACHED_M:
             return None  # high enough already
         self._navigator.climb_to_m = ground - top
         return Task.TAKE_OFF
@@ -291,7 +295,7 @@ class MissionRunner:
         heading = self._now.heading_to
         if heading is None or abs(wrap_angle(heading - here.heading_rad)) < _HEADING_REACHED_RAD:
             return None
-        return replace(self._navigator.towards(self._now.target), yaw_rad=heading)
+        return replace(self._navigator.towards(self._now.target, here.position_ned_m), yaw_rad=heading)
 
     def _jump(self, item: MissionItem, here: Here) -> Wanted | None:
         number, target, times = self._store.current, item.whole(1), item.whole(2)

@@ -134,7 +134,8 @@ class Response(Enum):
 class Failsafe:
     """When `condition` has held for `after_s`, do `response` and say `text`.
 
-    LEAVE_MODE goes to `mode`, and with `returns` back as soon as the condition has ended.
+    LEAVE_MODE goes to `mode`, and back as soon as the condition has ended; with `over` it stays there, and
+    does not happen again before that has been so: a mode chosen meanwhile is the pilot's own business.
     """
 
     name: str
@@ -144,4 +145,4 @@ class Failsafe:
     severity: Severity
     text: str
     mode: str = ""
-    returns: bool = True
+    over: Condition | None = None

@@ -19,6 +19,9 @@ _HOME_REACHED_M = 0.8
 _HOME_SPEED_M_S = 0.4
 _STOPPED_M_S = 0.25
 _FASTEST_M_S = 50.0
+# gentler than the controller could, so that it comes to rest without overshoot
+_BRAKING_M_S2 = 1.0
+_SLOWEST_M_S = 0.5
 
 
 class Speeds:
@@ -88,12 +91,17 @@ class Navigator:
         """Somebody has said where home is: it no longer is where the vehicle was armed."""
         self.home_ned_m, self.home_is_fixed = position_ned_m, True
 
-    def towards(self, target: Vector3) -> MotionSetpoint:
-        """Fly to a place at the speeds in force."""
+    def towards(
+        self, target: Vector3, position: Vector3, speed_m_s: float | None = None, yaw_rad: float = nan
+    ) -> MotionSetpoint:
+        """Fly to a place at the speeds in force, and slow down in time to stop there."""
         speeds = self.speeds
+        distance = math.hypot(target[0] - position[0], target[1] - position[1])
+        braking = max(_SLOWEST_M_S, math.sqrt(2.0 * _BRAKING_M_S2 * distance))
         return MotionSetpoint(
             target,
-            horizontal_speed_m_s=speeds.horizontal,
+            yaw_rad=yaw_rad,
+            horizontal_speed_m_s=min(speeds.horizontal if speed_m_s is None else speed_m_s, braking),
             climb_speed_m_s=speeds.climb,
             descent_speed_m_s=speeds.descent,
         )
@@ -113,7 +121,7 @@ class Navigator:
         if task is Task.TAKE_OFF:
             return self._take_off(position)
         if task is Task.GO_TO:
-            return self._go(self.target_ned_m), None
+            return self._go(position), None
         if task is Task.LAND:
             return self._land(position, velocity), None
         if task is Task.RETURN:
@@ -139,9 +147,8 @@ class Navigator:
             return MotionSetpoint(position_ned_m=self._held, climb_speed_m_s=climb), Task.HOLD
         return MotionSetpoint((north, east, down), climb_speed_m_s=climb), None
 
-    def _go(self, target: Vector3) -> MotionSetpoint:
-        speed = self.speeds.horizontal if self.target_speed_m_s is None else self.target_speed_m_s
-        return MotionSetpoint(target, yaw_rad=self.target_yaw_rad, horizontal_speed_m_s=speed)
+    def _go(self, position: Vector3) -> MotionSetpoint:
+        return self.towards(self.target_ned_m, position, self.target_speed_m_s, self.target_yaw_rad)
 
     def _land(self, position: Vector3, velocity: Vector3) -> MotionSetpoint:
         if self._held is None and math.hypot(velocity[0], velocity[1]) < _STOPPED_M_S:
@@ -159,8 +166,7 @@ class Navigator:
             self._held = (position[0], position[1], min(position[2], ground - height))
         away = math.hypot(north - position[0], east - position[1])
         if away < _HOME_REACHED_M and math.hypot(velocity[0], velocity[1]) < _HOME_SPEED_M_S:
-            return self._go((north, east, self._held[2])), Task.LAND
+            return self.towards((north, east, self._held[2]), position), Task.LAND
         if position[2] - self._held[2] > 0.5:
             return MotionSetpoint(self._held), None
-        speed = self.speeds.horizontal
-        return MotionSetpoint((north, east, self._held[2]), horizontal_speed_m_s=speed), None
+        return self.towards((north, east, self._held[2]), position), None

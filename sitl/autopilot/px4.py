@@ -198,7 +198,7 @@ PX4 = Manner(
             Severity.CRITICAL,
             "Failsafe activated: Manual control lost, switching to Return",
             mode="AUTO_RTL",
-            returns=False,
+            over=lambda now: now.radio,
         ),
         Failsafe("landed", landed_after_flight, 2.0, Response.DISARM, Severity.INFO, "Disarmed by landing"),
         Failsafe(

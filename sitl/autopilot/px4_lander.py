@@ -94,10 +94,9 @@ class PX4Lander:
             return self._begin_search(view) if self._required else self._give_up()
         if self._away(target, view) < self._value("PLD_HACC_RAD"):
             self._since_s = view.now_s if self._since_s is None else self._since_s
+            # from the first time above it on: a moment off does not start the wait anew
             if view.now_s - self._since_s > _ABOVE_FOR_S:
                 self.stage = Stage.DESCEND
-        else:
-            self._since_s = None
         return MotionSetpoint((target[0], target[1], self._height_ned_m))
 
     def _descend(self, view: View) -> MotionSetpoint | None:
