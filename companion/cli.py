@@ -21,24 +21,11 @@ from typer.exceptions import TyperException
 
 from companion.app import App
 from companion.clock import start_unix_s
-<<<<<<< HEAD
-from companion.config import CONFIG_FOLDER, CONNECTION_FORM, CompanionConfig, ConfigError, load_config
-from companion.desk import (
-    DeskFlight,
-    External,
-    SimulatorError,
-    Trial,
-    desk_settings,
-    fly,
-    stopping_on_signals,
-)
-from companion.flights import HELP as FLIGHTS_HELP
-from companion.flights import reason, score, serve_flights
-=======
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
 from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
 from companion.external import External
->>>>>>> external
+from companion.flights import HELP as FLIGHTS_HELP
+from companion.flights import reason, score, serve_flights
 from companion.hardware import make_actions, open_hardware
 from companion.messages import Outcome, Phase
 from companion.record import FlightLog

@@ -18,13 +18,9 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
-<<<<<<< HEAD
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
-from sitl.external import serve_external
-=======
 from sitl.external_server import serve_external
->>>>>>> external
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import serve

@@ -95,13 +95,8 @@ def is_run(words: list[str]) -> bool:
 
 def check_without_running(words: list[str]) -> None:
     """Raise when a command names an option, module, target or file that does not exist."""
-<<<<<<< HEAD
     if words[0] in PROGRAMS:
         command = typer.main.get_command(PROGRAMS[words[0]])
-=======
-    if words[0] in ("companion", "companion-sitl"):
-        command = typer.main.get_command(cli if words[0] == "companion" else sitl_cli)
->>>>>>> external
         context = command.make_context(words[0], words[1:])
         if (other := getattr(command, "commands", {}).get(words[1])) is not None:
             other.make_context(words[1], words[2:])
