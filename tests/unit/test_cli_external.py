@@ -80,9 +80,9 @@ def test_the_app_takes_the_autopilots_own_sensors_and_our_echoes() -> None:
 async def test_an_autopilot_that_is_not_there_is_said_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("companion.desk.EXTERNAL_START_TIMEOUT_S", 6.0)
+    monkeypatch.setattr("companion.desk.EXTERNAL_START_TIMEOUT_S", 4.0)
     trial = Trial.load("static", 0, External("tcp:127.0.0.1:1"))
     with pytest.raises(ConfigError) as caught:
         await SimulatorProcess.start(trial, tmp_path)
-    assert str(caught.value).startswith("the simulator did not start: nothing for 6 s: companion-sitl: ")
+    assert str(caught.value).startswith("the simulator did not start: nothing for 4 s: companion-sitl: ")
     assert str(caught.value).endswith("tcp:127.0.0.1:1: Connection refused; trying again every 1 s")
