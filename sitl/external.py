@@ -1,4 +1,4 @@
-"""The world about somebody else's vehicle, put together, in real time: pad, camera, score.
+"""The world about somebody else's vehicle, put together, in real time: pad, camera, ultrasonic, beacon.
 
 It watches a vehicle over MAVLink and flies nothing. The app may share the connection: what it sends to the
 relay's port goes to the vehicle, and what the vehicle sends comes there too.

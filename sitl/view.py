@@ -148,7 +148,9 @@ class Video:
         if self._writer is None:
             height, width = self._waiting[0].shape[:2]
             code = cv2.VideoWriter.fourcc(*"mp4v")
-            self._writer = cv2.VideoWriter(str(self._path), code, max(self._rate_hz, 1.0), (width, height))
+            # MPEG-4 has no room for a rate like 74.183
+            rate_hz = max(1.0, round(self._rate_hz) if self._rate_hz > 10.0 else round(self._rate_hz, 1))
+            self._writer = cv2.VideoWriter(str(self._path), code, rate_hz, (width, height))
             if not self._writer.isOpened():
                 raise ConfigError(f"--record {self._path}: cannot be written as MP4")
         for picture in self._waiting:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import pytest
 
 from companion import cli
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.desk import SimulatorProcess, Trial, desk_settings
+from companion.desk import SimulatorError, SimulatorProcess, Trial, desk_settings
 from companion.external import External
 
 UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
@@ -77,12 +78,12 @@ def test_the_app_takes_the_autopilots_own_sensors_and_our_echoes() -> None:
     assert trial.time_limit_s == Trial.load("static", 0).time_limit_s + 60.0
 
 
-async def test_an_autopilot_that_is_not_there_is_said_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("companion.desk.EXTERNAL_START_TIMEOUT_S", 6.0)
-    trial = Trial.load("static", 0, External("tcp:127.0.0.1:1"))
-    with pytest.raises(ConfigError) as caught:
-        await SimulatorProcess.start(trial, tmp_path)
-    assert str(caught.value).startswith("the simulator did not start: nothing for 6 s: companion-sitl: ")
-    assert str(caught.value).endswith("tcp:127.0.0.1:1: Connection refused; trying again every 1 s")
+async def test_an_autopilot_that_is_not_there_is_said_in_the_worlds_own_words(tmp_path: Path) -> None:
+    words = tmp_path / "stderr"
+    words.write_text("companion-sitl: waiting\ncompanion-sitl: tcp:127.0.0.1:1: Connection refused\n")
+    silent = await asyncio.create_subprocess_exec("sleep", "60", stdout=asyncio.subprocess.PIPE)
+    simulator = SimulatorProcess(silent, {}, words)
+    with pytest.raises(SimulatorError) as caught:
+        await simulator._listen(0.05)
+    await simulator.kill()
+    assert str(caught.value) == "nothing for 0.05 s: companion-sitl: tcp:127.0.0.1:1: Connection refused"

@@ -485,7 +485,7 @@ def test_connections_of_the_known_forms_are_taken(connection: str) -> None:
 
 @pytest.mark.parametrize(
     "connection",
-    ["", "/dev/ttyAMA0", "tcp:host:1", "udp:host", "udpin:host:0", "udp:host:65536", "serial:x:57600"],
+    ["", "/dev/ttyAMA0", "tcp:host", "udp:host", "udpin:host:0", "udp:host:65536", "serial:x:57600"],
 )
 def test_connections_of_other_forms_are_refused(connection: str) -> None:
     with pytest.raises(ValidationError, match=r"expected serial:PATH:BAUD"):
