@@ -4,6 +4,7 @@
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
 # make bench-campaign        how much faster a campaign is on two jobs
+# make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -16,7 +17,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-ahrs clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-ahrs clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -58,6 +59,9 @@ bench-pad: $(VENV)/.dev
 # needs the machine to itself, for half an hour
 bench-campaign: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_campaign --runs $(CAMPAIGN_RUNS)
+
+bench-precision: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_precision_landing
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

@@ -99,11 +99,11 @@ class MissionProtocol:
         if m.mission_type != _MISSION:
             empty = m.mission_type in _EMPTY_TYPES and m.count == 0
             return [_ack(m, MissionResult.ACCEPTED if empty else MissionResult.UNSUPPORTED)]
-        if busy is not None and busy.partner != _sender(m):
+        if self._others_upload(now_s) or (busy is not None and busy.partner != _sender(m)):
             return [_ack(m, MissionResult.DENIED if rules.restarts else MissionResult.ERROR)]
         if busy is not None and not rules.restarts and busy.next != busy.begun:
             return [_ack(m, MissionResult.ERROR)]
-        self._upload = None
+        self._end()
         if m.count > rules.max_items:
             return [_ack(m, MissionResult.NO_SPACE)]
         if m.count == 0:
@@ -114,8 +114,10 @@ class MissionProtocol:
     def _on_partial_list(self, m: Message, now_s: float) -> list[Message]:
         if not self._store.rules.partial_lists:
             return []
-        if self._upload is not None or m.mission_type != _MISSION:
-            return [_ack(m, MissionResult.DENIED if self._upload is not None else MissionResult.UNSUPPORTED)]
+        if m.mission_type != _MISSION:
+            return [_ack(m, MissionResult.UNSUPPORTED)]
+        if self._upload is not None or self._others_upload(now_s):
+            return [_ack(m, MissionResult.DENIED)]
         if not 0 <= m.start_index <= m.end_index < len(self._store):
             self._store.say(Severity.WARNING, "Flight plan update rejected")
             return [_ack(m, MissionResult.ERROR)]
@@ -125,8 +127,20 @@ class MissionProtocol:
         self, m: Message, first: int, last: int, draft: list[MissionItem], now_s: float
     ) -> list[Message]:
         self._completed_last = None
+        self._store.uploader, self._store.uploader_heard_s = self, now_s
         self._upload = _Upload(_sender(m), first, last, draft, first, now_s, now_s)
         return [self._ask(self._upload, now_s)]
+
+    def _end(self) -> None:
+        self._upload = None
+        if self._store.uploader is self:
+            self._store.uploader = None
+
+    def _others_upload(self, now_s: float) -> bool:
+        """Somebody uploads over another link, and has not fallen silent."""
+        store = self._store
+        silent = now_s - store.uploader_heard_s >= store.rules.timeout_s
+        return store.uploader is not None and store.uploader is not self and not silent
 
     def _on_item(self, m: Message, now_s: float) -> list[Message]:
         upload, rules = self._upload, self._store.rules
@@ -137,20 +151,20 @@ class MissionProtocol:
             return [_ack(m, MissionResult.DENIED)]
         if m.mission_type != _MISSION:
             return [_ack(m, MissionResult.ERROR)]
-        upload.heard_s = now_s
+        upload.heard_s = self._store.uploader_heard_s = now_s
         if m.seq != upload.next:
             return [_ack(m, MissionResult.INVALID_SEQUENCE)] if rules.restarts else [self._ask(upload, now_s)]
         item = item_from_message(m)
         result = rules.check(item, m.frame)
         if result is not MissionResult.ACCEPTED:
-            self._upload = None
+            self._end()
             return [_ack(m, result)]
         upload.draft[upload.next : upload.next + 1] = [item]
         upload.next += 1
         return [self._ask(upload, now_s)] if upload.next <= upload.last else self._complete(m, upload)
 
     def _complete(self, m: Message, upload: _Upload) -> list[Message]:
-        self._upload = None
+        self._end()
         self._completed_last = (upload.partner, upload.last)
         self._store.finish_upload(upload.draft)
         return [_ack(m, MissionResult.ACCEPTED)]
@@ -158,7 +172,7 @@ class MissionProtocol:
     def _keep_asking(self, upload: _Upload, now_s: float) -> list[Message]:
         rules = self._store.rules
         if now_s - upload.heard_s >= rules.timeout_s:
-            self._upload = None
+            self._end()
             self._store.say(Severity.WARNING, rules.timeout_text)
             cancelled = mavlink.MAVLink_mission_ack_message(
                 *upload.partner, MissionResult.OPERATION_CANCELLED, _MISSION
@@ -183,7 +197,7 @@ class MissionProtocol:
             and upload.partner == _sender(m)
             and m.type == MissionResult.OPERATION_CANCELLED
         ):
-            self._upload = None
+            self._end()
         return []
 
     # ------------------------------------------------------------ download
@@ -216,7 +230,7 @@ class MissionProtocol:
     def _on_clear(self, m: Message, now_s: float) -> list[Message]:
         if m.mission_type not in (_MISSION, _ALL_TYPES, *_EMPTY_TYPES):
             return [_ack(m, MissionResult.UNSUPPORTED)]
-        if self._upload is not None:
+        if self._upload is not None or self._others_upload(now_s):
             return [_ack(m, MissionResult.ERROR)]
         if m.mission_type not in _EMPTY_TYPES:
             self._store.clear()

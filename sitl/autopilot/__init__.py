@@ -3,7 +3,7 @@
 from sitl.autopilot.airframe import Airframe, hover_thrust
 from sitl.autopilot.autopilot import Autopilot
 from sitl.autopilot.estimator import NO_ERRORS, EstimatorErrors
-from sitl.autopilot.flight import MANNERS
+from sitl.autopilot.flight_state import MANNERS
 from sitl.autopilot.mixer import Motors
 from sitl.autopilot.modes import Result, Severity, Task
 from sitl.autopilot.setpoints import AttitudeSetpoint, Frame, Ignore, MotionSetpoint, StreamedMotion

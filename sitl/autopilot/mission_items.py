@@ -182,7 +182,8 @@ class MissionStore:
     """The list an autopilot keeps, which item is current, and what has been reached.
 
     `version` goes up with every new list. `reached_total` counts the items reached, of which `reached` holds
-    the last ones, so that each link can tell its own client. `texts` are for the ground, severity first.
+    the last ones, so that each link can tell its own client. `uploader` is whoever uploads at present, heard
+    last at `uploader_heard_s`: one at a time, over all links. `texts` are for the ground, severity first.
     """
 
     rules: MissionRules
@@ -193,6 +194,8 @@ class MissionStore:
     reached_total: int = 0
     reached: deque[int] = field(default_factory=lambda: deque(maxlen=32))
     texts: list[tuple[Severity, str]] = field(default_factory=list)
+    uploader: object | None = None
+    uploader_heard_s: float = -math.inf
     home: Callable[[], MissionItem] = lambda: MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL)
 
     def __len__(self) -> int:
@@ -227,13 +230,13 @@ class MissionStore:
         """The list is complete."""
         self.items = items
         self._renewed()
-        self.current = min(self.current, max(0, len(items) - 1)) if self.rules.writes_in_place else 0
+        if not self.rules.writes_in_place:
+            self.current = 0
         self.say(Severity.INFO, self.rules.received_text)
 
     def clear(self) -> None:
         """Forget the mission."""
         self.items = []
-        self.current = 0
         self._renewed()
 
     def select(self, number: int) -> bool:
@@ -275,6 +278,7 @@ class MissionStore:
 
     def _renewed(self) -> None:
         self.finished = False
+        self.current = min(self.current, max(0, len(self.items) - 1))
         self.version += 1
 
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.geometry import yaw_from_quat
 from companion.messages import Manner
+from sitl.endpoint import MavlinkEndpoint
 from tests.unit.sitl.mission_desk import Station, item, mission, plain
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
@@ -112,6 +113,20 @@ def test_somebody_elses_items_are_denied(manner: Manner) -> None:
     assert results(station.send(count(1)))[0] != 0
     station.us.srcSystem = 255
     assert results(station.send(item(WAYPOINT))) == [0]
+
+
+@BOTH
+def test_one_upload_at_a_time_over_all_links(manner: Manner) -> None:
+    station = Station(manner, 0.1)
+    first, second = station.endpoint, MavlinkEndpoint(station.flight.autopilot)
+    station.send(count(1))
+    station.endpoint = second
+    assert results(station.send(count(1)))[0] != 0
+    assert results(station.send(mavlink.MAVLink_mission_clear_all_message(1, 1, 0)))[0] != 0
+    station.endpoint = first
+    assert results(station.send(item(WAYPOINT))) == [0]
+    station.endpoint = second
+    assert station.send(count(1))[-1].seq == 0
 
 
 @BOTH
