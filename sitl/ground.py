@@ -67,7 +67,7 @@ class Board:
         return beyond, -down
 
     def ceiling_down_m(self, pad: PadTruth) -> float:
-        """Down coordinate above which nothing is, neither board nor ground: an angle is more than its sine."""
+        """Down coordinate above which there is neither board nor ground: an angle is more than its sine."""
         lift = self.half_diagonal_m * (abs(pad.roll_rad) + abs(pad.pitch_rad))
         return min(0.0, pad.position_ned_m[2] - lift)
 
