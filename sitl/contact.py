@@ -101,7 +101,7 @@ class Contact:
     def step(self, state: QuadrotorState, pad: PadTruth, dt_s: float) -> ContactLoad:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
-        if state.position_ned_m[2] + self._reach_m < self._board.highest_down_m(pad) - 0.05:
+        if state.position_ned_m[2] + self._reach_m < self._board.ceiling_down_m(pad) - 0.05:
             self.release()
             return NO_CONTACT
         soon = pad.soon(half)

@@ -30,6 +30,11 @@ class Board:
     half_length_m: float
     half_width_m: float
 
+    @property
+    def half_diagonal_m(self) -> float:
+        """From the centre to a corner."""
+        return math.hypot(self.half_length_m, self.half_width_m)
+
     @classmethod
     def of(cls, pad: Pad) -> Board:
         """The board of a pad's layout."""
@@ -45,8 +50,10 @@ class Board:
 
     def surface_down_m(self, pad: PadTruth, north_m: float, east_m: float) -> float:
         """Down coordinate of what lies under a point: the board's top or the ground."""
-        axes = pad.axes()
         dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]
+        if math.hypot(dn, de) > self.half_diagonal_m:
+            return 0.0
+        axes = pad.axes()
         normal = axes.down
         dd = -(normal[0] * dn + normal[1] * de) / normal[2]
         return pad.position_ned_m[2] + dd if self.bears(axes.from_ned((dn, de, dd))) else 0.0
@@ -59,10 +66,9 @@ class Board:
         )
         return beyond, -down
 
-    def highest_down_m(self, pad: PadTruth) -> float:
-        """Down coordinate of the highest of board and ground."""
-        forward, right, _ = pad.axes()
-        lift = abs(forward[2]) * self.half_length_m + abs(right[2]) * self.half_width_m
+    def ceiling_down_m(self, pad: PadTruth) -> float:
+        """Down coordinate above which there is neither board nor ground: an angle is more than its sine."""
+        lift = self.half_diagonal_m * (abs(pad.roll_rad) + abs(pad.pitch_rad))
         return min(0.0, pad.position_ned_m[2] - lift)
 
 
@@ -88,7 +94,7 @@ def rotor_ratios(
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
-    if board.highest_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
+    if board.ceiling_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
         return NO_RATIO
     ratios = []
     for rotor in rotors_body_m:

@@ -167,7 +167,8 @@ def test_every_setting_that_is_named_exists(name: str) -> None:
     named = [word for word in code_words(TEXTS[name]) if re.fullmatch(r"[a-z]+(\.[a-z_0-9]+)+", word)]
     # a scenario's own sections and the result's share some of these words
     scenario = {setting.key for setting in settings_table.settings_of(Scenario)}
-    known = keys | parents | scenario | {"pad.motion", "pad.deck"} | set(result_keys(Result))
+    scenario |= {key.rpartition(".")[0] for key in scenario} | {"pad.motion"}
+    known = keys | parents | scenario | set(result_keys(Result))
     assert [word for word in named if word.startswith(sections) and word not in known] == []
 
 

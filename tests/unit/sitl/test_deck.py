@@ -124,7 +124,9 @@ def test_what_lies_under_a_point_is_the_sloping_surface() -> None:
     assert board.surface_down_m(pad, 4.4, 5.0) == pytest.approx(-1.0 - 0.4 * math.tan(math.radians(10.0)))
     assert board.surface_down_m(pad, 3.6, 5.0) == pytest.approx(-1.0 + 0.4 * math.tan(math.radians(10.0)))
     assert board.surface_down_m(pad, 4.645, 5.0) == 0.0  # seen from above the board is shorter
-    assert board.highest_down_m(pad) == pytest.approx(-1.0 - 0.65 * math.sin(math.radians(10.0)))
+    highest = -1.0 - 0.65 * math.sin(math.radians(10.0))
+    assert highest - 0.1 < board.ceiling_down_m(pad) <= highest
+    assert board.ceiling_down_m(leaning(0.0, 0.0)) == -1.0
 
 
 def test_lean_is_counted_from_the_decks_normal() -> None:
