@@ -25,6 +25,7 @@ from sitl.faults import (
     MagDisturbed,
     RangeSpikes,
 )
+from sitl.onboard import OnboardSensors
 
 
 class FrameLine:
@@ -50,10 +51,12 @@ class FrameLine:
 class Breakable:
     """The devices and what may be broken about them."""
 
-    def __init__(self, rack: SensorRack, frames: FrameLine) -> None:
+    def __init__(self, rack: SensorRack, frames: FrameLine, onboard: OnboardSensors | None = None) -> None:
+        """`onboard` are the autopilot's own, which the world around does the same to."""
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus = rack.gps, rack.imu
         self.frames = frames
+        self.onboard = onboard
 
     def mend(self) -> None:
         """Everything as it should be."""
@@ -64,6 +67,8 @@ class Breakable:
         self.echo.extra_spikes = 0.0
         self.gps.has_fix, self.gps.silent = True, False
         self.bus.nack_every = 0
+        if self.onboard is not None:
+            self.onboard.has_sky, self.onboard.stray_field_ut = True, ZERO3
         self.frames.mend()
 
 
@@ -76,11 +81,15 @@ def lose_gps(fault: GpsLost, parts: Breakable) -> None:
         parts.gps.silent = True
     else:
         parts.gps.has_fix = False
+        if parts.onboard is not None:
+            parts.onboard.has_sky = False
 
 
 def disturb_magnetometer(fault: MagDisturbed, parts: Breakable) -> None:
     """Another field on top."""
     parts.magnetometer.stray_field_ut = add(parts.magnetometer.stray_field_ut, fault.field_body_ut)
+    if parts.onboard is not None:
+        parts.onboard.stray_field_ut = add(parts.onboard.stray_field_ut, fault.field_body_ut)
 
 
 def step_gyro_bias(fault: GyroBiasStep, parts: Breakable) -> None:

@@ -12,7 +12,7 @@ The world counts from 0 at the loop's time `start_s`; stamps that leave it (fram
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
@@ -30,15 +30,17 @@ from sitl import camera as lens
 from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.breaking import Breakable, FaultSchedule, FrameLine
+from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
-from sitl.endpoint import MavlinkEndpoint
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
+from sitl.network import Network, Port, Write
 from sitl.onboard import OnboardSensors
 from sitl.scenario import Scenario, SensorSettings
 from sitl.score import judge
 from sitl.sensors import GpsErrors, MagErrors, RangeErrors
+from sitl.signing import Signing
 from sitl.world import World
 
 PHYSICS_STEP_S: Final = 1.0 / 400.0
@@ -111,12 +113,18 @@ class Simulation:
         scenario: Scenario,
         seed: int,
         *,
-        link: ByteLink,
         gps_port: DevicePort,
         range_port: DevicePort,
         deliver_frame: Callable[[Frame], None],
+        link: ByteLink | None = None,
+        camera_wanted: Callable[[], bool] = lambda: True,
+        unix_at_start_s: float = UNIX_AT_START_S,
+        signing_key: bytes | None = None,
     ) -> None:
         """Build the world and plug the devices in.
+
+        `link` is the MAVLink line of an app in this process, others come by `connect`. Nothing is rendered
+        while the camera is not wanted. `unix_at_start_s` is UTC (s since 1970) when the world begins.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -125,11 +133,13 @@ class Simulation:
         self._clock = Clock()
         self._start_s = self._clock.now_s()
         self._link = link
+        self._camera_wanted = camera_wanted
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
         self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
-        self._ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME)
+        signing = Signing(scenario.autopilot, signing_key)
+        ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME, signing=signing)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         errors = sensor_errors(scenario.sensors)
         self._rack = SensorRack(
@@ -148,7 +158,6 @@ class Simulation:
         self.imu_bus = self._rack.imu
         self._range_m = OUT_OF_RANGE_M
         self._frame_line = FrameLine(np.random.default_rng((seed, FAULT_STREAM)))
-        self._faults = FaultSchedule(scenario.faults, Breakable(self._rack, self._frame_line))
         camera_streams = (next(streams), next(streams))
         self._onboard = OnboardSensors(
             next(streams),
@@ -163,7 +172,9 @@ class Simulation:
             range_errors=errors.range,
         )
         self._camera = _Camera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
-        self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard)
+        breakable = Breakable(self._rack, self._frame_line, self._onboard)
+        self._faults = FaultSchedule(scenario.faults, breakable)
+        self.network = Network(self._autopilot, self._onboard, ground_station, signing, unix_at_start_s)
         self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
         self._ticks = 0
@@ -174,7 +185,8 @@ class Simulation:
         # making the world takes a while, which is not to be made up for
         self._start_s = self._clock.now_s()
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._receive())
+            if self._link is not None:
+                group.create_task(self._serve(self._link))
             while True:
                 # half a tick early, so that the world is never further from the clock than that: an age of
                 # samples that is off by milliseconds is an attitude that does not fit the frames
@@ -183,6 +195,19 @@ class Simulation:
                 self._keep_pace(self._clock.now_s() - due_s)
                 self._tick()
                 self._ticks += 1
+
+    def connect(self, write: Write, *, datagrams: bool) -> Port:
+        """Another MAVLink client; `write` takes whole frames and must not wait."""
+        return self.network.connect(write, datagrams=datagrams)
+
+    def disconnect(self, port: Port) -> None:
+        """A client has gone."""
+        self.network.disconnect(port)
+
+    def hear(self, port: Port, data: bytes) -> None:
+        """Bytes from a client have just come."""
+        # the clock's time and not the last tick's: TIMESYNC is answered by it
+        self.network.receive(port, data, max(0.0, self._clock.now_s() - self._start_s))
 
     def _keep_pace(self, late_s: float) -> None:
         """Let the world's time slip by what is too late to make up for."""
@@ -230,7 +255,7 @@ class Simulation:
     def _step_physics(self) -> None:
         world = self._world
         truth = world.truth()
-        motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
+        motors = self._onboard.motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
         world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
         state, throttle, range_height_m = world.state, 0.25 * sum(motors), self._range_height_m()
@@ -259,7 +284,7 @@ class Simulation:
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
-        taken = self._camera.step(now_s)
+        taken = self._camera.step(now_s, wanted=self._camera_wanted())
         if taken is None:
             return
         frame, delivery_s = taken
@@ -276,17 +301,15 @@ class Simulation:
 
     def _talk(self, now_s: float) -> None:
         pad = self._world.pad_state
-        data = self._endpoint.transmit(now_s) + self._ground_station.transmit(
-            now_s, pad.position_ned_m, pad.velocity_ned_m_s
-        )
-        if data:
-            self._link.write(data)
+        self.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
 
-    async def _receive(self) -> None:
+    async def _serve(self, link: ByteLink) -> None:
+        def write(frames: Sequence[bytes]) -> None:
+            link.write(b"".join(frames))
+
+        port = self.connect(write, datagrams=False)
         while True:
-            data = await self._link.read()
-            self._endpoint.receive(data, self._world.time_s)
-            self._ground_station.receive(data, self._world.time_s)
+            self.hear(port, await link.read())
 
 
 # ---------------------------------------------------------------- reports between processes
@@ -336,12 +359,14 @@ class _Camera:
         self._sequence = 0
         self._next_s = self._period_s
 
-    def step(self, now_s: float) -> tuple[Frame, float] | None:
+    def step(self, now_s: float, *, wanted: bool) -> tuple[Frame, float] | None:
         """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
         if now_s < self._next_s + 0.5 * self._model.span_s:
             return None
         time_s = self._next_s
         self._next_s += self._period_s
+        if not wanted:
+            return None
         image = self._model.render(time_s, self._scene_at)
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)

@@ -65,6 +65,7 @@ class FlightLoop:
         self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None
         self._setpoint_s = -inf
         self._was_armed = False
+        self.wanted: MotionSetpoint | AttitudeSetpoint | None = None  # what is flown, None before
 
     # ------------------------------------------------------------ what it shows
 
@@ -185,7 +186,7 @@ class FlightLoop:
         self._commander.update(_OUTER_PERIOD_S)
 
     def _fly(self) -> None:
-        setpoint = self._wanted()
+        setpoint = self.wanted = self._wanted()
         cascade, texts = self._cascade, self.manner.texts
         if cascade.landed:
             by_setpoint = self.task is Task.SETPOINT and self.manner.takes_off_by_setpoint
