@@ -16,7 +16,7 @@ from typing import Any, Final
 from companion.geometry import Quaternion, Vector3, quat_normalise
 from sitl.autopilot import AttitudeSetpoint, Autopilot, Frame, Severity, StreamedMotion
 from sitl.commands import execute, request_from_message
-from sitl.framing import FrameReader, MavFrame, dialect
+from sitl.framing import FrameReader, MavFrame, dialect, number
 from sitl.onboard import OnboardSensors
 from sitl.sensor_telemetry import SensorMessages
 from sitl.signing import Signing
@@ -213,7 +213,7 @@ class MavlinkEndpoint:
             mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
             mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
         )
-        place = (m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt)
+        place = (m.lat_int * 1e-7, m.lon_int * 1e-7, number(m.alt))
         self.autopilot.stream_global(_motion(m, Frame.LOCAL_NED, (0.0, 0.0, 0.0)), place, over_home, now_s)
 
     def _on_attitude_target(self, m: Message, now_s: float) -> None:
@@ -291,8 +291,15 @@ class MavlinkEndpoint:
 
 
 def _motion(m: Message, frame: int, position: Vector3) -> StreamedMotion:
+    x, y, z = position
     return StreamedMotion(
-        frame, m.type_mask, position, (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz), m.yaw, m.yaw_rate
+        frame,
+        m.type_mask,
+        (number(x), number(y), number(z)),
+        (number(m.vx), number(m.vy), number(m.vz)),
+        (number(m.afx), number(m.afy), number(m.afz)),
+        number(m.yaw),
+        number(m.yaw_rate),
     )
 
 

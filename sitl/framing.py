@@ -10,6 +10,7 @@ ardupilotmega, which holds common. Source: mavlink.io, "Packet serialization".
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from typing import Any, Final, NamedTuple
@@ -26,6 +27,7 @@ _V2_HEADER_BYTES: Final = 10
 _CRC_BYTES: Final = 2
 _SIGNED: Final = 0x01
 SIGNATURE_BYTES: Final = 13
+_BEYOND: Final = 1e7
 
 
 class MavFrame(NamedTuple):
@@ -134,15 +136,17 @@ def _target_offsets() -> dict[int, tuple[int, int]]:
     found: dict[int, tuple[int, int]] = {}
     for message_id, kind in dialect.mavlink_map.items():
         names, types = kind.ordered_fieldnames, _FIELD.findall(kind.unpacker.format)
-        at = {
-            name: struct.calcsize("<" + "".join(types[: names.index(name)]))
-            for name in ("target_system", "target_component")
-            if name in names
-        }
-        if "target_system" in at:
-            found[message_id] = (at["target_system"], at.get("target_component", -1))
+        at = {name: struct.calcsize("<" + "".join(types[:i])) for i, name in enumerate(names)}
+        system = "target" if message_id == dialect.MAVLINK_MSG_ID_MANUAL_CONTROL else "target_system"
+        if system in at:
+            found[message_id] = (at[system], at.get("target_component", -1))
     return found
 
 
 _FIELD: Final = re.compile(r"\d*[a-zA-Z]")
 _TARGET_AT: Final = _target_offsets()
+
+
+def number(value: float) -> float:
+    """A float of a message; NaN, which says "not given", when it is infinite or beyond all that flies."""
+    return value if -_BEYOND < value < _BEYOND else math.nan
