@@ -3,6 +3,7 @@
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
+# make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -13,7 +14,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-ahrs clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-fuzz bench-ahrs clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -23,6 +24,8 @@ $(VENV)/.run: pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.run
 	$(PIP) -e '.[dev]'
+	# a real client for the tests; what it says it needs holds another OpenCV, which would overwrite ours
+	$(PIP) --no-deps MAVProxy
 	touch $@
 
 sitl: $(VENV)/.run
@@ -43,6 +46,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python tests/bench/bench_time.py || status=1; \
 	$(BENCH_STATE) || status=1; \
 	$(BIN)/python -m tests.bench.bench_pad_filter || status=1; \
+	$(BIN)/python -m tests.bench.bench_fuzz || status=1; \
 	$(BIN)/python -m sitl.campaign --seeds $(SEEDS) || status=1; \
 	exit $$status
 
@@ -51,6 +55,9 @@ bench-state: $(VENV)/.dev
 
 bench-pad: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_pad_filter
+
+bench-fuzz: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_fuzz
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

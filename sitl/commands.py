@@ -59,7 +59,9 @@ def request_from_message(message: Any) -> Request:
     m = message
     first = (number(m.param1), number(m.param2), number(m.param3), number(m.param4))
     if m.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-        return Request(m.command, (*first, number(m.param5), number(m.param6), number(m.param7)), _POSITION_OF_LONG)
+        return Request(
+            m.command, (*first, number(m.param5), number(m.param6), number(m.param7)), _POSITION_OF_LONG
+        )
     latitude, longitude = (math.nan if e7 == _NOT_GIVEN_E7 else e7 * 1e-7 for e7 in (m.x, m.y))
     return Request(m.command, (*first, latitude, longitude, number(m.z)), m.frame)
 

@@ -113,6 +113,7 @@ class Network:
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
         """Send all that is due; the pad's motion is where the ground station's beacon starts."""
         self._say_texts()
+        self._signing.advance(self._unix_at_start_s + now_s)
         beacon = self._ground_station.transmit(now_s, pad_position_ned_m, pad_velocity_ned_m_s)
         for port in tuple(self._ports):
             if port.endpoint.waits:
