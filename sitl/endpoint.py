@@ -186,8 +186,8 @@ class MavlinkEndpoint:
             self._outgoing.append(mavlink.MAVLink_statustext_message(severity, data))
             return
         self._text_id = self._text_id % 0xFFFF + 1
-        for number, chunk in enumerate(chunks):  # the last one is not full, which is how its end is known
-            self._outgoing.append(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, number))
+        for index, chunk in enumerate(chunks):  # the last one is not full, which is how its end is known
+            self._outgoing.append(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, index))
 
     # ------------------------------------------------------------ commands and modes
 

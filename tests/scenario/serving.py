@@ -29,7 +29,7 @@ class Served:
 
 
 @contextmanager
-def serving(manner: Manner, *arguments: str | Path) -> Iterator[Served]:
+def serving(manner: Manner, *arguments: str | int | Path) -> Iterator[Served]:
     """Start it with `arguments`, and end it as Ctrl-C does; nothing may be left on its standard error."""
     command = (
         *(sys.executable, "-m", "sitl.cli", "--autopilot", manner, "--scenario", "static"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def test_rates_and_sequence_numbers_are_each_client_s_own() -> None:
     assert Counter(m.get_type() for m in others)["ATTITUDE"] == 100
     for heard in (frames, others):
         ours = [m.get_seq() for m in heard if m.get_srcSystem() == 1]
-        assert all((b - a) % 256 == 1 for a, b in zip(ours, ours[1:], strict=False))
+        assert all((b - a) % 256 == 1 for a, b in pairwise(ours))
 
 
 def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
