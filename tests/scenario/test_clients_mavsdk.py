@@ -22,7 +22,7 @@ from mavsdk.plugins.offboard import AccelerationNed, Attitude, PositionNedYaw, V
 from companion.messages import Manner
 from tests.scenario.serving import serving
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 HEIGHT_M = 3.0
 SPEED_PARAMETERS: dict[Manner, str] = {"px4": "MPC_XY_CRUISE", "ardupilot": "LAND_SPEED_HIGH"}
 
