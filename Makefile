@@ -5,6 +5,7 @@
 # make bench-pad             the pad filter over made-up tracks
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
+# make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -17,7 +18,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-ahrs clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-ahrs clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -27,6 +28,8 @@ $(VENV)/.run: pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.run
 	$(PIP) -e '.[dev]'
+	# a real client for the tests; what it says it needs holds another OpenCV, which would overwrite ours
+	$(PIP) --no-deps MAVProxy
 	touch $@
 
 sitl: $(VENV)/.run
@@ -47,6 +50,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python tests/bench/bench_time.py || status=1; \
 	$(BENCH_STATE) || status=1; \
 	$(BIN)/python -m tests.bench.bench_pad_filter || status=1; \
+	$(BIN)/python -m tests.bench.bench_fuzz || status=1; \
 	$(BIN)/companion-sitl campaign --runs $(SEEDS) --bars || status=1; \
 	exit $$status
 
@@ -62,6 +66,9 @@ bench-campaign: $(VENV)/.dev
 
 bench-precision: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_precision_landing
+
+bench-fuzz: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_fuzz
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

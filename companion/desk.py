@@ -299,7 +299,7 @@ class SimulatorProcess:
         words = folder / "stderr"
         with words.open("wb") as stderr:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "sitl.cli", "--scenario", str(trial.path)),
+                *(sys.executable, "-m", "sitl.cli", "--child", "--scenario", str(trial.path)),
                 *("--seed", str(trial.seed), "--folder", str(folder)),
                 *_world_options(trial.external),
                 "--child",

@@ -16,16 +16,25 @@ from sitl.actuators import Motors
 from sitl.devices.rack import SensorRack
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
+from sitl.onboard import OnboardSensors
 
 
 class Breakable:
     """The devices and what may be broken about them."""
 
     def __init__(
-        self, rack: SensorRack, frames: FrameLine, motors: Motors, to_app: LinkWay, to_vehicle: LinkWay
+        self,
+        rack: SensorRack,
+        onboard: OnboardSensors,
+        frames: FrameLine,
+        motors: Motors,
+        to_app: LinkWay,
+        to_vehicle: LinkWay,
     ) -> None:
+        """`onboard` are the autopilot's own sensors, to which the world around does the same."""
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
+        self.onboard = onboard
         self.frames, self.motors = frames, motors
         self.to_app, self.to_vehicle = to_app, to_vehicle
 
@@ -45,6 +54,7 @@ class Breakable:
         self.gps.has_fix, self.gps.silent = True, False
         self.position.jump_ned_m, self.position.frozen = ZERO3, False
         self.position.glitches.mend()
+        self.onboard.has_sky, self.onboard.stray_field_ut = True, ZERO3
         self.frames.mend()
         self.motors.mend()
         self.to_app.cut = self.to_vehicle.cut = False
@@ -112,7 +122,8 @@ def freeze_magnetometer(_fault: faults.MagFrozen, parts: Breakable) -> None:
 
 def disturb_magnetometer(fault: faults.MagDisturbed, parts: Breakable) -> None:
     """Another field on top."""
-    parts.magnetometer.stray_field_ut = add(parts.magnetometer.stray_field_ut, fault.field_body_ut)
+    for sensor in (parts.magnetometer, parts.onboard):
+        sensor.stray_field_ut = add(sensor.stray_field_ut, fault.field_body_ut)
 
 
 def spike_magnetometer(fault: faults.MagSpikes, parts: Breakable) -> None:
@@ -129,6 +140,7 @@ def lose_gps(fault: faults.GpsLost, parts: Breakable) -> None:
         parts.gps.silent = True
     else:
         parts.gps.has_fix = False
+        parts.onboard.has_sky = False
 
 
 def freeze_gps(_fault: faults.GpsFrozen, parts: Breakable) -> None:

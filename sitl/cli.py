@@ -18,12 +18,14 @@ import typer
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
+from companion.messages import Manner
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
 from sitl.external_server import serve_external
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
-from sitl.server import serve
+from sitl.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
+from sitl.signing import read_key
 from sitl.view import HELP as VIEW_HELP
 from sitl.view import view_command
 
@@ -42,7 +44,27 @@ def companion_sitl(
     *,
     scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "line",
     seed: Annotated[int, typer.Option(min=0, help="Repeats a flight.")] = 0,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="UDP port; 0 takes a free one.")] = 0,
+    autopilot: Annotated[
+        Manner | None, typer.Option(help="Whose manners it has, whatever the scenario says.")
+    ] = None,
+    bind: Annotated[
+        str, typer.Option(help="Address to serve at; 0.0.0.0 opens it to the network.", metavar="ADDRESS")
+    ] = LOOPBACK,
+    port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, help="UDP port where companions listen; 0: they call a free one."),
+    ] = COMPANION_PORT,
+    gcs_port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, help="UDP port where ground stations listen; 0: likewise."),
+    ] = GROUND_PORT,
+    tcp_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port for several clients; 0 takes a free one.")
+    ] = TCP_PORT,
+    signing_key: Annotated[
+        Path | None,
+        typer.Option(help="Believe only what is signed: a file of 32 bytes or a passphrase.", metavar="FILE"),
+    ] = None,
     folder: Annotated[
         Path | None,
         typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR"),
@@ -64,14 +86,20 @@ def companion_sitl(
     if context.invoked_subcommand is not None:
         return
     loaded = load_scenario(scenario)
+    if autopilot is not None:
+        loaded = loaded.model_copy(update={"autopilot": autopilot})
+    key = None if signing_key is None else read_key(signing_key)
     with contextlib.ExitStack() as stack:
         place = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
         if not os.access(place, os.W_OK) or not place.is_dir():
             raise ConfigError(f"--folder {place}: expected a folder that can be written to")
         if external is not None:
             asyncio.run(serve_external(loaded, seed, place, external, child=child))
+        elif child:
+            asyncio.run(serve_child(loaded, seed, place))
         else:
-            asyncio.run(serve(loaded, seed, place, port, serve_truth=serve_truth))
+            service = Service(bind, port, gcs_port, tcp_port)
+            asyncio.run(serve(loaded, seed, place, service, key, serve_truth=serve_truth))
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -1,6 +1,8 @@
-"""The simulated autopilot's MAVLink port, sans I/O: bytes in with `receive`, bytes out with `transmit`.
+"""The simulated autopilot's end of one link, sans I/O: bytes in with `receive`, bytes out with `transmit`.
 
-MAVLink 2, system 1, component 1. Commands are taken from anyone and acknowledged to the sender. Whatever
+System 1, component 1, MAVLink 2 whatever comes in, as both autopilots' simulators do. A vehicle with several
+links has as many endpoints on one autopilot (`sitl.network`), each with its own framing, sequence numbers and
+rates; they share what is signed with. Commands are taken from anyone and acknowledged to the sender. Whatever
 arrives that is not MAVLink, or not for us, is dropped.
 """
 
@@ -10,20 +12,23 @@ import math
 import struct
 from collections.abc import Callable
 from functools import partial
-from typing import Final
-
-from pymavlink.dialects.v20 import common as mavlink
+from typing import Any, Final
 
 from companion.geometry import Quaternion, Vector3, quat_normalise
 from sitl import pilot_inputs
 from sitl.autopilot import AttitudeSetpoint, Autopilot, Frame, Severity, StreamedMotion
 from sitl.commands import execute, request_from_message
+from sitl.framing import FrameReader, MavFrame, dialect, number
 from sitl.mission_protocol import MissionProtocol
 from sitl.onboard import OnboardSensors
 from sitl.parameter_protocol import ParameterProtocol
 from sitl.sensor_telemetry import SensorMessages
-from sitl.telemetry import BUILDERS, Message, Streams, milliseconds
+from sitl.signing import Signing
+from sitl.streams import Streams, grouped_messages
+from sitl.telemetry import Message, builders_of
 from sitl.truth_telemetry import TruthMessages
+
+mavlink: Any = dialect
 
 _TEXT_BYTES: Final = 50
 _IGNORE_ATTITUDE: Final = 128
@@ -44,16 +49,28 @@ class MavlinkEndpoint:
         sensors: OnboardSensors | None = None,
         system_id: int = 1,
         component_id: int = 1,
+        *,
+        signing: Signing | None = None,
+        link_id: int = 0,
+        datagrams: bool = False,
+        unix_at_start_s: float = 0.0,
         truth: TruthMessages | None = None,
     ) -> None:
+        """Make it; `datagrams`: `receive` is called with whole ones, `unix_at_start_s`: UTC at time 0."""
         self.autopilot = autopilot
+        self.signing = signing or Signing(autopilot.manner.name)
+        self._builders = builders_of(autopilot.manner.name)
+        self._sensors = None if sensors is None else SensorMessages(autopilot, sensors, unix_at_start_s)
         self._truth = truth
-        self._sensors = None if sensors is None else SensorMessages(autopilot, sensors)
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        self._parser = mavlink.MAVLink(None)
-        self._parser.robust_parsing = True
-        self._streams = Streams()
+        self._decoder = mavlink.MAVLink(None)  # without a key: what gets here has been judged
+        self._reader = FrameReader(datagrams=datagrams)
+        self._link_id = link_id
+        self._unix_at_start_s = unix_at_start_s
+        self._told_s = -math.inf
+        self._streams = Streams(self._has)
         self._outgoing: list[Message] = []
+        self.tell_others: Callable[[Message], None] | None = None
         self._text_id = 0
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
@@ -63,6 +80,9 @@ class MavlinkEndpoint:
             mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._on_global_target,
             mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._on_attitude_target,
             mavlink.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+            mavlink.MAVLINK_MSG_ID_PING: self._on_ping,
+            mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_data_stream,
+            mavlink.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
         }
         self._parameters = ParameterProtocol(autopilot)
         self._mission = MissionProtocol(autopilot.mission)
@@ -76,58 +96,91 @@ class MavlinkEndpoint:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that have just arrived."""
-        for message in self._parse(data):
-            handler = self._handlers.get(message.get_msgId())
-            if handler is not None and self._is_for_us(message):
-                handler(message, now_s)
+        for frame in self.frames(data, now_s):
+            self.handle(frame, now_s)
+
+    @property
+    def waits(self) -> bool:
+        """Whether there is the beginning of a frame, which `frames` gives up after a while."""
+        return self._reader.waits
+
+    def frames(self, data: bytes, now_s: float) -> list[MavFrame]:
+        """The frames that these bytes complete, as far as they may be believed."""
+        self.signing.advance(self._unix_at_start_s + now_s)
+        return [frame for frame in self._reader.read(data, now_s) if self.signing.accepts(frame)]
+
+    def handle(self, frame: MavFrame, now_s: float) -> None:
+        """Do what a frame asks, if it is for us."""
+        handler = self._handlers.get(frame.message_id)
+        if handler is None or not self._is_for_us(frame):
+            return
+        try:
+            message = self._decoder.decode(bytearray(frame.data))
+        except _ANYTHING_IN_A_FRAME:
+            return  # a frame with a good checksum and a content that makes no sense
+        handler(message, now_s)
 
     def transmit(self, now_s: float) -> bytes:
         """All that is due: answers, texts, telemetry."""
-        for severity, text in self.autopilot.take_texts():
-            self._queue_text(severity, text)
+        return b"".join(self.due(now_s))
+
+    def due(self, now_s: float) -> list[bytes]:
+        """All that is due, frame by frame; the autopilot's state is that of `now_s`."""
+        self._told_s = now_s
         self._outgoing += self._parameters.due(now_s)
         self._outgoing += self._mission.due(now_s)
         for message_id in self._streams.due(now_s):
             self.send_once(message_id, now_s)
+        return self.answers(now_s)
+
+    def answers(self, now_s: float) -> list[bytes]:
+        """What does not wait for its time: answers and texts, frame by frame."""
+        for severity, text in self.autopilot.take_texts():
+            self.say(severity, text)
         if not self._outgoing:
-            return b""
-        data = b"".join([self._pack(message) for message in self._outgoing])
+            return []
+        self.signing.advance(self._unix_at_start_s + now_s)
+        self.signing.prepare(self._mav, self._link_id)
+        data = [self._pack(message) for message in self._outgoing]
         self._outgoing.clear()
         return data
-
-    def _parse(self, data: bytes) -> list[Message]:
-        try:
-            return self._parser.parse_buffer(data) or []
-        except _ANYTHING_IN_A_FRAME:
-            return []  # a frame with a good checksum and a content that makes no sense
 
     def _pack(self, message: Message) -> bytes:
         packed = bytes(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         return packed
 
-    def _is_for_us(self, message: Message) -> bool:
-        system = getattr(message, "target_system", getattr(message, "target", 0))
-        component = getattr(message, "target_component", 0)
+    def _is_for_us(self, frame: MavFrame) -> bool:
+        system, component = frame.target
         return system in (0, self._mav.srcSystem) and component in (0, self._mav.srcComponent)
 
     # ------------------------------------------------------------ out
 
     def send_once(self, message_id: int, now_s: float) -> bool:
         """Queue a telemetry message; False when there is no such message (no data yet is not that)."""
-        builder = BUILDERS.get(message_id)
-        if builder is not None:
-            message = builder(self.autopilot, now_s)
-        elif self._sensors is not None and message_id in self._sensors:
+        if self._sensors is not None and message_id in self._sensors:
             self._sensors.ask(message_id)
-            message = self._sensors.build(message_id, now_s)
+            message = self._sensors.build(message_id, max(now_s, self._told_s))
         elif self._truth is not None and message_id in self._truth:
-            message = self._truth.build(message_id, now_s)
+            message = self._truth.build(message_id, max(now_s, self._told_s))
+        elif message_id in self._builders:
+            # asked for between two states it is still the last one's
+            message = self._builders[message_id](self.autopilot, max(now_s, self._told_s))
         else:
             return False
         if message is not None:
             self._outgoing.append(message)
         return True
+
+    def queue(self, message: Message) -> None:
+        """Send a message over this link."""
+        self._outgoing.append(message)
+
+    def announce(self, message: Message) -> None:
+        """Send a message over this link and the vehicle's others."""
+        self.queue(message)
+        if self.tell_others is not None:
+            self.tell_others(message)
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
         """SET_MESSAGE_INTERVAL; False when there is no such message."""
@@ -143,23 +196,23 @@ class MavlinkEndpoint:
 
     def _has(self, message_id: int) -> bool:
         others = (self._sensors, self._truth)
-        return message_id in BUILDERS or any(told is not None and message_id in told for told in others)
+        return message_id in self._builders or any(told is not None and message_id in told for told in others)
 
-    def _queue_text(self, severity: Severity, text: str) -> None:
+    def say(self, severity: Severity, text: str) -> None:
         data = text.encode("ascii", "replace")
         chunks = [data[i : i + _TEXT_BYTES] for i in range(0, len(data) + 1, _TEXT_BYTES)]
         if len(data) <= _TEXT_BYTES:
             self._outgoing.append(mavlink.MAVLink_statustext_message(severity, data))
             return
         self._text_id = self._text_id % 0xFFFF + 1
-        for number, chunk in enumerate(chunks):  # the last one is not full, which is how its end is known
-            self._outgoing.append(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, number))
+        for index, chunk in enumerate(chunks):  # the last one is not full, which is how its end is known
+            self._outgoing.append(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, index))
 
     # ------------------------------------------------------------ commands and modes
 
     def _on_command(self, message: Message, now_s: float) -> None:
         result = execute(self, request_from_message(message), now_s)
-        self._outgoing.append(
+        self.queue(
             mavlink.MAVLink_command_ack_message(
                 message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
             )
@@ -179,7 +232,7 @@ class MavlinkEndpoint:
             mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
             mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
         )
-        place = (m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt)
+        place = (m.lat_int * 1e-7, m.lon_int * 1e-7, number(m.alt))
         self.autopilot.stream_global(_motion(m, Frame.LOCAL_NED, (0.0, 0.0, 0.0)), place, over_home, now_s)
 
     def _on_attitude_target(self, m: Message, now_s: float) -> None:
@@ -191,22 +244,53 @@ class MavlinkEndpoint:
         yaw_rate = m.body_yaw_rate if given else 0.0
         self.autopilot.stream(AttitudeSetpoint(attitude, m.thrust, yaw_rate), now_s)
 
-    # ------------------------------------------------------------ time, parameters, missions
+    # ------------------------------------------------------------ time, streams, parameters, missions
 
     def _on_timesync(self, message: Message, now_s: float) -> None:
         if message.tc1 == 0:
-            ours_ns = milliseconds(self.autopilot, now_s) * 1_000_000
-            self._outgoing.append(mavlink.MAVLink_timesync_message(max(ours_ns, 1), message.ts1))
+            booted_s = self.autopilot.booted_s
+            ours_ns = 0 if booted_s is None else round((now_s - booted_s) * 1e9)
+            self.queue(mavlink.MAVLink_timesync_message(max(ours_ns, 1), message.ts1))
+
+    def _on_ping(self, message: Message, now_s: float) -> None:
+        if (message.target_system, message.target_component) == (0, 0):
+            self.queue(
+                mavlink.MAVLink_ping_message(
+                    message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
+                )
+            )
+
+    def _on_data_stream(self, message: Message, now_s: float) -> None:
+        """REQUEST_DATA_STREAM: a rate for a group of messages."""
+        if message.start_stop not in (0, 1):
+            return
+        rate_hz = message.req_message_rate if message.start_stop else 0
+        interval_us = 1e6 / rate_hz if rate_hz else -1.0
+        for message_id in grouped_messages(self.autopilot.manner.name, message.req_stream_id):
+            self.set_interval(message_id, interval_us)
+
+    def _on_setup_signing(self, message: Message, now_s: float) -> None:
+        self.signing.set_up(bytes(message.secret_key), message.initial_timestamp)
 
     def _answer_by(
         self, protocol: ParameterProtocol | MissionProtocol, message: Message, now_s: float
     ) -> None:
-        self._outgoing += protocol.handle(message, now_s)
+        changes = message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_SET
+        for answer in protocol.handle(message, now_s):
+            # all of the vehicle's clients hear what a parameter is now
+            (self.announce if changes else self.queue)(answer)
 
 
 def _motion(m: Message, frame: int, position: Vector3) -> StreamedMotion:
+    x, y, z = position
     return StreamedMotion(
-        frame, m.type_mask, position, (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz), m.yaw, m.yaw_rate
+        frame,
+        m.type_mask,
+        (number(x), number(y), number(z)),
+        (number(m.vx), number(m.vy), number(m.vz)),
+        (number(m.afx), number(m.afy), number(m.afz)),
+        number(m.yaw),
+        number(m.yaw_rate),
     )
 
 

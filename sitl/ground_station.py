@@ -8,13 +8,15 @@ by a constant and a little noise. `position_cov` holds standard deviations (eph,
 from __future__ import annotations
 
 import math
-import struct
 from typing import Any, Final
 
 import numpy as np
-from pymavlink.dialects.v20 import common as mavlink
 
 from companion.geometry import ZERO3, Vector3, geodetic_from_ned
+from sitl.framing import FrameReader, MavFrame, dialect
+from sitl.signing import Signing
+
+mavlink: Any = dialect
 
 SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190
@@ -24,6 +26,9 @@ _HEARTBEAT_S: Final = 1.0
 _NOISE_STD_M: Final = 0.2
 _VERTICAL_FACTOR: Final = 1.5
 _POSITION_AND_VELOCITY: Final = 0b11
+_LINK_ID: Final = 255  # of its signatures: no link of the vehicle's
+_MOST_TEXTS: Final = 1000
+_MOST_CHUNKS: Final = 16
 
 
 class GroundStation:
@@ -39,9 +44,11 @@ class GroundStation:
         delay_s: float = 0.5,
         rate_hz: float | None = None,
         available: bool = True,
+        signing: Signing | None = None,
     ) -> None:
         """`rate_hz` is how often the pad's GPS makes a fix: an answer tells the newest; None: one just made.
-        Without a beacon (`available` False) it is said that there is no such message."""
+        Without a beacon (`available` False) it is said that there is no such message. `position_std_m` is its
+        GPS's, `signing` what its frames are signed with."""
         self.texts: list[tuple[float, int, str]] = []
         self.requests = 0
         self._rng = rng
@@ -56,8 +63,9 @@ class GroundStation:
         north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
         self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
-        self._parser = mavlink.MAVLink(None)
-        self._parser.robust_parsing = True
+        self._decoder = mavlink.MAVLink(None)
+        self._signing = signing
+        self._reader = FrameReader()
         self._acknowledgements: list[Any] = []
         self._answers_due_s: list[float] = []
         self._heartbeat_due_s = -math.inf
@@ -65,16 +73,15 @@ class GroundStation:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that have just arrived."""
-        try:
-            messages = self._parser.parse_buffer(data) or []
-        except (ValueError, struct.error, mavlink.MAVError):
-            return
-        for message in messages:
-            message_id = message.get_msgId()
-            if message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
-                self._hear_text(message, now_s)
-            elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and message.target_system == SYSTEM_ID:
-                self._obey(message, now_s)
+        for frame in self._reader.read(data, now_s):
+            self.hear(frame, now_s)
+
+    def hear(self, frame: MavFrame, now_s: float) -> None:
+        """Take a frame that has just arrived and may be believed."""
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
+            self._hear_text(self._decoder.decode(bytearray(frame.data)), now_s)
+        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and frame.target[0] == SYSTEM_ID:
+            self._obey(self._decoder.decode(bytearray(frame.data)), now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
         """All that is due; the pad's true position (NED from home) and velocity are where its GPS starts."""
@@ -95,6 +102,8 @@ class GroundStation:
         return b"".join([self._pack(message) for message in messages])
 
     def _pack(self, message: Any) -> bytes:
+        if self._signing is not None:
+            self._signing.prepare(self._mav, _LINK_ID)
         packed = bytes(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         return packed
@@ -131,15 +140,17 @@ class GroundStation:
         )  # fmt: skip
 
     def _hear_text(self, message: Any, now_s: float) -> None:
-        if message.get_srcComponent() != COMPANION_COMPONENT:
-            return
         text = message.text if isinstance(message.text, str) else message.text.decode("ascii", "replace")
         # "id" of a message object is its own field here, not the message's number
         text_id = getattr(message, "id", 0)
         if text_id:
             key = (message.get_srcSystem(), text_id)
             self._chunks.setdefault(key, []).append(text)
-            if len(text) == 50:
+            if len(text) == 50 and len(self._chunks[key]) < _MOST_CHUNKS:
                 return
             text = "".join(self._chunks.pop(key))
+        if (
+            len(self.texts) >= _MOST_TEXTS
+        ):  # more than a flight has; whoever talks so must not fill the memory
+            del self.texts[0]
         self.texts.append((now_s, message.severity, text))

@@ -12,7 +12,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from companion.geometry import Vector3, add, cross, quat_rotate, quat_rotate_inverse, tilt_from_quat
+from companion.geometry import (
+    ZERO3,
+    Vector3,
+    add,
+    cross,
+    norm,
+    quat_rotate,
+    quat_rotate_inverse,
+    tilt_from_quat,
+)
 from sitl.inertial import ImuErrors, ImuSensor
 from sitl.quadrotor import QuadrotorState
 from sitl.sensors import (
@@ -29,6 +38,8 @@ MAG_PERIOD_S: Final = 0.02
 GPS_PERIOD_S: Final = 0.2
 RANGE_PERIOD_S: Final = 0.05
 _EARLY_S: Final = 1e-6
+_FIX_LASTS_S: Final = 1.0
+_STRAY_SHARE: Final = 0.35
 
 
 class Inertial(NamedTuple):
@@ -91,6 +102,11 @@ class OnboardSensors:
         self._awake = False
         self._mag_due_s = self._gps_due_s = self._range_due_s = -math.inf
         self._coming: Fix | None = None
+        # for faults that the world around does, and so to these sensors too: no sky, another field
+        self.has_sky = True
+        self.stray_field_ut = ZERO3
+        self.throttle = 0.0
+        self.motors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
         self.imu: Inertial | None = None
         self.mag: Field | None = None
         self.gps: Fix | None = None
@@ -100,8 +116,18 @@ class OnboardSensors:
         """Somebody wants the IMU, the compass or the rangefinder: sense from the next step on."""
         self._awake = True
 
+    @property
+    def field_is_plausible(self) -> bool:
+        """Whether the compass feels about as strong a field as the earth's, as both autopilots check."""
+        return norm(self.stray_field_ut) < _STRAY_SHARE * norm(self._field_ned_ut)
+
+    def has_fix(self, now_s: float) -> bool:
+        """Whether the receiver has told of a fix lately."""
+        return self.gps is not None and now_s - self.gps.time_s < _FIX_LASTS_S
+
     def step(self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: float) -> None:
         """One physics step; `range_height_m` is the rangefinder's over what answers it."""
+        self.throttle = throttle
         self._receive(now_s, state)
         if not self._awake:
             return
@@ -109,7 +135,7 @@ class OnboardSensors:
         self.imu = Inertial(now_s, force, rate)
         if now_s >= self._mag_due_s - _EARLY_S:
             self._mag_due_s = max(self._mag_due_s, now_s - MAG_PERIOD_S) + MAG_PERIOD_S
-            field_body = quat_rotate_inverse(state.attitude, self._field_ned_ut)
+            field_body = add(quat_rotate_inverse(state.attitude, self._field_ned_ut), self.stray_field_ut)
             self.mag = Field(now_s, self._mag.sample(field_body, throttle))
         if now_s >= self._range_due_s - _EARLY_S:
             self._range_due_s = max(self._range_due_s, now_s - RANGE_PERIOD_S) + RANGE_PERIOD_S
@@ -123,6 +149,8 @@ class OnboardSensors:
         if now_s < self._gps_due_s - _EARLY_S:
             return
         self._gps_due_s = max(self._gps_due_s, now_s - GPS_PERIOD_S) + GPS_PERIOD_S
+        if not self.has_sky:
+            return
         attitude, rate = state.attitude, state.rate_body_rad_s
         antenna = quat_rotate(attitude, self._antenna_body_m)
         turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))

@@ -1,126 +1,199 @@
 """The simulator as a process of its own, in real time: what `companion-sitl` does when told nothing else.
 
-It serves MAVLink on a UDP port, the GPS and the ultrasonic on ptys, the MPU9250's registers and the
-camera's frames on unix sockets, and tells where by one line of JSON on standard output (the keys are the
-app's settings). Then it flies until standard input says `finish PHASE`, which makes it judge the flight
-and write `report.json` to its folder, or until standard input ends: a simulator whose parent has died
-does not stay behind.
+Two ways of serving. For people (`serve`) MAVLink is on PX4's and ArduPilot's usual ports, a text says where
+and how to connect, and Ctrl-C ends it. As the app's child (`serve_child`) it takes one free UDP port, tells
+where by one line of JSON on standard output (the keys are the app's settings), and flies until standard input
+says `finish PHASE`, which makes it judge the flight and write `report.json` to its folder, or until standard
+input ends: a child whose parent has died does not stay behind.
+
+Either way the GPS and the ultrasonic are on ptys, the MPU9250's registers and the camera's frames on unix
+sockets in its folder.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
+import signal
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from companion.config import ConfigError
+from companion.clock import Clock, start_unix_s
+from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
+from sitl.links import TcpServer, UdpServer
 from sitl.orders import final_phase, say
 from sitl.scenario import Scenario
 from sitl.simulation import Simulation, write_report
 
 REPORT_NAME: Final = "report.json"
 SENSOR_BAUD: Final = 9600
+LOOPBACK: Final = "127.0.0.1"
+COMPANION_PORT: Final = 14540
+GROUND_PORT: Final = 14550
+TCP_PORT: Final = 5760
+# from which the vehicle sends to those two, as PX4's simulator does; to others it sends from a free one
+_OWN_PORTS: Final = {COMPANION_PORT: 14580, GROUND_PORT: 18570}
 
 
-class UdpLink(asyncio.DatagramProtocol):
-    """The vehicle's end of MAVLink over UDP: listens, and answers whoever spoke last."""
+@dataclass(frozen=True, slots=True)
+class Service:
+    """Where MAVLink is served: UDP ports at which clients listen (0: they call), and the TCP port."""
 
-    def __init__(self) -> None:
-        self._inbox: asyncio.Queue[bytes] = asyncio.Queue(maxsize=1000)
-        self._socket: asyncio.DatagramTransport | None = None
-        self._peer: tuple[str, int] | None = None
-
-    async def open(self, host: str, port: int) -> int:
-        """Bind and return the port (a free one for 0).
-
-        Raises:
-            ConfigError: the port is taken or the host is not ours.
-        """
-        try:
-            transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: self, local_addr=(host, port)
-            )
-        except (OSError, OverflowError) as error:
-            in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-            reason = "already in use" if in_use else getattr(error, "strerror", None) or str(error)
-            raise ConfigError(f"UDP port {host}:{port}: {reason}; expected a free port") from error
-        self._socket = transport
-        address: tuple[str, int] = transport.get_extra_info("sockname")
-        return address[1]
-
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """asyncio: a datagram came."""
-        self._peer = addr
-        with contextlib.suppress(asyncio.QueueFull):
-            self._inbox.put_nowait(data)
-
-    def error_received(self, exc: Exception) -> None:
-        """asyncio: the peer is gone; the next one may come."""
-
-    async def read(self) -> bytes:
-        """Wait for a datagram."""
-        return await self._inbox.get()
-
-    def write(self, data: bytes) -> None:
-        """Send to the last peer, if there has been one."""
-        if self._socket is not None and self._peer is not None:
-            self._socket.sendto(data, self._peer)
-
-    def close(self) -> None:
-        """Give the port back."""
-        if self._socket is not None:
-            self._socket.close()
+    bind: str = LOOPBACK
+    companion_port: int = COMPANION_PORT
+    ground_port: int = GROUND_PORT
+    tcp_port: int = TCP_PORT
 
 
-async def serve(scenario: Scenario, seed: int, folder: Path, port: int, *, serve_truth: bool = False) -> None:
-    """Run a simulation until standard input says so; see the module's docstring.
+@dataclass(frozen=True, slots=True)
+class _Devices:
+    """A simulation and where its devices are."""
+
+    simulation: Simulation
+    settings: dict[str, Any]  # the app's, which lead there
+
+
+async def serve(
+    scenario: Scenario,
+    seed: int,
+    folder: Path,
+    service: Service,
+    signing_key: bytes | None = None,
+    *,
+    serve_truth: bool = False,
+) -> None:
+    """Serve a vehicle to whoever connects, until Ctrl-C or SIGTERM; `serve_truth`: those may ask for it.
 
     Raises:
         ConfigError: a port is taken, or a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
-        link = UdpLink()
-        udp_port = await link.open("127.0.0.1", port)
-        stack.callback(link.close)
-        gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
-        stack.callback(gps_port.close)
-        stack.callback(range_port.close)
-        frames = FrameServer(folder / "camera")
-        await frames.start()
-        stack.push_async_callback(frames.close)
-        simulation = Simulation(
-            scenario,
-            seed,
-            link=link,
-            gps_port=gps_port,
-            range_port=range_port,
-            deliver_frame=frames.deliver,
-            camera_wanted=lambda: frames.client_count > 0,
-            serve_truth=serve_truth,
+        unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
+        devices = await _plug_in(
+            stack, scenario, seed, folder, signing_key, unix_at_start_s, serve_truth=serve_truth
         )
-        registers = await serve_registers(simulation.imu_bus, folder / "registers")
-        stack.callback(registers.close)
-        bus = "spi-socket" if scenario.sensors.imu_interface == "spi" else "socket"
-        say(_endpoints(udp_port, gps_port.path, range_port.path, f"{bus}:{folder / 'registers'}", folder))
-        await _fly_until_told(simulation, folder)
+        companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
+        ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
+        tcp = TcpServer(devices.simulation)
+        stack.callback(tcp.close)
+        tcp_port = await tcp.open(service.bind, service.tcp_port)
+        own = (companion_port, ground_port, tcp_port)
+        print(_greeting(scenario, seed, service, own, devices.settings), flush=True)
+        await _fly_until_stopped(devices.simulation)
 
 
-def _endpoints(udp_port: int, gps_path: str, range_path: str, bus: str, folder: Path) -> dict[str, Any]:
-    """The app's settings that lead here."""
-    return {
-        "link": {"connection": f"udp:127.0.0.1:{udp_port}"},
+async def serve_child(scenario: Scenario, seed: int, folder: Path) -> None:
+    """Run a simulation for a parent process until standard input says so; see the module's docstring.
+
+    Raises:
+        ConfigError: a settings file that the scenario names is wrong.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        devices = await _plug_in(stack, scenario, seed, folder)
+        udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
+        say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
+        await _fly_until_told(devices.simulation, folder)
+
+
+async def _plug_in(
+    stack: contextlib.AsyncExitStack,
+    scenario: Scenario,
+    seed: int,
+    folder: Path,
+    signing_key: bytes | None = None,
+    unix_at_start_s: float = UNIX_AT_START_S,
+    *,
+    serve_truth: bool = False,
+) -> _Devices:
+    """A simulation with everything but MAVLink connected; the stack takes it all down."""
+    gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
+    stack.callback(gps_port.close)
+    stack.callback(range_port.close)
+    frames = FrameServer(folder / "camera")
+    await frames.start()
+    stack.push_async_callback(frames.close)
+    simulation = Simulation(
+        scenario,
+        seed,
+        gps_port=gps_port,
+        range_port=range_port,
+        deliver_frame=frames.deliver,
+        camera_wanted=lambda: frames.client_count > 0,
+        signing_key=signing_key,
+        unix_at_start_s=unix_at_start_s,
+        serve_truth=serve_truth,
+    )
+    registers = await serve_registers(simulation.imu_bus, folder / "registers")
+    stack.callback(registers.close)
+    bus = "spi-socket" if scenario.sensors.imu_interface == "spi" else "socket"
+    settings = {
         "sense": {
-            "imu": {"bus": bus},
-            "gps": {"port": gps_path},
-            "range": {"port": range_path},
+            "imu": {"bus": f"{bus}:{folder / 'registers'}"},
+            "gps": {"port": gps_port.path},
+            "range": {"port": range_port.path},
             "vision": {"source": f"socket:{folder / 'camera'}"},
         },
     }
+    return _Devices(simulation, settings)
+
+
+async def _open_udp(
+    stack: contextlib.AsyncExitStack, simulation: Simulation, bind: str, client_port: int
+) -> int:
+    """Send to a client's port, if there is to be one, and return the vehicle's own."""
+    # what is bound to one address of this computer cannot be reached at another
+    client_host = bind if bind not in ("0.0.0.0", "") else LOOPBACK
+    server = UdpServer(simulation, (client_host, client_port) if client_port else None)
+    stack.callback(server.close)
+    return await server.open(bind, _OWN_PORTS.get(client_port, 0))
+
+
+def _greeting(
+    scenario: Scenario, seed: int, service: Service, own: tuple[int, int, int], settings: dict[str, Any]
+) -> str:
+    """What a person has to know to use it."""
+    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[scenario.autopilot]
+    host = LOOPBACK if service.bind == "0.0.0.0" else service.bind
+    companion, ground, tcp = own
+    sense = settings["sense"]
+    lines = [
+        f"companion-sitl: a quadrotor with {name}'s manners, scenario {scenario.name}, seed {seed}",
+        *_udp_lines("companions", "MAVSDK udpin://0.0.0.0:{}", host, service.companion_port, companion),
+        *_udp_lines("ground stations", "QGroundControl, mavproxy.py --master udp:127.0.0.1:{}", host,
+                    service.ground_port, ground),
+        f"  TCP {tcp:<6} MAVLink for several clients: mavproxy.py --master tcp:{host}:{tcp}",
+        f"  camera     {sense['vision']['source']}",
+        f"  IMU        {sense['imu']['bus']}",
+        f"  GPS        {sense['gps']['port']}",
+        f"  ultrasonic {sense['range']['port']}",
+        "Ctrl-C stops it.",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _udp_lines(whom: str, example: str, host: str, client_port: int, own_port: int) -> list[str]:
+    """Where clients listen, and where they may call."""
+    calling = f"call udpout:{host}:{own_port}"
+    if not client_port:
+        return [f"  UDP {own_port:<6} MAVLink for {whom}: {calling}"]
+    return [
+        f"  UDP {client_port:<6} MAVLink for {whom}: listen there ({example.format(client_port)}),",
+        f"             or {calling}",
+    ]
+
+
+async def _fly_until_stopped(simulation: Simulation) -> None:
+    flying = asyncio.create_task(simulation.run())
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, flying.cancel)
+    await asyncio.wait([flying])
+    if not flying.cancelled():
+        flying.result()
 
 
 async def _fly_until_told(simulation: Simulation, folder: Path) -> None:

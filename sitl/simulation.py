@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
@@ -31,17 +31,19 @@ from sitl import camera as lens
 from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.breaking import Breakable, FaultSchedule
+from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
-from sitl.endpoint import MavlinkEndpoint
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
+from sitl.network import Network, Port, Write
 from sitl.onboard import OnboardSensors
 from sitl.scenario import Scenario, SensorSettings
 from sitl.score import judge
 from sitl.sensors import GpsErrors, MagErrors, RangeErrors
+from sitl.signing import Signing
 from sitl.truth_telemetry import TruthMessages
 from sitl.world import World
 
@@ -117,17 +119,20 @@ class Simulation:
         scenario: Scenario,
         seed: int,
         *,
-        link: ByteLink,
         gps_port: DevicePort,
         range_port: DevicePort,
         deliver_frame: Callable[[Frame], None],
+        link: ByteLink | None = None,
         camera_wanted: Callable[[], bool] = lambda: True,
+        unix_at_start_s: float = UNIX_AT_START_S,
+        signing_key: bytes | None = None,
         serve_truth: bool = False,
     ) -> None:
         """Build the world and plug the devices in.
 
-        Nothing is rendered while the camera is not wanted; `serve_truth` lets clients of the link ask for the
-        truth.
+        `link` is the MAVLink line of an app in this process, others come by `connect`. Nothing is rendered
+        while the camera is not wanted. `unix_at_start_s` is UTC (s since 1970) when the world begins;
+        `serve_truth` lets clients ask for the truth.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -136,12 +141,13 @@ class Simulation:
         self._clock = Clock()
         self._start_s = self._clock.now_s()
         self._link = link
+        self._camera_wanted = camera_wanted
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
         self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
-        beacon = scenario.beacon
-        self._ground_station = GroundStation(
+        beacon, signing = scenario.beacon, Signing(scenario.autopilot, signing_key)
+        ground_station = GroundStation(
             next(streams),
             beacon.position_std_m,
             HOME,
@@ -149,6 +155,7 @@ class Simulation:
             delay_s=beacon.delay_s,
             rate_hz=beacon.rate_hz,
             available=beacon.available,
+            signing=signing,
         )
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         errors = sensor_errors(scenario.sensors)
@@ -172,10 +179,6 @@ class Simulation:
         camera = scenario.camera
         self._frame_line = FrameLine(fault_rng, camera.lost_share, camera.lost_burst_frames)
         self._to_app, self._to_vehicle = LinkWay(scenario.link, app_rng), LinkWay(scenario.link, vehicle_rng)
-        breakable = Breakable(
-            self._rack, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
-        )
-        self._faults = FaultSchedule(scenario.faults, breakable)
         camera_streams = (next(streams), next(streams))
         self._onboard = OnboardSensors(
             next(streams),
@@ -190,9 +193,15 @@ class Simulation:
             range_errors=errors.range,
         )
         self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
+        breakable = Breakable(
+            self._rack, self._onboard, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
+        )
+        self._faults = FaultSchedule(scenario.faults, breakable)
         truth = TruthMessages(self._autopilot, self._world, HOME) if serve_truth else None
-        self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard, truth=truth)
-        self._deliver_frame, self._camera_wanted = deliver_frame, camera_wanted
+        self.network = Network(
+            self._autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth
+        )
+        self._deliver_frame = deliver_frame
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
@@ -202,7 +211,8 @@ class Simulation:
         # making the world takes a while, which is not to be made up for
         self._start_s = self._clock.now_s()
         async with asyncio.TaskGroup() as group:
-            group.create_task(self._receive())
+            if self._link is not None:
+                group.create_task(self._serve(self._link))
             while True:
                 # half a tick early, so that the world is never further from the clock than that: an age of
                 # samples that is off by milliseconds is an attitude that does not fit the frames
@@ -211,6 +221,30 @@ class Simulation:
                 self._keep_pace(self._clock.now_s() - due_s)
                 self._tick()
                 self._ticks += 1
+
+    def connect(self, write: Write, *, datagrams: bool) -> Port:
+        """Another MAVLink client, at the far end of the scenario's line.
+
+        `write` takes whole frames and must not wait.
+        """
+
+        def send(frames: Sequence[bytes]) -> None:
+            self._carry(self._to_app, lambda: write(frames))
+
+        return self.network.connect(send, datagrams=datagrams)
+
+    def disconnect(self, port: Port) -> None:
+        """A client has gone."""
+        self.network.disconnect(port)
+
+    def hear(self, port: Port, data: bytes) -> None:
+        """Bytes from a client have just come."""
+
+        def receive() -> None:
+            # the clock's time and not the last tick's: TIMESYNC is answered by it
+            self.network.receive(port, data, max(0.0, self._clock.now_s() - self._start_s))
+
+        self._carry(self._to_vehicle, receive)
 
     def _keep_pace(self, late_s: float) -> None:
         """Let the world's time slip by what is too late to make up for."""
@@ -259,7 +293,7 @@ class Simulation:
     def _step_physics(self) -> None:
         world = self._world
         truth = world.truth()
-        motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
+        motors = self._onboard.motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
         world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
         state, throttle, range_height_m = world.state, 0.25 * sum(motors), self._range_height_m()
@@ -309,30 +343,26 @@ class Simulation:
 
     def _talk(self, now_s: float) -> None:
         pad = self._world.pad_state
-        data = self._endpoint.transmit(now_s) + self._ground_station.transmit(
-            now_s, pad.position_ned_m, pad.velocity_ned_m_s
-        )
-        if data:
-            self._carry(data, self._to_app, self._link.write)
+        self.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
 
-    async def _receive(self) -> None:
+    async def _serve(self, link: ByteLink) -> None:
+        def write(frames: Sequence[bytes]) -> None:
+            link.write(b"".join(frames))
+
+        port = self.connect(write, datagrams=False)
         while True:
-            self._carry(await self._link.read(), self._to_vehicle, self._hear)
+            self.hear(port, await link.read())
 
-    def _hear(self, data: bytes) -> None:
-        self._endpoint.receive(data, self._world.time_s)
-        self._ground_station.receive(data, self._world.time_s)
-
-    def _carry(self, data: bytes, way: LinkWay, deliver: Callable[[bytes], None]) -> None:
+    def _carry(self, way: LinkWay, deliver: Callable[[], None]) -> None:
         """Hand a datagram over when the line has it through, if it does."""
         now_s = self._clock.now_s()
         arrival_s = way.arrival_s(now_s)
         if arrival_s is None:
             return
         if arrival_s <= now_s:
-            deliver(data)
+            deliver()
         else:
-            asyncio.get_running_loop().call_at(arrival_s, deliver, data)
+            asyncio.get_running_loop().call_at(arrival_s, deliver)
 
 
 # ---------------------------------------------------------------- reports between processes

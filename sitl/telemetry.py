@@ -10,13 +10,13 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from pymavlink.dialects.v20 import common as mavlink
-
-from companion.geometry import Vector3, euler_from_quat
-from companion.messages import LandedState
+from companion.geometry import Vector3, euler_from_quat, norm
+from companion.messages import LandedState, Manner
 from sitl import mission_protocol
-from sitl.autopilot import Autopilot
+from sitl.autopilot import AttitudeSetpoint, Autopilot
+from sitl.framing import dialect
 
+mavlink: Any = dialect
 Message = Any  # pymavlink's classes are generated without types
 
 _SENSORS: Final = (
@@ -35,9 +35,30 @@ _LANDED: Final = {
     LandedState.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
 }
+_ESTIMATOR_KNOWS: Final = (
+    mavlink.ESTIMATOR_VELOCITY_HORIZ
+    | mavlink.ESTIMATOR_VELOCITY_VERT
+    | mavlink.ESTIMATOR_POS_HORIZ_REL
+    | mavlink.ESTIMATOR_POS_HORIZ_ABS
+    | mavlink.ESTIMATOR_POS_VERT_ABS
+    | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
+    | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+)
+_EKF_KNOWS: Final = (
+    mavlink.EKF_VELOCITY_HORIZ
+    | mavlink.EKF_VELOCITY_VERT
+    | mavlink.EKF_POS_HORIZ_REL
+    | mavlink.EKF_POS_HORIZ_ABS
+    | mavlink.EKF_POS_VERT_ABS
+    | mavlink.EKF_PRED_POS_HORIZ_REL
+    | mavlink.EKF_PRED_POS_HORIZ_ABS
+)
+_TEST_RATIOS: Final = (0.05, 0.05, 0.03, 0.05)  # velocity, horizontal and vertical position, compass
+_ACCURACY_M: Final = (0.8, 0.5)
+_CHANNELS: Final = 18
+_NO_CHANNEL: Final = 65535
+_RSSI_UNKNOWN: Final = 255
 _CELL_MV: Final = (4100, 4100, 4100, *(65535,) * 7)
-_LOWEST_RATE_HZ: Final = 0.01
-_HIGHEST_RATE_HZ: Final = 200.0
 
 
 def milliseconds(autopilot: Autopilot, now_s: float) -> int:
@@ -59,10 +80,10 @@ def heartbeat(autopilot: Autopilot, now_s: float) -> Message:
     )
 
 
-def sys_status(autopilot: Autopilot, now_s: float) -> Message:
-    """SYS_STATUS: which sensors are well, and whether it would arm."""
+def sys_status(autopilot: Autopilot, now_s: float, ill: int = 0) -> Message:
+    """SYS_STATUS: which sensors are well, and whether it would arm; `ill`: bits of those that are not."""
     present = _SENSORS | _ESTIMATES | mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    health = _SENSORS | (_ESTIMATES if autopilot.aligned else 0)
+    health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~ill
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
     return mavlink.MAVLink_sys_status_message(
@@ -140,14 +161,6 @@ def extended_sys_state(autopilot: Autopilot, now_s: float) -> Message:
     return mavlink.MAVLink_extended_sys_state_message(0, _LANDED[autopilot.landed_state])
 
 
-def rc_channels(autopilot: Autopilot, now_s: float) -> Message | None:
-    """RC_CHANNELS: the sticks and switches (microseconds), once there is somebody at them."""
-    channels = autopilot.radio.channels
-    if channels is None:
-        return None
-    return mavlink.MAVLink_rc_channels_message(milliseconds(autopilot, now_s), len(channels), *channels, 255)
-
-
 def mission_current(autopilot: Autopilot, now_s: float) -> Message:
     """MISSION_CURRENT."""
     return mission_protocol.mission_current(autopilot.mission)
@@ -169,6 +182,72 @@ def autopilot_version(autopilot: Autopilot, now_s: float) -> Message:
     return mavlink.MAVLink_autopilot_version_message(
         manner.capabilities, manner.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
     )
+
+
+def vfr_hud(autopilot: Autopilot, now_s: float) -> Message | None:
+    """VFR_HUD: speeds, heading, throttle and the altitude above sea level; it has no airspeed sensor."""
+    if not autopilot.aligned:
+        return None
+    estimate = autopilot.estimate
+    north, east, down = estimate.velocity_ned_m_s
+    ground_speed = norm((north, east, 0.0))
+    heading = round(math.degrees(euler_from_quat(estimate.attitude)[2])) % 360
+    throttle = round(100.0 * autopilot.thrust) if autopilot.armed else 0
+    altitude_m = autopilot.geodetic(estimate.position_ned_m)[2]
+    return mavlink.MAVLink_vfr_hud_message(ground_speed, ground_speed, heading, throttle, altitude_m, -down)
+
+
+def altitude(autopilot: Autopilot, now_s: float) -> Message | None:
+    """ALTITUDE above sea level, over the local frame's origin and over home; of terrain it knows nothing."""
+    if not autopilot.aligned:
+        return None
+    down = autopilot.estimate.position_ned_m[2]
+    amsl_m = autopilot.geodetic(autopilot.estimate.position_ned_m)[2]
+    return mavlink.MAVLink_altitude_message(
+        1000 * milliseconds(autopilot, now_s), amsl_m, amsl_m, -down, autopilot.home_ned_m[2] - down,
+        math.nan, math.nan,
+    )  # fmt: skip
+
+
+def position_target(autopilot: Autopilot, now_s: float) -> Message | None:
+    """POSITION_TARGET_LOCAL_NED: the motion that is flown; while an attitude is flown there is none."""
+    wanted = autopilot.wanted
+    if not autopilot.armed or wanted is None or isinstance(wanted, AttitudeSetpoint):
+        return None
+    fields = (
+        *wanted.position_ned_m, *wanted.velocity_ned_m_s, *wanted.acceleration_ned_m_s2,
+        wanted.yaw_rad, wanted.yaw_rate_rad_s,
+    )  # fmt: skip
+    bits = (*(1 << n for n in range(9)), 1 << 10, 1 << 11)  # bit 9 says force, not acceleration
+    mask = sum(bit for bit, value in zip(bits, fields, strict=True) if math.isnan(value))
+    return mavlink.MAVLink_position_target_local_ned_message(
+        milliseconds(autopilot, now_s), mavlink.MAV_FRAME_LOCAL_NED, mask, *fields
+    )
+
+
+def rc_channels(autopilot: Autopilot, now_s: float) -> Message:
+    """RC_CHANNELS: sticks and switches (microseconds); none while there is nobody at them."""
+    channels = autopilot.radio.channels
+    return mavlink.MAVLink_rc_channels_message(
+        milliseconds(autopilot, now_s),
+        0 if channels is None else len(channels),
+        *((_NO_CHANNEL,) * _CHANNELS if channels is None else channels),
+        _RSSI_UNKNOWN,
+    )
+
+
+def estimator_status(autopilot: Autopilot, now_s: float) -> Message:
+    """ESTIMATOR_STATUS (PX4): what its filter knows, and test ratios as in a calm hover."""
+    flags = mavlink.ESTIMATOR_ATTITUDE | (_ESTIMATOR_KNOWS if autopilot.aligned else 0)
+    return mavlink.MAVLink_estimator_status_message(
+        1000 * milliseconds(autopilot, now_s), flags, *_TEST_RATIOS, 0.0, 0.0, *_ACCURACY_M
+    )
+
+
+def ekf_status_report(autopilot: Autopilot, now_s: float) -> Message:
+    """EKF_STATUS_REPORT (ArduPilot): the same as ESTIMATOR_STATUS in its own words."""
+    flags = mavlink.EKF_ATTITUDE | (_EKF_KNOWS if autopilot.aligned else mavlink.EKF_CONST_POS_MODE)
+    return mavlink.MAVLink_ekf_status_report_message(flags, *_TEST_RATIOS, 0.0)
 
 
 def _scaled(autopilot: Autopilot, position_ned_m: Vector3) -> tuple[int, int, int]:
@@ -195,64 +274,20 @@ BUILDERS: Final[dict[int, Builder]] = {
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: home_position,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: extended_sys_state,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: vfr_hud,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: position_target,
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
 }
-DEFAULT_RATES_HZ: Final[dict[int, float]] = {
-    mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: 1.0,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-    mavlink.MAVLINK_MSG_ID_RC_CHANNELS: 2.0,
-    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
+    "px4": {
+        mavlink.MAVLINK_MSG_ID_ALTITUDE: altitude,
+        mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
+    },
+    "ardupilot": {mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: ekf_status_report},
 }
 
 
-class Streams:
-    """Which telemetry is due; rates can be changed at any time."""
-
-    def __init__(self) -> None:
-        self._default_s = {message_id: 1.0 / rate for message_id, rate in DEFAULT_RATES_HZ.items()}
-        self._period_s = dict(self._default_s)
-        self._due_s = dict.fromkeys(self._period_s, -math.inf)
-        self._next_s = -math.inf
-
-    def period_s(self, message_id: int) -> float | None:
-        """Seconds between two of a message, None when it is not streamed."""
-        return self._period_s.get(message_id)
-
-    def set_interval(self, message_id: int, interval_us: float) -> bool:
-        """SET_MESSAGE_INTERVAL: -1 stops, 0 is the default; False when that is no interval."""
-        if not math.isfinite(interval_us):
-            return False
-        default = self._default_s.get(message_id)
-        period = interval_us * 1e-6 if interval_us > 0.0 else default if interval_us == 0.0 else None
-        if period is None:
-            self._period_s.pop(message_id, None)
-        else:
-            self._period_s[message_id] = min(max(period, 1.0 / _HIGHEST_RATE_HZ), 1.0 / _LOWEST_RATE_HZ)
-            self._due_s[message_id] = -math.inf
-            self._next_s = -math.inf
-        return True
-
-    def due(self, now_s: float) -> list[int]:
-        """Message ids to send now; most calls find nothing and cost next to nothing."""
-        if now_s < self._next_s:
-            return []
-        soonest, found = math.inf, []
-        for message_id, period in self._period_s.items():
-            due = self._due_s[message_id]
-            if now_s >= due:
-                found.append(message_id)
-                # keep the rate when called a little late, but never catch up by a burst
-                due = due + period if now_s - due < period else now_s + period
-                self._due_s[message_id] = due
-            soonest = min(soonest, due)
-        self._next_s = soonest - 1e-6
-        return found
+def builders_of(manner: Manner) -> dict[int, Builder]:
+    """The messages of one autopilot, its sensors' apart."""
+    return BUILDERS | OWN_BUILDERS[manner]

@@ -87,7 +87,7 @@ class FlightLoop(FlightState):
     def _fly(self) -> None:
         if self.task is not self._last_task:
             self._begin_task()
-        setpoint = self._wanted()
+        setpoint = self.wanted = self._wanted()
         cascade, texts = self._cascade, self.manner.texts
         if cascade.landed:
             by_setpoint = self.task is Task.SETPOINT and self.manner.takes_off_by_setpoint

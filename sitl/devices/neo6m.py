@@ -24,6 +24,10 @@ _FIRST_TIME_OF_WEEK_MS: Final = 302_400_000  # Wednesday noon, GPS time
 _WEEK_MS: Final = 604_800_000
 _LEAP_S: Final = 18
 _GPS_START: Final = datetime.datetime(1980, 1, 6, tzinfo=datetime.UTC)
+# UTC (s since 1970) at the simulation's time 0
+UNIX_AT_START_S: Final = (
+    _GPS_START + datetime.timedelta(weeks=_WEEK, milliseconds=_FIRST_TIME_OF_WEEK_MS, seconds=-_LEAP_S)
+).timestamp()
 _GEOID_SEPARATION_M: Final = 47.0
 _KNOT_M_S: Final = 1852.0 / 3600.0
 _FASTEST_MS: Final = 200

@@ -33,8 +33,7 @@ from companion.sense.vision import Vision
 from sitl.autopilot import Autopilot
 from sitl.camera import CameraModel
 from sitl.devices.rack import SensorRack
-from sitl.endpoint import MavlinkEndpoint
-from sitl.ground_station import GroundStation
+from sitl.network import Network
 from sitl.world import World
 
 REAL_TIME_FACTOR: Final = 3.0
@@ -43,7 +42,7 @@ PARTS: Final[dict[str, dict[type[Any], tuple[str, ...]]]] = {
     "SITL: autopilot": {Autopilot: ("step",)},
     "SITL: sensors and devices": {SensorRack: ("step",)},
     "SITL: rendering": {CameraModel: ("render",)},
-    "SITL: MAVLink": {MavlinkEndpoint: ("receive", "transmit"), GroundStation: ("receive", "transmit")},
+    "SITL: MAVLink": {Network: ("receive", "transmit")},
     "app: drivers": {Mpu9250: ("poll",), Neo6m: ("feed", "pending"), Ultrasonic: ("feed",)},
     "app: detection and pose": {Vision: ("step",)},
     "app: estimators": {

@@ -102,6 +102,9 @@ def check_without_running(words: list[str]) -> None:
             other.make_context(words[1], words[2:])
         if context.params["scenario"] is not None:
             load_scenario(context.params["scenario"])
+    elif words[0] == "companion-sitl":
+        sitl = typer.main.get_command(sitl_cli)
+        load_scenario(sitl.make_context("companion-sitl", words[1:]).params["scenario"])
     elif words[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(words[2]) is not None
         options = [word for word in words[3:] if word.startswith("--")]
@@ -187,6 +190,12 @@ def test_the_exit_codes_are_in_the_readme() -> None:
 def test_the_options_are_in_the_readme() -> None:
     options = {option for parameter in typer.main.get_command(cli).params for option in parameter.opts}
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
+
+
+def test_the_simulator_s_options_are_in_its_page() -> None:
+    shown = [p for p in typer.main.get_command(sitl_cli).params if not getattr(p, "hidden", False)]
+    options = {option for parameter in shown for option in parameter.opts}
+    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
 
 
 def result_keys(model: type[BaseModel], prefix: str = "") -> list[str]:

@@ -23,9 +23,12 @@ from sitl.devices.rack import SensorRack, SensorTruth
 from sitl.faults import Fault
 from sitl.faulty_link import LinkSettings, LinkWay
 from sitl.frame_line import FrameLine
+from sitl.onboard import OnboardSensors
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
+HOME = (47.0, 8.0, 400.0)
+FIELD_NED_UT = (20.9, 0.6, 42.9)
 
 
 class Heard(NamedTuple):
@@ -49,7 +52,8 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
     async def world(rack: SensorRack, clock: Clock) -> None:
         rng = np.random.default_rng(0)
         ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
-        schedule = FaultSchedule(faults, Breakable(rack, FrameLine(rng), Motors(), *ways))
+        onboard = OnboardSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
+        schedule = FaultSchedule(faults, Breakable(rack, onboard, FrameLine(rng), Motors(), *ways))
         for k in range(round(seconds / STEP_S)):
             schedule.step(k * STEP_S)
             attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)
@@ -93,8 +97,8 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
         rack = SensorRack(
             seed,
             STEP_S,
-            home=(47.0, 8.0, 400.0),
-            field_ned_ut=(20.9, 0.6, 42.9),
+            home=HOME,
+            field_ned_ut=FIELD_NED_UT,
             gps_port=gps_line,
             range_port=range_line,
         )

@@ -39,17 +39,18 @@ def test_what_is_wrong_is_said_in_one_line(
 
 
 def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as other:
         other.bind(("127.0.0.1", 0))
+        other.listen()
         port = other.getsockname()[1]
         with pytest.raises(SystemExit):
-            main(("--port", str(port)))
-    assert f"UDP port 127.0.0.1:{port}: already in use; expected a free port" in capsys.readouterr().err
+            main(("--port", "0", "--gcs-port", "0", "--tcp-port", str(port)))
+    assert f"TCP port 127.0.0.1:{port}: already in use; expected a free port" in capsys.readouterr().err
 
 
 def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
     with subprocess.Popen(
-        (*COMMAND, "--folder", str(tmp_path)),
+        (*COMMAND, "--child", "--folder", str(tmp_path)),
         cwd=CONFIG_FOLDER.parent,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -68,9 +69,9 @@ def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
     assert report.touchdown is None
 
 
-def test_it_ends_with_its_standard_input() -> None:
+def test_a_child_ends_with_its_standard_input() -> None:
     done = subprocess.run(
-        COMMAND,
+        (*COMMAND, "--child"),
         cwd=CONFIG_FOLDER.parent,
         stdin=subprocess.DEVNULL,
         capture_output=True,

@@ -1,0 +1,86 @@
+"""The vehicle's sockets: who listens, who calls, and that nobody holds the vehicle up."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from typing import Any, cast
+
+from sitl.links import MOST_CLIENTS, UNREAD_BYTES, TcpServer, UdpServer, in_datagrams
+from sitl.network import Port
+
+
+class Host:
+    """Stands in for the simulation behind sockets: remembers, and talks when told."""
+
+    def __init__(self) -> None:
+        self.ports: list[Any] = []
+        self.heard: list[bytes] = []
+        self._changed = asyncio.Event()
+
+    async def has_ports(self, count: int) -> None:
+        """Wait until so many clients are here."""
+        while len(self.ports) != count:
+            await self._changed.wait()
+            self._changed.clear()
+
+    def connect(self, write: Any, *, datagrams: bool) -> Port:
+        port: Any = type("P", (), {"write": staticmethod(write), "datagrams": datagrams})()
+        self.ports.append(port)
+        self._changed.set()
+        return cast("Port", port)
+
+    def hear(self, port: Any, data: bytes) -> None:
+        self.heard.append(data)
+
+    def disconnect(self, port: Any) -> None:
+        self.ports.remove(port)
+        self._changed.set()
+
+
+async def test_a_client_that_never_reads_costs_neither_time_nor_memory() -> None:
+    host = Host()
+    server = TcpServer(host)
+    port = await server.open("127.0.0.1", 0)
+    with socket.create_connection(("127.0.0.1", port)) as lazy:
+        lazy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        await host.has_ports(1)
+        (client,) = server._clients
+        for _ in range(3000):
+            host.ports[0].write([bytes(1000)] * 10)
+        assert client._transport is not None
+        assert UNREAD_BYTES < client._transport.get_write_buffer_size() <= UNREAD_BYTES + 10_000
+    server.close()
+    await host.has_ports(0)
+
+
+async def test_a_udp_server_talks_to_its_listener_and_to_who_speaks() -> None:
+    host = Host()
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller,
+    ):
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(2.0)
+        server = UdpServer(host, listener.getsockname())
+        own = await server.open("127.0.0.1", 0)
+        host.ports[0].write([b"one", b"two"])
+        data, address = listener.recvfrom(100)
+        assert (data, address[1]) == (b"onetwo", own)
+        caller.sendto(b"hello", ("127.0.0.1", own))
+        await host.has_ports(2)
+        assert host.heard == [b"hello"]
+        for _ in range(2 * MOST_CLIENTS):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                stranger.sendto(b"x", ("127.0.0.1", own))
+        await asyncio.sleep(0.05)
+        assert len(host.ports) <= MOST_CLIENTS
+        server.close()
+    assert not host.ports
+
+
+def test_datagrams_hold_whole_frames() -> None:
+    frames = [bytes([n]) * 250 for n in range(12)]
+    datagrams = in_datagrams(frames)
+    assert b"".join(datagrams) == b"".join(frames)
+    assert [len(d) for d in datagrams] == [1250, 1250, 500]
