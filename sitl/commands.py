@@ -13,7 +13,6 @@ from typing import Any, Final, Protocol
 from pymavlink.dialects.v20 import common as mavlink
 
 from sitl.autopilot import Autopilot, Result
-from sitl.framing import number
 
 FORCE_MAGIC: Final = 21196
 _ARDUPILOT_FORCE_ARM: Final = 2989
@@ -74,14 +73,12 @@ class Request:
 def request_from_message(message: Any) -> Request:
     """The request in a COMMAND_LONG or COMMAND_INT."""
     m = message
-    first = (number(m.param1), number(m.param2), number(m.param3), number(m.param4))
+    first = (m.param1, m.param2, m.param3, m.param4)
     if m.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-        return Request(
-            m.command, (*first, number(m.param5), number(m.param6), number(m.param7)), _POSITION_OF_LONG
-        )
+        return Request(m.command, (*first, m.param5, m.param6, m.param7), _POSITION_OF_LONG)
     scale = 1e-7 if m.command in _WITH_PLACE else 1.0
     latitude, longitude = (math.nan if e7 == _NOT_GIVEN_E7 else e7 * scale for e7 in (m.x, m.y))
-    return Request(m.command, (*first, latitude, longitude, number(m.z)), m.frame)
+    return Request(m.command, (*first, latitude, longitude, m.z), m.frame)
 
 
 def _arm_or_disarm(sender: Sender, request: Request, now_s: float) -> Result:

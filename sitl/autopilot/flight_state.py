@@ -76,6 +76,7 @@ class FlightState:
         self._outer_due_s = -inf
         self._now_s = -inf
         self._setpoint = None
+        self.wanted: MotionSetpoint | AttitudeSetpoint | None = None  # what is flown, None before
         self._setpoint_s = -inf
         self._was_armed = False
         self._mission_version = -1
