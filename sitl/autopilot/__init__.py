@@ -6,7 +6,14 @@ from sitl.autopilot.estimator import ESTIMATORS, NO_ERRORS, EstimatorErrors, Est
 from sitl.autopilot.flight import MANNERS
 from sitl.autopilot.mixer import Motors
 from sitl.autopilot.modes import Result, Severity, Task
-from sitl.autopilot.setpoints import AttitudeSetpoint, Frame, Ignore, MotionSetpoint, StreamedMotion
+from sitl.autopilot.setpoints import (
+    AttitudeSetpoint,
+    Frame,
+    Ignore,
+    MotionSetpoint,
+    StreamedAttitude,
+    StreamedMotion,
+)
 
 __all__ = [
     "ESTIMATORS",
@@ -23,6 +30,7 @@ __all__ = [
     "Motors",
     "Result",
     "Severity",
+    "StreamedAttitude",
     "StreamedMotion",
     "Task",
     "hover_thrust",

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import math
 
+from sitl.autopilot import ardupilot_setpoints
+from sitl.autopilot.ardupilot_control import ArdupilotControl
+from sitl.autopilot.attitude_control import AttitudeGains, ReferenceLimits
 from sitl.autopilot.manners import (
     FLAG_CUSTOM,
     FLAG_GUIDED,
@@ -22,8 +25,6 @@ from sitl.autopilot.manners import (
     mode_armable,
 )
 from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, Response, Result, Severity, Task
-from sitl.autopilot.position_control import PositionGains
-from sitl.autopilot.setpoints import Frame
 from sitl.parameters import Parameter, Setting
 
 _GUIDED = FLAG_CUSTOM | FLAG_GUIDED | FLAG_STABILIZE | FLAG_MANUAL
@@ -39,6 +40,7 @@ ARDUPILOT = Manner(
     parameters_bytewise=False,
     alignment_s=5.0,
     landed_time_s=2.0,
+    landed_thrust_share=0.85,
     still_speed_m_s=1.0,
     modes=(
         Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False),
@@ -56,11 +58,12 @@ ARDUPILOT = Manner(
     hold_mode="LOITER",
     land_mode="LAND",
     return_mode="RTL",
-    frames=frozenset(Frame),
+    read_motion=ardupilot_setpoints.read_motion,
+    read_attitude=ardupilot_setpoints.read_attitude,
+    as_aged=ardupilot_setpoints.as_aged,
     external_needs_setpoints=False,
     takes_off_by_setpoint=False,
     take_off_needs_guided=True,
-    external_times_out_in_mode=True,
     thrust_is_climb_rate=True,
     refused_arming=Result.FAILED,
     refused_disarming=Result.FAILED,
@@ -93,7 +96,7 @@ ARDUPILOT = Manner(
         Failsafe(
             "landed in LAND",
             lambda now: landed_after_flight(now) and now.task is Task.LAND,
-            0.5,
+            0.0,
             Response.DISARM,
             Severity.INFO,
             "Disarming motors",
@@ -120,8 +123,12 @@ ARDUPILOT = Manner(
         Parameter("LAND_SPEED_HIGH", 70.0, 0.0, 500.0),
         Parameter("RTL_ALT", 1500.0, 30.0, 300000.0),
     ),
-    gains=PositionGains(
-        horizontal_p=1.0, velocity_p=2.0, velocity_i=1.0, climb_p=5.0, integrates_acceleration=True
+    position_control=ArdupilotControl,
+    attitude_gains=AttitudeGains(
+        tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P
+        yaw_p=4.5,  # ATC_ANG_YAW_P
+        # ATC_INPUT_TC, ATC_ACCEL_R_MAX and _P_MAX 110000, ATC_ACCEL_Y_MAX 27000 cdeg/s², ATC_SLEW_YAW
+        reference=ReferenceLimits(0.15, math.radians(1100.0), math.radians(270.0), math.radians(60.0)),
     ),
     imu_messages=("RAW_IMU", "SCALED_IMU"),
     imu_filter=4,  # 20 Hz: INS_GYRO_FILTER and INS_ACCEL_FILTER

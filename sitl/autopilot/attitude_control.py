@@ -1,14 +1,27 @@
 """Attitude and body rates: quaternion proportional control around a PID on the rates.
 
-The attitude error is turned into rates (time constant 1/6.5 s in roll and pitch, slower in yaw), the rates'
-errors into torques. Gains are per unit of inertia, so that one set fits every airframe. FRD, rad, N m.
+The attitude error is turned into rates, the rates' errors into torques. Gains are per unit of inertia, so that
+one set fits every airframe. ArduPilot puts a shaped reference before it (`AttitudeReference`), whose rates are
+fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from companion.geometry import ZERO3, Quaternion, Vector3
+from companion.geometry import IDENTITY, ZERO3, Quaternion, Vector3, quat_integrate
+from sitl.autopilot.shaping import clamp, signed_root_law
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceLimits:
+    """How a reference goes to the attitude asked for: time constant, accelerations (rad/s²), yaw rate."""
+
+    time_constant_s: float
+    tilt_acceleration: float
+    yaw_acceleration: float
+    yaw_rate_rad_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,9 +33,37 @@ class AttitudeGains:
     rate_p: tuple[float, float, float] = (20.0, 20.0, 8.0)
     rate_i: tuple[float, float, float] = (12.0, 12.0, 3.0)
     rate_d: tuple[float, float, float] = (0.25, 0.25, 0.0)
-    rate_limit_rad_s: tuple[float, float, float] = (3.8, 3.8, 1.5)
+    rate_limit_rad_s: tuple[float, float, float] = (3.8, 3.8, 3.5)
     integral_limit_rad_s2: float = 6.0
     derivative_filter_s: float = 0.008
+    reference: ReferenceLimits | None = None
+
+
+class AttitudeReference:
+    """An attitude that turns towards what is asked for within limits, and the body rate at which it does."""
+
+    def __init__(self, limits: ReferenceLimits) -> None:
+        self._limits = limits
+        self.reset(IDENTITY)
+
+    def reset(self, attitude: Quaternion) -> None:
+        """Start from rest at an attitude."""
+        self.attitude, self.rate = attitude, ZERO3
+
+    def step(self, setpoint: Quaternion, feed_rate: Vector3, dt_s: float) -> None:
+        """One outer step towards a setpoint that itself turns at `feed_rate` (body)."""
+        limits, error = self._limits, _turn_to(self.attitude, setpoint)
+        gain, tilt, yaw = 1.0 / limits.time_constant_s, limits.tilt_acceleration, limits.yaw_acceleration
+        x = signed_root_law(error[0], gain, tilt, dt_s) + feed_rate[0]
+        y = signed_root_law(error[1], gain, tilt, dt_s) + feed_rate[1]
+        z = clamp(signed_root_law(error[2], gain, yaw, dt_s) + feed_rate[2], limits.yaw_rate_rad_s)
+        p, q, r = self.rate
+        self.rate = (
+            p + clamp(x - p, tilt * dt_s),
+            q + clamp(y - q, tilt * dt_s),
+            r + clamp(z - r, yaw * dt_s),
+        )
+        self.attitude = quat_integrate(self.attitude, self.rate, dt_s)
 
 
 class AttitudeControl:
@@ -42,17 +83,17 @@ class AttitudeControl:
         self,
         attitude: Quaternion,
         rate: Vector3,
-        setpoint: Quaternion,
-        yaw_rate_rad_s: float,
+        setpoint: Quaternion | None,
+        feed_rate: Vector3,
         dt_s: float,
         *,
         frozen: bool,
     ) -> Vector3:
-        """Body torque (N m) towards `setpoint`.
+        """Body torque (N m) towards `setpoint`, or towards the rate alone when it is None.
 
-        `yaw_rate_rad_s` is fed forward; `frozen` stops the integral.
+        `feed_rate` (body, rad/s) is what the setpoint itself turns at; `frozen` stops the integral.
         """
-        wanted = self._rate_setpoint(attitude, setpoint, yaw_rate_rad_s)
+        wanted = self._rate_setpoint(attitude, setpoint, feed_rate)
         gains = self._gains
         slow = self._slow_rate or rate
         share = dt_s / (dt_s + gains.derivative_filter_s)
@@ -75,31 +116,52 @@ class AttitudeControl:
         )
         if not frozen:
             kx, ky, kz = gains.rate_i
+            limit = gains.integral_limit_rad_s2
             self._integral = (
-                self._bounded(ix + kx * ex * dt_s),
-                self._bounded(iy + ky * ey * dt_s),
-                self._bounded(iz + kz * ez * dt_s),
+                clamp(ix + kx * ex * dt_s, limit),
+                clamp(iy + ky * ey * dt_s, limit),
+                clamp(iz + kz * ez * dt_s, limit),
             )
         return torque
 
-    def _bounded(self, value: float) -> float:
-        limit = self._gains.integral_limit_rad_s2
-        return limit if value > limit else -limit if value < -limit else value
+    def _rate_setpoint(self, q: Quaternion, setpoint: Quaternion | None, feed: Vector3) -> Vector3:
+        """Body rates (rad/s): twice the vector part of the error, shorter way round, plus the feed."""
+        x, y, z = feed
+        if setpoint is not None:
+            ex, ey, ez = _error(q, setpoint)
+            tilt, yaw = self._gains.tilt_p, self._gains.yaw_p
+            x, y, z = x + tilt * ex, y + tilt * ey, z + yaw * ez
+        lx, ly, lz = self._gains.rate_limit_rad_s
+        return (clamp(x, lx), clamp(y, ly), clamp(z, lz))
 
-    def _rate_setpoint(self, q: Quaternion, setpoint: Quaternion, yaw_rate: float) -> Vector3:
-        """Body rates (rad/s): twice the vector part of the error, shorter way round, plus the turn wanted."""
-        aw, ax, ay, az = q
-        bw, bx, by, bz = setpoint
-        gains = self._gains
-        w = aw * bw + ax * bx + ay * by + az * bz
-        sign = 2.0 if w >= 0.0 else -2.0
-        tilt, yaw = sign * gains.tilt_p, sign * gains.yaw_p
-        x = tilt * (aw * bx - ax * bw - ay * bz + az * by)
-        y = tilt * (aw * by + ax * bz - ay * bw - az * bx)
-        z = yaw * (aw * bz - ax * by + ay * bx - az * bw)
-        if yaw_rate:  # about the world's down axis, seen from the body
-            x += yaw_rate * 2.0 * (ax * az - aw * ay)
-            y += yaw_rate * 2.0 * (ay * az + aw * ax)
-            z += yaw_rate * (1.0 - 2.0 * (ax * ax + ay * ay))
-        lx, ly, lz = gains.rate_limit_rad_s
-        return (min(max(x, -lx), lx), min(max(y, -ly), ly), min(max(z, -lz), lz))
+
+def turn_about_down(attitude: Quaternion, rate_rad_s: float) -> Vector3:
+    """A turn about the world's down axis as a body rate."""
+    w, x, y, z = attitude
+    return (
+        rate_rad_s * 2.0 * (x * z - w * y),
+        rate_rad_s * 2.0 * (y * z + w * x),
+        rate_rad_s * (1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+def _error(q: Quaternion, to: Quaternion) -> Vector3:
+    """Twice the vector part of the turn from one attitude to another, in the body, by the shorter way."""
+    aw, ax, ay, az = q
+    bw, bx, by, bz = to
+    sign = 2.0 if aw * bw + ax * bx + ay * by + az * bz >= 0.0 else -2.0
+    return (
+        sign * (aw * bx - ax * bw - ay * bz + az * by),
+        sign * (aw * by + ax * bz - ay * bw - az * bx),
+        sign * (aw * bz - ax * by + ay * bx - az * bw),
+    )
+
+
+def _turn_to(q: Quaternion, to: Quaternion) -> Vector3:
+    """The same as a rotation vector: exact for large turns."""
+    x, y, z = _error(q, to)
+    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
+    if sine < 1e-9:
+        return (x, y, z)
+    k = 2.0 * math.asin(min(1.0, sine)) / (2.0 * sine)
+    return (k * x, k * y, k * z)

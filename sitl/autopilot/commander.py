@@ -113,6 +113,8 @@ class Commander:
         self._left_mode, self._left_by = self.mode, failsafe
         self.in_failsafe = True
         self._enter(self._manner.mode(failsafe.mode))
+        if failsafe.task is not None:
+            self.begin(failsafe.task)
 
     def _available(self, mode: Mode) -> bool:
         if mode.task is Task.SETPOINT and self._manner.external_needs_setpoints:

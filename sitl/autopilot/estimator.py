@@ -95,6 +95,8 @@ class Estimator:
         self.rate_body_rad_s = ZERO3
         self.position_ned_m = ZERO3
         self.velocity_ned_m_s = ZERO3
+        self.acceleration_ned_m_s2 = ZERO3
+        self._true_velocity: Vector3 | None = None
 
     def update_attitude(self, truth: Truth) -> None:
         """Take over attitude and rate: constant heading and horizon errors, a clean gyroscope."""
@@ -104,7 +106,7 @@ class Estimator:
         self.rate_body_rad_s = truth.rate_body_rad_s
 
     def update_position(self, truth: Truth, dt_s: float) -> None:
-        """Move the errors on by dt and take over position and velocity."""
+        """Move the errors on by dt and take over position and velocity; acceleration is the IMU's, clean."""
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)
         kick = math.sqrt(1.0 - decay * decay)
@@ -125,6 +127,9 @@ class Estimator:
         on, oe, od = self._offset
         self.position_ned_m = (pn + on + wn, pe + oe + we, pd + od + wd)
         vn, ve, vd = rotate_yaw(truth.vehicle_velocity_ned_m_s, self._velocity_turn_rad)
+        ln, le, ld = self._true_velocity or (vn, ve, vd)
+        self._true_velocity = (vn, ve, vd)
+        self.acceleration_ned_m_s2 = ((vn - ln) / dt_s, (ve - le) / dt_s, (vd - ld) / dt_s)
         self.velocity_ned_m_s = (vn + en, ve + ee, vd + ed)
 
     def _draw3(self) -> Vector3:

@@ -16,6 +16,7 @@ from companion.geometry import (
     Vector3,
     geodetic_from_ned,
     tilt_from_quat,
+    yaw_from_quat,
 )
 from companion.messages import LandedState, Truth
 from companion.messages import Manner as MannerName
@@ -206,9 +207,9 @@ class FlightLoop:
         """The setpoint of the task on hand; a task that is done hands over to the next."""
         if self.task is Task.SETPOINT and self._setpoint is not None:
             self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
-            if not self._timed_out(self._setpoint):
-                return self._setpoint
-            self._commander.begin(Task.HOLD)
+            now = self._commander.situation
+            heading = yaw_from_quat(self.estimate.attitude)
+            return self.manner.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
         estimate = self.estimate
         setpoint, following = self._navigator.step(
             self.task, estimate.position_ned_m, estimate.velocity_ned_m_s
@@ -218,13 +219,6 @@ class FlightLoop:
                 self.set_mode_named(self.manner.after_take_off_mode)
             self._commander.begin(following)
         return setpoint
-
-    def _timed_out(self, setpoint: MotionSetpoint | AttitudeSetpoint) -> bool:
-        """ArduPilot stops by itself, within the mode, when a stream of anything but positions ends."""
-        now = self._commander.situation
-        if not self.manner.external_times_out_in_mode or now.setpoint_age_s <= now.setpoint_timeout_s:
-            return False
-        return isinstance(setpoint, AttitudeSetpoint) or math.isnan(setpoint.position_ned_m[0])
 
     def _thrust_is_climb_rate(self) -> bool:
         options = self.manner.settings.guided_options

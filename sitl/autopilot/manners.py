@@ -9,11 +9,21 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.geometry import Quaternion, Vector3
 from companion.messages import Manner as MannerName
+from sitl.autopilot.attitude_control import AttitudeGains
 from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, Result, Situation
-from sitl.autopilot.position_control import PositionGains
-from sitl.autopilot.setpoints import Frame
+from sitl.autopilot.position_control import PositionControl
+from sitl.autopilot.setpoints import (
+    AttitudeSetpoint,
+    MotionSetpoint,
+    Refusal,
+    StreamedAttitude,
+    StreamedMotion,
+)
 from sitl.parameters import Parameter, Setting
+
+AnySetpoint = MotionSetpoint | AttitudeSetpoint
 
 # MAV_MODE_FLAG bits without "armed"
 FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 64
@@ -51,6 +61,9 @@ class Texts:
 class Manner:
     """One autopilot's habits.
 
+    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message means,
+    `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control` makes
+    the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of hover.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
     register value that the simulated IMU knows.
     """
@@ -63,6 +76,7 @@ class Manner:
     parameters_bytewise: bool
     alignment_s: float
     landed_time_s: float
+    landed_thrust_share: float
     still_speed_m_s: float
     modes: tuple[Mode, ...]
     boot_mode: str
@@ -72,11 +86,12 @@ class Manner:
     hold_mode: str
     land_mode: str
     return_mode: str
-    frames: frozenset[Frame]
+    read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | Refusal]
+    read_attitude: Callable[[StreamedAttitude], AnySetpoint | Refusal]
+    as_aged: Callable[[AnySetpoint, float, float, float], AnySetpoint]
     external_needs_setpoints: bool
     takes_off_by_setpoint: bool
     take_off_needs_guided: bool
-    external_times_out_in_mode: bool
     thrust_is_climb_rate: bool
     refused_arming: Result
     refused_disarming: Result
@@ -87,7 +102,8 @@ class Manner:
     arming_checks: tuple[ArmingCheck, ...]
     failsafes: tuple[Failsafe, ...]
     parameters: tuple[Parameter, ...]
-    gains: PositionGains
+    position_control: Callable[[float], PositionControl]
+    attitude_gains: AttitudeGains
     imu_messages: tuple[str, ...]
     imu_filter: int
 

@@ -21,6 +21,7 @@ class Task(Enum):
     SETPOINT = "setpoint"
     LAND = "land"
     RETURN = "return"
+    DESCEND = "descend"
 
 
 class Result(IntEnum):
@@ -94,7 +95,8 @@ class Response(Enum):
 class Failsafe:
     """When `condition` has held for `after_s`, do `response` and say `text`.
 
-    LEAVE_MODE goes to `mode`, and back as soon as the condition has ended.
+    LEAVE_MODE goes to `mode`, and back as soon as the condition has ended; `task` is flown there instead of
+    the mode's own.
     """
 
     name: str
@@ -104,3 +106,4 @@ class Failsafe:
     severity: Severity
     text: str
     mode: str = ""
+    task: Task | None = None
