@@ -28,7 +28,7 @@ from companion.pad import load_pad
 from companion.slots import Slot
 from sitl import camera as lens
 from sitl import exposure
-from sitl.autopilot import Autopilot
+from sitl.autopilot import ESTIMATORS, Autopilot
 from sitl.breaking import Breakable, FaultSchedule, FrameLine
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
@@ -128,7 +128,14 @@ class Simulation:
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
-        self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
+        self._autopilot = Autopilot(
+            scenario.autopilot,
+            body,
+            next(streams),
+            HOME,
+            ESTIMATORS[scenario.estimator],
+            self._world.airframe.rates,
+        )
         self._ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         errors = sensor_errors(scenario.sensors)

@@ -9,9 +9,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
+from pydantic import Field
+
+from companion.config import StrictModel
 from companion.geometry import IDENTITY, ZERO3, Quaternion, Vector3, quat_integrate
 from sitl.autopilot.shaping import clamp, signed_root_law
+
+Gain = Annotated[float, Field(ge=0.0, le=200.0)]
+Three = tuple[Gain, Gain, Gain]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +31,23 @@ class ReferenceLimits:
     yaw_rate_rad_s: float
 
 
+class RateGains(StrictModel):
+    """The innermost loop's tuning about roll, pitch and yaw, per unit of inertia: it goes with a frame.
+
+    `proportional` 1/s, `integral` 1/s², `derivative` unitless.
+    """
+
+    proportional: Three = (20.0, 20.0, 8.0)
+    integral: Three = (12.0, 12.0, 3.0)
+    derivative: Three = (0.25, 0.25, 0.0)
+
+
 @dataclass(frozen=True, slots=True)
 class AttitudeGains:
-    """Gains 1/s (and 1/s² for the integral, unitless for the derivative), limits rad/s and rad/s²."""
+    """Gains from angle to rate (1/s), limits rad/s and rad/s²."""
 
     tilt_p: float = 6.5
     yaw_p: float = 2.8
-    rate_p: tuple[float, float, float] = (20.0, 20.0, 8.0)
-    rate_i: tuple[float, float, float] = (12.0, 12.0, 3.0)
-    rate_d: tuple[float, float, float] = (0.25, 0.25, 0.0)
     rate_limit_rad_s: tuple[float, float, float] = (3.8, 3.8, 3.5)
     integral_limit_rad_s2: float = 6.0
     derivative_filter_s: float = 0.008
@@ -69,9 +84,13 @@ class AttitudeReference:
 class AttitudeControl:
     """One step a gyroscope sample; `reset` on the ground, so that nothing winds up against it."""
 
-    def __init__(self, inertia_kg_m2: Vector3, gains: AttitudeGains) -> None:
+    def __init__(
+        self, inertia_kg_m2: Vector3, gains: AttitudeGains, rates: RateGains | None = None
+    ) -> None:
         self._inertia = inertia_kg_m2
         self._gains = gains
+        rates = rates or RateGains()
+        self._p, self._i, self._d = rates.proportional, rates.integral, rates.derivative
         self.reset()
 
     def reset(self) -> None:
@@ -106,7 +125,7 @@ class AttitudeControl:
         self._slow_rate = slow
         ex, ey, ez = wanted[0] - rate[0], wanted[1] - rate[1], wanted[2] - rate[2]
         ix, iy, iz = self._integral
-        (px, py, pz), (dx, dy, dz) = gains.rate_p, gains.rate_d
+        (px, py, pz), (dx, dy, dz) = self._p, self._d
         jx, jy, jz = self._inertia
         lx, ly, lz = jx * rate[0], jy * rate[1], jz * rate[2]
         torque = (
@@ -115,7 +134,7 @@ class AttitudeControl:
             jz * (pz * ez + iz - dz * (slow[2] - before[2]) / dt_s) + rate[0] * ly - rate[1] * lx,
         )
         if not frozen:
-            kx, ky, kz = gains.rate_i
+            kx, ky, kz = self._i
             limit = gains.integral_limit_rad_s2
             self._integral = (
                 clamp(ix + kx * ex * dt_s, limit),

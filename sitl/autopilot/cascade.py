@@ -11,7 +11,7 @@ import math
 
 from companion.geometry import IDENTITY, ZERO3, Quaternion, add, yaw_from_quat
 from sitl.autopilot.airframe import Airframe, hover_thrust
-from sitl.autopilot.attitude_control import AttitudeControl, AttitudeReference, turn_about_down
+from sitl.autopilot.attitude_control import AttitudeControl, AttitudeReference, RateGains, turn_about_down
 from sitl.autopilot.estimator import Estimator
 from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.manners import Manner
@@ -34,11 +34,11 @@ _DESCENDING_M_S = 0.05
 class Cascade:
     """Controllers of one airframe with one manner's gains, and the landed detector."""
 
-    def __init__(self, manner: Manner, airframe: Airframe) -> None:
+    def __init__(self, manner: Manner, airframe: Airframe, rates: RateGains | None = None) -> None:
         self._hover = hover_thrust(airframe)
         gains = manner.attitude_gains
         self._position = manner.position_control(self._hover)
-        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains)
+        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates)
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = Mixer(airframe, _IDLE)
         self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)

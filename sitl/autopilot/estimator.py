@@ -54,8 +54,8 @@ NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
 # and a position held fast by GPS does not follow it (so the leak is short).
 SIH_ERRORS = EstimatorErrors(
     horizontal_velocity_std_m_s=0.2,
-    vertical_velocity_std_m_s=0.12,
-    velocity_correlation_s=2.5,
+    vertical_velocity_std_m_s=0.15,
+    velocity_correlation_s=4.0,
     position_leak_s=1.0,
     position_offset_std_m=0.2,
     height_offset_std_m=0.2,

@@ -22,6 +22,7 @@ from companion.messages import LandedState, Truth
 from companion.messages import Manner as MannerName
 from sitl.autopilot.airframe import Airframe
 from sitl.autopilot.ardupilot import ARDUPILOT
+from sitl.autopilot.attitude_control import RateGains
 from sitl.autopilot.cascade import STOPPED, Cascade
 from sitl.autopilot.commander import Commander, Text
 from sitl.autopilot.estimator import Estimator, EstimatorErrors
@@ -53,6 +54,7 @@ class FlightLoop:
         rng: np.random.Generator,
         home: Vector3,
         errors: EstimatorErrors | None = None,
+        rates: RateGains | None = None,
     ) -> None:
         self.manner = MANNERS[manner]
         self.parameters = Parameters(self.manner.parameters)
@@ -60,7 +62,7 @@ class FlightLoop:
         self.booted_s: float | None = None
         self._commander = Commander(self.manner)
         self._navigator = Navigator(self.manner, self.parameters)
-        self._cascade = Cascade(self.manner, airframe)
+        self._cascade = Cascade(self.manner, airframe, rates)
         self._origin = home
         self._outer_due_s = -inf
         self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None

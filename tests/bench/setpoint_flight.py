@@ -21,7 +21,7 @@ from tests.bench.autopilot_record import Record, Stamped, decoder, record_of
 
 STEPS_PER_TALK: Final = 2
 AFTER_S: Final = 3.0
-AIRFRAMES: Final[dict[Manner, str]] = {"px4": "sih", "ardupilot": "x500"}
+AIRFRAMES: Final[dict[Manner, str]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
 ESTIMATOR_OF: Final[dict[Manner, EstimatorName]] = {"px4": "sih", "ardupilot": "exact"}
 
 
@@ -37,7 +37,9 @@ def fly(manner: Manner, recorded: Record, seed: int) -> Record:
     )
     world = World(scenario, seed)
     errors = ESTIMATORS[ESTIMATOR_OF[manner]]
-    autopilot = Autopilot(manner, world.airframe.body, np.random.default_rng((seed, 20)), HOME, errors)
+    airframe = world.airframe
+    rng = np.random.default_rng((seed, 20))
+    autopilot = Autopilot(manner, airframe.body, rng, HOME, errors, airframe.rates)
     endpoint = MavlinkEndpoint(autopilot)
     lead_s = -recorded.booted_s
     waiting = iter(recorded.sent)
