@@ -39,8 +39,8 @@ ARDUPILOT = Manner(
     capabilities=2 | 4 | 8 | 64 | 128 | 256 | 8192,
     parameters_bytewise=False,
     alignment_s=5.0,
-    landed_time_s=2.0,
-    landed_thrust_share=0.85,
+    landed_time_s=1.0,
+    landed_thrust_share=0.15,
     still_speed_m_s=1.0,
     modes=(
         Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False),
@@ -127,6 +127,7 @@ ARDUPILOT = Manner(
     attitude_gains=AttitudeGains(
         tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P
         yaw_p=4.5,  # ATC_ANG_YAW_P
+        damps_error=True,
         # ATC_INPUT_TC, ATC_ACCEL_R_MAX and _P_MAX 110000, ATC_ACCEL_Y_MAX 27000 cdeg/s², ATC_SLEW_YAW
         reference=ReferenceLimits(0.15, math.radians(1100.0), math.radians(270.0), math.radians(60.0)),
     ),

@@ -46,7 +46,7 @@ class ArdupilotGains:
     position_p: float = 1.0  # PSC_POSXY_P
     velocity_p: float = 2.0  # PSC_VELXY_P
     velocity_i: float = 1.0  # PSC_VELXY_I
-    velocity_d: float = 0.25  # PSC_VELXY_D
+    velocity_d: float = 0.5  # PSC_VELXY_D
     velocity_hz: float = 5.0  # PSC_VELXY_FLTE, PSC_VELXY_FLTD
     integral_limit: float = 10.0  # PSC_VELXY_IMAX
     height_p: float = 1.0  # PSC_POSZ_P

@@ -44,13 +44,18 @@ class RateGains(StrictModel):
 
 @dataclass(frozen=True, slots=True)
 class AttitudeGains:
-    """Gains from angle to rate (1/s), limits rad/s and rad/s²."""
+    """Gains from angle to rate (1/s), limits rad/s and rad/s².
+
+    `damps_error`: the rate loop's derivative is the error's (ArduPilot), so that a changing setpoint is fed
+    forward, not the measured rate's (PX4).
+    """
 
     tilt_p: float = 6.5
     yaw_p: float = 2.8
     rate_limit_rad_s: tuple[float, float, float] = (3.8, 3.8, 3.5)
     integral_limit_rad_s2: float = 6.0
     derivative_filter_s: float = 0.008
+    damps_error: bool = False
     reference: ReferenceLimits | None = None
 
 
@@ -114,16 +119,17 @@ class AttitudeControl:
         """
         wanted = self._rate_setpoint(attitude, setpoint, feed_rate)
         gains = self._gains
-        slow = self._slow_rate or rate
+        ex, ey, ez = wanted[0] - rate[0], wanted[1] - rate[1], wanted[2] - rate[2]
+        damped = (-ex, -ey, -ez) if gains.damps_error else rate
+        slow = self._slow_rate or damped
         share = dt_s / (dt_s + gains.derivative_filter_s)
         slow = (
-            slow[0] + share * (rate[0] - slow[0]),
-            slow[1] + share * (rate[1] - slow[1]),
-            slow[2] + share * (rate[2] - slow[2]),
+            slow[0] + share * (damped[0] - slow[0]),
+            slow[1] + share * (damped[1] - slow[1]),
+            slow[2] + share * (damped[2] - slow[2]),
         )
         before = self._slow_rate or slow
         self._slow_rate = slow
-        ex, ey, ez = wanted[0] - rate[0], wanted[1] - rate[1], wanted[2] - rate[2]
         ix, iy, iz = self._integral
         (px, py, pz), (dx, dy, dz) = self._p, self._d
         jx, jy, jz = self._inertia

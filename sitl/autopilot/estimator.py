@@ -62,11 +62,23 @@ SIH_ERRORS = EstimatorErrors(
     heading_bias_deg=(0.0, 0.0),
     tilt_error_deg=0.1,
 )
-EstimatorName = Literal["typical", "exact", "sih"]
+# ArduCopter with its own simulator: a velocity that is off by a centimetre or two a second for half a minute.
+ARDUCOPTER_SITL_ERRORS = EstimatorErrors(
+    horizontal_velocity_std_m_s=0.017,
+    vertical_velocity_std_m_s=0.002,
+    velocity_correlation_s=12.0,
+    position_leak_s=1.0,
+    position_offset_std_m=0.0,
+    height_offset_std_m=0.0,
+    heading_bias_deg=(0.0, 0.0),
+    tilt_error_deg=0.0,
+)
+EstimatorName = Literal["typical", "exact", "sih", "arducopter_sitl"]
 ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
     "typical": EstimatorErrors(),
     "exact": NO_ERRORS,
     "sih": SIH_ERRORS,
+    "arducopter_sitl": ARDUCOPTER_SITL_ERRORS,
 }
 
 

@@ -15,12 +15,14 @@ from typing import Any, Final
 import numpy as np
 
 from companion.geometry import FloatArray
+from companion.messages import Manner
 from tests.bench.autopilot_record import ON_GROUND, Record
 
 Figures = dict[str, float | None]
 BEFORE_S: Final = 0.5
 STOPPED_M_S, SLOW_M_S = 0.05, 0.5
-NAV_LAND_MODE: Final = 176
+STOPPING_S: Final = 3.0
+SETTLED_S: Final = 6.0
 CONTACT_M_S: Final = 0.12
 
 
@@ -54,13 +56,18 @@ def _content(m: Any) -> tuple[Any, ...]:
     return (m.get_type(), *(str(v) for k, v in m.to_dict().items() if k != "time_boot_ms"))
 
 
-def figures(record: Record) -> Figures:
-    """All rows of the table."""
+def figures(record: Record, manner: Manner) -> Figures:
+    """All rows of the table.
+
+    Raises:
+        ValueError: the record lacks a manoeuvre.
+    """
     runs = manoeuvres(record)
     result: Figures = {}
-    for part in (_positions, _velocities, _down, _yaw, _frames, _acceleration, _attitude, _loss, _landing):
+    parts = (_positions, _velocities, _down, _yaw, _frames, _acceleration, _attitude, _loss, _landing)
+    for part in (*parts, _hover):
         result |= part(record, runs)
-    return result
+    return result | _disarming(record, runs, manner)
 
 
 # ---------------------------------------------------------------- one signal
@@ -142,7 +149,8 @@ def _velocities(record: Record, runs: list[Manoeuvre]) -> Figures:
         after = _cut(record.motion, stopping.start_s, stopping.end_s)
         stopped = _crossing(after[:, 0] - stopping.start_s, -after[:, 4], -STOPPED_M_S)
         found[f"{name}: stop to {STOPPED_M_S} m/s (s)"] = stopped
-        found[f"{name}: stopping distance (m)"] = float(after[:, 1].max() - after[0, 1])
+        braking = _cut(after, stopping.start_s, stopping.start_s + STOPPING_S)
+        found[f"{name}: stopping distance (m)"] = float(braking[:, 1].max() - braking[0, 1])
     return found
 
 
@@ -211,10 +219,47 @@ def _landing(record: Record, runs: list[Manoeuvre]) -> Figures:
     found: Figures = {"descent 0.7 m/s: flown (m/s)": float(sinking[:, 6].mean())}
     final = _cut(record.motion, slow.start_s, slow.end_s)
     contact_s = _crossing(final[:, 0], -final[:, 6], -CONTACT_M_S)
-    landed = [said for said in record.heard("landed", slow.start_s) if said.what == ON_GROUND]
-    lag = landed[0].time_s - contact_s if landed and contact_s is not None else None
-    found["touchdown: landed_state after contact (s)"] = lag
-    asked = [s.time_s for s in record.sent if s.message.get_type() == "COMMAND_LONG"]
-    off = [said for said in record.heard("armed", slow.start_s) if not said.what]
-    found["touchdown: LAND to disarmed (s)"] = off[0].time_s - asked[-1] if off else None
+    landed = _landed_s(record, slow)
+    found["touchdown: landed_state after contact (s)"] = (
+        None if landed is None or contact_s is None else landed - contact_s
+    )
     return found
+
+
+def _landed_s(record: Record, slow: Manoeuvre) -> float | None:
+    words = [said for said in record.heard("landed", slow.start_s) if said.what == ON_GROUND]
+    return words[0].time_s if words else None
+
+
+def _disarming(record: Record, runs: list[Manoeuvre], manner: Manner) -> Figures:
+    """PX4 disarms by itself once it has landed, ArduCopter when it is told to land."""
+    off = [said.time_s for said in record.heard("armed", runs[-1].start_s) if not said.what]
+    if manner == "px4":
+        name, since = "landed_state", _landed_s(record, runs[-1])
+    else:
+        told = [s.time_s for s in record.sent if s.message.get_type() == "COMMAND_LONG"]
+        name, since = "LAND", told[-1]
+    value = off[0] - since if off and since is not None else None
+    return {f"touchdown: {name} to disarmed (s)": value}
+
+
+def _hover(record: Record, runs: list[Manoeuvre]) -> Figures:
+    """How far place and velocity wander while places are held, each axis about its setpoint."""
+    away, speeds = [], []
+    for run in runs:
+        m = run.message
+        if "POSITION" in m.get_type() and _flies_position(m) and run.end_s - run.start_s > SETTLED_S + 1.0:
+            held = _cut(record.motion, run.start_s + SETTLED_S, run.end_s)
+            away.append(held[:, 1:4] - (m.x, m.y, m.z))
+            speeds.append(held[:, 4:7])
+    place, speed = np.concatenate(away), np.concatenate(speeds)
+    return {
+        "hover: place from setpoint, sideways, rms (m)": _rms(place[:, :2]),
+        "hover: height from setpoint, rms (m)": _rms(place[:, 2:]),
+        "hover: velocity, sideways, rms (m/s)": _rms(speed[:, :2]),
+        "hover: velocity, vertical, rms (m/s)": _rms(speed[:, 2:]),
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values * values)))

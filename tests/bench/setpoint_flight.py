@@ -22,7 +22,7 @@ from tests.bench.autopilot_record import Record, Stamped, decoder, record_of
 STEPS_PER_TALK: Final = 2
 AFTER_S: Final = 3.0
 AIRFRAMES: Final[dict[Manner, str]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
-ESTIMATOR_OF: Final[dict[Manner, EstimatorName]] = {"px4": "sih", "ardupilot": "exact"}
+ESTIMATOR_OF: Final[dict[Manner, EstimatorName]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
 
 
 def fly(manner: Manner, recorded: Record, seed: int) -> Record:
