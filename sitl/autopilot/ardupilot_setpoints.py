@@ -65,7 +65,6 @@ def read_motion(
         yaw,
         rate,
         climb_speed_m_s=_CLIMB_M_S,
-        streamed=True,
     )
 
 

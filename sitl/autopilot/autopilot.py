@@ -118,6 +118,8 @@ class Autopilot(FlightLoop):
 
     def stream(self, setpoint: MotionSetpoint | AttitudeSetpoint, now_s: float) -> None:
         """Take a streamed setpoint: kept always, flown in OFFBOARD or GUIDED only."""
+        if isinstance(setpoint, MotionSetpoint):
+            setpoint = dataclasses.replace(setpoint, streamed=True)
         self._setpoint, self._setpoint_s = setpoint, now_s
         self._commander.situation.setpoint_age_s = 0.0
         if self._commander.mode.takes_setpoints and not self._cascade.landed:

@@ -53,8 +53,8 @@ NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
 # Read off PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a second,
 # and a position held fast by GPS does not follow it (so the leak is short).
 SIH_ERRORS = EstimatorErrors(
-    horizontal_velocity_std_m_s=0.2,
-    vertical_velocity_std_m_s=0.15,
+    horizontal_velocity_std_m_s=0.25,
+    vertical_velocity_std_m_s=0.2,
     velocity_correlation_s=4.0,
     position_leak_s=1.0,
     position_offset_std_m=0.2,
@@ -66,7 +66,7 @@ SIH_ERRORS = EstimatorErrors(
 ARDUCOPTER_SITL_ERRORS = EstimatorErrors(
     horizontal_velocity_std_m_s=0.017,
     vertical_velocity_std_m_s=0.002,
-    velocity_correlation_s=12.0,
+    velocity_correlation_s=30.0,
     position_leak_s=1.0,
     position_offset_std_m=0.0,
     height_offset_std_m=0.0,

@@ -52,7 +52,7 @@ def read_motion(
     yaw = nan if fields.mask & Ignore.YAW or not isfinite(fields.yaw_rad) else fields.yaw_rad
     rate = fields.yaw_rate_rad_s
     rate = nan if fields.mask & Ignore.YAW_RATE or not isfinite(rate) else rate
-    return MotionSetpoint(position, velocity, acceleration, yaw, rate, streamed=True)
+    return MotionSetpoint(position, velocity, acceleration, yaw, rate)
 
 
 def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | Refusal:

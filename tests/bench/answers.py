@@ -246,7 +246,7 @@ def _disarming(record: Record, runs: list[Manoeuvre], manner: Manner) -> Figures
 def _hover(record: Record, runs: list[Manoeuvre]) -> Figures:
     """How far place and velocity wander while places are held, each axis about its setpoint."""
     away, speeds = [], []
-    for run in runs:
+    for run in runs[1:]:  # the first one climbs
         m = run.message
         if "POSITION" in m.get_type() and _flies_position(m) and run.end_s - run.start_s > SETTLED_S + 1.0:
             held = _cut(record.motion, run.start_s + SETTLED_S, run.end_s)

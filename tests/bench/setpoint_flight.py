@@ -15,12 +15,14 @@ from sitl.autopilot import ESTIMATORS, Autopilot, EstimatorName
 from sitl.endpoint import MavlinkEndpoint
 from sitl.pad_motion import Meeting, StaticMotion
 from sitl.scenario import PadSettings, Scenario
-from sitl.simulation import HOME, PHYSICS_STEP_S
+from sitl.onboard import OnboardSensors
+from sitl.simulation import HOME, MAGNETIC_FIELD_NED_UT, PHYSICS_STEP_S
 from sitl.world import World
 from tests.bench.autopilot_record import Record, Stamped, decoder, record_of
 
 STEPS_PER_TALK: Final = 2
 AFTER_S: Final = 3.0
+FAR_M: Final = 99.0  # no rangefinder's echo
 AIRFRAMES: Final[dict[Manner, str]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
 ESTIMATOR_OF: Final[dict[Manner, EstimatorName]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
 
@@ -40,7 +42,14 @@ def fly(manner: Manner, recorded: Record, seed: int) -> Record:
     airframe = world.airframe
     rng = np.random.default_rng((seed, 20))
     autopilot = Autopilot(manner, airframe.body, rng, HOME, errors, airframe.rates)
-    endpoint = MavlinkEndpoint(autopilot)
+    sensors = OnboardSensors(
+        np.random.default_rng((seed, 21)),
+        PHYSICS_STEP_S,
+        home=HOME,
+        field_ned_ut=MAGNETIC_FIELD_NED_UT,
+        imu_filter=autopilot.manner.imu_filter,
+    )
+    endpoint = MavlinkEndpoint(autopilot, sensors)
     lead_s = -recorded.booted_s
     waiting = iter(recorded.sent)
     due = next(waiting, None)
@@ -53,7 +62,9 @@ def fly(manner: Manner, recorded: Record, seed: int) -> Record:
             endpoint.receive(due.frame, world.time_s)
             heard.append(due)
             due = next(waiting, None)
-        world.step(autopilot.step(world.truth(), PHYSICS_STEP_S, world.time_s), PHYSICS_STEP_S)
+        motors = autopilot.step(world.truth(), PHYSICS_STEP_S, world.time_s)
+        world.step(motors, PHYSICS_STEP_S)
+        sensors.step(world.time_s, world.state, 0.25 * sum(motors), FAR_M)
         steps += 1
         if steps % STEPS_PER_TALK == 0:
             data = endpoint.transmit(world.time_s)

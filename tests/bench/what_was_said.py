@@ -70,7 +70,8 @@ def _acks(record: Record) -> list[tuple[int, int]]:
 
 
 def _modes(recorded: Record, ours: Record) -> list[Saying]:
-    theirs, our = _mode_changes(recorded), _mode_changes(ours)
+    end_s = _disarmed_s(recorded)
+    theirs, our = _mode_changes(recorded, end_s), _mode_changes(ours, end_s + HEARTBEAT_S)
     rows = []
     for index, (time_s, mode) in enumerate(theirs):
         match = our[index] if index < len(our) else None
@@ -80,12 +81,20 @@ def _modes(recorded: Record, ours: Record) -> list[Saying]:
     return rows
 
 
-def _mode_changes(record: Record) -> list[tuple[float, Any]]:
-    """After the first command and before the motors stop."""
-    start_s = next(s.time_s for s in record.sent if s.message.get_type() == "SET_POSITION_TARGET_LOCAL_NED")
-    stopped = [s.time_s for s in record.heard("armed", start_s + 60.0) if not s.what]
-    end_s = stopped[0] if stopped else record.motion[-1, 0]
-    return [(s.time_s, s.what) for s in record.heard("mode", start_s + 5.0, end_s)]
+def _client_s(record: Record) -> float:
+    """When the client began to stream setpoints."""
+    return next(s.time_s for s in record.sent if s.message.get_type() == "SET_POSITION_TARGET_LOCAL_NED")
+
+
+def _disarmed_s(record: Record) -> float:
+    """When the motors had stopped after the flight, as told by the heartbeat."""
+    stopped = [s.time_s for s in record.heard("armed", _client_s(record) + 60.0) if not s.what]
+    return stopped[0] if stopped else float(record.motion[-1, 0])
+
+
+def _mode_changes(record: Record, end_s: float) -> list[tuple[float, Any]]:
+    """After the client's first setpoints, before the end."""
+    return [(s.time_s, s.what) for s in record.heard("mode", _client_s(record) + 5.0, end_s)]
 
 
 def _states(record: Record) -> str:
