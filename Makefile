@@ -3,6 +3,7 @@
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
+# make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -13,7 +14,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-ahrs clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -57,6 +58,10 @@ bench-ahrs: $(VENV)/.dev
 	@test -d "$(DATA)" || { echo "bench-ahrs: expected DATA=DIR, a folder of BROAD trials"; exit 2; }
 	-$(PIP) -e '.[peers]'
 	$(BIN)/python -m tests.bench.bench_ahrs $(DATA)
+
+bench-sitl: $(VENV)/.dev
+	@test -d "$(DATA)" || { echo "bench-sitl: expected DATA=DIR, a folder of arducopter.tlog and px4.tlog"; exit 2; }
+	$(BIN)/python -m tests.bench.bench_sitl $(DATA)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

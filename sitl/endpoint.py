@@ -6,7 +6,6 @@ arrives that is not MAVLink, or not for us, is dropped.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable
 from typing import Final

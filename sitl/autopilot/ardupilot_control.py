@@ -1,9 +1,10 @@
 """ArduPilot's law: every setpoint becomes a jerk-limited path, and the vehicle is held on it (AC_PosControl).
 
 Place, velocity and acceleration alone each move the path in their own way; P on its place, PID on its
-velocity and its acceleration fed forward keep the vehicle there, so that an acceleration is one that is flown,
-whatever the wind. Height likewise, and there a PI on the acceleration makes the throttle. When the kind of
-setpoint changes the path starts anew from where the vehicle is. After ArduCopter 4.6; gains by its names.
+velocity and its acceleration fed forward keep the vehicle there, so that an acceleration is one that is
+flown, whatever the wind. Height likewise, and there a PI on the acceleration makes the throttle. When the
+kind of setpoint changes the path starts anew from where the vehicle is. After ArduCopter 4.6; gains by its
+names.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ from sitl.autopilot.shaping import (
     signed_root_law,
 )
 
+_SIDEWAYS: Final = Limits(2.5, 5.0)  # WPNAV_ACCEL, PSC_JERK_XY
+_VERTICAL: Final = Limits(1.0, 5.0)  # WPNAV_ACCEL_Z, PSC_JERK_Z
+_OUTPUT: Final = OutputLimits(math.radians(30.0), (0.04, 1.0))  # ANGLE_MAX, MOT_SPIN_MIN
 # the nose follows the track above this share of the top speed (AC_PosControl)
 _TRACK_SHARE: Final = 0.05
 
@@ -41,8 +45,8 @@ class ArdupilotGains:
     a throttle is worth on a vehicle that hovers at 0.36, as the recorded one does.
     """
 
-    sideways: Limits = Limits(2.5, 5.0)  # WPNAV_ACCEL, PSC_JERK_XY
-    vertical: Limits = Limits(1.0, 5.0)  # WPNAV_ACCEL_Z, PSC_JERK_Z
+    sideways: Limits = _SIDEWAYS
+    vertical: Limits = _VERTICAL
     position_p: float = 1.0  # PSC_POSXY_P
     velocity_p: float = 2.0  # PSC_VELXY_P
     velocity_i: float = 1.0  # PSC_VELXY_I
@@ -55,7 +59,7 @@ class ArdupilotGains:
     acceleration_p: float = 0.05 * GRAVITY_M_S2 / 0.36
     acceleration_i: float = 0.10 * GRAVITY_M_S2 / 0.36
     acceleration_hz: float = 20.0  # PSC_ACCZ_FLTE
-    limits: OutputLimits = OutputLimits(math.radians(30.0), (0.04, 1.0))  # ANGLE_MAX, MOT_SPIN_MIN
+    limits: OutputLimits = _OUTPUT
 
 
 class _Kind(Enum):
@@ -140,9 +144,7 @@ class ArdupilotControl(PositionControl):
         acceleration = _given2(sp.acceleration_ned_m_s2)
         if kind is _Kind.PLACE:
             x, y, _ = sp.position_ned_m
-            path.to_place(
-                (x, y), _given2(sp.velocity_ned_m_s), acceleration, sp.horizontal_speed_m_s, by, dt
-            )
+            path.to_place((x, y), _given2(sp.velocity_ned_m_s), acceleration, sp.horizontal_speed_m_s, by, dt)
         elif kind is _Kind.VELOCITY:
             path.to_velocity(_given2(sp.velocity_ned_m_s), acceleration, by, dt)
         else:

@@ -76,7 +76,7 @@ def _known(fields: StreamedMotion, position: Vector3 | None) -> bool:
 
 
 def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | MotionSetpoint | Refusal:
-    """Attitude, body rates or both; STOP without a thrust, with a part of the rates, with no unit attitude."""
+    """Attitude, body rates or both; STOP without a thrust, by part of the rates, by no unit attitude."""
     mask, rates = fields.mask, fields.rate_body_rad_s
     if mask & IgnoreAttitude.THROTTLE or not isfinite(fields.thrust):
         return STOP

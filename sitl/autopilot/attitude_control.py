@@ -1,8 +1,8 @@
 """Attitude and body rates: quaternion proportional control around a PID on the rates.
 
-The attitude error is turned into rates, the rates' errors into torques. Gains are per unit of inertia, so that
-one set fits every airframe. ArduPilot puts a shaped reference before it (`AttitudeReference`), whose rates are
-fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
+The attitude error is turned into rates, the rates' errors into torques. Gains are per unit of inertia, so
+that one set fits most airframes. ArduPilot puts a shaped reference before it (`AttitudeReference`), whose
+rates are fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
 """
 
 from __future__ import annotations
@@ -89,9 +89,7 @@ class AttitudeReference:
 class AttitudeControl:
     """One step a gyroscope sample; `reset` on the ground, so that nothing winds up against it."""
 
-    def __init__(
-        self, inertia_kg_m2: Vector3, gains: AttitudeGains, rates: RateGains | None = None
-    ) -> None:
+    def __init__(self, inertia_kg_m2: Vector3, gains: AttitudeGains, rates: RateGains | None = None) -> None:
         self._inertia = inertia_kg_m2
         self._gains = gains
         rates = rates or RateGains()

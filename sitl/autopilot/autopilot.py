@@ -12,8 +12,8 @@ from companion.geometry import Vector3, ned_from_geodetic, yaw_from_quat
 from sitl.autopilot.flight import FlightLoop
 from sitl.autopilot.modes import Result, Severity, Task
 from sitl.autopilot.setpoints import (
-    AttitudeSetpoint,
     OVER_HOME,
+    AttitudeSetpoint,
     MotionSetpoint,
     Refusal,
     StreamedAttitude,

@@ -61,9 +61,10 @@ class Texts:
 class Manner:
     """One autopilot's habits.
 
-    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message means,
-    `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control` makes
-    the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of hover.
+    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message
+    means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control`
+    makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
+    hover.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
     register value that the simulated IMU knows.
     """

@@ -135,7 +135,7 @@ PX4 = Manner(
         Parameter("LNDMC_Z_VEL_MAX", 0.25, 0.0, 1.0),
     ),
     position_control=Px4Control,
-    attitude_gains=AttitudeGains(),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX; rates tuned to the frame
+    attitude_gains=AttitudeGains(),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
     imu_messages=("HIGHRES_IMU",),
     imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF
 )

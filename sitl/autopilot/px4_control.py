@@ -1,8 +1,9 @@
 """PX4's law: position P, velocity PID, acceleration, each setpoint going straight in (PositionControl).
 
-In OFFBOARD nothing is shaped: a step in the setpoint is a step in the lean. A setpoint without any position or
-velocity on an axis skips the velocity loop there, integral included. In modes of its own, where PX4 puts a
-trajectory before it, the velocity is approached at a bounded acceleration. After PX4 1.16; gains by its names.
+In OFFBOARD nothing is shaped: a step in the setpoint is a step in the lean. A setpoint without any position
+or velocity on an axis skips the velocity loop there, integral included. In modes of its own, where PX4 puts
+a trajectory before it, the velocity is approached at a bounded acceleration. After PX4 1.16; gains by its
+names.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from sitl.autopilot.position_control import OutputLimits, PositionControl
 from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.autopilot.shaping import LowPass, Two, approach, root_law
 
+# MPC_TILTMAX_AIR, MPC_THR_MIN and MPC_THR_MAX
+_OUTPUT: Final = OutputLimits(math.radians(45.0), (0.12, 1.0))
 _ANTI_WINDUP: Final = 2.0  # over the velocity's gain
 
 
@@ -34,7 +37,7 @@ class Px4Gains:
     derivative_hz: float = 5.0  # MPC_VELD_LP
     acceleration: float = 3.0  # MPC_ACC_HOR, in modes of its own
     climb_acceleration: float = 4.0  # MPC_ACC_UP_MAX
-    limits: OutputLimits = OutputLimits(math.radians(45.0), (0.12, 1.0))  # MPC_TILTMAX_AIR, MPC_THR_MIN, _MAX
+    limits: OutputLimits = _OUTPUT
 
 
 class Px4Control(PositionControl):

@@ -1,8 +1,8 @@
 """How PX4 1.16 reads streamed setpoints: mavlink_receiver, and what its position controller makes of gaps.
 
 LOCAL_NED is taken field by field, BODY_NED for velocity and acceleration, all three axes or none; any other
-frame is answered by a text and nothing else, so that OFFBOARD ends for want of setpoints. An axis left without
-any value, or a north without its east, stops the vehicle. NED, SI units.
+frame is answered by a text and nothing else, so that OFFBOARD ends for want of setpoints. An axis left
+without any value, or a north without its east, stops the vehicle. NED, SI units.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Jerk-limited input shaping as ArduPilot does it: a setpoint becomes a path that the vehicle can follow.
 
-A square-root law turns an error into a rate: proportional near by, and further off no more than what can still
-be braked at the given limit. Laws of that kind are stacked: position to velocity, velocity to acceleration,
-whose own rate of change (jerk) is bounded. After ArduPilot 4.6, AP_Math/control.cpp. SI units, one or two axes.
+A square-root law turns an error into a rate: proportional near by, and further off no more than what can
+still be braked at the given limit. Laws of that kind are stacked: position to velocity, velocity to
+acceleration, whose own rate of change (jerk) is bounded. After ArduPilot 4.6, AP_Math/control.cpp. SI units,
+one or two axes.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Limits:
 
 
 def root_law(error: float, gain: float, limit: float, dt_s: float) -> float:
-    """Rate for an error (not negative): gain times it, along a square root where `limit` would be exceeded."""
+    """Rate for an error (not negative): gain times it, along a root where `limit` would be exceeded."""
     linear = limit / (gain * gain)
     rate = gain * error if error <= linear else math.sqrt(2.0 * limit * (error - 0.5 * linear))
     return min(rate, error / dt_s)
@@ -73,7 +74,9 @@ class Path2:
     velocity: Two = (0.0, 0.0)
     acceleration: Two = (0.0, 0.0)
 
-    def to_place(self, place: Two, velocity: Two, acceleration: Two, top: float, by: Limits, dt: float) -> None:
+    def to_place(
+        self, place: Two, velocity: Two, acceleration: Two, top: float, by: Limits, dt: float
+    ) -> None:
         """One step towards a place that itself moves at a velocity and acceleration."""
         ex, ey = place[0] - self.position[0], place[1] - self.position[1]
         distance = math.hypot(ex, ey)

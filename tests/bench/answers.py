@@ -127,6 +127,10 @@ def _flies_velocity(m: Any) -> bool:
     return bool(m.type_mask & 7 == 7 and not m.type_mask & 56)
 
 
+def _northward(speed: float) -> Callable[[Any], bool]:
+    return lambda m: bool(_flies_velocity(m) and m.coordinate_frame == 1 and m.vx == speed)
+
+
 # ---------------------------------------------------------------- the manoeuvres
 
 
@@ -142,7 +146,7 @@ def _positions(record: Record, runs: list[Manoeuvre]) -> Figures:
 def _velocities(record: Record, runs: list[Manoeuvre]) -> Figures:
     found: Figures = {}
     for speed in (0.5, 2.0):
-        run = _first(runs, lambda m, v=speed: _flies_velocity(m) and m.coordinate_frame == 1 and m.vx == v)
+        run = _first(runs, _northward(speed))
         name = f"velocity {speed:g} m/s"
         found |= _step(record.motion, 4, run, speed, name, over=False)
         stopping = _after(runs, run)
@@ -168,7 +172,7 @@ def _frames(record: Record, runs: list[Manoeuvre]) -> Figures:
     """The last two seconds of four: how fast to the right of north, the nose pointing east, and how deep."""
     found: Figures = {}
     for number, name in ((8, "BODY_NED"), (9, "BODY_OFFSET_NED")):
-        run = _first(runs, lambda m, n=number: bool(m.coordinate_frame == n))
+        run = next(run for run in runs if getattr(run.message, "coordinate_frame", 0) == number)
         late = _cut(record.motion, run.end_s - 2.0, run.end_s)
         found[f"{name}: speed along the nose (m/s)"] = float(late[:, 5].mean())
         found[f"{name}: sink (m/s)"] = float(late[:, 6].mean())
@@ -200,7 +204,7 @@ def _attitude(record: Record, runs: list[Manoeuvre]) -> Figures:
 
 
 def _loss(record: Record, runs: list[Manoeuvre]) -> Figures:
-    run = _first(runs, lambda m: _flies_velocity(m) and m.vx == 1.0 and m.coordinate_frame == 1)
+    run = _first(runs, _northward(1.0))
     flown = _cut(record.motion, run.last_s - 1.0, run.last_s)[:, 4].mean()
     after = _cut(record.motion, run.last_s, run.end_s)
     times, slowing = after[:, 0] - run.last_s, -after[:, 4]

@@ -2,8 +2,8 @@
 
 A .tlog is a row of frames, each behind eight bytes of microseconds since 1970 (big-endian). Times here are
 seconds from its first frame; the vehicle's motion stands at its own clock (time_boot_ms), shifted to ours by
-the shortest way that a message took within a second of it: a simulator's clock may run slower than the wall's.
-NED and radians as MAVLink has them.
+the shortest way that a message took within a second of it: a simulator's clock may run slower than the
+wall's. NED and radians as MAVLink has them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ class Said(NamedTuple):
 
 @dataclass
 class Record:
-    """One flight: `motion` rows of (time, position NED, velocity NED), `attitude` (time, roll, pitch, yaw)."""
+    """One flight: `motion` (n, 7) of time, position and velocity NED, `attitude` (n, 4) of time, roll, pitch,
+    yaw; it booted at `booted_s`."""
 
     sent: list[Stamped] = field(default_factory=list)
     said: list[Said] = field(default_factory=list)
@@ -79,9 +80,9 @@ def record_of(messages: Iterable[Stamped], start_s: float | None = None) -> Reco
     rows: dict[str, list[tuple[float, ...]]] = {"LOCAL_POSITION_NED": [], "ATTITUDE": []}
     record = Record()
     held: dict[str, Any] = {}
-    for time_s, message, frame in messages:
-        start_s = time_s if start_s is None else start_s
-        time_s -= start_s
+    for stamp_s, message, frame in messages:
+        start_s = stamp_s if start_s is None else start_s
+        time_s = stamp_s - start_s
         source = (message.get_srcSystem(), message.get_srcComponent())
         if source == CLIENT:
             record.sent.append(Stamped(time_s, message, frame))
@@ -94,7 +95,10 @@ def record_of(messages: Iterable[Stamped], start_s: float | None = None) -> Reco
                 if kind in ("ack", "text") or held.get(kind) != what
             )
             held.update(_told(message))
-    record.motion, record.attitude = _on_one_clock(rows["LOCAL_POSITION_NED"]), _on_one_clock(rows["ATTITUDE"])
+    record.motion, record.attitude = (
+        _on_one_clock(rows["LOCAL_POSITION_NED"]),
+        _on_one_clock(rows["ATTITUDE"]),
+    )
     first = rows["ATTITUDE"][0]
     record.booted_s = first[0] - first[1]
     return record
@@ -130,7 +134,7 @@ def _told(m: Any) -> list[tuple[str, Any]]:
 
 
 def decoder() -> Callable[[bytes], list[Any]]:
-    """Turns one frame into the messages in it: none, or one (a frame of an id unknown here counts as none)."""
+    """Turns bytes into the messages in them; a frame of an id unknown here is none."""
     parser = ardupilotmega.MAVLink(None)
     parser.robust_parsing = True
 

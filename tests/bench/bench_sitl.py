@@ -3,15 +3,15 @@
     python -m tests.bench.bench_sitl FOLDER        (or: make bench-sitl DATA=FOLDER)
 
 FOLDER holds `arducopter.tlog` and `px4.tlog`: ArduCopter 4.6 and PX4 1.16 in their own simulators, flown by
-setpoints at 20 Hz. Ours flies the bytes of the same client at the same times, in the airframe of the simulator
-that was recorded and with an estimator as good as its was, under several seeds.
+setpoints at 20 Hz. Ours flies the bytes of the same client at the same times, in the airframe of the
+simulator that was recorded and with an estimator as good as its was, under several seeds.
 
 A row holds when ours, the mean over the seeds, is within 15 % (ArduCopter) or 25 % (PX4) of the recorded
-figure; or within what a recording can resolve (its sample period; overshoot to a percent of the step); or, where
-the estimator's wander limits it, within twice our own scatter from seed to seed: the recording is one draw of
-as many, its own scatter being judged by the "hover" rows. A figure that wanders by more than its own size, or
-that one of the flights never showed, is lost in the wander and marked so. Answers to commands, modes and landed
-states have to be the same, mode changes within the second that a heartbeat takes.
+figure; or within what a recording can resolve (its sample period; overshoot to a percent of the step); or,
+where the estimator's wander limits it, within twice our own scatter from seed to seed: the recording is one
+draw of as many, its own scatter being judged by the "hover" rows. A figure that wanders by more than its own
+size, or that one of the flights never showed, is lost in the wander and marked so. Answers to commands, modes
+and landed states have to be the same, mode changes within the second that a heartbeat takes.
 """
 
 from __future__ import annotations
@@ -123,7 +123,9 @@ def verdict(manner: Manner, rows: Sequence[Row], said: Sequence[Saying]) -> tupl
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the comparison; 0 when every row holds, 1 when not, 2 when there is no recording."""
-    parser = argparse.ArgumentParser(prog="bench_sitl", description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = argparse.ArgumentParser(
+        prog="bench_sitl", description=__doc__.splitlines()[0] if __doc__ else ""
+    )
     parser.add_argument("folder", type=Path, help="folder with arducopter.tlog and px4.tlog")
     parser.add_argument("--seeds", type=int, default=0, help="flights of ours each; 0: as many as it takes")
     chosen = parser.parse_args(arguments)

@@ -13,9 +13,9 @@ import numpy as np
 from companion.messages import Manner
 from sitl.autopilot import ESTIMATORS, Autopilot, EstimatorName
 from sitl.endpoint import MavlinkEndpoint
+from sitl.onboard import OnboardSensors
 from sitl.pad_motion import Meeting, StaticMotion
 from sitl.scenario import PadSettings, Scenario
-from sitl.onboard import OnboardSensors
 from sitl.simulation import HOME, MAGNETIC_FIELD_NED_UT, PHYSICS_STEP_S
 from sitl.world import World
 from tests.bench.autopilot_record import Record, Stamped, decoder, record_of

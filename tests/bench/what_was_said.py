@@ -38,8 +38,8 @@ def sayings(manner: Manner, recorded: Record, ours: Record) -> list[Saying]:
     states = (_states(recorded), _states(ours))
     rows.append(Saying("landed states", *states, holds=states[0] == states[1]))
     for text in TEXTS[manner]:
-        said = tuple("said" if text in {s.what for s in r.heard("text")} else "not said" for r in (recorded, ours))
-        rows.append(Saying(f'text "{text}"', said[0], said[1], holds=said[0] == said[1]))
+        theirs, our = (_says(record, text) for record in (recorded, ours))
+        rows.append(Saying(f'text "{text}"', theirs, our, holds=theirs == our))
     return rows
 
 
@@ -95,6 +95,10 @@ def _disarmed_s(record: Record) -> float:
 def _mode_changes(record: Record, end_s: float) -> list[tuple[float, Any]]:
     """After the client's first setpoints, before the end."""
     return [(s.time_s, s.what) for s in record.heard("mode", _client_s(record) + 5.0, end_s)]
+
+
+def _says(record: Record, text: str) -> str:
+    return "said" if text in {said.what for said in record.heard("text")} else "not said"
 
 
 def _states(record: Record) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from math import inf, isnan, nan
+from math import nan
 
 import numpy as np
 import pytest

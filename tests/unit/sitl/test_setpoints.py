@@ -59,12 +59,14 @@ def px4_expects(mask: int) -> MotionSetpoint | Refusal:
     if kinds[0] != kinds[1] or not all(any(axis) for axis in kinds):
         return STOP
     given = (message.position_m, message.velocity_m_s, message.acceleration_m_s2)
-    vectors = [
+    position, velocity, acceleration = (
         tuple(value if kinds[axis][kind] else nan for axis, value in enumerate(vector))
         for kind, vector in enumerate(given)
-    ]
+    )
     return MotionSetpoint(
-        *vectors,  # type: ignore[arg-type]
+        position,  # type: ignore[arg-type]
+        velocity,  # type: ignore[arg-type]
+        acceleration,  # type: ignore[arg-type]
         nan if mask & Ignore.YAW else 0.2,
         nan if mask & Ignore.YAW_RATE else 0.3,
     )
