@@ -54,7 +54,7 @@ NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
 # and a position held fast by GPS does not follow it (so the leak is short).
 SIH_ERRORS = EstimatorErrors(
     horizontal_velocity_std_m_s=0.25,
-    vertical_velocity_std_m_s=0.2,
+    vertical_velocity_std_m_s=0.15,
     velocity_correlation_s=4.0,
     position_leak_s=1.0,
     position_offset_std_m=0.2,

@@ -31,6 +31,11 @@ def test_a_row_is_judged_by_the_widest_of_its_rules(
     assert (judged.rule, judged.holds) == (rule, holds)
 
 
+def test_how_far_ours_wanders_is_not_excused_by_its_own_scatter() -> None:
+    judged = row("hover: height (m)", 0.2, (0.1, 1.9), 0.25)
+    assert (judged.rule, judged.holds) == ("25%", False)
+
+
 def test_a_tlog_gives_motion_on_one_clock_what_was_sent_and_what_was_said(tmp_path: Path) -> None:
     vehicle, client = mavlink.MAVLink(None, srcSystem=1, srcComponent=1), mavlink.MAVLink(None, 255, 191)
     data = b""
