@@ -6,6 +6,7 @@
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
+# make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -18,7 +19,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-ahrs clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -75,6 +76,10 @@ bench-ahrs: $(VENV)/.dev
 	@test -d "$(DATA)" || { echo "bench-ahrs: expected DATA=DIR, a folder of BROAD trials"; exit 2; }
 	-$(PIP) -e '.[peers]'
 	$(BIN)/python -m tests.bench.bench_ahrs $(DATA)
+
+bench-sitl: $(VENV)/.dev
+	@test -d "$(DATA)" || { echo "bench-sitl: expected DATA=DIR, a folder of arducopter.tlog and px4.tlog"; exit 2; }
+	$(BIN)/python -m tests.bench.bench_sitl $(DATA)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

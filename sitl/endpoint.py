@@ -14,9 +14,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from companion.geometry import Quaternion, Vector3, quat_normalise
+from companion.geometry import ZERO3, Vector3
 from sitl import pilot_inputs
-from sitl.autopilot import AttitudeSetpoint, Autopilot, Frame, Severity, StreamedMotion
+from sitl.autopilot import Autopilot, Severity, StreamedAttitude, StreamedMotion
 from sitl.commands import execute, request_from_message
 from sitl.framing import FrameReader, MavFrame, dialect, number
 from sitl.mission_protocol import MissionProtocol
@@ -31,9 +31,6 @@ from sitl.truth_telemetry import TruthMessages
 mavlink: Any = dialect
 
 _TEXT_BYTES: Final = 50
-_IGNORE_ATTITUDE: Final = 128
-_IGNORE_THROTTLE: Final = 64
-_IGNORE_YAW_RATE: Final = 4
 _ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
 
 
@@ -228,21 +225,14 @@ class MavlinkEndpoint:
         self.autopilot.stream_fields(_motion(m, m.coordinate_frame, (m.x, m.y, m.z)), now_s)
 
     def _on_global_target(self, m: Message, now_s: float) -> None:
-        over_home = m.coordinate_frame in (
-            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
-            mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
-        )
         place = (m.lat_int * 1e-7, m.lon_int * 1e-7, number(m.alt))
-        self.autopilot.stream_global(_motion(m, Frame.LOCAL_NED, (0.0, 0.0, 0.0)), place, over_home, now_s)
+        self.autopilot.stream_global(_motion(m, m.coordinate_frame, ZERO3), place, now_s)
 
     def _on_attitude_target(self, m: Message, now_s: float) -> None:
-        attitude = _unit_quaternion(m.q)
-        unusable = m.type_mask & (_IGNORE_ATTITUDE | _IGNORE_THROTTLE)
-        if unusable or attitude is None or not math.isfinite(m.thrust):
-            return
-        given = not m.type_mask & _IGNORE_YAW_RATE and math.isfinite(m.body_yaw_rate)
-        yaw_rate = m.body_yaw_rate if given else 0.0
-        self.autopilot.stream(AttitudeSetpoint(attitude, m.thrust, yaw_rate), now_s)
+        w, x, y, z = m.q
+        rates = (m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate)
+        fields = StreamedAttitude(m.type_mask, (w, x, y, z), rates, m.thrust)
+        self.autopilot.stream_attitude(fields, now_s)
 
     # ------------------------------------------------------------ time, streams, parameters, missions
 
@@ -292,12 +282,3 @@ def _motion(m: Message, frame: int, position: Vector3) -> StreamedMotion:
         number(m.yaw),
         number(m.yaw_rate),
     )
-
-
-def _unit_quaternion(values: list[float]) -> Quaternion | None:
-    """The attitude of a message, None when it is none."""
-    w, x, y, z = values
-    length = w * w + x * x + y * y + z * z
-    if not math.isfinite(length) or length < 0.5:
-        return None
-    return quat_normalise((w, x, y, z))

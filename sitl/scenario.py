@@ -13,6 +13,8 @@ from pydantic import ConfigDict, Field, model_validator
 
 from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
+from sitl.autopilot.attitude_control import RateGains
+from sitl.autopilot.estimator import EstimatorName
 from sitl.contact import ContactParameters
 from sitl.exposure import DirtSettings
 from sitl.faults import Fault
@@ -30,11 +32,12 @@ LARGEST_HALF_DIAGONAL_M: Final = 1.0
 
 
 class Airframe(StrictModel):
-    """The plant's parameters (configs/airframes)."""
+    """The plant's parameters (configs/airframes), and how the autopilot's rate loops are tuned to it."""
 
     name: str
     body: QuadrotorParameters
     legs: ContactParameters
+    rates: RateGains = RateGains()
 
 
 class PadSettings(StrictModel):
@@ -119,6 +122,7 @@ class Scenario(StrictModel):
     time_limit_s: float = Field(default=120.0, ge=5.0, le=900.0)
     autopilot: Manner = "px4"
     airframe: str = "x500"
+    estimator: EstimatorName = "typical"
     mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
     start_heading_deg: Angle = "random"
     pad: PadSettings = PadSettings()

@@ -29,7 +29,7 @@ from companion.pad import load_pad
 from companion.slots import Slot
 from sitl import camera as lens
 from sitl import exposure
-from sitl.autopilot import Autopilot
+from sitl.autopilot import ESTIMATORS, Autopilot
 from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
@@ -145,7 +145,14 @@ class Simulation:
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
         self._world = World(scenario, seed)
         body = self._world.airframe.body
-        self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
+        self._autopilot = Autopilot(
+            scenario.autopilot,
+            body,
+            next(streams),
+            HOME,
+            ESTIMATORS[scenario.estimator],
+            self._world.airframe.rates,
+        )
         beacon, signing = scenario.beacon, Signing(scenario.autopilot, signing_key)
         ground_station = GroundStation(
             next(streams),

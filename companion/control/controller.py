@@ -57,7 +57,7 @@ class Controller:
         self, config: ControlConfig, vehicle: VehicleConfig, stopwatch: Callable[[], float] | None = None
     ) -> None:
         self._config = config
-        self._lags_s = lags(vehicle)
+        self._lags_s = lags(vehicle, config)
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._mpc = Mpc(config, self._lags_s)
         self._plant = Plant(config, vehicle)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.config import VehicleConfig
+from companion.config import ControlConfig, VehicleConfig
 from companion.geometry import FloatArray, Vector3
 
 AxisState = tuple[float, float, float]
@@ -50,10 +50,15 @@ def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vect
     return Motion((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
 
 
-def lags(vehicle: VehicleConfig) -> Vector3:
-    """Lag (s) along north, east and down: sideways it has to lean first, upwards only thrust lags."""
-    sideways = vehicle.acceleration_time_constant_s
-    return (sideways, sideways, vehicle.thrust_time_constant_s)
+def lags(vehicle: VehicleConfig, control: ControlConfig) -> Vector3:
+    """Lag (s) along north, east and down: sideways it has to lean first, upwards only thrust lags.
+
+    By velocity setpoints the autopilot's own shaping comes on top.
+    """
+    sideways, down = vehicle.acceleration_time_constant_s, vehicle.thrust_time_constant_s
+    if control.setpoint == "velocity":
+        sideways, down = sideways + control.autopilot_lag_s, down + control.autopilot_climb_lag_s
+    return (sideways, sideways, down)
 
 
 def discretise(step_s: float, tau_s: float) -> tuple[FloatArray, FloatArray]:

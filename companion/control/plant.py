@@ -23,7 +23,7 @@ class Plant:
 
     def __init__(self, config: ControlConfig, vehicle: VehicleConfig) -> None:
         self._by_attitude = config.setpoint == "attitude"
-        self._lags_s = lags(vehicle)
+        self._lags_s = lags(vehicle, config)
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s, velocity_gains(config))
         self._observer = DisturbanceObserver(

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import math
 
+from sitl.autopilot import ardupilot_setpoints
+from sitl.autopilot.ardupilot_control import ArdupilotControl
 from sitl.autopilot.ardupilot_lander import ardupilot_lander
 from sitl.autopilot.ardupilot_parameters import PARAMETERS
+from sitl.autopilot.attitude_control import AttitudeGains, ReferenceLimits
 from sitl.autopilot.manners import (
     FLAG_CUSTOM,
     FLAG_GUIDED,
@@ -37,8 +40,6 @@ from sitl.autopilot.modes import (
     StickLaw,
     Task,
 )
-from sitl.autopilot.position_control import PositionGains
-from sitl.autopilot.setpoints import Frame
 from sitl.parameters import Setting
 
 _GUIDED = FLAG_CUSTOM | FLAG_GUIDED | FLAG_STABILIZE | FLAG_MANUAL
@@ -53,7 +54,8 @@ ARDUPILOT = Manner(
     capabilities=2 | 4 | 8 | 64 | 128 | 256 | 8192,
     parameters_bytewise=False,
     alignment_s=5.0,
-    landed_time_s=2.0,
+    landed_time_s=1.0,
+    landed_thrust_share=0.15,
     still_speed_m_s=1.0,
     modes=(
         Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False, sticks=StickLaw.ANGLE_AND_THRUST),
@@ -74,11 +76,12 @@ ARDUPILOT = Manner(
     hold_mode="LOITER",
     land_mode="LAND",
     return_mode="RTL",
-    frames=frozenset(Frame),
+    read_motion=ardupilot_setpoints.read_motion,
+    read_attitude=ardupilot_setpoints.read_attitude,
+    as_aged=ardupilot_setpoints.as_aged,
     external_needs_setpoints=False,
     takes_off_by_setpoint=False,
     take_off_needs_guided=True,
-    external_times_out_in_mode=True,
     thrust_is_climb_rate=True,
     forward_is_low=True,
     turns_by_command=True,
@@ -141,7 +144,7 @@ ARDUPILOT = Manner(
         Failsafe(
             "landed in LAND",
             lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
-            0.5,
+            0.0,
             Response.DISARM,
             Severity.INFO,
             "Disarming motors",
@@ -195,8 +198,13 @@ ARDUPILOT = Manner(
     ),
     lander=ardupilot_lander,
     lands_precisely=frozenset({Task.LAND, Task.PRECISION_LAND}),
-    gains=PositionGains(
-        horizontal_p=1.0, velocity_p=2.0, velocity_i=1.0, climb_p=5.0, integrates_acceleration=True
+    position_control=ArdupilotControl,
+    attitude_gains=AttitudeGains(
+        tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P
+        yaw_p=4.5,  # ATC_ANG_YAW_P
+        damps_error=True,
+        # ATC_INPUT_TC, ATC_ACCEL_R_MAX and _P_MAX 110000, ATC_ACCEL_Y_MAX 27000 cdeg/s², ATC_SLEW_YAW
+        reference=ReferenceLimits(0.15, math.radians(1100.0), math.radians(270.0), math.radians(60.0)),
     ),
     imu_messages=("RAW_IMU", "SCALED_IMU"),
     imu_filter=4,  # 20 Hz: INS_GYRO_FILTER and INS_ACCEL_FILTER

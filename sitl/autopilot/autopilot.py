@@ -14,11 +14,12 @@ from sitl.autopilot.landing_target import Sight
 from sitl.autopilot.mission import heading_from_condition
 from sitl.autopilot.modes import Result, Severity, Task
 from sitl.autopilot.setpoints import (
+    OVER_HOME,
     AttitudeSetpoint,
-    Frame,
     MotionSetpoint,
+    Refusal,
+    StreamedAttitude,
     StreamedMotion,
-    motion_from_fields,
 )
 from sitl.autopilot.sticks import Sticks
 
@@ -187,22 +188,34 @@ class Autopilot(FlightLoop):
     # ------------------------------------------------------------ streamed setpoints
 
     def stream_fields(self, fields: StreamedMotion, now_s: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED; a frame that this autopilot does not take is answered by a text."""
-        if fields.frame not in self.manner.frames:
-            text = f"SET_POSITION_TARGET_LOCAL_NED coordinate frame {fields.frame} unsupported"
-            self._commander.say(Severity.CRITICAL, text)
-            return
-        here, heading = self.estimate.position_ned_m, yaw_from_quat(self.estimate.attitude)
-        top_speed = self.parameters.si(self.manner.settings.top_speed)
-        self.stream(motion_from_fields(fields, here, heading, top_speed), now_s)
+        """SET_POSITION_TARGET_LOCAL_NED: obeyed, answered by a text, or passed over, as the manner has it."""
+        estimate = self.estimate
+        heading = yaw_from_quat(estimate.attitude)
+        wish = self.manner.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
+        if isinstance(wish, MotionSetpoint):
+            top_speed = self.parameters.si(self.manner.settings.top_speed)
+            wish = dataclasses.replace(wish, horizontal_speed_m_s=top_speed)
+        self._take(wish, now_s)
 
-    def stream_global(self, fields: StreamedMotion, place: Vector3, over_home: bool, now_s: float) -> None:
+    def stream_global(self, fields: StreamedMotion, place: Vector3, now_s: float) -> None:
         """SET_POSITION_TARGET_GLOBAL_INT: as local fields, but the position is a geodetic place."""
-        local = dataclasses.replace(fields, frame=Frame.LOCAL_NED, position_m=self._local(place, over_home))
-        self.stream_fields(local, now_s)
+        local = self._local(place, fields.frame in OVER_HOME)
+        self.stream_fields(dataclasses.replace(fields, is_global=True, position_m=local), now_s)
+
+    def stream_attitude(self, fields: StreamedAttitude, now_s: float) -> None:
+        """SET_ATTITUDE_TARGET."""
+        self._take(self.manner.read_attitude(fields), now_s)
+
+    def _take(self, wish: MotionSetpoint | AttitudeSetpoint | Refusal, now_s: float) -> None:
+        if isinstance(wish, Refusal):
+            self._commander.say(Severity.CRITICAL, wish.text)
+        else:
+            self.stream(wish, now_s)
 
     def stream(self, setpoint: MotionSetpoint | AttitudeSetpoint, now_s: float) -> None:
         """Take a streamed setpoint: kept always, flown in OFFBOARD or GUIDED only."""
+        if isinstance(setpoint, MotionSetpoint):
+            setpoint = dataclasses.replace(setpoint, streamed=True)
         self._setpoint, self._setpoint_s = setpoint, now_s
         self._commander.situation.setpoint_age_s = 0.0
         if self._commander.mode.takes_setpoints and not self._cascade.landed:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 
-from companion.geometry import IDENTITY, Quaternion, yaw_from_quat
+from companion.geometry import IDENTITY, ZERO3, Quaternion, add, yaw_from_quat
 from sitl.autopilot.airframe import Airframe, hover_thrust
-from sitl.autopilot.attitude_control import AttitudeControl, AttitudeGains
+from sitl.autopilot.attitude_control import AttitudeControl, AttitudeReference, RateGains, turn_about_down
 from sitl.autopilot.estimator import Estimator
 from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.manners import Manner
 from sitl.autopilot.mixer import Mixer, Motors
-from sitl.autopilot.position_control import PositionControl
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
 
 STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
@@ -35,15 +34,18 @@ _DESCENDING_M_S = 0.05
 class Cascade:
     """Controllers of one airframe with one manner's gains, and the landed detector."""
 
-    def __init__(self, manner: Manner, airframe: Airframe) -> None:
+    def __init__(self, manner: Manner, airframe: Airframe, rates: RateGains | None = None) -> None:
         self._hover = hover_thrust(airframe)
-        self._position = PositionControl(self._hover, manner.gains)
-        self._attitude = AttitudeControl(airframe.inertia_kg_m2, AttitudeGains())
+        gains = manner.attitude_gains
+        self._position = manner.position_control(self._hover)
+        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates)
+        self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = Mixer(airframe, _IDLE)
-        self._detector = LandedDetector(manner.landed_time_s)
+        self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)
         self._spool = 0.0
         self._share = 1.0
-        self._yaw_rate = 0.0
+        self._feed_rate = ZERO3
+        self._rates_alone = False
         self.thrust = 0.0
         self.attitude_setpoint: Quaternion = IDENTITY
 
@@ -61,12 +63,15 @@ class Cascade:
         """Idle: empty the integrals and take the present heading as the one to keep."""
         self._position.reset(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
         self._attitude.reset()
-        self._spool, self._share, self.thrust, self._yaw_rate = 0.0, 1.0, 0.0, 0.0
+        self._spool, self._share, self.thrust = 0.0, 1.0, 0.0
+        self._feed_rate, self._rates_alone = ZERO3, False
         self.attitude_setpoint = self._position.attitude
+        if self._reference is not None:
+            self._reference.reset(self.attitude_setpoint)
 
     def disarm(self, estimate: Estimator) -> None:
         """Motors off: wherever that is, the next flight starts from the ground."""
-        self._detector = LandedDetector(self._detector.landed_time_s)
+        self._detector = LandedDetector(self._detector.landed_time_s, self._detector.low_thrust_share)
         self.settle(estimate)
 
     def lift_off(self) -> None:
@@ -97,44 +102,79 @@ class Cascade:
         if isinstance(setpoint, AttitudeSetpoint):
             descending = self._follow_attitude(setpoint, estimate, thrust_is_climb_rate, dt_s)
         else:
-            position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
-            self._position.step(position, velocity, setpoint, dt_s, frozen)
-            self.attitude_setpoint, self._yaw_rate = self._position.attitude, self._position.yaw_rate_rad_s
-            self.thrust = self._position.thrust
-            descending = self._position.velocity_reference[2] > _DESCENDING_M_S
+            descending = self._follow_motion(setpoint, estimate, dt_s, frozen)
         if frozen:
             self.thrust = min(self.thrust, self._spool)
         else:
             self._feel_ground(descending, estimate, still_speed_m_s, dt_s)
+        if self._reference is not None and not self._rates_alone:
+            self._reference.step(self.attitude_setpoint, self._feed_rate, dt_s)
 
     def step(self, estimate: Estimator, dt_s: float) -> Motors:
         """Motor commands 0..1 of an armed vehicle."""
         if self._detector.landed:
             return _IDLING
+        reference, wanted, feed = self._reference, self.attitude_setpoint, self._feed_rate
+        if reference is not None and not self._rates_alone:
+            wanted, feed = reference.attitude, reference.rate
         torque = self._attitude.step(
             estimate.attitude,
             estimate.rate_body_rad_s,
-            self.attitude_setpoint,
-            self._yaw_rate,
+            None if self._rates_alone else wanted,
+            feed,
             dt_s,
             frozen=self._spool < 1.0 or self._mixer.saturated or self._detector.contact,
         )
         return self._mixer.mix(self.thrust, torque)
 
+    def _follow_motion(
+        self, setpoint: MotionSetpoint, estimate: Estimator, dt_s: float, frozen: bool
+    ) -> bool:
+        """Fly a motion; returns whether it is a descent."""
+        law = self._position
+        law.step(
+            estimate.position_ned_m,
+            estimate.velocity_ned_m_s,
+            estimate.acceleration_ned_m_s2,
+            setpoint,
+            dt_s,
+            frozen,
+        )
+        self._leave_rates(estimate)
+        self.attitude_setpoint, self.thrust = law.attitude, law.thrust
+        self._feed_rate = turn_about_down(estimate.attitude, law.yaw_rate_rad_s)
+        return law.velocity_reference[2] > _DESCENDING_M_S
+
     def _follow_attitude(
         self, setpoint: AttitudeSetpoint, estimate: Estimator, thrust_is_climb_rate: bool, dt_s: float
     ) -> bool:
-        """Fly an attitude; returns whether it asks for a descent."""
-        self.attitude_setpoint, self._yaw_rate = setpoint.attitude, setpoint.yaw_rate_rad_s
-        self._position.follow(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
+        """Fly an attitude or body rates; returns whether it asks for a descent."""
+        law = self._position
+        law.follow(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
+        self._feed_rate = add(
+            setpoint.rate_body_rad_s, turn_about_down(estimate.attitude, setpoint.yaw_rate_rad_s)
+        )
+        if setpoint.attitude is None:
+            self._rates_alone, self.attitude_setpoint = True, estimate.attitude
+        else:
+            self._leave_rates(estimate)
+            self.attitude_setpoint = setpoint.attitude
+        share = min(max(setpoint.thrust, 0.0), 1.0)
         if not thrust_is_climb_rate:
-            self.thrust = min(max(setpoint.thrust, 0.0), 1.0)
-            return self.thrust < 0.85 * self._hover
-        climb = 2.0 * (min(max(setpoint.thrust, 0.0), 1.0) - 0.5)
+            self.thrust = share
+            return share < 0.85 * self._hover
+        climb = 2.0 * (share - 0.5)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
-        self._position.step_climb(estimate.velocity_ned_m_s, estimate.attitude, climb, dt_s)
-        self.thrust = self._position.thrust
+        position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
+        law.step_climb(position, velocity, estimate.acceleration_ned_m_s2, estimate.attitude, climb, dt_s)
+        self.thrust = law.thrust
         return climb < -_DESCENDING_M_S
+
+    def _leave_rates(self, estimate: Estimator) -> None:
+        """From body rates back to attitudes: the reference starts where the vehicle leans by then."""
+        if self._rates_alone and self._reference is not None:
+            self._reference.reset(estimate.attitude)
+        self._rates_alone = False
 
     def _feel_ground(self, descending: bool, estimate: Estimator, still_speed: float, dt_s: float) -> None:
         speed = estimate.velocity_ned_m_s[2]

@@ -135,6 +135,8 @@ class Commander:
             self._left_mode, self._left_by = self.mode, failsafe
         self.in_failsafe = True
         self._enter(self._manner.mode(failsafe.mode))
+        if failsafe.task is not None:
+            self.begin(failsafe.task)
 
     def _enter(self, mode: Mode) -> None:
         # entering the mode one is in already does not interrupt what is flown there

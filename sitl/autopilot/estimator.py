@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
@@ -49,6 +50,36 @@ class EstimatorErrors:
 
 
 NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
+# Read off PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a second,
+# and a position held fast by GPS does not follow it (so the leak is short).
+SIH_ERRORS = EstimatorErrors(
+    horizontal_velocity_std_m_s=0.25,
+    vertical_velocity_std_m_s=0.15,
+    velocity_correlation_s=4.0,
+    position_leak_s=1.0,
+    position_offset_std_m=0.2,
+    height_offset_std_m=0.2,
+    heading_bias_deg=(0.0, 0.0),
+    tilt_error_deg=0.1,
+)
+# ArduCopter with its own simulator: a velocity that is off by a centimetre or two a second for half a minute.
+ARDUCOPTER_SITL_ERRORS = EstimatorErrors(
+    horizontal_velocity_std_m_s=0.017,
+    vertical_velocity_std_m_s=0.002,
+    velocity_correlation_s=30.0,
+    position_leak_s=1.0,
+    position_offset_std_m=0.0,
+    height_offset_std_m=0.0,
+    heading_bias_deg=(0.0, 0.0),
+    tilt_error_deg=0.0,
+)
+EstimatorName = Literal["typical", "exact", "sih", "arducopter_sitl"]
+ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
+    "typical": EstimatorErrors(),
+    "exact": NO_ERRORS,
+    "sih": SIH_ERRORS,
+    "arducopter_sitl": ARDUCOPTER_SITL_ERRORS,
+}
 
 
 class Estimator:
@@ -76,6 +107,8 @@ class Estimator:
         self.rate_body_rad_s = ZERO3
         self.position_ned_m = ZERO3
         self.velocity_ned_m_s = ZERO3
+        self.acceleration_ned_m_s2 = ZERO3
+        self._true_velocity: Vector3 | None = None
 
     def update_attitude(self, truth: Truth) -> None:
         """Take over attitude and rate: constant heading and horizon errors, a clean gyroscope."""
@@ -85,7 +118,7 @@ class Estimator:
         self.rate_body_rad_s = truth.rate_body_rad_s
 
     def update_position(self, truth: Truth, dt_s: float) -> None:
-        """Move the errors on by dt and take over position and velocity."""
+        """Move the errors on by dt and take over position and velocity; acceleration is the IMU's, clean."""
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)
         kick = math.sqrt(1.0 - decay * decay)
@@ -106,6 +139,9 @@ class Estimator:
         on, oe, od = self._offset
         self.position_ned_m = (pn + on + wn, pe + oe + we, pd + od + wd)
         vn, ve, vd = rotate_yaw(truth.vehicle_velocity_ned_m_s, self._velocity_turn_rad)
+        ln, le, ld = self._true_velocity or (vn, ve, vd)
+        self._true_velocity = (vn, ve, vd)
+        self.acceleration_ned_m_s2 = ((vn - ln) / dt_s, (ve - le) / dt_s, (vd - ld) / dt_s)
         self.velocity_ned_m_s = (vn + en, ve + ee, vd + ed)
 
     def _draw3(self) -> Vector3:

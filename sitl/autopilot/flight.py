@@ -5,8 +5,6 @@ Attitude and rates at every call (400 Hz), everything outer at 100 Hz. SI units.
 
 from __future__ import annotations
 
-import math
-
 from companion.geometry import (
     tilt_from_quat,
     yaw_from_quat,
@@ -105,12 +103,11 @@ class FlightLoop(FlightState):
 
     def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
         """The setpoint of the task on hand; a task that is done hands over to the next."""
+        heading = yaw_from_quat(self.estimate.attitude)
         if self.task is Task.SETPOINT and self._setpoint is not None:
             self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
-            if not self._timed_out(self._setpoint):
-                return self._setpoint
-            self._commander.begin(Task.HOLD)
-        heading = yaw_from_quat(self.estimate.attitude)
+            now = self._commander.situation
+            return self.manner.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
         by_sticks = self._hand.setpoint(self._commander.mode, heading, self._now_s, _OUTER_PERIOD_S)
         if by_sticks is not None:
             self._navigator.let_go()
@@ -167,13 +164,6 @@ class FlightLoop(FlightState):
             self._navigator.home_ned_m[2] - position[2],
             self._navigator.landing_speed(position),
         )
-
-    def _timed_out(self, setpoint: MotionSetpoint | AttitudeSetpoint) -> bool:
-        """ArduPilot stops by itself, within the mode, when a stream of anything but positions ends."""
-        now = self._commander.situation
-        if not self.manner.external_times_out_in_mode or now.setpoint_age_s <= now.setpoint_timeout_s:
-            return False
-        return isinstance(setpoint, AttitudeSetpoint) or math.isnan(setpoint.position_ned_m[0])
 
     def _thrust_is_climb_rate(self) -> bool:
         if self._hand.law is not None:

@@ -20,6 +20,7 @@ from companion.messages import LandedState
 from companion.messages import Manner as MannerName
 from sitl.autopilot.airframe import Airframe, hover_thrust
 from sitl.autopilot.ardupilot import ARDUPILOT
+from sitl.autopilot.attitude_control import RateGains
 from sitl.autopilot.cascade import Cascade
 from sitl.autopilot.commander import Commander, Text
 from sitl.autopilot.estimator import Estimator, EstimatorErrors
@@ -50,13 +51,14 @@ class FlightState:
         rng: np.random.Generator,
         home: Vector3,
         errors: EstimatorErrors | None = None,
+        rates: RateGains | None = None,
     ) -> None:
         self.manner = MANNERS[manner]
         self.parameters = Parameters(self.manner.parameters)
         self.estimate = Estimator(errors or EstimatorErrors(), rng)
         self.mission = MissionStore(self.manner.mission, home=self._home_item)
         self.boots = 0
-        self._airframe = airframe
+        self._airframe, self._rates = airframe, rates
         self._origin = home
         self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None
         self._boot()
@@ -67,7 +69,7 @@ class FlightState:
         self.booted_s: float | None = None
         self._commander = Commander(self.manner)
         self._navigator = Navigator(self.manner, self.parameters)
-        self._cascade = Cascade(self.manner, self._airframe)
+        self._cascade = Cascade(self.manner, self._airframe, self._rates)
         self._runner = MissionRunner(
             self.mission, self._navigator, self.parameters, self.manner.settings, self._local
         )

@@ -10,16 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 _CONTACT_AFTER_S = 0.35
-_THRUST_SHARE = 0.85
 _ACCELERATION_LIMIT_M_S2 = 1.0
 _ACCELERATION_FILTER_S = 0.1
 
 
 @dataclass(slots=True)
 class LandedDetector:
-    """`landed` and `contact` after each `update`; starts on the ground."""
+    """`landed` and `contact` after each `update`; starts on the ground.
+
+    `low_thrust_share` of the hover thrust is what a descent in the air never falls below for long.
+    """
 
     landed_time_s: float
+    low_thrust_share: float = 0.85
     landed: bool = True
     contact: bool = False
     _sign_for_s: float = 0.0
@@ -36,7 +39,7 @@ class LandedDetector:
         if self.landed:
             return
         still = abs(speed_m_s) < speed_limit_m_s and abs(self._acceleration) < _ACCELERATION_LIMIT_M_S2
-        if not (descending and still and (self.contact or thrust_share < _THRUST_SHARE)):
+        if not (descending and still and (self.contact or thrust_share < self.low_thrust_share)):
             self._sign_for_s, self.contact = 0.0, False
             return
         self._sign_for_s += dt_s

@@ -9,13 +9,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.geometry import Quaternion, Vector3
 from companion.messages import Manner as MannerName
+from sitl.autopilot.attitude_control import AttitudeGains
 from sitl.autopilot.landing_target import Lander
 from sitl.autopilot.mission_items import MissionRules
 from sitl.autopilot.modes import ArmingCheck, Failsafe, Mode, ModeCheck, Result, Situation, Task
-from sitl.autopilot.position_control import PositionGains
-from sitl.autopilot.setpoints import Frame
+from sitl.autopilot.position_control import PositionControl
+from sitl.autopilot.setpoints import (
+    AttitudeSetpoint,
+    MotionSetpoint,
+    Refusal,
+    StreamedAttitude,
+    StreamedMotion,
+)
 from sitl.parameters import Parameter, Parameters, Setting
+
+AnySetpoint = MotionSetpoint | AttitudeSetpoint
 
 # MAV_MODE_FLAG bits without "armed"
 FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 64
@@ -77,6 +87,10 @@ class Manner:
 
     `forward_is_low`: the RC channel of the pitch stick falls when it is pushed. `lander` makes the precision
     landing, if the parameters ask for one at boot; it flies the tasks in `lands_precisely`.
+    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message
+    means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control`
+    makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
+    hover.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
     register value that the simulated IMU knows.
     """
@@ -89,6 +103,7 @@ class Manner:
     parameters_bytewise: bool
     alignment_s: float
     landed_time_s: float
+    landed_thrust_share: float
     still_speed_m_s: float
     modes: tuple[Mode, ...]
     boot_mode: str
@@ -98,11 +113,12 @@ class Manner:
     hold_mode: str
     land_mode: str
     return_mode: str
-    frames: frozenset[Frame]
+    read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | Refusal]
+    read_attitude: Callable[[StreamedAttitude], AnySetpoint | Refusal]
+    as_aged: Callable[[AnySetpoint, float, float, float], AnySetpoint]
     external_needs_setpoints: bool
     takes_off_by_setpoint: bool
     take_off_needs_guided: bool
-    external_times_out_in_mode: bool
     thrust_is_climb_rate: bool
     forward_is_low: bool
     turns_by_command: bool
@@ -121,7 +137,8 @@ class Manner:
     mission: MissionRules
     lander: Callable[[Parameters], Lander | None]
     lands_precisely: frozenset[Task]
-    gains: PositionGains
+    position_control: Callable[[float], PositionControl]
+    attitude_gains: AttitudeGains
     imu_messages: tuple[str, ...]
     imu_filter: int
 

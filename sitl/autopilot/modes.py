@@ -21,6 +21,7 @@ class Task(Enum):
     SETPOINT = "setpoint"
     LAND = "land"
     RETURN = "return"
+    DESCEND = "descend"
     MISSION = "mission"
     PRECISION_LAND = "precision land"
 
@@ -136,6 +137,7 @@ class Failsafe:
 
     LEAVE_MODE goes to `mode`, and back as soon as the condition has ended; with `over` it stays there, and
     does not happen again before that has been so: a mode chosen meanwhile is the pilot's own business.
+    `task` is flown there instead of the mode's own.
     """
 
     name: str
@@ -146,3 +148,4 @@ class Failsafe:
     text: str
     mode: str = ""
     over: Condition | None = None
+    task: Task | None = None

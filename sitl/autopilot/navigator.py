@@ -126,6 +126,8 @@ class Navigator:
             return self._land(position, velocity), None
         if task is Task.RETURN:
             return self._return(position, velocity)
+        if task is Task.DESCEND:
+            return self._descend(), None
         return self._hold(position, velocity), None
 
     def _hold(self, position: Vector3, velocity: Vector3) -> MotionSetpoint:
@@ -158,6 +160,11 @@ class Navigator:
             return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, speed))
         north, east, _ = self._held
         return MotionSetpoint((north, east, nan), (nan, nan, speed))
+
+    def _descend(self) -> MotionSetpoint:
+        """Level, without holding a place, down at the landing speed: nobody is at the sticks."""
+        speed = self._parameters.si(self._settings.landing_speed)
+        return MotionSetpoint(velocity_ned_m_s=(nan, nan, speed), acceleration_ned_m_s2=(0.0, 0.0, nan))
 
     def _return(self, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
         north, east, ground = self.home_ned_m

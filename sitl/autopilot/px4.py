@@ -1,13 +1,16 @@
 """PX4's manners: mode numbers, texts, results and rules of PX4 1.16.
 
-Taken from a recording of PX4 with its own simulator. The landed detector takes 1.5 s (about its default
-times); the recording's 6 to 11 s come from very noisy estimates.
+Taken from a recording of PX4 with its own simulator. The landed detector waits until the thrust is under
+MPC_THR_MIN + LNDMC_LOW_T_THR (hover - MPC_THR_MIN), which takes the climb's integral 6 s at a descent of
+0.3 m/s, and then LNDMC_TRIG_TIME.
 """
 
 from __future__ import annotations
 
 import math
 
+from sitl.autopilot import px4_setpoints
+from sitl.autopilot.attitude_control import AttitudeGains
 from sitl.autopilot.manners import (
     FLAG_AUTO,
     FLAG_CUSTOM,
@@ -39,10 +42,9 @@ from sitl.autopilot.modes import (
     StickLaw,
     Task,
 )
-from sitl.autopilot.position_control import PositionGains
+from sitl.autopilot.px4_control import Px4Control
 from sitl.autopilot.px4_lander import PX4Lander
 from sitl.autopilot.px4_parameters import PARAMETERS
-from sitl.autopilot.setpoints import Frame
 from sitl.parameters import Setting
 
 _AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
@@ -63,7 +65,8 @@ PX4 = Manner(
     capabilities=4 | 8 | 16 | 64 | 128 | 256 | 8192,
     parameters_bytewise=True,
     alignment_s=3.0,
-    landed_time_s=1.5,
+    landed_time_s=1.0,
+    landed_thrust_share=0.47,
     still_speed_m_s=0.25,
     modes=(
         Mode(
@@ -116,11 +119,12 @@ PX4 = Manner(
     hold_mode="AUTO_LOITER",
     land_mode="AUTO_LAND",
     return_mode="AUTO_RTL",
-    frames=frozenset({Frame.LOCAL_NED, Frame.BODY_NED}),
+    read_motion=px4_setpoints.read_motion,
+    read_attitude=px4_setpoints.read_attitude,
+    as_aged=px4_setpoints.as_aged,
     external_needs_setpoints=True,
     takes_off_by_setpoint=True,
     take_off_needs_guided=False,
-    external_times_out_in_mode=False,
     thrust_is_climb_rate=False,
     forward_is_low=False,
     turns_by_command=False,
@@ -189,6 +193,7 @@ PX4 = Manner(
             Severity.CRITICAL,
             "Failsafe activated: No offboard control signal, switching to Position",
             mode="POSCTL",
+            task=Task.DESCEND,
         ),
         Failsafe(
             "radio lost",
@@ -251,7 +256,8 @@ PX4 = Manner(
     ),
     lander=PX4Lander,
     lands_precisely=frozenset({Task.PRECISION_LAND}),
-    gains=PositionGains(),
+    position_control=Px4Control,
+    attitude_gains=AttitudeGains(),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
     imu_messages=("HIGHRES_IMU",),
     imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF
 )

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from companion.config import ControlConfig
 from companion.control.flight_model import Motion, advance, advance_axis, discretise, lags
 from tests.unit.control.control_plants import vehicle_config
 
@@ -48,4 +49,8 @@ def test_axes_do_not_mix() -> None:
 
 def test_sideways_it_lags_by_leaning_and_down_by_thrust_alone() -> None:
     vehicle = vehicle_config(acceleration_time_constant_s=0.11, thrust_time_constant_s=0.04)
-    assert lags(vehicle) == (0.11, 0.11, 0.04)
+    shaped = ControlConfig(autopilot_lag_s=0.2, autopilot_climb_lag_s=0.3)
+    assert lags(vehicle, ControlConfig()) == (0.11, 0.11, 0.04)
+    assert lags(vehicle, shaped) == pytest.approx((0.31, 0.31, 0.34))
+    # an attitude is flown as it is
+    assert lags(vehicle, shaped.model_copy(update={"setpoint": "attitude"})) == (0.11, 0.11, 0.04)

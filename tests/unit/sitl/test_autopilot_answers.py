@@ -43,23 +43,25 @@ BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
 # ---------------------------------------------------------------- answers to setpoints
 
 
-@BOTH
-def test_a_velocity_step_is_answered_as_in_the_recordings(manner: Manner) -> None:
+@pytest.mark.parametrize(("manner", "t63_s", "t90_s"), [("px4", 0.72, 1.2), ("ardupilot", 0.84, 1.4)])
+def test_a_velocity_step_is_shaped_by_ardupilot_and_not_by_px4(
+    manner: Manner, t63_s: float, t90_s: float
+) -> None:
     flight = in_the_air(manner)
     samples = flight.run(6.0, velocity(2.0))
-    assert reached_s(samples, lambda s: s.velocity[0], 1.26) == pytest.approx(0.9, abs=0.15)
-    assert reached_s(samples, lambda s: s.velocity[0], 1.8) == pytest.approx(1.5, abs=0.4)
+    assert reached_s(samples, lambda s: s.velocity[0], 1.26) == pytest.approx(t63_s, abs=0.08)
+    assert reached_s(samples, lambda s: s.velocity[0], 1.8) == pytest.approx(t90_s, abs=0.2)
     assert max(s.velocity[0] for s in samples) < 2.25
     assert samples[-1].velocity[0] == pytest.approx(2.0, abs=0.05)
 
 
-@BOTH
-def test_a_position_step_is_answered_as_in_the_recordings(manner: Manner) -> None:
+@pytest.mark.parametrize(("manner", "t63_s"), [("px4", 1.42), ("ardupilot", 2.05)])
+def test_a_position_step_is_shaped_by_ardupilot_and_not_by_px4(manner: Manner, t63_s: float) -> None:
     flight = in_the_air(manner)
     x, y, z = flight.autopilot.estimate.position_ned_m
     samples = flight.run(8.0, MotionSetpoint(position_ned_m=(x + 5.0, y, z)))
-    assert reached_s(samples, lambda s: s.position[0] - x, 3.15) == pytest.approx(2.0, abs=0.35)
-    assert 5.0 < max(s.position[0] - x for s in samples) < 5.5
+    assert reached_s(samples, lambda s: s.position[0] - x, 3.15) == pytest.approx(t63_s, abs=0.1)
+    assert 5.0 < max(s.position[0] - x for s in samples) < 5.6
     assert max(s.velocity[0] for s in samples) < 3.6
     assert samples[-1].position[0] - x == pytest.approx(5.0, abs=0.1)
 
@@ -94,7 +96,7 @@ def test_acceleration_fed_forward_makes_a_circle_far_rounder_than_velocity_alone
         squares = [math.dist(s.velocity, setpoint(s.time_s).velocity_ned_m_s) ** 2 for s in samples]
         return math.sqrt(sum(squares) / len(squares))
 
-    assert lag(True) < 0.15
+    assert lag(True) < 0.2
     assert lag(True) < 0.4 * lag(False)
 
 

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
-from math import inf, isnan, nan
+from math import nan
 
 import numpy as np
 import pytest
 
-from companion.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate
+from companion.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate, yaw_from_quat
 from companion.messages import Manner, Truth
-from sitl.autopilot import MANNERS, EstimatorErrors, Frame, Ignore, StreamedMotion, Task
-from sitl.autopilot.attitude_control import AttitudeControl, AttitudeGains
+from sitl.autopilot import MANNERS, EstimatorErrors, Task
+from sitl.autopilot.ardupilot import ARDUPILOT
+from sitl.autopilot.attitude_control import (
+    AttitudeControl,
+    AttitudeGains,
+    AttitudeReference,
+    RateGains,
+    turn_about_down,
+)
 from sitl.autopilot.estimator import Estimator
 from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.mixer import Mixer
-from sitl.autopilot.position_control import PositionControl, PositionGains
-from sitl.autopilot.setpoints import MotionSetpoint, motion_from_fields
+from sitl.autopilot.px4_control import Px4Control
+from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.parameters import Parameter, Parameters, Setting
 from tests.unit.sitl.autopilot_flight import Frame450
 
@@ -74,7 +81,7 @@ def test_torque_turns_the_body_towards_the_setpoint_by_the_shorter_way(yaw_deg: 
         w, x, y, z = wanted
         control = AttitudeControl((1.0, 1.0, 1.0), AttitudeGains())
         torque = control.step(
-            attitude, ZERO3, (sign * w, sign * x, sign * y, sign * z), 0.0, 0.0025, frozen=True
+            attitude, ZERO3, (sign * w, sign * x, sign * y, sign * z), ZERO3, 0.0025, frozen=True
         )
         others = [abs(t) for i, t in enumerate(torque) if i != axis]
         assert torque[axis] > 10.0 * max(others)
@@ -82,10 +89,27 @@ def test_torque_turns_the_body_towards_the_setpoint_by_the_shorter_way(yaw_deg: 
 
 def test_a_yaw_rate_is_a_turn_about_the_worlds_down_axis_at_any_lean() -> None:
     attitude = quat_from_euler(0.3, 0.2, 1.0)
-    gains = AttitudeGains(rate_p=(1.0, 1.0, 1.0))
-    control = AttitudeControl((1.0, 1.0, 1.0), gains)
-    wanted_rate = control.step(attitude, ZERO3, attitude, 0.5, 0.0025, frozen=True)
+    rates = RateGains(proportional=(1.0, 1.0, 1.0))
+    control = AttitudeControl((1.0, 1.0, 1.0), AttitudeGains(), rates)
+    feed = turn_about_down(attitude, 0.5)
+    wanted_rate = control.step(attitude, ZERO3, attitude, feed, 0.0025, frozen=True)
     assert quat_rotate(attitude, wanted_rate) == pytest.approx((0.0, 0.0, 0.5), abs=1e-9)
+    alone = AttitudeControl((1.0, 1.0, 1.0), AttitudeGains(), rates)
+    assert alone.step(attitude, ZERO3, None, (0.1, -0.2, 0.3), 0.0025, frozen=True) == (0.1, -0.2, 0.3)
+
+
+def test_ardupilots_reference_turns_within_its_limits_and_arrives_without_overshoot() -> None:
+    limits = ARDUPILOT.attitude_gains.reference
+    assert limits is not None
+    reference = AttitudeReference(limits)
+    wanted, fastest, largest = quat_from_euler(0.0, 0.0, math.radians(90.0)), 0.0, 0.0
+    for _ in range(400):
+        reference.step(wanted, ZERO3, 0.01)
+        fastest = max(fastest, reference.rate[2])
+        largest = max(largest, yaw_from_quat(reference.attitude))
+    assert fastest == pytest.approx(limits.yaw_rate_rad_s, rel=1e-6)
+    assert largest < math.radians(90.5)
+    assert yaw_from_quat(reference.attitude) == pytest.approx(math.radians(90.0), abs=1e-3)
 
 
 # ---------------------------------------------------------------- position
@@ -94,64 +118,24 @@ def test_a_yaw_rate_is_a_turn_about_the_worlds_down_axis_at_any_lean() -> None:
 @pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
 def test_thrust_points_where_the_acceleration_asks_in_every_heading(yaw_deg: float) -> None:
     yaw = math.radians(yaw_deg)
-    control = PositionControl(0.5, PositionGains())
+    control = Px4Control(0.5)
     control.reset(yaw, ZERO3)
-    setpoint = MotionSetpoint(acceleration_ned_m_s2=(1.0, -2.0, -0.5), velocity_ned_m_s=(nan, nan, nan))
-    control.step(ZERO3, ZERO3, setpoint, 0.01)
+    setpoint = MotionSetpoint(acceleration_ned_m_s2=(1.0, -2.0, -0.5))
+    control.step(ZERO3, ZERO3, ZERO3, setpoint, 0.01)
     force = quat_rotate(control.attitude, (0.0, 0.0, -control.thrust / 0.5 * 9.80665))
-    assert (force[0], force[1], force[2] + 9.80665) == pytest.approx((1.0, -2.0, -0.5), abs=1e-6)
+    # the lean is the one of level flight, as both autopilots have it; the vertical share is exact
+    share = 1.0 + 0.5 / 9.80665
+    wanted = (share, -2.0 * share, -0.5)
+    assert (force[0], force[1], force[2] + 9.80665) == pytest.approx(wanted, abs=1e-6)
 
 
 def test_lean_is_limited_and_height_comes_first() -> None:
-    control = PositionControl(0.5, PositionGains())
+    control = Px4Control(0.5)
     setpoint = MotionSetpoint(acceleration_ned_m_s2=(50.0, 0.0, 0.0))
-    control.step(ZERO3, ZERO3, setpoint, 0.01)
+    control.step(ZERO3, ZERO3, ZERO3, setpoint, 0.01)
     force = quat_rotate(control.attitude, (0.0, 0.0, -control.thrust / 0.5 * 9.80665))
     assert force[2] == pytest.approx(-9.80665, abs=1e-6)
-    assert math.atan2(force[0], -force[2]) == pytest.approx(math.radians(35.0), abs=1e-6)
-
-
-# ---------------------------------------------------------------- setpoints
-
-
-def fields(frame: int, mask: int) -> StreamedMotion:
-    return StreamedMotion(frame, mask, (1.0, 2.0, -3.0), (0.5, 0.0, 0.1), (0.0, 1.0, 0.0), 0.2, 0.3)
-
-
-def test_masked_fields_are_not_given() -> None:
-    mask = Ignore.X | Ignore.Y | Ignore.Z | Ignore.AX | Ignore.YAW
-    setpoint = motion_from_fields(fields(Frame.LOCAL_NED, mask), (9.0, 9.0, 9.0), 0.0)
-    assert all(map(isnan, setpoint.position_ned_m))
-    assert setpoint.velocity_ned_m_s == (0.5, 0.0, 0.1)
-    assert [isnan(a) for a in setpoint.acceleration_ned_m_s2] == [True, True, False]
-    assert isnan(setpoint.yaw_rad)
-    assert setpoint.yaw_rate_rad_s == 0.3
-
-
-@pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
-def test_frames_turn_and_shift_as_they_should(heading_deg: float) -> None:
-    heading, here = math.radians(heading_deg), (10.0, 20.0, -5.0)
-    c, s = math.cos(heading), math.sin(heading)
-    offset = motion_from_fields(fields(Frame.LOCAL_OFFSET_NED, 0), here, heading)
-    assert offset.position_ned_m == (11.0, 22.0, -8.0)
-    assert offset.velocity_ned_m_s == (0.5, 0.0, 0.1)
-    body = motion_from_fields(fields(Frame.BODY_OFFSET_NED, 0), here, heading)
-    assert body.position_ned_m == pytest.approx((10.0 + c - 2 * s, 20.0 + s + 2 * c, -8.0))
-    assert body.velocity_ned_m_s == pytest.approx((0.5 * c, 0.5 * s, 0.1))
-    assert body.acceleration_ned_m_s2 == pytest.approx((-s, c, 0.0))
-    assert body.yaw_rad == pytest.approx(0.2 + heading)
-
-
-@pytest.mark.parametrize("bad", [nan, inf, -inf])
-def test_numbers_that_are_none_count_as_not_given(bad: float) -> None:
-    poisoned = StreamedMotion(1, 0, (0.0, bad, 0.0), (0.0, 0.0, bad), ZERO3, bad, bad)
-    setpoint = motion_from_fields(poisoned, ZERO3, 0.0)
-    assert isnan(setpoint.position_ned_m[0])
-    assert isnan(setpoint.velocity_ned_m_s[2])
-    assert isnan(setpoint.yaw_rad)
-    control = PositionControl(0.5, PositionGains())
-    control.step(ZERO3, ZERO3, setpoint, 0.01)
-    assert all(map(math.isfinite, (*control.attitude, control.thrust)))
+    assert math.atan2(force[0], -force[2]) == pytest.approx(math.radians(45.0), abs=1e-6)
 
 
 # ---------------------------------------------------------------- landed
