@@ -144,7 +144,7 @@ ARDUPILOT = Manner(
         Failsafe(
             "landed in LAND",
             lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
-            0.0,
+            0.05,  # the mission hears of its landing first
             Response.DISARM,
             Severity.INFO,
             "Disarming motors",

@@ -236,7 +236,7 @@ def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
     flight.run(2.0)
     assert flight.vehicle.velocity[2] == pytest.approx(first, abs=0.05)
     assert landed_state(flight) is LandedState.LANDING
-    speeds = [s.velocity[2] for s in flight.run(16.0) if s.position[2] < -0.2]
+    speeds = [s.velocity[2] for s in flight.run(24.0) if s.position[2] < -0.2]
     assert speeds[-1] == pytest.approx(last, abs=0.05)
     assert not flight.autopilot.armed
     assert landed_state(flight) is LandedState.ON_GROUND
