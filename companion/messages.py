@@ -398,3 +398,5 @@ class Truth:
     in_contact: bool = False
     rate_body_rad_s: Vector3 = ZERO3
     attitude_setpoint: Quaternion = IDENTITY
+    pad_roll_rad: float = 0.0
+    pad_pitch_rad: float = 0.0

@@ -27,8 +27,8 @@ from companion.geometry import (
     norm,
     quat_rotate,
     quat_rotate_inverse,
-    rotate_yaw,
     scale,
+    subtract,
 )
 from sitl.ground import Board
 from sitl.pad_motion import PadTruth
@@ -101,13 +101,10 @@ class Contact:
     def step(self, state: QuadrotorState, pad: PadTruth, dt_s: float) -> ContactLoad:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
-        if state.position_ned_m[2] + self._reach_m < min(0.0, pad.position_ned_m[2]) - 0.05:
+        if state.position_ned_m[2] + self._reach_m < self._board.highest_down_m(pad) - 0.05:
             self.release()
             return NO_CONTACT
-        soon = pad._replace(
-            position_ned_m=add(pad.position_ned_m, scale(pad.velocity_ned_m_s, half)),
-            heading_rad=pad.heading_rad + pad.heading_rate_rad_s * half,
-        )
+        soon = pad.soon(half)
         force, torque, touched = ZERO3, ZERO3, {"board": 0, "ground": 0}
         for point in self._points:
             push = self._push(point, state, soon, half)
@@ -132,28 +129,27 @@ class Contact:
             state.velocity_ned_m_s, quat_rotate(state.attitude, cross(state.rate_body_rad_s, point.body_m))
         )
         place = add(add(state.position_ned_m, arm), scale(velocity, ahead_s))
-        if self._stands_on_board(point, place, pad):
-            return self._on_board(point, place, velocity, pad)
+        local = self._board.local(pad, place)
+        if self._stands_on_board(point, local):
+            return self._on_board(point, place, local, velocity, pad)
         if place[2] > 0.0:
             return self._pressed(point, "ground", (place[0], place[1]), place[2], velocity)
         point.surface = None
         return ZERO3
 
-    def _stands_on_board(self, point: _Point, place: Vector3, pad: PadTruth) -> bool:
-        depth = place[2] - pad.position_ned_m[2]
+    def _stands_on_board(self, point: _Point, local: Vector3) -> bool:
+        depth = local[2]
         if depth <= 0.0 or (point.surface != "board" and depth > DEEPEST_ENTRY_M):
             return False
-        return self._board.holds(pad, place[0], place[1])
+        return self._board.bears(local)
 
-    def _on_board(self, point: _Point, place: Vector3, velocity: Vector3, pad: PadTruth) -> Vector3:
+    def _on_board(
+        self, point: _Point, place: Vector3, local: Vector3, velocity: Vector3, pad: PadTruth
+    ) -> Vector3:
         """The same in the board's own axes, in which it neither moves nor turns."""
-        carried = board_velocity_ned_m_s(pad, place)
-        relative = rotate_yaw(
-            (velocity[0] - carried[0], velocity[1] - carried[1], velocity[2] - carried[2]), -pad.heading_rad
-        )
-        local = self._board.local(pad, place[0], place[1])
-        force = self._pressed(point, "board", local, place[2] - pad.position_ned_m[2], relative)
-        return rotate_yaw(force, pad.heading_rad)
+        axes = pad.axes()
+        relative = axes.from_ned(subtract(velocity, pad.velocity_at_ned_m_s(place)))
+        return axes.to_ned(self._pressed(point, "board", (local[0], local[1]), local[2], relative))
 
     def _pressed(
         self, point: _Point, surface: Surface, place: tuple[float, float], depth: float, velocity: Vector3
@@ -171,10 +167,3 @@ class Contact:
             x, y = x * held / pull, y * held / pull
             point.anchor_m = (place[0] + x / k, place[1] + y / k)
         return (x, y, -normal)
-
-
-def board_velocity_ned_m_s(pad: PadTruth, place_ned_m: Vector3) -> Vector3:
-    """Velocity of the board at a place on it: the pad's, and its turning."""
-    dn, de = place_ned_m[0] - pad.position_ned_m[0], place_ned_m[1] - pad.position_ned_m[1]
-    turning = (-pad.heading_rate_rad_s * de, pad.heading_rate_rad_s * dn, 0.0)
-    return add(pad.velocity_ned_m_s, turning)

@@ -9,12 +9,14 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+import numpy as np
 from scipy.special import ellipj
 
 from companion.geometry import Vector3, add, rotate_yaw
 
 # a lap over half the length: twice the lemniscate constant
 LEMNISCATE_LAP: Final = 5.244115108584239
+_NODES: Final = tuple(zip(*(values.tolist() for values in np.polynomial.legendre.leggauss(12)), strict=True))
 
 
 class Place(NamedTuple):
@@ -28,25 +30,50 @@ class Place(NamedTuple):
 
 
 Path = Callable[[float], Place]
+# amplitude (m), frequency (rad/s) and phase (rad)
+Wave = tuple[float, float, float]
 
 
-class Arc(NamedTuple):
-    """Where a bend begins, and how fast it turns."""
+class Bend(NamedTuple):
+    """A stretch that is driven: where it begins, by how much it turns and speeds up, and how long it lasts.
+
+    Rate of turn and acceleration along it are raised cosines, zero at both ends: one bend runs into the next
+    without a jerk of infinite size. Twice their mean is their peak.
+    """
 
     position_ned_m: Vector3
     course_rad: float
-    turn_rad_s: float
+    turn_rad: float
+    length_s: float
+    speed_m_s: float
+    end_speed_m_s: float
 
 
-def arc_place(arc: Arc, speed_m_s: float, t: float) -> Place:
-    """The point t seconds along a bend; the chord's form holds for a straight line too."""
-    half = 0.5 * arc.turn_rad_s * t
-    chord = speed_m_s * t * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-    middle, course = arc.course_rad + half, arc.course_rad + 2.0 * half
-    c, s, w = math.cos(course), math.sin(course), arc.turn_rad_s
-    position = add(arc.position_ned_m, (chord * math.cos(middle), chord * math.sin(middle), 0.0))
-    velocity = (speed_m_s * c, speed_m_s * s, 0.0)
-    return Place(position, velocity, (-w * velocity[1], w * velocity[0], 0.0), course, w)
+def bend_place(bend: Bend, t: float) -> Place:
+    """The point t seconds along a bend; a straight one goes on beyond its ends.
+
+    The place is the velocity's integral by Gauss and Legendre's rule: right to 1e-9 m in half a turn.
+    """
+    place, course0, turn, length_s, speed0, speed1 = bend
+    gain, half = speed1 - speed0, 0.5 * t
+    x = y = 0.0
+    for node, weight in _NODES:
+        share = half * (1.0 + node) / length_s
+        ramp = share - math.sin(math.tau * share) / math.tau
+        speed, course = weight * (speed0 + gain * ramp), course0 + turn * ramp
+        x, y = x + speed * math.cos(course), y + speed * math.sin(course)
+    share = t / length_s
+    ramp, slope = share - math.sin(math.tau * share) / math.tau, (1.0 - math.cos(math.tau * share)) / length_s
+    speed, course, rate = speed0 + gain * ramp, course0 + turn * ramp, turn * slope
+    c, s = math.cos(course), math.sin(course)
+    along, across = gain * slope, rate * speed
+    return Place(
+        add(place, (half * x, half * y, 0.0)),
+        (speed * c, speed * s, 0.0),
+        (along * c - across * s, along * s + across * c, 0.0),
+        course,
+        rate,
+    )
 
 
 def lemniscate_place(arc_m: float, a: float, speed_m_s: float, axis_rad: float) -> Place:
@@ -80,10 +107,8 @@ def wave_frequency(energy_share: float, peak_period_s: float) -> float:
     return math.tau / peak_period_s * float((1.25 / -math.log(energy_share)) ** 0.25)
 
 
-def sum_of_waves(
-    waves: tuple[tuple[float, float, float], ...], t: float, shift_rad: float
-) -> tuple[float, float, float]:
-    """Elevation (m), its speed and acceleration, of waves given as amplitude (m), rad/s and phase (rad)."""
+def sum_of_waves(waves: tuple[Wave, ...], t: float, shift_rad: float) -> tuple[float, float, float]:
+    """Elevation (m), its speed and its acceleration."""
     x = v = a = 0.0
     for amplitude, w, phase in waves:
         angle = w * t + phase + shift_rad

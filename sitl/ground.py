@@ -1,6 +1,6 @@
 """What lies under the vehicle: ground, the pad's board, and their effect on the rotors.
 
-NED, metres; the ground is the plane z = 0, the board a level rectangle above it.
+NED, metres; the ground is the plane z = 0, the board a rectangle above it, level or leaning as a deck does.
 
 Ground effect after Cheeseman and Bennett (ARC R&M 3021, 1955): a rotor of radius R at height z over a plane
 gives, at the same power, 1 / (1 - (R / 4z)^2) times its thrust in free air.
@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import Vector3, quat_rotate
+from companion.geometry import Quaternion, Vector3, dot, quat_rotate, subtract
 from companion.pad import Pad
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import NO_RATIO, Four, QuadrotorState
@@ -35,28 +35,41 @@ class Board:
         """The board of a pad's layout."""
         return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
 
-    def local(self, pad: PadTruth, north_m: float, east_m: float) -> tuple[float, float]:
-        """Coordinates forward and right of the pad's centre, along its heading."""
-        c, s = math.cos(pad.heading_rad), math.sin(pad.heading_rad)
-        dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]
-        return c * dn + s * de, c * de - s * dn
+    def local(self, pad: PadTruth, point_ned_m: Vector3) -> Vector3:
+        """Coordinates of a point forward and right of the pad's centre, and down through its surface."""
+        return pad.axes().from_ned(subtract(point_ned_m, pad.position_ned_m))
 
-    def holds(self, pad: PadTruth, north_m: float, east_m: float) -> bool:
-        """Whether a point is over the board."""
-        forward, right = self.local(pad, north_m, east_m)
-        return abs(forward) <= self.half_length_m and abs(right) <= self.half_width_m
+    def bears(self, local_m: Vector3) -> bool:
+        """Whether the board is above or below a point given in its own axes."""
+        return abs(local_m[0]) <= self.half_length_m and abs(local_m[1]) <= self.half_width_m
 
     def surface_down_m(self, pad: PadTruth, north_m: float, east_m: float) -> float:
         """Down coordinate of what lies under a point: the board's top or the ground."""
-        return pad.position_ned_m[2] if self.holds(pad, north_m, east_m) else 0.0
+        axes = pad.axes()
+        dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]
+        normal = axes.down
+        dd = -(normal[0] * dn + normal[1] * de) / normal[2]
+        return pad.position_ned_m[2] + dd if self.bears(axes.from_ned((dn, de, dd))) else 0.0
 
     def distance_m(self, pad: PadTruth, point_ned_m: Vector3) -> tuple[float, float]:
-        """Sideways distance to the board's nearest point, and height over its surface (m)."""
-        forward, right = self.local(pad, point_ned_m[0], point_ned_m[1])
+        """Distance along the surface to the board's nearest point, and height over the surface (m)."""
+        forward, right, down = self.local(pad, point_ned_m)
         beyond = math.hypot(
             max(0.0, abs(forward) - self.half_length_m), max(0.0, abs(right) - self.half_width_m)
         )
-        return beyond, pad.position_ned_m[2] - point_ned_m[2]
+        return beyond, -down
+
+    def highest_down_m(self, pad: PadTruth) -> float:
+        """Down coordinate of the highest of board and ground."""
+        forward, right, _ = pad.axes()
+        lift = abs(forward[2]) * self.half_length_m + abs(right[2]) * self.half_width_m
+        return min(0.0, pad.position_ned_m[2] - lift)
+
+
+def lean_over(pad: PadTruth, attitude: Quaternion) -> float:
+    """Angle (rad) between the body's down axis and the board's normal."""
+    axes = pad.axes()
+    return math.acos(max(-1.0, min(1.0, dot(quat_rotate(attitude, (0.0, 0.0, 1.0)), axes.down))))
 
 
 def thrust_ratio(height_m: float, radius_m: float) -> float:
@@ -75,8 +88,7 @@ def rotor_ratios(
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
-    highest_surface = min(0.0, pad.position_ned_m[2])
-    if highest_surface - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
+    if board.highest_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
         return NO_RATIO
     ratios = []
     for rotor in rotors_body_m:

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import Vector3, geodetic_from_ned
+from companion.geometry import ZERO3, Vector3, geodetic_from_ned
 
 SYSTEM_ID: Final = 255
 COMPONENT_ID: Final = 190
@@ -37,7 +37,11 @@ class GroundStation:
         *,
         velocity_std_m_s: float = 0.1,
         delay_s: float = 0.5,
+        rate_hz: float | None = None,
+        available: bool = True,
     ) -> None:
+        """`rate_hz` is how often the pad's GPS makes a fix: an answer tells the newest; None: one just made.
+        Without a beacon (`available` False) it is said that there is no such message."""
         self.texts: list[tuple[float, int, str]] = []
         self.requests = 0
         self._rng = rng
@@ -45,6 +49,10 @@ class GroundStation:
         self._home = home
         self._velocity_std_m_s = velocity_std_m_s
         self._delay_s = delay_s
+        self._fix_period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
+        self._fix_due_s = -math.inf
+        self._fix: tuple[float, Vector3, Vector3] = (0.0, ZERO3, ZERO3)
+        self._available = available
         north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
         self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
@@ -78,9 +86,12 @@ class GroundStation:
                     mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
                 )
             )
+        if now_s >= self._fix_due_s:
+            self._fix_due_s = now_s + self._fix_period_s
+            self._fix = (now_s, pad_position_ned_m, pad_velocity_ned_m_s)
         while self._answers_due_s and now_s >= self._answers_due_s[0]:
             self._answers_due_s.pop(0)
-            messages.append(self._follow_target(now_s, pad_position_ned_m, pad_velocity_ned_m_s))
+            messages.append(self._follow_target(*self._fix))
         return b"".join([self._pack(message) for message in messages])
 
     def _pack(self, message: Any) -> bytes:
@@ -90,7 +101,7 @@ class GroundStation:
 
     def _obey(self, message: Any, now_s: float) -> None:
         wanted = message.param1
-        known = (
+        known = self._available and (
             message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
             and wanted == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
         )
@@ -104,7 +115,7 @@ class GroundStation:
             )
         )
 
-    def _follow_target(self, now_s: float, position: Vector3, velocity: Vector3) -> Any:
+    def _follow_target(self, fix_s: float, position: Vector3, velocity: Vector3) -> Any:
         noise = self._rng.standard_normal(6).tolist()
         shown = [
             p + offset + _NOISE_STD_M * n
@@ -114,7 +125,7 @@ class GroundStation:
         latitude, longitude, altitude = geodetic_from_ned((shown[0], shown[1], shown[2]), self._home)
         eph = math.hypot(self._std_m, _NOISE_STD_M)
         return mavlink.MAVLink_follow_target_message(
-            max(0, round(now_s * 1e3)), _POSITION_AND_VELOCITY, round(latitude * 1e7), round(longitude * 1e7),
+            max(0, round(fix_s * 1e3)), _POSITION_AND_VELOCITY, round(latitude * 1e7), round(longitude * 1e7),
             altitude, speed, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3,
             [eph, eph, _VERTICAL_FACTOR * eph], 0,
         )  # fmt: skip

@@ -22,6 +22,7 @@ from companion.geometry import (
     FloatArray,
     Vector3,
 )
+from sitl.glitches import Glitches
 from sitl.sensors import NOISE_BLOCK, flawed_rotation
 
 _MILLI_G: Final = 1e-3 * GRAVITY_M_S2
@@ -169,8 +170,11 @@ class ImuSensor:
         self._gyro_matrix = flawed_rotation(sensor_from_body, errors.gyro_scale, errors.misalignment_rad, rng)
         self._rotor_rad = float(rng.uniform(0.0, math.tau))
         self._settled = False
-        # for faults: a rate (body axes) that is not there, where the element saturates, stronger vibration
+        # for faults: a rate and a force (body axes) that are not there, where the element saturates, stronger
+        # vibration, and what becomes of readings on their way out
         self.rate_offset_rad_s: Vector3 = ZERO3
+        self.force_offset_m_s2: Vector3 = ZERO3
+        self.gyro_glitches, self.accel_glitches = (Glitches(own) for own in rng.spawn(2))
         self.accel_limit_m_s2 = math.inf
         self.vibration_factor = 1.0
         self.set_filter(dlpf)
@@ -193,6 +197,8 @@ class ImuSensor:
         p, q, r = rate_body
         dp, dq, dr = self.rate_offset_rad_s
         p, q, r = p + dp, q + dq, r + dr
+        dx, dy, dz = self.force_offset_m_s2
+        fx, fy, fz = fx + dx, fy + dy, fz + dz
         m = self._accel_matrix
         ax = m[0] * fx + m[1] * fy + m[2] * fz + a[0]
         ay = m[3] * fx + m[4] * fy + m[5] * fz + a[1]
@@ -215,7 +221,8 @@ class ImuSensor:
         limit = self.accel_limit_m_s2
         if limit < math.inf:
             ax, ay, az = (max(-limit, min(limit, a)) for a in (ax, ay, az))
-        return self._accel_filter.step(ax, ay, az), self._gyro_filter.step(gx, gy, gz)
+        force, rate = self._accel_filter.step(ax, ay, az), self._gyro_filter.step(gx, gy, gz)
+        return self.accel_glitches.out(force), self.gyro_glitches.out(rate)
 
     def _rotors(self, throttle: float) -> Vector3:
         """Sine and cosine of the rotors' turn, and the sine of twice it. Thrust grows with speed squared."""

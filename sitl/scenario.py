@@ -7,7 +7,7 @@ would set in the app: overrides of its settings. All else stays in the simulator
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -15,9 +15,15 @@ from companion.config import StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.contact import ContactParameters
 from sitl.faults import Fault
-from sitl.pad_motion import Angle, Heading, HeaveMotion, Motion, StaticMotion
+from sitl.faulty_link import LinkSettings
+from sitl.pad_motion import Motion
+from sitl.pad_paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.quadrotor import QuadrotorParameters
+from sitl.sea import DeckSettings
 from sitl.wind import WindSettings
+
+# of a board as large as the shipped pads are; a larger one may dip an edge into the sea
+LARGEST_HALF_DIAGONAL_M: Final = 1.0
 
 
 class Airframe(StrictModel):
@@ -35,16 +41,18 @@ class PadSettings(StrictModel):
     surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
     heading: Heading = "along"
     motion: Annotated[Motion, Field(discriminator="kind")] = StaticMotion(kind="static")
+    deck: DeckSettings | None = None
 
     @model_validator(mode="after")
     def _over_the_ground(self) -> PadSettings:
-        if isinstance(self.motion, HeaveMotion):
-            needed = self.motion.largest_excursion_m()
-            if needed > self.surface_height_m:
-                raise ValueError(
-                    f"surface_height_m is {self.surface_height_m:g}; expected at least {needed:.2f}, "
-                    "or the waves' troughs take the pad underground"
-                )
+        needed = self.motion.largest_excursion_m() if isinstance(self.motion, HeaveMotion) else 0.0
+        if self.deck is not None:
+            needed += self.deck.largest_excursion_m(LARGEST_HALF_DIAGONAL_M)
+        if needed > self.surface_height_m:
+            raise ValueError(
+                f"surface_height_m is {self.surface_height_m:g}; expected at least {needed:.2f}, "
+                "or the waves' troughs take the pad underground"
+            )
         return self
 
 
@@ -59,6 +67,8 @@ class CameraSettings(StrictModel):
     noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
     calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
     blur: bool = True
+    lost_share: float = Field(default=0.0, ge=0.0, lt=1.0)
+    lost_burst_frames: float = Field(default=1.0, ge=1.0, le=300.0)
 
 
 class SensorSettings(StrictModel):
@@ -79,9 +89,9 @@ class BeaconSettings(StrictModel):
 
     available: bool = True
     position_std_m: float = Field(default=1.5, ge=0.0, le=50.0)
-    velocity_std_m_s: float = Field(default=0.2, ge=0.0, le=5.0)
-    rate_hz: float = Field(default=1.0, gt=0.0, le=10.0)
-    delay_s: float = Field(default=0.3, ge=0.0, le=5.0)
+    velocity_std_m_s: float = Field(default=0.1, ge=0.0, le=5.0)
+    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    delay_s: float = Field(default=0.5, ge=0.0, le=5.0)
 
 
 class PassBounds(StrictModel):
@@ -110,6 +120,7 @@ class Scenario(StrictModel):
     camera: CameraSettings = CameraSettings()
     sensors: SensorSettings = SensorSettings()
     beacon: BeaconSettings = BeaconSettings()
+    link: LinkSettings = LinkSettings()
     faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
     companion: dict[str, Any] = Field(default_factory=dict)

@@ -1,7 +1,8 @@
 """How a flight ended: what the touchdown was like by the truth, and whether that counts as a landing.
 
-Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Everything is taken from
-the last state before contact forces acted.
+Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Where a deck leans,
+vertical means along its normal, horizontal along its surface, and tilt is from its normal. Everything is taken
+from the last state before contact forces acted.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import norm, subtract, tilt_from_quat, wrap_angle, yaw_from_quat
+from companion.geometry import Vector3, dot, norm, scale, subtract, tilt_from_quat, wrap_angle, yaw_from_quat
 from companion.messages import Outcome, Phase
-from sitl.contact import ContactLoad, board_velocity_ned_m_s
+from sitl.contact import ContactLoad
+from sitl.ground import lean_over
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import QuadrotorState
 from sitl.scenario import PassBounds
@@ -95,20 +97,25 @@ class TouchdownWatch:
 
 def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> Touchdown:
     # a turning board moves at the touched place with it; beside the board there is only the pad's own way
-    carried = board_velocity_ned_m_s(pad, state.position_ned_m) if on_pad else pad.velocity_ned_m_s
+    carried = pad.velocity_at_ned_m_s(state.position_ned_m) if on_pad else pad.velocity_ned_m_s
     relative = subtract(state.velocity_ned_m_s, carried)
     away = subtract(state.position_ned_m, pad.position_ned_m)
+    normal = pad.axes().down
     return Touchdown(
         time_s=time_s,
-        lateral_error_m=math.hypot(away[0], away[1]),
-        vertical_speed_m_s=relative[2],
-        horizontal_speed_m_s=math.hypot(relative[0], relative[1]),
-        tilt_deg=math.degrees(tilt_from_quat(state.attitude)),
+        lateral_error_m=math.hypot(*_along_surface(away, normal)),
+        vertical_speed_m_s=dot(relative, normal),
+        horizontal_speed_m_s=math.hypot(*_along_surface(relative, normal)),
+        tilt_deg=math.degrees(lean_over(pad, state.attitude)),
         yaw_error_deg=math.degrees(wrap_angle(yaw_from_quat(state.attitude) - pad.heading_rad)),
         pad_speed_m_s=norm(pad.velocity_ned_m_s),
         impact_speed_m_s=norm(relative if on_pad else state.velocity_ned_m_s),
         on_pad=on_pad,
     )
+
+
+def _along_surface(v: Vector3, normal: Vector3) -> Vector3:
+    return subtract(v, scale(normal, dot(v, normal)))
 
 
 # ---------------------------------------------------------------- the verdict

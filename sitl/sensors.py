@@ -22,6 +22,7 @@ from companion.geometry import (
     add,
     geodetic_from_ned,
 )
+from sitl.glitches import Glitches
 
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
 
@@ -60,7 +61,9 @@ class MagSensor:
         direction = rng.standard_normal(3)
         self._current = (errors.current_ut * direction / np.linalg.norm(direction)).tolist()
         self._noise: list[list[float]] = []
-        self.stray_field_ut: Vector3 = ZERO3  # for faults: a field besides the earth's, body axes
+        # for faults: a field besides the earth's (body axes), and what becomes of readings on their way out
+        self.stray_field_ut: Vector3 = ZERO3
+        self.glitches = Glitches(rng.spawn(1)[0])
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
         """Field (µT) in sensor axes from the true field in body axes."""
@@ -68,10 +71,12 @@ class MagSensor:
             self._noise = (self._errors.noise_ut * self._rng.standard_normal((NOISE_BLOCK, 3))).tolist()
         n, o, c, m = self._noise.pop(), self._offset, self._current, self._matrix
         x, y, z = add(field_body_ut, self.stray_field_ut)
-        return (
-            m[0] * x + m[1] * y + m[2] * z + o[0] + c[0] * throttle + n[0],
-            m[3] * x + m[4] * y + m[5] * z + o[1] + c[1] * throttle + n[1],
-            m[6] * x + m[7] * y + m[8] * z + o[2] + c[2] * throttle + n[2],
+        return self.glitches.out(
+            (
+                m[0] * x + m[1] * y + m[2] * z + o[0] + c[0] * throttle + n[0],
+                m[3] * x + m[4] * y + m[5] * z + o[1] + c[1] * throttle + n[1],
+                m[6] * x + m[7] * y + m[8] * z + o[2] + c[2] * throttle + n[2],
+            )
         )
 
 
@@ -117,6 +122,11 @@ class GpsSensor:
         self._wander = self._spread * rng.standard_normal(3)
         self._noise = np.array((e.noise_m,) * 3 + (e.speed_noise_m_s,) * 2 + (e.climb_noise_m_s,))
         self._last_s: float | None = None
+        self._last: GpsReading | None = None
+        # for faults: a step aside, what becomes of places on their way out, a solution that stays
+        self.jump_ned_m: Vector3 = ZERO3
+        self.glitches = Glitches(rng.spawn(1)[0])
+        self.frozen = False
 
     def sample(self, now_s: float, position_ned_m: Vector3, velocity_ned_m_s: Vector3) -> GpsReading:
         """The solution for the antenna at `position_ned_m` from home."""
@@ -128,8 +138,12 @@ class GpsSensor:
         noise = self._noise * self._rng.standard_normal(6)
         north, east, down = (float(p) for p in np.array(position_ned_m) + self._wander + noise[:3])
         vn, ve, vd = (float(v) for v in np.array(velocity_ned_m_s) + noise[3:])
-        latitude, longitude, altitude = geodetic_from_ned((north, east, down), self._home)
-        return GpsReading(latitude, longitude, altitude, (vn, ve, vd), 2.5, 3.8, 0.3, self._errors.satellites)
+        place = self.glitches.out(add((north, east, down), self.jump_ned_m))
+        latitude, longitude, altitude = geodetic_from_ned(place, self._home)
+        if not self.frozen or self._last is None:
+            count = self._errors.satellites
+            self._last = GpsReading(latitude, longitude, altitude, (vn, ve, vd), 2.5, 3.8, 0.3, count)
+        return self._last
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +168,16 @@ class RangeSensor:
     def __init__(self, errors: RangeErrors, rng: np.random.Generator) -> None:
         self._errors = errors
         self._rng = rng
-        self.extra_spikes = 0.0  # for faults: a larger share of wrong echoes than usual
+        self._last_m: float | None = None
+        self.mend()
+
+    def mend(self) -> None:
+        """No faults: no more wrong or lost echoes than usual, no bias, no distance that stays."""
+        self.extra_spikes = 0.0
+        self.extra_lost = 0.0
+        self.bias_m = 0.0
+        self.frozen = False
+        self.stuck_m: float | None = None
 
     def sample(self, height_m: float, tilt_rad: float = 0.0) -> float | None:
         """Distance (m) of the first echo, or None: of a sensor `height_m` over a flat floor, tilted.
@@ -168,8 +191,10 @@ class RangeSensor:
         if spike < spikes:
             # the shells' edges ring, or a neighbour's rotor does: an echo from anywhere in between
             distance_m *= spike / spikes
-        distance_m += (e.noise_m + e.noise_share * distance_m) * float(noise)
-        if lost < e.lost or distance_m > e.maximum_m:
-            return None
+        distance_m += (e.noise_m + e.noise_share * distance_m) * float(noise) + self.bias_m
+        if self.frozen:
+            return self._last_m if self.stuck_m is None else self.stuck_m
         # nearer than the blind zone it goes on showing the blind zone's edge
-        return max(e.minimum_m, distance_m)
+        heard = lost >= max(e.lost, self.extra_lost) and distance_m <= e.maximum_m
+        self._last_m = max(e.minimum_m, distance_m) if heard else None
+        return self._last_m

@@ -29,10 +29,12 @@ from companion.slots import Slot
 from sitl import camera as lens
 from sitl import exposure
 from sitl.autopilot import Autopilot
-from sitl.breaking import Breakable, FaultSchedule, FrameLine
+from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
 from sitl.endpoint import MavlinkEndpoint
+from sitl.faulty_link import LinkWay
+from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
 from sitl.inertial import ImuErrors
 from sitl.onboard import OnboardSensors
@@ -129,7 +131,16 @@ class Simulation:
         self._world = World(scenario, seed)
         body = self._world.airframe.body
         self._autopilot = Autopilot(scenario.autopilot, body, next(streams), HOME)
-        self._ground_station = GroundStation(next(streams), scenario.beacon.position_std_m, HOME)
+        beacon = scenario.beacon
+        self._ground_station = GroundStation(
+            next(streams),
+            beacon.position_std_m,
+            HOME,
+            velocity_std_m_s=beacon.velocity_std_m_s,
+            delay_s=beacon.delay_s,
+            rate_hz=beacon.rate_hz,
+            available=beacon.available,
+        )
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         errors = sensor_errors(scenario.sensors)
         self._rack = SensorRack(
@@ -147,8 +158,15 @@ class Simulation:
         )
         self.imu_bus = self._rack.imu
         self._range_m = OUT_OF_RANGE_M
-        self._frame_line = FrameLine(np.random.default_rng((seed, FAULT_STREAM)))
-        self._faults = FaultSchedule(scenario.faults, Breakable(self._rack, self._frame_line))
+        fault_rng = np.random.default_rng((seed, FAULT_STREAM))
+        app_rng, vehicle_rng = fault_rng.spawn(2)
+        camera = scenario.camera
+        self._frame_line = FrameLine(fault_rng, camera.lost_share, camera.lost_burst_frames)
+        self._to_app, self._to_vehicle = LinkWay(scenario.link, app_rng), LinkWay(scenario.link, vehicle_rng)
+        breakable = Breakable(
+            self._rack, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
+        )
+        self._faults = FaultSchedule(scenario.faults, breakable)
         camera_streams = (next(streams), next(streams))
         self._onboard = OnboardSensors(
             next(streams),
@@ -267,7 +285,9 @@ class Simulation:
         if held_up_s is None:
             return
         delivery_s += held_up_s
-        frame = replace(frame, time_s=self._start_s + frame.time_s)
+        frame = replace(
+            frame, time_s=self._start_s + frame.time_s, image=self._frame_line.carried(frame.image)
+        )
 
         def deliver() -> None:
             self._deliver_frame(replace(frame, received_s=self._clock.now_s()))
@@ -280,13 +300,26 @@ class Simulation:
             now_s, pad.position_ned_m, pad.velocity_ned_m_s
         )
         if data:
-            self._link.write(data)
+            self._carry(data, self._to_app, self._link.write)
 
     async def _receive(self) -> None:
         while True:
-            data = await self._link.read()
-            self._endpoint.receive(data, self._world.time_s)
-            self._ground_station.receive(data, self._world.time_s)
+            self._carry(await self._link.read(), self._to_vehicle, self._hear)
+
+    def _hear(self, data: bytes) -> None:
+        self._endpoint.receive(data, self._world.time_s)
+        self._ground_station.receive(data, self._world.time_s)
+
+    def _carry(self, data: bytes, way: LinkWay, deliver: Callable[[bytes], None]) -> None:
+        """Hand a datagram over when the line has it through, if it does."""
+        now_s = self._clock.now_s()
+        arrival_s = way.arrival_s(now_s)
+        if arrival_s is None:
+            return
+        if arrival_s <= now_s:
+            deliver(data)
+        else:
+            asyncio.get_running_loop().call_at(arrival_s, deliver, data)
 
 
 # ---------------------------------------------------------------- reports between processes
@@ -357,6 +390,8 @@ class _Camera:
             vehicle_attitude=truth.vehicle_attitude,
             pad_position_ned_m=truth.pad_position_ned_m,
             pad_heading_rad=truth.pad_heading_rad,
+            pad_roll_rad=truth.pad_roll_rad,
+            pad_pitch_rad=truth.pad_pitch_rad,
         )
 
 

@@ -18,15 +18,20 @@ import math
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from companion.config import StrictModel
 from companion.geometry import Vector3
 
 FOOT_M: Final = 0.3048
 KNOT_M_S: Final = 0.514444
-# the standard's light and moderate: wind at 20 ft
-W20_M_S: Final = {"none": 0.0, "light": 15.0 * KNOT_M_S, "moderate": 30.0 * KNOT_M_S}
+# the standard's light, moderate and severe: wind at 20 ft
+W20_M_S: Final = {
+    "none": 0.0,
+    "light": 15.0 * KNOT_M_S,
+    "moderate": 30.0 * KNOT_M_S,
+    "severe": 45.0 * KNOT_M_S,
+}
 REFERENCE_HEIGHT_FT: Final = 20.0
 FADE_HEIGHT_M: Final = 10.0 * FOOT_M
 ROUGHNESS_M: Final = 0.15 * FOOT_M
@@ -44,13 +49,41 @@ class GustSettings(StrictModel):
     spread_deg: float = Field(default=45.0, ge=0.0, le=180.0)
 
 
+class DiscreteGust(StrictModel):
+    """One gust at a known time, or the same again and again: rises and falls as (1 - cos)."""
+
+    at_s: float = Field(ge=0.0, le=900.0)  # It begins then, from the start of the simulation
+    amplitude_m_s: float = Field(gt=0.0, le=20.0)  # Peak, at 6.1 m like the mean wind
+    duration_s: float = Field(default=3.0, ge=0.2, le=60.0)  # From calm to calm
+    from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["wind"] = "wind"  # Where it comes from
+    every_s: Annotated[float, Field(ge=1.0, le=900.0)] | None = None  # Again after so long; none: once
+
+    @model_validator(mode="after")
+    def _one_after_another(self) -> DiscreteGust:
+        if self.every_s is not None and self.every_s < self.duration_s:
+            raise ValueError(
+                f"every_s is {self.every_s:g}; expected at least duration_s, {self.duration_s:g}"
+            )
+        return self
+
+    def speed_m_s(self, time_s: float) -> float:
+        """How strongly it blows."""
+        since_s = time_s - self.at_s
+        if self.every_s is not None and since_s > 0.0:
+            since_s %= self.every_s
+        if not 0.0 < since_s < self.duration_s:
+            return 0.0
+        return 0.5 * self.amplitude_m_s * (1.0 - math.cos(math.tau * since_s / self.duration_s))
+
+
 class WindSettings(StrictModel):
     """What blows: `mean_m_s` at 20 ft (6.1 m), `from_deg` where it comes from."""
 
     mean_m_s: float = Field(default=0.0, ge=0.0, le=20.0)
     from_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | Literal["random"] = "random"
-    turbulence: Literal["none", "light", "moderate"] = "none"
+    turbulence: Literal["none", "light", "moderate", "severe"] = "none"
     gusts: GustSettings | None = None
+    gust: DiscreteGust | None = None
 
 
 def shear(height_m: float) -> float:
@@ -162,6 +195,9 @@ class Wind:
         w20 = W20_M_S[settings.turbulence]
         self._turbulence = DrydenTurbulence(w20, settings.mean_m_s, rng) if w20 else None
         self._gusts = Gusts(settings.gusts, towards, rng) if settings.gusts else None
+        self._gust = settings.gust
+        from_deg = "wind" if self._gust is None else self._gust.from_deg
+        self._gust_towards_rad = towards if from_deg == "wind" else math.radians(from_deg) + math.pi
         self._sample = self._next = self._turbulence.step() if self._turbulence else (0.0, 0.0, 0.0)
         self._next_s = 0.0
 
@@ -178,6 +214,9 @@ class Wind:
         if self._gusts is not None:
             gust_north, gust_east = self._gusts.at(time_s)
             north, east = north + profile * gust_north, east + profile * gust_east
+        if self._gust is not None and (speed := self._gust.speed_m_s(time_s)) > 0.0:
+            north += profile * speed * math.cos(self._gust_towards_rad)
+            east += profile * speed * math.sin(self._gust_towards_rad)
         return (north, east, down)
 
     def _interpolated(self, turbulence: DrydenTurbulence, time_s: float) -> Vector3:

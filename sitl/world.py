@@ -20,14 +20,16 @@ from companion.geometry import (
     norm,
     quat_normalise,
     quat_rotate,
+    quat_rotate_inverse,
     subtract,
     tilt_from_quat,
     wrap_angle,
 )
 from companion.messages import Truth
 from companion.pad import load_pad
-from sitl.contact import NO_CONTACT, Contact, ContactLoad, board_velocity_ned_m_s
-from sitl.ground import Board, rotor_ratios
+from sitl.actuators import Motors
+from sitl.contact import NO_CONTACT, Contact, ContactLoad
+from sitl.ground import Board, lean_over, rotor_ratios
 from sitl.pad_motion import PadTruth, build_pad_motion
 from sitl.quadrotor import Four, Quadrotor, QuadrotorState, resting_state
 from sitl.scenario import Scenario, load_airframe
@@ -75,13 +77,18 @@ class World:
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
         # the autopilot's wish, kept with the truth for the plots
         self.attitude_setpoint: Quaternion = IDENTITY
+        self.motors = Motors()
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
         self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
         self._pad_motion = build_pad_motion(
-            pad.motion, pad.surface_height_m, pad.heading, np.random.default_rng((seed, _Stream.PAD))
+            pad.motion,
+            pad.surface_height_m,
+            pad.heading,
+            np.random.default_rng((seed, _Stream.PAD)),
+            pad.deck,
         )
         self.pad_state = self._pad_motion.at(0.0)
         self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
@@ -116,7 +123,7 @@ class World:
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
         self._state = self._quadrotor.step(
             self._state,
-            motor_commands,
+            self.motors.given(motor_commands),
             dt_s,
             wind_ned_m_s=self.wind_ned_m_s,
             thrust_ratio=thrust_ratio,
@@ -204,8 +211,9 @@ class World:
         if tilt <= half_angle_rad and sensor[2] < 0.0:
             echoes.append(-sensor[2])
         sideways, height = self.board.distance_m(pad, sensor)
-        # beside the board its edge counts as in the cone by the angle from plumb alone: tilts are small
-        if height > 0.0 and max(tilt, math.atan2(sideways, height)) <= half_angle_rad:
+        # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
+        lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
+        if height > 0.0 and lean <= half_angle_rad:
             echoes.append(math.hypot(sideways, height))
         return min(echoes, default=None)
 
@@ -224,10 +232,11 @@ class World:
     @property
     def at_rest_on_pad(self) -> bool:
         """Whether it stands on the board and goes with it."""
-        carried = board_velocity_ned_m_s(self.pad_state, self._state.position_ned_m)
-        moving = norm(subtract(self._state.velocity_ned_m_s, carried)) > REST_SPEED_M_S
-        p, q, r = self._state.rate_body_rad_s
-        turning = norm((p, q, r - self.pad_state.heading_rate_rad_s)) > REST_RATE_RAD_S
+        state, pad = self._state, self.pad_state
+        carried = pad.velocity_at_ned_m_s(state.position_ned_m)
+        moving = norm(subtract(state.velocity_ned_m_s, carried)) > REST_SPEED_M_S
+        turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
+        turning = norm(subtract(state.rate_body_rad_s, turned)) > REST_RATE_RAD_S
         return self._load.on_board >= STANDING_FEET and not moving and not turning
 
     def truth(self) -> Truth:
@@ -259,6 +268,8 @@ class World:
             pad_position_ned_m=moment.pad.position_ned_m,
             pad_velocity_ned_m_s=moment.pad.velocity_ned_m_s,
             pad_heading_rad=moment.pad.heading_rad,
+            pad_roll_rad=moment.pad.roll_rad,
+            pad_pitch_rad=moment.pad.pitch_rad,
             wind_ned_m_s=moment.wind_ned_m_s,
             in_contact=moment.in_contact,
             rate_body_rad_s=moment.state.rate_body_rad_s,
@@ -287,5 +298,7 @@ def _between(a: _Moment, b: _Moment, time_s: float) -> _Moment:
         position_ned_m=_mixed(a.pad.position_ned_m, b.pad.position_ned_m, k),
         velocity_ned_m_s=_mixed(a.pad.velocity_ned_m_s, b.pad.velocity_ned_m_s, k),
         heading_rad=wrap_angle(a.pad.heading_rad + k * turned),
+        roll_rad=a.pad.roll_rad + k * (b.pad.roll_rad - a.pad.roll_rad),
+        pitch_rad=a.pad.pitch_rad + k * (b.pad.pitch_rad - a.pad.pitch_rad),
     )
     return _Moment(time_s, state, pad, b.wind_ned_m_s, b.in_contact)

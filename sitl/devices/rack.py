@@ -109,9 +109,8 @@ class SensorRack:
             interface=wiring.imu_interface,
             clock_error=clock_errors[0],
         )
-        self.gps = Neo6mDevice(
-            GpsSensor(errors.gps, streams[2], home), gps_config.latency_s, wiring.gps_wake_baud
-        )
+        self.position = GpsSensor(errors.gps, streams[2], home)
+        self.gps = Neo6mDevice(self.position, gps_config.latency_s, wiring.gps_wake_baud)
         ultrasonic = UltrasonicDevice if wiring.ultrasonic == "frames" else PolledUltrasonicDevice
         self.range = ultrasonic(self.echo)
         self._field_ned_ut = field_ned_ut

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, matrix_from_quat, norm, quat_from_euler
 from sitl.contact import Contact
 from sitl.ground import Board, thrust_ratio
-from sitl.pad_motion import FigureEightMotion, PadTruth, build_pad_motion
+from sitl.pad_motion import PadTruth, build_pad_motion
+from sitl.pad_paths import FigureEightMotion
 from sitl.quadrotor import Four, Quadrotor, QuadrotorState
 from sitl.scenario import load_airframe
 

@@ -19,15 +19,14 @@ import numpy as np
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadFix
 from companion.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
-from sitl.pad_motion import (
+from sitl.driven_paths import RandomTurnsMotion
+from sitl.pad_motion import Motion, build_pad_motion
+from sitl.pad_paths import (
     CircleMotion,
     FigureEightMotion,
     HeaveMotion,
     LineMotion,
-    Motion,
-    RandomTurnsMotion,
     StaticMotion,
-    build_pad_motion,
 )
 
 # the scenarios' motions, and a driver that the models do not fit

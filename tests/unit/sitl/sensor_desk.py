@@ -16,10 +16,13 @@ from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
 from companion.sense.ultrasonic import Ultrasonic
-from sitl.breaking import Breakable, FaultSchedule, FrameLine
+from sitl.actuators import Motors
+from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack, SensorTruth
 from sitl.faults import Fault
+from sitl.faulty_link import LinkSettings, LinkWay
+from sitl.frame_line import FrameLine
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
@@ -44,7 +47,9 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
     problems: list[str] = []
 
     async def world(rack: SensorRack, clock: Clock) -> None:
-        schedule = FaultSchedule(faults, Breakable(rack, FrameLine(np.random.default_rng(0))))
+        rng = np.random.default_rng(0)
+        ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
+        schedule = FaultSchedule(faults, Breakable(rack, FrameLine(rng), Motors(), *ways))
         for k in range(round(seconds / STEP_S)):
             schedule.step(k * STEP_S)
             attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)

@@ -97,10 +97,9 @@ class Fall:
     def relative(self) -> tuple[Vector3, Vector3]:
         """Place (in the board's axes) and velocity relative to the pad."""
         pad = self.pad(self.t)
-        forward, right = BOARD.local(pad, *self.state.position_ned_m[:2])
+        forward, right, down = BOARD.local(pad, self.state.position_ned_m)
         v, u = self.state.velocity_ned_m_s, pad.velocity_ned_m_s
-        up = pad.position_ned_m[2] - self.state.position_ned_m[2]
-        return (forward, right, up), (v[0] - u[0], v[1] - u[1], v[2] - u[2])
+        return (forward, right, -down), (v[0] - u[0], v[1] - u[1], v[2] - u[2])
 
 
 def above(pad: Pad, x: float = 0.0, y: float = 0.0, gap: float = 0.0, **values: object) -> QuadrotorState:

@@ -13,7 +13,6 @@ import yaml
 from companion.config import ConfigError
 from companion.geometry import GRAVITY_M_S2
 from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
-from sitl.breaking import FrameLine
 from sitl.faults import (
     AccelClips,
     Fault,
@@ -25,6 +24,7 @@ from sitl.faults import (
     MagDisturbed,
     RangeSpikes,
 )
+from sitl.frame_line import FrameLine
 from sitl.scenario import load_scenario
 from tests.unit.sitl.sensor_desk import Heard, fly
 

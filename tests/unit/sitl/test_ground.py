@@ -64,8 +64,8 @@ def test_the_board_turns_with_the_heading(heading_deg: int) -> None:
     pad = pad_at((3.0, 4.0, -0.2), heading)
     ahead = (3.0 + 1.5 * math.cos(heading), 4.0 + 1.5 * math.sin(heading))
     aside = (3.0 - 1.5 * math.sin(heading), 4.0 + 1.5 * math.cos(heading))
-    assert board.local(pad, *ahead) == pytest.approx((1.5, 0.0), abs=1e-12)
-    assert board.local(pad, *aside) == pytest.approx((0.0, 1.5), abs=1e-12)
+    assert board.local(pad, (*ahead, -0.2)) == pytest.approx((1.5, 0.0, 0.0), abs=1e-12)
+    assert board.local(pad, (*aside, -0.3)) == pytest.approx((0.0, 1.5, -0.1), abs=1e-12)
     assert board.surface_down_m(pad, *ahead) == -0.2
     assert board.surface_down_m(pad, *aside) == 0.0
 

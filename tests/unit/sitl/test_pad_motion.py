@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 
 from companion.geometry import wrap_angle
-from sitl.pad_motion import (
+from sitl.driven_paths import RandomTurnsMotion
+from sitl.pad_motion import Motion, PadMotion, build_pad_motion
+from sitl.pad_paths import (
     CircleMotion,
     FigureEightMotion,
     Heading,
     HeaveMotion,
     LineMotion,
     Meeting,
-    Motion,
-    PadMotion,
-    RandomTurnsMotion,
     StaticMotion,
-    build_pad_motion,
 )
 
 MOTIONS: dict[str, Motion] = {

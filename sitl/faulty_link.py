@@ -1,0 +1,54 @@
+"""A MAVLink line that loses, delays and reorders: a stage between the vehicle and whoever flies it.
+
+Pure: told when a datagram is sent (s) it says when it arrives, or that it never does. A datagram is whole or
+gone, as over UDP, or as radio packets are. Each direction has dice of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+
+from companion.config import StrictModel
+
+# two datagrams that arrive in order do not arrive at once: timers of one time have no order
+NEXT_S: Final = 1e-6
+
+
+class LinkSettings(StrictModel):
+    """How good the line is, both ways alike."""
+
+    loss_share: float = Field(default=0.0, ge=0.0, le=1.0)  # Of the datagrams
+    delay_s: float = Field(default=0.0, ge=0.0, le=2.0)  # Of each
+    jitter_s: float = Field(default=0.0, ge=0.0, le=1.0)  # And up to so much more; the order stays
+    reorder_share: float = Field(default=0.0, ge=0.0, le=1.0)  # Of the datagrams, which later ones overtake
+    reorder_hold_s: float = Field(default=0.05, gt=0.0, le=2.0)  # So long such a one is held back
+
+
+class LinkWay:
+    """One direction of a line. `cut` is a blackout."""
+
+    def __init__(self, settings: LinkSettings, rng: np.random.Generator) -> None:
+        self._settings = settings
+        self._rng = rng
+        self._perfect = settings == LinkSettings()
+        self._latest_s = -1.0
+        self.cut = False
+
+    def arrival_s(self, now_s: float) -> float | None:
+        """When a datagram sent now arrives (s), None if it never does."""
+        if self.cut:
+            return None
+        if self._perfect:
+            return now_s
+        s = self._settings
+        lost, late, held = (float(self._rng.random()) for _ in range(3))
+        if lost < s.loss_share:
+            return None
+        arrival_s = now_s + s.delay_s + s.jitter_s * late
+        if held < s.reorder_share:
+            return arrival_s + s.reorder_hold_s
+        self._latest_s = max(arrival_s, self._latest_s + NEXT_S)
+        return self._latest_s
