@@ -59,6 +59,7 @@ class QuadrotorParameters(StrictModel):
     rotor_drag_plane_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
     rotor_drag_axial_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
     body_drag_area_m2: float = Field(ge=0.0, le=1.0)
+    linear_drag_n_s_m: float = Field(default=0.0, ge=0.0, le=10.0)
 
     def hover_share(self) -> float:
         """Share of full thrust that carries the weight."""
@@ -102,6 +103,7 @@ class Quadrotor:
         speed = parameters.max_rotor_speed_rad_s
         self._plane_drag = parameters.rotor_drag_plane_n_s2_m_rad * speed / self.mass_kg
         self._axial_drag = parameters.rotor_drag_axial_n_s2_m_rad * speed / self.mass_kg
+        self._linear_drag = parameters.linear_drag_n_s_m / self.mass_kg
         self._momentum = parameters.rotor_inertia_kg_m2 * speed
         self._lag_dt_s = 0.0
         self._rise = self._fall = (0.0, 0.0)
@@ -133,8 +135,8 @@ class Quadrotor:
         ix, iy, iz = self._inertia
         held: _Held = (
             *wind_ned_m_s,
-            self._plane_drag * speeds,
-            self._axial_drag * speeds,
+            self._plane_drag * speeds + self._linear_drag,
+            self._axial_drag * speeds + self._linear_drag,
             self._body_drag,
             thrust / self.mass_kg,
             force_ned_n[0] / self.mass_kg,

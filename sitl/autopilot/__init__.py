@@ -2,19 +2,21 @@
 
 from sitl.autopilot.airframe import Airframe, hover_thrust
 from sitl.autopilot.autopilot import Autopilot
-from sitl.autopilot.estimator import NO_ERRORS, EstimatorErrors
+from sitl.autopilot.estimator import ESTIMATORS, NO_ERRORS, EstimatorErrors, EstimatorName
 from sitl.autopilot.flight import MANNERS
 from sitl.autopilot.mixer import Motors
 from sitl.autopilot.modes import Result, Severity, Task
 from sitl.autopilot.setpoints import AttitudeSetpoint, Frame, Ignore, MotionSetpoint, StreamedMotion
 
 __all__ = [
+    "ESTIMATORS",
     "MANNERS",
     "NO_ERRORS",
     "Airframe",
     "AttitudeSetpoint",
     "Autopilot",
     "EstimatorErrors",
+    "EstimatorName",
     "Frame",
     "Ignore",
     "MotionSetpoint",

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
@@ -49,6 +50,24 @@ class EstimatorErrors:
 
 
 NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
+# Read off PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a second,
+# and a position held fast by GPS does not follow it (so the leak is short).
+SIH_ERRORS = EstimatorErrors(
+    horizontal_velocity_std_m_s=0.2,
+    vertical_velocity_std_m_s=0.12,
+    velocity_correlation_s=2.5,
+    position_leak_s=1.0,
+    position_offset_std_m=0.2,
+    height_offset_std_m=0.2,
+    heading_bias_deg=(0.0, 0.0),
+    tilt_error_deg=0.1,
+)
+EstimatorName = Literal["typical", "exact", "sih"]
+ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
+    "typical": EstimatorErrors(),
+    "exact": NO_ERRORS,
+    "sih": SIH_ERRORS,
+}
 
 
 class Estimator:
