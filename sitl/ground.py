@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import Quaternion, Vector3, dot, quat_rotate, subtract
+from companion.geometry import Quaternion, Vector3, add, dot, quat_rotate, subtract, tilt_from_quat
 from companion.pad import Pad
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import NO_RATIO, Four, QuadrotorState
@@ -64,6 +64,30 @@ class Board:
         forward, right, _ = pad.axes()
         lift = abs(forward[2]) * self.half_length_m + abs(right[2]) * self.half_width_m
         return min(0.0, pad.position_ned_m[2] - lift)
+
+
+def echo_distance_m(
+    board: Board,
+    pad: PadTruth,
+    state: QuadrotorState,
+    sensor_position_body_m: Vector3,
+    half_angle_rad: float,
+) -> float | None:
+    """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back.
+
+    A smooth surface throws sound back from its nearest point alone, so that point has to lie in the
+    cone: the plumb point, or the board's nearest edge beside it.
+    """
+    sensor = add(state.position_ned_m, quat_rotate(state.attitude, sensor_position_body_m))
+    echoes = []
+    if sensor[2] < 0.0 and tilt_from_quat(state.attitude) <= half_angle_rad:
+        echoes.append(-sensor[2])
+    sideways, height = board.distance_m(pad, sensor)
+    # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
+    lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
+    if height > 0.0 and lean <= half_angle_rad:
+        echoes.append(math.hypot(sideways, height))
+    return min(echoes, default=None)
 
 
 def lean_over(pad: PadTruth, attitude: Quaternion) -> float:

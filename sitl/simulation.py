@@ -57,6 +57,7 @@ FAULT_STREAM: Final = 21
 HOME: Final[Vector3] = (47.0, 8.0, 400.0)
 MAGNETIC_FIELD_NED_UT: Final[Vector3] = (20.9, 0.6, 42.9)
 OUT_OF_RANGE_M: Final = 99.0
+HALF_BEAM_RAD: Final = RangeErrors().half_beam_rad
 
 
 class ByteLink(Protocol):
@@ -117,8 +118,9 @@ class Simulation:
         gps_port: DevicePort,
         range_port: DevicePort,
         deliver_frame: Callable[[Frame], None],
+        camera_wanted: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Build the world and plug the devices in.
+        """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -157,7 +159,7 @@ class Simulation:
             ),
         )
         self.imu_bus = self._rack.imu
-        self._range_m = OUT_OF_RANGE_M
+        self._ranging = self._world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
         app_rng, vehicle_rng = fault_rng.spawn(2)
         camera = scenario.camera
@@ -183,6 +185,7 @@ class Simulation:
         self._camera = _Camera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard)
         self._deliver_frame = deliver_frame
+        self._camera_wanted = camera_wanted
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
@@ -251,33 +254,32 @@ class Simulation:
         motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
         world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
-        state, throttle, range_height_m = world.state, 0.25 * sum(motors), self._range_height_m()
+        state, throttle = world.state, 0.25 * sum(motors)
+        if self._ticks % RANGE_EVERY_TICKS == 0:
+            self._ranging = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self._faults.step(world.time_s)
-        self._onboard.step(world.time_s, state, throttle, range_height_m)
+        self._onboard.step(world.time_s, state, throttle, self._range_height_m)
         self._rack.step(
             world.time_s,
             SensorTruth(
-                specific_force_body_m_s2=state.specific_force_body_m_s2,
-                rate_body_rad_s=state.rate_body_rad_s,
-                attitude=state.attitude,
-                position_ned_m=state.position_ned_m,
-                velocity_ned_m_s=state.velocity_ned_m_s,
-                range_height_m=range_height_m,
-                throttle=throttle,
+                state.specific_force_body_m_s2,
+                state.rate_body_rad_s,
+                state.attitude,
+                state.position_ned_m,
+                state.velocity_ned_m_s,
+                self._range_height_m,
+                throttle,
             ),
         )
 
     def _range_height_m(self) -> float:
-        """The ultrasonic's height over what answers it, updated when it may be about to ping."""
-        if self._ticks % RANGE_EVERY_TICKS == 0:
-            position = self._vehicle.range_position_body_m
-            distance = self._world.range_to_surface_m(position, RangeErrors().half_beam_rad)
-            self._range_m = OUT_OF_RANGE_M if distance is None else distance
-        return self._range_m
+        """The ultrasonic's height over what answers it."""
+        distance_m = self._ranging()
+        return OUT_OF_RANGE_M if distance_m is None else distance_m
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
-        taken = self._camera.step(now_s)
+        taken = self._camera.step(now_s, wanted=self._camera_wanted())
         if taken is None:
             return
         frame, delivery_s = taken
@@ -369,12 +371,14 @@ class _Camera:
         self._sequence = 0
         self._next_s = self._period_s
 
-    def step(self, now_s: float) -> tuple[Frame, float] | None:
+    def step(self, now_s: float, *, wanted: bool) -> tuple[Frame, float] | None:
         """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
         if now_s < self._next_s + 0.5 * self._model.span_s:
             return None
         time_s = self._next_s
         self._next_s += self._period_s
+        if not wanted:
+            return None
         image = self._model.render(time_s, self._scene_at)
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,17 +21,15 @@ from companion.geometry import (
     Vector3,
     norm,
     quat_normalise,
-    quat_rotate,
     quat_rotate_inverse,
     subtract,
-    tilt_from_quat,
     wrap_angle,
 )
 from companion.messages import Truth
 from companion.pad import load_pad
 from sitl.actuators import Motors
 from sitl.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.ground import Board, lean_over, rotor_ratios
+from sitl.ground import Board, echo_distance_m, rotor_ratios
 from sitl.pad_motion import PadTruth, build_pad_motion
 from sitl.quadrotor import Four, Quadrotor, QuadrotorState, resting_state
 from sitl.scenario import Scenario, load_airframe
@@ -132,7 +132,8 @@ class World:
         )
         self.time_s += dt_s
         self.pad_state = self._pad_motion.at(self.time_s)
-        self._watch.airborne(self.height_m - self.landed_reference_height_m)
+        if not self._watch.flying:
+            self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._remember()
 
     def _blow(self) -> Vector3:
@@ -194,28 +195,16 @@ class World:
         return self.airframe.legs.standing_height_m()
 
     def range_to_surface_m(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> float | None:
-        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back.
+        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back."""
+        return self.ranging(sensor_position_body_m, half_angle_rad)()
 
-        A smooth surface throws sound back from its nearest point alone, so that point has to lie in the
-        cone: the plumb point, or the board's nearest edge beside it.
-        """
-        state, pad = self._state, self.pad_state
-        offset = quat_rotate(state.attitude, sensor_position_body_m)
-        sensor = (
-            state.position_ned_m[0] + offset[0],
-            state.position_ned_m[1] + offset[1],
-            state.position_ned_m[2] + offset[2],
+    def ranging(
+        self, sensor_position_body_m: Vector3, half_angle_rad: float
+    ) -> Callable[[], float | None]:
+        """What `range_to_surface_m` would tell now, worked out when asked for."""
+        return partial(
+            echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
         )
-        tilt = tilt_from_quat(state.attitude)
-        echoes = []
-        if tilt <= half_angle_rad and sensor[2] < 0.0:
-            echoes.append(-sensor[2])
-        sideways, height = self.board.distance_m(pad, sensor)
-        # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
-        lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
-        if height > 0.0 and lean <= half_angle_rad:
-            echoes.append(math.hypot(sideways, height))
-        return min(echoes, default=None)
 
     # ------------------------------------------------------------ for the score and the camera
 

@@ -87,6 +87,10 @@ class Neo6mDevice:
         self._replies = b""
         self._due: deque[tuple[float, bytes]] = deque()
 
+    def is_due(self, now_s: float) -> bool:
+        """Whether an epoch falls on a step at that time: then the antenna's truth counts."""
+        return self._next_ms is not None and now_s * 1000.0 + 1e-6 >= self._next_ms
+
     def step(self, now_s: float, position_ned_m: Vector3, velocity_ned_m_s: Vector3) -> bytes:
         """Bytes that go on the line now; the antenna's truth counts at the instants of its epochs."""
         elapsed_ms = now_s * 1000.0 + 1e-6  # a step that falls on an epoch counts as it
@@ -105,6 +109,8 @@ class Neo6mDevice:
 
     def receive(self, data: bytes) -> None:
         """Bytes from the onboard computer: commands, or garbage."""
+        if not data:
+            return
         self._incoming += data
         while (start := self._incoming.find(b"\xb5\x62")) >= 0:
             del self._incoming[:start]

@@ -5,13 +5,15 @@ Each sensor has a random stream of its own, so that a fault in one does not chan
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 from companion.config import GpsConfig, ImuConfig
 from companion.geometry import (
+    ZERO3,
     Quaternion,
     Vector3,
     add,
@@ -60,12 +62,11 @@ class Wiring:
     ultrasonic: Literal["frames", "polled"] = "frames"
 
 
-@dataclass(frozen=True, slots=True)
-class SensorTruth:
+class SensorTruth(NamedTuple):
     """What the world does to the sensors at one instant.
 
-    Position and velocity are the reference point's (centre of mass); `range_height_m` is the ultrasonic's
-    over the floor or pad beneath it; `throttle` is the mean motor command, 0 to 1.
+    Position and velocity are the reference point's (centre of mass); `range_height_m` gives the ultrasonic's
+    over the floor or pad beneath it, worked out when it pings; `throttle` is the mean motor command, 0 to 1.
     """
 
     specific_force_body_m_s2: Vector3
@@ -73,7 +74,7 @@ class SensorTruth:
     attitude: Quaternion
     position_ned_m: Vector3
     velocity_ned_m_s: Vector3
-    range_height_m: float
+    range_height_m: Callable[[], float]
     throttle: float
 
 
@@ -120,14 +121,24 @@ class SensorRack:
 
     def step(self, now_s: float, truth: SensorTruth) -> None:
         """One physics step: feel it, and put on the lines what is due."""
-        attitude, rate = truth.attitude, truth.rate_body_rad_s
-        field_body = quat_rotate_inverse(attitude, self._field_ned_ut)
-        self.imu.step(now_s, truth.specific_force_body_m_s2, rate, field_body, truth.throttle)
-        antenna = quat_rotate(attitude, self._antenna_body_m)
-        turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))
+        field_body = ZERO3
+        if self.imu.magnetometer.is_due(now_s):
+            field_body = quat_rotate_inverse(truth.attitude, self._field_ned_ut)
+        self.imu.step(
+            now_s, truth.specific_force_body_m_s2, truth.rate_body_rad_s, field_body, truth.throttle
+        )
         self.gps.receive(self._gps_port.receive())
-        position, velocity = add(truth.position_ned_m, antenna), add(truth.velocity_ned_m_s, turning)
+        antenna = self._antenna(truth) if self.gps.is_due(now_s) else (ZERO3, ZERO3)
         self._gps_port.set_baud(self.gps.baud)
-        self._gps_port.send(self.gps.step(now_s, position, velocity))
+        self._gps_port.send(self.gps.step(now_s, *antenna))
         self.range.receive(self._range_port.receive())
-        self._range_port.send(self.range.step(now_s, truth.range_height_m, tilt_from_quat(attitude)))
+        height_m = tilt_rad = 0.0
+        if self.range.is_due(now_s):
+            height_m, tilt_rad = truth.range_height_m(), tilt_from_quat(truth.attitude)
+        self._range_port.send(self.range.step(now_s, height_m, tilt_rad))
+
+    def _antenna(self, truth: SensorTruth) -> tuple[Vector3, Vector3]:
+        """Position and velocity NED of the GPS antenna."""
+        lever, attitude = self._antenna_body_m, truth.attitude
+        turning = quat_rotate(attitude, cross(truth.rate_body_rad_s, lever))
+        return add(truth.position_ned_m, quat_rotate(attitude, lever)), add(truth.velocity_ned_m_s, turning)

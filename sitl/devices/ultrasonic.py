@@ -29,6 +29,10 @@ class UltrasonicDevice:
     def receive(self, data: bytes) -> None:
         """Bytes from the onboard computer: it does not listen."""
 
+    def is_due(self, now_s: float) -> bool:
+        """Whether it pings in a step at that time: then height and tilt count."""
+        return self._next_s is None or now_s >= self._next_s
+
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
         """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""
         if self._next_s is None:
@@ -59,6 +63,10 @@ class PolledUltrasonicDevice:
         """Bytes from the onboard computer; while it waits for an echo it does not listen."""
         if not self._answer:
             self._asked += data
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether it pings in the coming step: then height and tilt count."""
+        return bool(self._asked)
 
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
         """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""

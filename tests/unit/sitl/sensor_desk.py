@@ -54,7 +54,7 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
             schedule.step(k * STEP_S)
             attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)
             truth = SensorTruth(
-                FORCE, (0.0, 0.0, 0.3), attitude, (0.0, k * STEP_S, -2.0), (0.0, 1.0, 0.0), 1.9, 0.5
+                FORCE, (0.0, 0.0, 0.3), attitude, (0.0, k * STEP_S, -2.0), (0.0, 1.0, 0.0), lambda: 1.9, 0.5
             )
             rack.step(k * STEP_S, truth)
             await clock.sleep_until((k + 1) * STEP_S)

@@ -258,7 +258,7 @@ def through_the_rack(
         imu_config=ImuConfig(body_from_sensor_deg=(0.0, 0.0, 45.0)),
         errors=QUIET,
     )
-    truth = SensorTruth(force, rate, attitude, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), 5.0, 0.0)
+    truth = SensorTruth(force, rate, attitude, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), lambda: 5.0, 0.0)
     for k in range(400):
         rack.step(k / 400.0, truth)
         each_step(rack, k / 400.0)
