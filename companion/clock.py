@@ -12,9 +12,10 @@ import asyncio
 import selectors
 import time
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
+LOOK_OUTSIDE_EVERY: Final = 64  # turns of the virtual loop: a few milliseconds
 
 
 class NothingScheduled(RuntimeError):  # noqa: N818 - it reads as what happened
@@ -22,19 +23,26 @@ class NothingScheduled(RuntimeError):  # noqa: N818 - it reads as what happened
 
 
 class _JumpingSelector(selectors.SelectSelector):
-    """A selector that moves the loop's clock on instead of waiting."""
+    """A selector that moves the loop's clock on instead of waiting.
+
+    All that can come from outside is a signal, or a thread's call; it looks for one now and then.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.now_s = 0.0
+        self._turns = 0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        ready = super().select(0)
-        if ready:
-            return ready
+        self._turns += 1
+        if timeout is None or self._turns % LOOK_OUTSIDE_EVERY == 0:
+            ready = super().select(0)
+            if ready:
+                return ready
         if timeout is None:
             raise NothingScheduled("every task waits and no timer is set")
-        self.now_s += max(timeout, 0.0)
+        if timeout > 0.0:
+            self.now_s += timeout
         return []
 
 

@@ -39,6 +39,7 @@ Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
 Surface = Literal["board", "ground"]
 # A point that is this deep under the board's top did not come from above: it is beside or beneath it.
 DEEPEST_ENTRY_M: Final = 0.02
+MARGIN_M: Final = 0.05
 
 
 class ContactParameters(StrictModel):
@@ -96,12 +97,13 @@ class Contact:
         self._p = parameters
         self._board = board
         self._points = [_Point(point) for point in (*feet, *hull_body_m)]
-        self._reach_m = max(norm(point.body_m) for point in self._points)
+        # as far over all surfaces nothing touches within a step
+        self.reach_m = max(norm(point.body_m) for point in self._points) + MARGIN_M
 
     def step(self, state: QuadrotorState, pad: PadTruth, dt_s: float) -> ContactLoad:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
-        if state.position_ned_m[2] + self._reach_m < self._board.highest_down_m(pad) - 0.05:
+        if state.position_ned_m[2] + self.reach_m < self._board.highest_down_m(pad):
             self.release()
             return NO_CONTACT
         soon = pad.soon(half)

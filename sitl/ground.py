@@ -103,6 +103,11 @@ def thrust_ratio(height_m: float, radius_m: float) -> float:
     return 1.0 / (1.0 - share * share)
 
 
+def ground_effect_reach_m(radius_m: float) -> float:
+    """Height over all surfaces from which on a rotor feels none."""
+    return NEGLIGIBLE_HEIGHT_IN_RADII * radius_m
+
+
 def rotor_ratios(
     state: QuadrotorState,
     rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
@@ -112,7 +117,7 @@ def rotor_ratios(
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
-    if board.highest_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
+    if board.highest_down_m(pad) - position[2] > ground_effect_reach_m(radius_m):
         return NO_RATIO
     ratios = []
     for rotor in rotors_body_m:

@@ -29,9 +29,9 @@ from companion.messages import Truth
 from companion.pad import load_pad
 from sitl.actuators import Motors
 from sitl.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.ground import Board, echo_distance_m, rotor_ratios
+from sitl.ground import Board, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.pad_motion import PadTruth, build_pad_motion
-from sitl.quadrotor import Four, Quadrotor, QuadrotorState, resting_state
+from sitl.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
 from sitl.scenario import Scenario, load_airframe
 from sitl.score import Touchdown, TouchdownWatch
 from sitl.wind import Wind
@@ -81,6 +81,8 @@ class World:
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
         self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
+        # higher over everything than this nothing touches, and no rotor feels a ground
+        self._out_of_reach_m = max(self._contact.reach_m, ground_effect_reach_m(body.rotor_radius_m))
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
         self._pad_motion = build_pad_motion(
@@ -118,8 +120,7 @@ class World:
     def step(self, motor_commands: Four, dt_s: float) -> None:
         """Move everything on by dt (s); commands are the motors' shares of full thrust, 0..1."""
         self.wind_ned_m_s = self._blow()
-        thrust_ratio = self._ground_effect()
-        self._load = self._contact.step(self._state, self.pad_state, dt_s)
+        thrust_ratio = self._feel_surfaces(dt_s)
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
         self._state = self._quadrotor.step(
             self._state,
@@ -139,7 +140,15 @@ class World:
     def _blow(self) -> Vector3:
         return self._wind.at(self.time_s, -self._state.position_ned_m[2])
 
-    def _ground_effect(self) -> Four:
+    def _feel_surfaces(self, dt_s: float) -> Four:
+        """What touches, and how each rotor's thrust grows near a surface."""
+        clear_m = self.board.highest_down_m(self.pad_state) - self._state.position_ned_m[2]
+        if clear_m > self._out_of_reach_m:
+            if self._load is not NO_CONTACT:
+                self._contact.release()
+                self._load = NO_CONTACT
+            return NO_RATIO
+        self._load = self._contact.step(self._state, self.pad_state, dt_s)
         return rotor_ratios(
             self._state,
             self._rotors,
