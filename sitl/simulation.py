@@ -31,7 +31,7 @@ from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.ports import DevicePort
-from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
+from sitl.devices.rack import SensorErrors, SensorRack, Wiring
 from sitl.endpoint import MavlinkEndpoint
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
@@ -279,18 +279,7 @@ class Simulation:
             self._ranging = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self._faults.step(world.time_s)
         self._onboard.step(world.time_s, state, throttle, self._range_height_m)
-        self._rack.step(
-            world.time_s,
-            SensorTruth(
-                state.specific_force_body_m_s2,
-                state.rate_body_rad_s,
-                state.attitude,
-                state.position_ned_m,
-                state.velocity_ned_m_s,
-                self._range_height_m,
-                throttle,
-            ),
-        )
+        self._rack.step(world.time_s, state, throttle, self._range_height_m)
 
     def _range_height_m(self) -> float:
         """The ultrasonic's height over what answers it."""

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
 
 from companion.config import GpsConfig, ImuConfig
 from companion.geometry import (
     ZERO3,
-    Quaternion,
     Vector3,
     add,
     cross,
@@ -28,6 +27,7 @@ from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.inertial import ImuErrors, ImuSensor
+from sitl.quadrotor import QuadrotorState
 from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 
 OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
@@ -60,22 +60,6 @@ class Wiring:
     imu_interface: Interface = "i2c"
     gps_wake_baud: int = 9600
     ultrasonic: Literal["frames", "polled"] = "frames"
-
-
-class SensorTruth(NamedTuple):
-    """What the world does to the sensors at one instant.
-
-    Position and velocity are the reference point's (centre of mass); `range_height_m` gives the ultrasonic's
-    over the floor or pad beneath it, worked out when it pings; `throttle` is the mean motor command, 0 to 1.
-    """
-
-    specific_force_body_m_s2: Vector3
-    rate_body_rad_s: Vector3
-    attitude: Quaternion
-    position_ned_m: Vector3
-    velocity_ned_m_s: Vector3
-    range_height_m: Callable[[], float]
-    throttle: float
 
 
 class SensorRack:
@@ -119,26 +103,40 @@ class SensorRack:
         self._gps_port = gps_port
         self._range_port = range_port
 
-    def step(self, now_s: float, truth: SensorTruth) -> None:
-        """One physics step: feel it, and put on the lines what is due."""
+    def step(
+        self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]
+    ) -> None:
+        """One physics step: feel it, and put on the lines what is due.
+
+        `throttle` is the mean motor command, 0 to 1; `range_height_m` gives the ultrasonic's height over the
+        floor or pad beneath it, and is asked when it pings.
+        """
         field_body = ZERO3
         if self.imu.magnetometer.is_due(now_s):
-            field_body = quat_rotate_inverse(truth.attitude, self._field_ned_ut)
-        self.imu.step(
-            now_s, truth.specific_force_body_m_s2, truth.rate_body_rad_s, field_body, truth.throttle
-        )
-        self.gps.receive(self._gps_port.receive())
-        antenna = self._antenna(truth) if self.gps.is_due(now_s) else (ZERO3, ZERO3)
-        self._gps_port.set_baud(self.gps.baud)
-        self._gps_port.send(self.gps.step(now_s, *antenna))
-        self.range.receive(self._range_port.receive())
+            field_body = quat_rotate_inverse(state.attitude, self._field_ned_ut)
+        self.imu.step(now_s, state.specific_force_body_m_s2, state.rate_body_rad_s, field_body, throttle)
+        self._step_gps(now_s, state)
+        self._step_range(now_s, state, range_height_m)
+
+    def _step_gps(self, now_s: float, state: QuadrotorState) -> None:
+        gps, port = self.gps, self._gps_port
+        if heard := port.receive():
+            gps.receive(heard)
+        position = velocity = ZERO3
+        if gps.is_due(now_s):
+            lever, attitude = self._antenna_body_m, state.attitude
+            turning = quat_rotate(attitude, cross(state.rate_body_rad_s, lever))
+            position = add(state.position_ned_m, quat_rotate(attitude, lever))
+            velocity = add(state.velocity_ned_m_s, turning)
+        port.set_baud(gps.baud)
+        if said := gps.step(now_s, position, velocity):
+            port.send(said)
+
+    def _step_range(self, now_s: float, state: QuadrotorState, range_height_m: Callable[[], float]) -> None:
+        if heard := self._range_port.receive():
+            self.range.receive(heard)
         height_m = tilt_rad = 0.0
         if self.range.is_due(now_s):
-            height_m, tilt_rad = truth.range_height_m(), tilt_from_quat(truth.attitude)
-        self._range_port.send(self.range.step(now_s, height_m, tilt_rad))
-
-    def _antenna(self, truth: SensorTruth) -> tuple[Vector3, Vector3]:
-        """Position and velocity NED of the GPS antenna."""
-        lever, attitude = self._antenna_body_m, truth.attitude
-        turning = quat_rotate(attitude, cross(truth.rate_body_rad_s, lever))
-        return add(truth.position_ned_m, quat_rotate(attitude, lever)), add(truth.velocity_ned_m_s, turning)
+            height_m, tilt_rad = range_height_m(), tilt_from_quat(state.attitude)
+        if said := self.range.step(now_s, height_m, tilt_rad):
+            self._range_port.send(said)
