@@ -98,8 +98,8 @@ def lean_over(pad: PadTruth, attitude: Quaternion) -> float:
 
 def thrust_ratio(height_m: float, radius_m: float) -> float:
     """Thrust near a plane over thrust in free air; from 1 up to 4/3 at half a radius and below."""
-    height = max(height_m, LOWEST_HEIGHT_IN_RADII * radius_m)
-    share = radius_m / (4.0 * height)
+    lowest = LOWEST_HEIGHT_IN_RADII * radius_m
+    share = radius_m / (4.0 * (height_m if height_m > lowest else lowest))
     return 1.0 / (1.0 - share * share)
 
 

@@ -270,8 +270,7 @@ class Simulation:
 
     def _step_physics(self) -> None:
         world = self._world
-        truth = world.truth()
-        motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
+        motors = self._autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
         world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
         state, throttle = world.state, 0.25 * sum(motors)

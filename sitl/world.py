@@ -59,6 +59,15 @@ class _Moment(NamedTuple):
     in_contact: bool
 
 
+class Motion(NamedTuple):
+    """The part of the truth that an autopilot errs about: it is asked for at every step."""
+
+    vehicle_position_ned_m: Vector3
+    vehicle_velocity_ned_m_s: Vector3
+    vehicle_attitude: Quaternion
+    rate_body_rad_s: Vector3
+
+
 class World:
     """A scenario's world under one seed, from rest at home at time 0."""
 
@@ -236,6 +245,13 @@ class World:
         turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
         turning = norm(subtract(state.rate_body_rad_s, turned)) > REST_RATE_RAD_S
         return self._load.on_board >= STANDING_FEET and not moving and not turning
+
+    def motion(self) -> Motion:
+        """The vehicle's motion now."""
+        state = self._state
+        return Motion(
+            state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s
+        )
 
     def truth(self) -> Truth:
         """Everything now."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from companion.geometry import (
     quat_multiply,
     rotate_yaw,
 )
-from companion.messages import Truth
 
 _NOISE_BLOCK = 256
 
@@ -70,6 +69,19 @@ ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
 }
 
 
+class TrueMotion(Protocol):
+    """What it errs about; the world's `Truth` is one."""
+
+    @property
+    def vehicle_position_ned_m(self) -> Vector3: ...  # noqa: D102
+    @property
+    def vehicle_velocity_ned_m_s(self) -> Vector3: ...  # noqa: D102
+    @property
+    def vehicle_attitude(self) -> Quaternion: ...  # noqa: D102
+    @property
+    def rate_body_rad_s(self) -> Vector3: ...  # noqa: D102
+
+
 class Estimator:
     """Attitude at every step, position and velocity at the outer loop's pace."""
 
@@ -96,14 +108,14 @@ class Estimator:
         self.position_ned_m = ZERO3
         self.velocity_ned_m_s = ZERO3
 
-    def update_attitude(self, truth: Truth) -> None:
+    def update_attitude(self, truth: TrueMotion) -> None:
         """Take over attitude and rate: constant heading and horizon errors, a clean gyroscope."""
         self.attitude = quat_multiply(
             self._heading_error, quat_multiply(truth.vehicle_attitude, self._tilt_error)
         )
         self.rate_body_rad_s = truth.rate_body_rad_s
 
-    def update_position(self, truth: Truth, dt_s: float) -> None:
+    def update_position(self, truth: TrueMotion, dt_s: float) -> None:
         """Move the errors on by dt and take over position and velocity."""
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)

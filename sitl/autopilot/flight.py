@@ -17,13 +17,13 @@ from companion.geometry import (
     geodetic_from_ned,
     tilt_from_quat,
 )
-from companion.messages import LandedState, Truth
+from companion.messages import LandedState
 from companion.messages import Manner as MannerName
 from sitl.autopilot.airframe import Airframe
 from sitl.autopilot.ardupilot import ARDUPILOT
 from sitl.autopilot.cascade import STOPPED, Cascade
 from sitl.autopilot.commander import Commander, Text
-from sitl.autopilot.estimator import Estimator, EstimatorErrors
+from sitl.autopilot.estimator import Estimator, EstimatorErrors, TrueMotion
 from sitl.autopilot.manners import Manner
 from sitl.autopilot.mixer import Motors
 from sitl.autopilot.modes import Result, Severity, Task
@@ -145,7 +145,7 @@ class FlightLoop:
 
     # ------------------------------------------------------------ time
 
-    def step(self, truth: Truth, dt_s: float, now_s: float) -> Motors:
+    def step(self, truth: TrueMotion, dt_s: float, now_s: float) -> Motors:
         """One step of the physics: the four motor commands 0..1 (front, right, rear, left)."""
         self.estimate.update_attitude(truth)
         if now_s >= self._outer_due_s - _EARLY_S:
@@ -154,7 +154,7 @@ class FlightLoop:
             return STOPPED
         return self._cascade.step(self.estimate, dt_s)
 
-    def _outer(self, truth: Truth, now_s: float) -> None:
+    def _outer(self, truth: TrueMotion, now_s: float) -> None:
         if self.booted_s is None:
             self.booted_s = now_s
         # a step that comes late is made up for by the next ones, a long silence is not
