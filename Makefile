@@ -3,6 +3,7 @@
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
+# make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -13,7 +14,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-ahrs clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-sitl-speed bench-ahrs clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -51,6 +52,9 @@ bench-state: $(VENV)/.dev
 
 bench-pad: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_pad_filter
+
+bench-sitl-speed: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_sitl_speed
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

@@ -40,7 +40,7 @@ PAD_SPEED_M_S: Final = 1.0
 PAD_RADIUS_M: Final = 4.0
 FOLLOW_PER_S: Final = 0.6
 TOP_SPEED_M_S: Final = 2.0
-_OFFBOARD: Final = {"px4": (6.0, 0.0), "ardupilot": (4.0, 0.0)}
+_OFFBOARD: Final = (6.0, 0.0)
 _GUIDED: Final = (4.0, 0.0)
 _VELOCITY: Final = 0b10111_000_111
 
@@ -63,6 +63,7 @@ class SpeedFlight:
 
     whole: Stage
     stages: dict[str, Stage]
+    seconds: float
     frames: int
     highest_m: float
     away_m: dict[str, float]
@@ -134,7 +135,7 @@ class Client:
     def follow(self) -> None:
         """From now on the streamed velocities count."""
         if self._manner == "px4":
-            self._command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, *_OFFBOARD["px4"])
+            self._command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, *_OFFBOARD)
 
     def stream(self, now_s: float) -> None:
         """A velocity towards the place over the pad, and with it."""
@@ -230,7 +231,7 @@ async def _fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
         await world
     stages = {name: _stage(costs, *times) for name, times in STAGES.items()}
     whole = Stage(clock.now_s() - READY_S, ended_s - begun_s)
-    return SpeedFlight(whole, stages, frames, highest_m, away, client.digest.hexdigest())
+    return SpeedFlight(whole, stages, END_S, frames, highest_m, away, client.digest.hexdigest())
 
 
 def _vehicle_s(client: Client) -> float:
