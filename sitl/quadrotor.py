@@ -151,7 +151,7 @@ class Quadrotor:
             *self._coupling,
         )
         x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
-        return _packed(state, *_rk4(x, held, dt_s), share, dt_s)
+        return _packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
 
     def _spin(self, share: Four, commands: Four, dt_s: float) -> tuple[Four, Four]:
         """Thrust shares after dt, and their means over it, of a first-order lag solved exactly."""
@@ -196,16 +196,19 @@ def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
     return end, (1.0 - end) * time_constant_s / dt_s
 
 
-def _slope(x: _Moving, held: _Held) -> _Moving:
-    """Eqs. (6)-(8): the rate of change of velocity, attitude and rate, by Newton, Euler and q' = q * (0, w) / 2.
+def _slope(x: _Moving, k: _Moving, h: float, held: _Held) -> _Moving:
+    """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler and q' = q * (0, w) / 2.
 
     In its plane and along its axis a rotor drags differently: as if along every axis like in the plane, and
     the difference along the axis alone. So of the rotation only the body's down axis in NED is needed.
     """
     vn, ve, vd, w, a, b, c, p, q, r = x
+    kn, ke, kd, kw, ka, kb, kc, kp, kq, kr = k
     wn, we, wd, plane, axial, body, thrust, fn, fe, fd, hx, hy, tx, ty, tz, jx, jy, jz = held
+    w, a, b, c = w + h * kw, a + h * ka, b + h * kb, c + h * kc
+    p, q, r = p + h * kp, q + h * kq, r + h * kr
+    an, ae, ad = vn + h * kn - wn, ve + h * ke - we, vd + h * kd - wd
     dn, de, dd = 2.0 * (a * c + w * b), 2.0 * (b * c - w * a), 1.0 - 2.0 * (a * a + b * b)
-    an, ae, ad = vn - wn, ve - we, vd - wd
     drag = plane + body * sqrt(an * an + ae * ae + ad * ad)
     along = (plane - axial) * (dn * an + de * ae + dd * ad) - thrust
     return (
@@ -222,64 +225,51 @@ def _slope(x: _Moving, held: _Held) -> _Moving:
     )
 
 
-def _moved(x: _Moving, k: _Moving, h: float) -> _Moving:
-    """x + h k."""
-    x0, x1, x2, x3, x4, x5, x6, x7, x8, x9 = x
-    k0, k1, k2, k3, k4, k5, k6, k7, k8, k9 = k
-    return (
-        x0 + h * k0, x1 + h * k1, x2 + h * k2,
-        x3 + h * k3, x4 + h * k4, x5 + h * k5, x6 + h * k6,
-        x7 + h * k7, x8 + h * k8, x9 + h * k9,
-    )  # fmt: skip
-
-
-def _rk4(x: _Moving, held: _Held, dt_s: float) -> tuple[_Moving, Vector3]:
-    """One classical Runge-Kutta step; the second is how far it goes, whose slope is the velocity."""
-    half, sixth = 0.5 * dt_s, dt_s / 6.0
-    a = _slope(x, held)
-    x2 = _moved(x, a, half)
-    b = _slope(x2, held)
-    x3 = _moved(x, b, half)
-    c = _slope(x3, held)
-    x4 = _moved(x, c, dt_s)
-    d = _slope(x4, held)
+def _rk4(place: Vector3, x: _Moving, held: _Held, dt_s: float) -> tuple[Vector3, _Moving]:
+    """One classical Runge-Kutta step; nothing depends on the place, whose slope is the velocity."""
+    half, h = 0.5 * dt_s, dt_s / 6.0
+    a = _slope(x, x, 0.0, held)
+    b = _slope(x, a, half, held)
+    c = _slope(x, b, half, held)
     a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = a
     b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = b
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = c
-    d0, d1, d2, d3, d4, d5, d6, d7, d8, d9 = d
-    mean = (
-        a0 + 2.0 * (b0 + c0) + d0, a1 + 2.0 * (b1 + c1) + d1, a2 + 2.0 * (b2 + c2) + d2,
-        a3 + 2.0 * (b3 + c3) + d3, a4 + 2.0 * (b4 + c4) + d4, a5 + 2.0 * (b5 + c5) + d5,
-        a6 + 2.0 * (b6 + c6) + d6,
-        a7 + 2.0 * (b7 + c7) + d7, a8 + 2.0 * (b8 + c8) + d8, a9 + 2.0 * (b9 + c9) + d9,
-    )  # fmt: skip
-    way = (
-        sixth * (x[0] + 2.0 * (x2[0] + x3[0]) + x4[0]),
-        sixth * (x[1] + 2.0 * (x2[1] + x3[1]) + x4[1]),
-        sixth * (x[2] + 2.0 * (x2[2] + x3[2]) + x4[2]),
+    d0, d1, d2, d3, d4, d5, d6, d7, d8, d9 = _slope(x, c, dt_s, held)
+    x0, x1, x2, x3, x4, x5, x6, x7, x8, x9 = x
+    return (
+        place[0] + dt_s * (x0 + h * (a0 + b0 + c0)),
+        place[1] + dt_s * (x1 + h * (a1 + b1 + c1)),
+        place[2] + dt_s * (x2 + h * (a2 + b2 + c2)),
+    ), (
+        x0 + h * (a0 + 2.0 * (b0 + c0) + d0),
+        x1 + h * (a1 + 2.0 * (b1 + c1) + d1),
+        x2 + h * (a2 + 2.0 * (b2 + c2) + d2),
+        x3 + h * (a3 + 2.0 * (b3 + c3) + d3),
+        x4 + h * (a4 + 2.0 * (b4 + c4) + d4),
+        x5 + h * (a5 + 2.0 * (b5 + c5) + d5),
+        x6 + h * (a6 + 2.0 * (b6 + c6) + d6),
+        x7 + h * (a7 + 2.0 * (b7 + c7) + d7),
+        x8 + h * (a8 + 2.0 * (b8 + c8) + d8),
+        x9 + h * (a9 + 2.0 * (b9 + c9) + d9),
     )
-    return _moved(x, mean, sixth), way
 
 
-def _packed(old: QuadrotorState, x: _Moving, way: Vector3, share: Four, dt_s: float) -> QuadrotorState:
+def _packed(old: QuadrotorState, place: Vector3, x: _Moving, share: Four, dt_s: float) -> QuadrotorState:
     """The new state with a unit quaternion, and what its sensors felt on the way."""
     vn, ve, vd, w, a, b, c, p, q, r = x
-    n = 1.0 / sqrt(w * w + a * a + b * b + c * c)
-    attitude = (w * n, a * n, b * n, c * n)
-    rate = 1.0 / dt_s
-    pn, pe, pd = old.position_ned_m
-    v0, w0, q0 = old.velocity_ned_m_s, old.rate_body_rad_s, old.attitude
-    force_ned = ((vn - v0[0]) * rate, (ve - v0[1]) * rate, (vd - v0[2]) * rate - GRAVITY_M_S2)
+    n, rate = 1.0 / sqrt(w * w + a * a + b * b + c * c), 1.0 / dt_s
+    w, a, b, c = w * n, a * n, b * n, c * n
+    (un, ue, ud), (p0, q0, r0) = old.velocity_ned_m_s, old.rate_body_rad_s
+    w0, a0, b0, c0 = old.attitude
+    force_ned = ((vn - un) * rate, (ve - ue) * rate, (vd - ud) * rate - GRAVITY_M_S2)
     # the two unit quaternions' mean stands half-way; they are too close to need a sign check
-    halfway = quat_normalise(
-        (q0[0] + attitude[0], q0[1] + attitude[1], q0[2] + attitude[2], q0[3] + attitude[3])
-    )
+    halfway = quat_normalise((w0 + w, a0 + a, b0 + b, c0 + c))
     return QuadrotorState(
-        (pn + way[0], pe + way[1], pd + way[2]),
+        place,
         (vn, ve, vd),
-        attitude,
+        (w, a, b, c),
         (p, q, r),
         share,
         quat_rotate_inverse(halfway, force_ned),
-        ((p - w0[0]) * rate, (q - w0[1]) * rate, (r - w0[2]) * rate),
+        ((p - p0) * rate, (q - q0) * rate, (r - r0) * rate),
     )

@@ -266,12 +266,12 @@ class Simulation:
         self._expose(now_s)
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
+            self._world.attitude_setpoint = self._autopilot.attitude_setpoint
             self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world
         motors = self._autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
-        world.attitude_setpoint = self._autopilot.attitude_setpoint
         world.step(motors, PHYSICS_STEP_S)
         state, throttle = world.state, 0.25 * sum(motors)
         if self._ticks % RANGE_EVERY_TICKS == 0:

@@ -90,8 +90,7 @@ class World:
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
         self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
-        # higher over everything than this nothing touches, and no rotor feels a ground
-        self._out_of_reach_m = max(self._contact.reach_m, ground_effect_reach_m(body.rotor_radius_m))
+        self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
         self._pad_motion = build_pad_motion(
@@ -152,12 +151,13 @@ class World:
     def _feel_surfaces(self, dt_s: float) -> Four:
         """What touches, and how each rotor's thrust grows near a surface."""
         clear_m = self.board.highest_down_m(self.pad_state) - self._state.position_ned_m[2]
-        if clear_m > self._out_of_reach_m:
-            if self._load is not NO_CONTACT:
-                self._contact.release()
-                self._load = NO_CONTACT
+        if clear_m <= self._contact.reach_m:
+            self._load = self._contact.step(self._state, self.pad_state, dt_s)
+        elif self._load is not NO_CONTACT:
+            self._contact.release()
+            self._load = NO_CONTACT
+        if clear_m > self._ground_effect_reach_m:
             return NO_RATIO
-        self._load = self._contact.step(self._state, self.pad_state, dt_s)
         return rotor_ratios(
             self._state,
             self._rotors,

@@ -103,12 +103,12 @@ class Mpu9250Device:
         `field_body_ut` counts when the magnetometer's measurement is due.
         """
         self.magnetometer.step(now_s, field_body_ut, throttle)
-        if not self._asleep:
-            self._feel(now_s, specific_force_body_m_s2, rate_body_rad_s, throttle)
+        if self._asleep:
+            self._missed.append((now_s, specific_force_body_m_s2, rate_body_rad_s, throttle))
+            if len(self._missed) >= _LONGEST_NOTES:
+                self._forget()
             return
-        self._missed.append((now_s, specific_force_body_m_s2, rate_body_rad_s, throttle))
-        if len(self._missed) >= _LONGEST_NOTES:
-            self._forget()
+        self._feel(now_s, specific_force_body_m_s2, rate_body_rad_s, throttle)
 
     def wake(self) -> None:
         """Make up for what was missed, and sleep no more."""

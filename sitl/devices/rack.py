@@ -122,21 +122,18 @@ class SensorRack:
         gps, port = self.gps, self._gps_port
         if heard := port.receive():
             gps.receive(heard)
-        position = velocity = ZERO3
-        if gps.is_due(now_s):
-            lever, attitude = self._antenna_body_m, state.attitude
-            turning = quat_rotate(attitude, cross(state.rate_body_rad_s, lever))
-            position = add(state.position_ned_m, quat_rotate(attitude, lever))
-            velocity = add(state.velocity_ned_m_s, turning)
+        if now_s < gps.next_s:
+            return
+        lever, attitude = self._antenna_body_m, state.attitude
+        turning = quat_rotate(attitude, cross(state.rate_body_rad_s, lever))
+        position = add(state.position_ned_m, quat_rotate(attitude, lever))
+        velocity = add(state.velocity_ned_m_s, turning)
         port.set_baud(gps.baud)
-        if said := gps.step(now_s, position, velocity):
-            port.send(said)
+        port.send(gps.step(now_s, position, velocity))
 
     def _step_range(self, now_s: float, state: QuadrotorState, range_height_m: Callable[[], float]) -> None:
-        if heard := self._range_port.receive():
-            self.range.receive(heard)
-        height_m = tilt_rad = 0.0
-        if self.range.is_due(now_s):
-            height_m, tilt_rad = range_height_m(), tilt_from_quat(state.attitude)
-        if said := self.range.step(now_s, height_m, tilt_rad):
-            self._range_port.send(said)
+        sonar, port = self.range, self._range_port
+        if heard := port.receive():
+            sonar.receive(heard)
+        if now_s >= sonar.next_s:
+            port.send(sonar.step(now_s, range_height_m(), tilt_from_quat(state.attitude)))

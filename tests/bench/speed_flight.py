@@ -12,6 +12,7 @@ import asyncio
 import hashlib
 import math
 import time
+import zlib
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
@@ -59,7 +60,7 @@ class Stage(NamedTuple):
 
 @dataclass(frozen=True)
 class SpeedFlight:
-    """What was measured; `digest` is of all bytes that the vehicle sent and all frames it delivered."""
+    """What was measured; `digest` is of the bytes that the vehicle sent and the sums of its frames."""
 
     whole: Stage
     stages: dict[str, Stage]
@@ -190,7 +191,7 @@ async def _fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
         nonlocal frames
         frames += 1
         started_s = time.process_time()
-        client.digest.update(frame.image.tobytes())
+        client.digest.update(zlib.crc32(frame.image).to_bytes(4, "big"))
         client.spent_s += time.process_time() - started_s
 
     simulation = Simulation(
