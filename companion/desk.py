@@ -38,8 +38,9 @@ from companion.link.transport import memory_pair
 from companion.messages import Phase
 from companion.record import FlightLog
 from sitl.devices.ports import MemoryPort
+from sitl.report import SimulationReport, read_report
 from sitl.scenario import Scenario, load_scenario
-from sitl.simulation import MemoryFrames, Simulation, SimulationReport, read_report
+from sitl.simulation import MemoryFrames, Simulation
 
 START_TIMEOUT_S: Final = 20.0
 END_TIMEOUT_S: Final = 10.0

@@ -247,7 +247,9 @@ def geodetic_from_ned(position_ned_m: Vector3, origin: Vector3) -> Vector3:
     u, across = math.sqrt(u2), math.sqrt(u2 + focal2)
     beta = math.atan2(across * z, u * level)
     beta += (
-        (b * u - a * across + focal2) * math.sin(beta) / (a * across / math.cos(beta) - focal2 * math.cos(beta))
+        (b * u - a * across + focal2)
+        * math.sin(beta)
+        / (a * across / math.cos(beta) - focal2 * math.cos(beta))
     )
     above, beyond = z - b * math.sin(beta), level - a * math.cos(beta)
     inside = (level / a) ** 2 + (z / b) ** 2 < 1.0

@@ -197,7 +197,7 @@ def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
 
 
 def _slope(x: _Moving, k: _Moving, h: float, held: _Held) -> _Moving:
-    """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler and q' = q * (0, w) / 2.
+    """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler, q' = q * (0, w) / 2.
 
     In its plane and along its axis a rotor drags differently: as if along every axis like in the plane, and
     the difference along the axis alone. So of the rotation only the body's down axis in NED is needed.

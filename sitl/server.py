@@ -24,8 +24,9 @@ from companion.messages import Phase
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
+from sitl.report import write_report
 from sitl.scenario import Scenario
-from sitl.simulation import Simulation, write_report
+from sitl.simulation import Simulation
 
 REPORT_NAME: Final = "report.json"
 SENSOR_BAUD: Final = 9600

@@ -13,34 +13,31 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Final, Protocol
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from companion.clock import Clock
-from companion.config import CameraConfig, GpsConfig, VehicleConfig, find_file, load_model
+from companion.config import GpsConfig, VehicleConfig, find_file, load_model
 from companion.geometry import Vector3
-from companion.messages import Frame, Outcome, Phase, Truth
-from companion.pad import load_pad
+from companion.messages import Frame, Phase, Truth
 from companion.slots import Slot
-from sitl import camera as lens
-from sitl import exposure
 from sitl.autopilot import Autopilot
 from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.ports import DevicePort
-from sitl.devices.rack import SensorErrors, SensorRack, Wiring
+from sitl.devices.rack import SensorRack, Wiring
 from sitl.endpoint import MavlinkEndpoint
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
-from sitl.inertial import ImuErrors
 from sitl.onboard import OnboardSensors
-from sitl.scenario import Scenario, SensorSettings
+from sitl.report import SimulationReport
+from sitl.scenario import Scenario
+from sitl.scene_camera import SceneCamera
 from sitl.score import judge
-from sitl.sensors import GpsErrors, MagErrors, RangeErrors
+from sitl.sensor_quality import sensor_errors
+from sitl.sensors import RangeErrors
 from sitl.world import World
 
 PHYSICS_STEP_S: Final = 1.0 / 400.0
@@ -88,22 +85,6 @@ class MemoryFrames:
 
     def close(self) -> None:
         """Nothing to give back."""
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationReport:
-    """How a flight ended by the truth, and the truth itself.
-
-    `latest_tick_s` is how far the simulation fell behind the clock at worst: 0 in virtual time.
-    """
-
-    outcome: Outcome
-    failures: tuple[str, ...]
-    touchdown: dict[str, float] | None
-    pad_speed_m_s: float
-    duration_s: float
-    latest_tick_s: float
-    truth: tuple[Truth, ...]
 
 
 class Simulation:
@@ -182,7 +163,7 @@ class Simulation:
             gps_errors=errors.gps,
             range_errors=errors.range,
         )
-        self._camera = _Camera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
+        self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         self._endpoint = MavlinkEndpoint(self._autopilot, self._onboard)
         self._deliver_frame = deliver_frame
         self._camera_wanted = camera_wanted
@@ -204,21 +185,19 @@ class Simulation:
         failed: asyncio.Future[None] = loop.create_future()
 
         def tick(due_s: float) -> None:
-            nonlocal timer
+            if failed.done():
+                return
             try:
                 self._keep_pace(loop.time() - due_s)
                 self._tick()
-            except Exception as error:  # noqa: BLE001 - of whatever kind, it ends `run`
+            except Exception as error:  # of whatever kind, it ends `run`
                 failed.set_exception(error)
                 return
             self._ticks += 1
-            timer = loop.call_at(self._due_s(), tick, self._due_s())
+            loop.call_at(self._due_s(), tick, self._due_s())
 
-        timer = loop.call_at(self._due_s(), tick, self._due_s())
-        try:
-            await failed
-        finally:
-            timer.cancel()
+        loop.call_at(self._due_s(), tick, self._due_s())
+        await failed
 
     def _due_s(self) -> float:
         """When the next tick is: half a tick early, so that the world is never further from the clock than
@@ -287,7 +266,9 @@ class Simulation:
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
-        taken = self._camera.step(now_s, wanted=self._camera_wanted())
+        if not self._camera_wanted():
+            self._camera.skip_to(now_s)
+        taken = self._camera.step(now_s)
         if taken is None:
             return
         frame, delivery_s = taken
@@ -330,120 +311,3 @@ class Simulation:
             deliver(data)
         else:
             asyncio.get_running_loop().call_at(arrival_s, deliver, data)
-
-
-# ---------------------------------------------------------------- reports between processes
-
-
-def write_report(report: SimulationReport, path: Path) -> None:
-    """Write a report as JSON."""
-    path.write_bytes(TypeAdapter(SimulationReport).dump_json(report))
-
-
-def read_report(path: Path) -> SimulationReport:
-    """Read what `write_report` wrote.
-
-    Raises:
-        OSError: the file cannot be read.
-        pydantic.ValidationError: it is something else.
-    """
-    return TypeAdapter(SimulationReport).validate_json(path.read_bytes())
-
-
-# ---------------------------------------------------------------- parts
-
-
-class _Camera:
-    """Exposes at the camera's rate and renders when the last row has been read."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        vehicle: VehicleConfig,
-        world: World,
-        noise_rng: np.random.Generator,
-        latency_rng: np.random.Generator,
-        lens_rng: np.random.Generator,
-    ) -> None:
-        settings = scenario.camera
-        calibration = load_model(CameraConfig, find_file("cameras", settings.config))
-        config = ground_otherwise(calibration, settings.calibration_error, lens_rng)
-        develop = exposure.CameraSettings(
-            exposure_s=settings.exposure_s, readout_s=settings.readout_s, noise_grey=settings.noise_grey
-        )
-        self._model = lens.CameraModel(config, vehicle, load_pad(scenario.pad.name), develop, noise_rng)
-        self._world = world
-        self._settings = settings
-        self._rng = latency_rng
-        self._period_s = 1.0 / config.rate_hz
-        self._sequence = 0
-        self._next_s = self._period_s
-
-    def step(self, now_s: float, *, wanted: bool) -> tuple[Frame, float] | None:
-        """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
-        if now_s < self._next_s + 0.5 * self._model.span_s:
-            return None
-        time_s = self._next_s
-        self._next_s += self._period_s
-        if not wanted:
-            return None
-        image = self._model.render(time_s, self._scene_at)
-        late = self._settings.latency_s + self._settings.latency_jitter_s * float(
-            self._rng.uniform(-1.0, 1.0)
-        )
-        frame = Frame(time_s=time_s, received_s=time_s, sequence=self._sequence, image=image)
-        self._sequence += 1
-        return frame, time_s + late
-
-    def _scene_at(self, time_s: float) -> lens.ScenePose:
-        truth = self._world.truth_at(time_s)
-        return lens.ScenePose(
-            vehicle_position_ned_m=truth.vehicle_position_ned_m,
-            vehicle_attitude=truth.vehicle_attitude,
-            pad_position_ned_m=truth.pad_position_ned_m,
-            pad_heading_rad=truth.pad_heading_rad,
-            pad_roll_rad=truth.pad_roll_rad,
-            pad_pitch_rad=truth.pad_pitch_rad,
-        )
-
-
-def ground_otherwise(calibration: CameraConfig, error: float, rng: np.random.Generator) -> CameraConfig:
-    """The lens itself, which no calibration meets; `error` is a standard deviation, of the focal length."""
-    longer, right, down = (error * rng.standard_normal(3)).tolist()
-    return calibration.model_copy(
-        update={
-            "fx_px": calibration.fx_px * (1.0 + longer),
-            "fy_px": calibration.fy_px * (1.0 + longer),
-            "cx_px": calibration.cx_px + right * calibration.fx_px,
-            "cy_px": calibration.cy_px + down * calibration.fy_px,
-        }
-    )
-
-
-def sensor_errors(settings: SensorSettings) -> SensorErrors:
-    """The data sheets' figures times the scenario's factors."""
-    imu, mag, gps, echo = ImuErrors(), MagErrors(), GpsErrors(), RangeErrors()
-    k, g = settings.imu_noise_factor, settings.gps_noise_factor
-    return SensorErrors(
-        imu=replace(
-            imu,
-            gyro_noise_rad_s_rthz=imu.gyro_noise_rad_s_rthz * k,
-            accel_noise_m_s2_rthz=imu.accel_noise_m_s2_rthz * k,
-            vibration_m_s2=imu.vibration_m_s2 * k,
-            vibration_rad_s=imu.vibration_rad_s * k,
-        ),
-        magnetometer=replace(mag, noise_ut=mag.noise_ut * settings.mag_noise_factor),
-        gps=replace(
-            gps,
-            wander_horizontal_m=gps.wander_horizontal_m * g,
-            wander_vertical_m=gps.wander_vertical_m * g,
-            noise_m=gps.noise_m * g,
-            speed_noise_m_s=gps.speed_noise_m_s * g,
-            climb_noise_m_s=gps.climb_noise_m_s * g,
-        ),
-        range=replace(
-            echo,
-            noise_m=echo.noise_m * settings.range_noise_factor,
-            noise_share=echo.noise_share * settings.range_noise_factor,
-        ),
-    )

@@ -216,9 +216,7 @@ class World:
         """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back."""
         return self.ranging(sensor_position_body_m, half_angle_rad)()
 
-    def ranging(
-        self, sensor_position_body_m: Vector3, half_angle_rad: float
-    ) -> Callable[[], float | None]:
+    def ranging(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> Callable[[], float | None]:
         """What `range_to_surface_m` would tell now, worked out when asked for."""
         return partial(
             echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
@@ -249,9 +247,7 @@ class World:
     def motion(self) -> Motion:
         """The vehicle's motion now."""
         state = self._state
-        return Motion(
-            state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s
-        )
+        return Motion(state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s)
 
     def truth(self) -> Truth:
         """Everything now."""

@@ -73,13 +73,13 @@ class TrueMotion(Protocol):
     """What it errs about; the world's `Truth` is one."""
 
     @property
-    def vehicle_position_ned_m(self) -> Vector3: ...  # noqa: D102
+    def vehicle_position_ned_m(self) -> Vector3: ...
     @property
-    def vehicle_velocity_ned_m_s(self) -> Vector3: ...  # noqa: D102
+    def vehicle_velocity_ned_m_s(self) -> Vector3: ...
     @property
-    def vehicle_attitude(self) -> Quaternion: ...  # noqa: D102
+    def vehicle_attitude(self) -> Quaternion: ...
     @property
-    def rate_body_rad_s(self) -> Vector3: ...  # noqa: D102
+    def rate_body_rad_s(self) -> Vector3: ...
 
 
 class Estimator:

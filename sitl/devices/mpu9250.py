@@ -47,8 +47,8 @@ class Mpu9250Device:
 
     The fault "nack" is a bus that fails, "ones" a line that is pulled up, "stuck" a chip that stops sampling.
 
-    Until somebody speaks to it, it sleeps: what it would have felt is noted and made up for by `wake`, so that
-    a vehicle whose boards nobody reads does not pay for them and a reader cannot tell.
+    Until somebody speaks to it, it sleeps: what it would have felt is noted and made up for by `wake`, so
+    that a vehicle whose boards nobody reads does not pay for them and a reader cannot tell.
     """
 
     def __init__(

@@ -5,8 +5,8 @@
 The vehicle is served alone and flown by MAVLink bytes over a moving pad, in wind (`speed_flight`). Figures
 are simulated seconds in one of this process's CPU seconds, the best of a few flights, because what else the
 machine does slows a CPU second too. The table of parts comes from flights of its own, since watching costs:
-its parts are scaled to what the flight costs unwatched. Prints the bars and ends in one line that says whether
-they hold; the exit status matches.
+its parts are scaled to what the flight costs unwatched. Prints the bars and ends in one line that says
+whether they hold; the exit status matches.
 """
 
 from __future__ import annotations

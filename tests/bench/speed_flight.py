@@ -1,9 +1,9 @@
 """One vehicle served alone in virtual time, and a client that flies it over its pad by MAVLink bytes.
 
 The pad drives round home in a moderate turbulent wind. The client arms, takes off and streams velocities that
-keep it over the pad, first at 8 m, then at 2 m; where the pad goes it knows from the scenario. What the client
-costs is taken off: the vehicle is measured. Times are of this process's CPU, all threads, so that a busy
-machine counts little.
+keep it over the pad, first at 8 m, then at 2 m; where the pad goes it knows from the scenario. What the
+client costs is taken off: the vehicle is measured. Times are of this process's CPU, all threads, so that a
+busy machine counts little.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ async def _fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
         nonlocal frames
         frames += 1
         started_s = time.process_time()
-        client.digest.update(zlib.crc32(frame.image).to_bytes(4, "big"))
+        client.digest.update(zlib.crc32(frame.image.data).to_bytes(4, "big"))
         client.spent_s += time.process_time() - started_s
 
     simulation = Simulation(
