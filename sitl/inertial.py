@@ -128,14 +128,13 @@ class _NoiseBlocks:
             self._draw()
         return self._values.pop()
 
-    def skip(self, steps: int) -> None:
-        """As if `next` had been called so many times."""
-        while steps > 0:
-            if not self._values:
-                self._draw()
-            passed = min(steps, len(self._values))
-            del self._values[-passed:]
-            steps -= passed
+    def skip(self, at_most: int) -> int:
+        """As if `next` had been called so many times, or until the block ends; returns how many times."""
+        if not self._values:
+            self._draw()
+        passed = min(at_most, len(self._values))
+        del self._values[-passed:]
+        return passed
 
     def _draw(self) -> None:
         push = math.sqrt(1.0 - self._keep * self._keep) * self._wander
@@ -203,8 +202,12 @@ class ImuSensor:
 
         The filters keep what they had; they forget it within a tenth of a second of samples.
         """
-        self._accel_noise.skip(len(throttles))
-        self._gyro_noise.skip(len(throttles))
+        left = len(throttles)
+        while left:
+            # block by block: the two draw in turn from one generator
+            passed = self._accel_noise.skip(left)
+            self._gyro_noise.skip(passed)
+            left -= passed
         for throttle in throttles:
             if throttle > 0.0 and self._errors.vibration_m_s2:
                 self._turn(throttle)

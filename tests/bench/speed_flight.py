@@ -29,7 +29,7 @@ from sitl.scenario import PadSettings, Scenario
 from sitl.simulation import Simulation
 from sitl.wind import WindSettings
 
-READY_S: Final = 5.0
+READY_S: Final = 6.5
 TALK_S: Final = 0.05
 HIGH_M: Final = 8.0
 LOW_M: Final = 2.0
