@@ -7,6 +7,7 @@
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
+# make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -19,7 +20,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-sitl-speed bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -70,6 +71,8 @@ bench-precision: $(VENV)/.dev
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_fuzz
+bench-sitl-speed: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_sitl_speed
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

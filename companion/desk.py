@@ -42,8 +42,9 @@ from companion.link.transport import memory_pair
 from companion.messages import Manner, Phase
 from companion.record import FlightLog
 from sitl.devices.ports import MemoryPort
+from sitl.report import SimulationReport, read_report
 from sitl.scenario import Scenario, load_scenario
-from sitl.simulation import MemoryFrames, Simulation, SimulationReport, read_report
+from sitl.simulation import MemoryFrames, Simulation
 
 START_TIMEOUT_S: Final = 20.0
 # an external autopilot may still be booting, and finding its position before it arms

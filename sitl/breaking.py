@@ -40,6 +40,7 @@ class Breakable:
 
     def mend(self) -> None:
         """Everything as it should be."""
+        self.bus.wake()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
         self.inertial.vibration_factor = 1.0

@@ -32,6 +32,7 @@ from companion.geometry import (
     add,
     matrix_from_quat,
     quat_from_euler,
+    quat_from_matrix,
     quat_multiply,
     quat_rotate,
     subtract,
@@ -87,11 +88,15 @@ class CameraModel:
         self._body_from_camera = body_from_camera(
             math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
         )
+        self._camera_attitude = quat_from_matrix(self._body_from_camera)
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._pad_texture = pad_texture(pad)
         self._ground_texture = ground_texture(ground_seed)
         self._node_rays = node_rays(camera)
+        self._ray_x, self._ray_y = (np.ascontiguousarray(self._node_rays[..., k]) for k in (0, 1))
+        row_px = NODE_PX * (np.arange(self._node_rays.shape[0]) - 1.0) + 0.5 * (NODE_PX - 1)
+        self._row_time = (row_px + 0.5) / camera.height_px - 0.5  # of the readout, from its middle
         # generators of their own: light and dirt change no noise
         light_rng, dirt_rng = rng.spawn(2)
         self._metering: Metering | None = None
@@ -168,27 +173,37 @@ class CameraModel:
 
     def _plane_from_ray(
         self, scene: ScenePose, origin: Vector3, world_from_plane: Quaternion
-    ) -> tuple[FloatArray, float]:
+    ) -> tuple[list[list[float]], float]:
         """Homography (3, 3) from a camera ray (x, y, 1) to the plane (x, y, 1), and the height over it."""
         w, x, y, z = world_from_plane
         plane_from_world = (w, -x, -y, -z)
         lever = quat_rotate(scene.vehicle_attitude, self._mount_position)
         camera = subtract(add(scene.vehicle_position_ned_m, lever), origin)
         px, py, pz = quat_rotate(plane_from_world, camera)
-        plane_from_body = matrix_from_quat(quat_multiply(plane_from_world, scene.vehicle_attitude))
-        d = plane_from_body @ self._body_from_camera
-        return np.array([px * d[2] - pz * d[0], py * d[2] - pz * d[1], d[2]]), -pz
+        world_from_camera = quat_multiply(scene.vehicle_attitude, self._camera_attitude)
+        x, y, z = matrix_from_quat(quat_multiply(plane_from_world, world_from_camera)).tolist()
+        return [
+            [px * down - pz * forward for down, forward in zip(z, x, strict=True)],
+            [py * down - pz * right for down, right in zip(z, y, strict=True)],
+            z,
+        ], -pz
 
     def _node_map(self, surface: _Surface) -> FloatArray:
         """Texture coordinates (rows, columns, 2) of the mesh's nodes, each row at its own time."""
-        rows = self._node_rays.shape[0]
-        row_px = NODE_PX * (np.arange(rows) - 1.0) + 0.5 * (NODE_PX - 1)
-        row_time = (row_px + 0.5) / self._camera.height_px - 0.5
-        s = row_time * 2.0 * self._readout_s / max(self.span_s, 1e-6)  # -1 first pose, +1 last pose
-        weights = np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
-        homographies = np.tensordot(weights, surface.texel_from_ray, axes=1)
-        texels = self._node_rays @ homographies.transpose(0, 2, 1)
-        return np.asarray(texels[..., :2] / np.maximum(texels[..., 2:], HORIZON))
+        # each a column of one number a row
+        h = (self._pose_weights() @ surface.texel_from_ray.reshape(3, 9)).T[:, :, None]
+        x, y = self._ray_x, self._ray_y
+        texels = np.empty((*x.shape, 2))
+        scale = 1.0 / np.maximum(h[6] * x + h[7] * y + h[8], HORIZON)
+        np.multiply(h[0] * x + h[1] * y + h[2], scale, out=texels[..., 0])
+        np.multiply(h[3] * x + h[4] * y + h[5], scale, out=texels[..., 1])
+        return texels
+
+    def _pose_weights(self) -> FloatArray:
+        """How much each of a frame's three poses counts for the mesh's rows: (rows, 3)."""
+        # -1 first pose, +1 last pose
+        s = self._row_time * (2.0 * self._readout_s / max(self.span_s, 1e-6))
+        return np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
 
     def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
         """Sample one surface into the image, or into a part of it given in cells of the mesh."""
@@ -197,8 +212,9 @@ class CameraModel:
         mesh = nodes[top : bottom + 2, left : right + 2]
         if part is None:  # the ground: start in the first copy of the tile
             period = tile.shape[0] // 2
-            mesh = mesh - np.floor(mesh.min(axis=(0, 1)) / period) * period
-        mesh = mesh.clip(-FARTHEST_TEXEL, FARTHEST_TEXEL).astype(np.float32)
+            mesh = mesh - np.floor((mesh[..., 0].min() / period, mesh[..., 1].min() / period)) * period
+        mesh = mesh.astype(np.float32)
+        np.clip(mesh, -FARTHEST_TEXEL, FARTHEST_TEXEL, out=mesh)
         size = (mesh.shape[1] * NODE_PX, mesh.shape[0] * NODE_PX)
         full = cv2.resize(mesh, size, interpolation=cv2.INTER_LINEAR)
         view = image[top * NODE_PX : bottom * NODE_PX, left * NODE_PX : right * NODE_PX]
@@ -256,11 +272,16 @@ class CameraModel:
             return (0.0, 0.0)
         top, bottom, left, right = part or (0, self._node_rays.shape[0] - 2, 0, self._node_rays.shape[1] - 2)
         r, c = (top + bottom) // 2 + 1, (left + right) // 2 + 1
-        rays = self._node_rays[[r, r, r + 1], [c, c + 1, c]]
-        first, middle, last = (_texels(h, rays) for h in surface.texel_from_ray)
-        per_pixel = np.column_stack((middle[1] - middle[0], middle[2] - middle[0])) / NODE_PX
-        moved = np.linalg.solve(per_pixel, first[0] - last[0]) * (self._exposure_s / self.span_s)
-        return (float(moved[0]), float(moved[1]))
+        here, right, below = self._node_rays[[r, r, r + 1], [c, c + 1, c]].tolist()
+        first, middle, last = surface.texel_from_ray.tolist()
+        u, v = _texel(middle, here)
+        # texels a pixel to the right and a pixel down
+        (ru, rv), (du, dv) = _texel(middle, right), _texel(middle, below)
+        ru, rv, du, dv = ((ru - u) / NODE_PX, (rv - v) / NODE_PX, (du - u) / NODE_PX, (dv - v) / NODE_PX)
+        (u0, v0), (u1, v1) = _texel(first, here), _texel(last, here)
+        mu, mv = u0 - u1, v0 - v1
+        share = self._exposure_s / self.span_s / (ru * dv - du * rv)
+        return ((mu * dv - du * mv) * share, (ru * mv - mu * rv) * share)
 
 
 def body_from_camera(yaw_rad: float, tilt_rad: float) -> FloatArray:
@@ -290,6 +311,7 @@ def _pad_attitude(scene: ScenePose) -> Quaternion:
     return quat_from_euler(scene.pad_roll_rad, scene.pad_pitch_rad, scene.pad_heading_rad)
 
 
-def _texels(texel_from_ray: FloatArray, rays: FloatArray) -> FloatArray:
-    homogeneous = rays @ texel_from_ray.T
-    return np.asarray(homogeneous[:, :2] / np.maximum(homogeneous[:, 2:], HORIZON))
+def _texel(texel_from_ray: list[list[float]], ray: list[float]) -> tuple[float, float]:
+    u, v, w = (row[0] * ray[0] + row[1] * ray[1] + row[2] for row in texel_from_ray)
+    scale = 1.0 / max(w, HORIZON)
+    return u * scale, v * scale

@@ -39,6 +39,7 @@ Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
 Surface = Literal["board", "ground"]
 # A point that is this deep under the board's top did not come from above: it is beside or beneath it.
 DEEPEST_ENTRY_M: Final = 0.02
+MARGIN_M: Final = 0.05
 
 
 class ContactParameters(StrictModel):
@@ -96,17 +97,26 @@ class Contact:
         self._p = parameters
         self._board = board
         self._points = [_Point(point) for point in (*feet, *hull_body_m)]
-        self._reach_m = max(norm(point.body_m) for point in self._points)
+        # as far over all surfaces nothing touches within a step
+        self.reach_m = max(norm(point.body_m) for point in self._points) + MARGIN_M
 
     def step(self, state: QuadrotorState, pad: PadTruth, dt_s: float) -> ContactLoad:
         """The load for the coming step of dt."""
         half = 0.5 * dt_s
-        if state.position_ned_m[2] + self._reach_m < self._board.ceiling_down_m(pad) - 0.05:
+        clear_m = self._board.ceiling_down_m(pad) - state.position_ned_m[2]
+        if clear_m > self.reach_m:
             self.release()
             return NO_CONTACT
+        w, x, y, z = state.attitude
+        # the body's axes' shares downwards: most points are too high to touch
+        down_x, down_y, down_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
         soon = pad.soon(half)
         force, torque, touched = ZERO3, ZERO3, {"board": 0, "ground": 0}
         for point in self._points:
+            px, py, pz = point.body_m
+            if down_x * px + down_y * py + down_z * pz < clear_m - MARGIN_M:
+                point.surface = None
+                continue
             push = self._push(point, state, soon, half)
             if point.surface is not None:
                 touched[point.surface] += 1

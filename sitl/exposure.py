@@ -77,18 +77,18 @@ def _mean_of_two(image: GreyImage, x: int, y: int) -> GreyImage:
 def _stroke_kernel(right_px: float, down_px: float) -> FloatArray:
     """Kernel (n, n) of a line through its middle; each sample shared among its four neighbours."""
     half = math.ceil(0.5 * max(abs(right_px), abs(down_px)))
-    kernel = np.zeros((2 * half + 1, 2 * half + 1))
-    samples = 9
+    size, samples = 2 * half + 1, 9
+    kernel = [[0.0] * size for _ in range(size)]
     for k in range(samples):
         t = (k + 0.5) / samples - 0.5
         x, y = half + t * right_px, half + t * down_px
         j, i = min(int(x), 2 * half - 1), min(int(y), 2 * half - 1)
         fx, fy = x - j, y - i
-        kernel[i, j] += (1 - fx) * (1 - fy)
-        kernel[i, j + 1] += fx * (1 - fy)
-        kernel[i + 1, j] += (1 - fx) * fy
-        kernel[i + 1, j + 1] += fx * fy
-    return kernel / samples
+        kernel[i][j] += (1 - fx) * (1 - fy)
+        kernel[i][j + 1] += fx * (1 - fy)
+        kernel[i + 1][j] += (1 - fx) * fy
+        kernel[i + 1][j + 1] += fx * fy
+    return np.array(kernel) / samples
 
 
 def vignette(camera: CameraConfig, settings: CameraSettings, rng: np.random.Generator) -> GreyImage | None:

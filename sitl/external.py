@@ -27,16 +27,13 @@ from sitl.external_pose import LONGEST_GUESS_S
 from sitl.external_world import ExternalWorld
 from sitl.frame_server import FrameServer
 from sitl.ground_station import GroundStation
+from sitl.report import SimulationReport
 from sitl.scenario import PassBounds, Scenario
+from sitl.scene_camera import SceneCamera
 from sitl.score import Verdict
+from sitl.sensor_quality import sensor_errors
 from sitl.sensors import RangeSensor
-from sitl.simulation import (
-    OUT_OF_RANGE_M,
-    TRUTH_EVERY_TICKS,
-    SceneCamera,
-    SimulationReport,
-    sensor_errors,
-)
+from sitl.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
 
 TICK_S: Final = 0.005
 # a picture waits so long for the message after its last row; then the newest pose is carried on

@@ -25,9 +25,9 @@ from sitl.external import ExternalSimulation, Parts
 from sitl.external_link import check_connection, open_link, open_relay
 from sitl.frame_server import FrameServer
 from sitl.orders import final_phase, say
+from sitl.report import write_report
 from sitl.scenario import Scenario
 from sitl.server import REPORT_NAME, SENSOR_BAUD
-from sitl.simulation import write_report
 
 
 async def serve_external(

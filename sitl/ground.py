@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import Quaternion, Vector3, dot, quat_rotate, subtract
+from companion.geometry import Quaternion, Vector3, add, dot, quat_rotate, subtract, tilt_from_quat
 from companion.pad import Pad
 from sitl.pad_motion import PadTruth
 from sitl.quadrotor import NO_RATIO, Four, QuadrotorState
@@ -72,6 +72,30 @@ class Board:
         return min(0.0, pad.position_ned_m[2] - lift)
 
 
+def echo_distance_m(
+    board: Board,
+    pad: PadTruth,
+    state: QuadrotorState,
+    sensor_position_body_m: Vector3,
+    half_angle_rad: float,
+) -> float | None:
+    """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back.
+
+    A smooth surface throws sound back from its nearest point alone, so that point has to lie in the
+    cone: the plumb point, or the board's nearest edge beside it.
+    """
+    sensor = add(state.position_ned_m, quat_rotate(state.attitude, sensor_position_body_m))
+    echoes = []
+    if sensor[2] < 0.0 and tilt_from_quat(state.attitude) <= half_angle_rad:
+        echoes.append(-sensor[2])
+    sideways, height = board.distance_m(pad, sensor)
+    # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
+    lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
+    if height > 0.0 and lean <= half_angle_rad:
+        echoes.append(math.hypot(sideways, height))
+    return min(echoes, default=None)
+
+
 def lean_over(pad: PadTruth, attitude: Quaternion) -> float:
     """Angle (rad) between the body's down axis and the board's normal."""
     axes = pad.axes()
@@ -80,9 +104,14 @@ def lean_over(pad: PadTruth, attitude: Quaternion) -> float:
 
 def thrust_ratio(height_m: float, radius_m: float) -> float:
     """Thrust near a plane over thrust in free air; from 1 up to 4/3 at half a radius and below."""
-    height = max(height_m, LOWEST_HEIGHT_IN_RADII * radius_m)
-    share = radius_m / (4.0 * height)
+    lowest = LOWEST_HEIGHT_IN_RADII * radius_m
+    share = radius_m / (4.0 * (height_m if height_m > lowest else lowest))
     return 1.0 / (1.0 - share * share)
+
+
+def ground_effect_reach_m(radius_m: float) -> float:
+    """Height over all surfaces from which on a rotor feels none."""
+    return NEGLIGIBLE_HEIGHT_IN_RADII * radius_m
 
 
 def rotor_ratios(
@@ -94,7 +123,7 @@ def rotor_ratios(
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""
     position = state.position_ned_m
-    if board.ceiling_down_m(pad) - position[2] > NEGLIGIBLE_HEIGHT_IN_RADII * radius_m:
+    if board.ceiling_down_m(pad) - position[2] > ground_effect_reach_m(radius_m):
         return NO_RATIO
     ratios = []
     for rotor in rotors_body_m:

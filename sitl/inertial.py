@@ -11,6 +11,7 @@ here too: the figures are residuals.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -124,11 +125,22 @@ class _NoiseBlocks:
     def next(self) -> list[float]:
         """The three values of the next step."""
         if not self._values:
-            push = math.sqrt(1.0 - self._keep * self._keep) * self._wander
-            self._drift = self._keep * self._drift + push * self._rng.standard_normal(3)
-            noise = self._white * self._rng.standard_normal((NOISE_BLOCK, 3))
-            self._values = (noise + self._bias + self._drift).tolist()
+            self._draw()
         return self._values.pop()
+
+    def skip(self, at_most: int) -> int:
+        """As if `next` had been called so many times, or until the block ends; returns how many times."""
+        if not self._values:
+            self._draw()
+        passed = min(at_most, len(self._values))
+        del self._values[-passed:]
+        return passed
+
+    def _draw(self) -> None:
+        push = math.sqrt(1.0 - self._keep * self._keep) * self._wander
+        self._drift = self._keep * self._drift + push * self._rng.standard_normal(3)
+        noise = self._white * self._rng.standard_normal((NOISE_BLOCK, 3))
+        self._values = (noise + self._bias + self._drift).tolist()
 
 
 class ImuSensor:
@@ -185,6 +197,21 @@ class ImuSensor:
         self._gyro_filter = LowPass(*GYRO_FILTER.get(dlpf, GYRO_FILTER[2]), self._dt_s)
         self._settled = False
 
+    def skip(self, throttles: Sequence[float]) -> None:
+        """Let steps pass whose output nobody sees: dice and rotors go on as if each had been sampled.
+
+        The filters keep what they had; they forget it within a tenth of a second of samples.
+        """
+        left = len(throttles)
+        while left:
+            # block by block: the two draw in turn from one generator
+            passed = self._accel_noise.skip(left)
+            self._gyro_noise.skip(passed)
+            left -= passed
+        for throttle in throttles:
+            if throttle > 0.0 and self._errors.vibration_m_s2:
+                self._turn(throttle)
+
     def sample(
         self, specific_force_body: Vector3, rate_body: Vector3, throttle: float
     ) -> tuple[Vector3, Vector3]:
@@ -225,8 +252,12 @@ class ImuSensor:
         return self.accel_glitches.out(force), self.gyro_glitches.out(rate)
 
     def _rotors(self, throttle: float) -> Vector3:
-        """Sine and cosine of the rotors' turn, and the sine of twice it. Thrust grows with speed squared."""
-        self._rotor_rad += math.tau * self._errors.full_rotor_hz * math.sqrt(throttle) * self._dt_s
-        self._rotor_rad %= math.tau
+        """Sine and cosine of the rotors' turn, and the sine of twice it."""
+        self._turn(throttle)
         s, c = math.sin(self._rotor_rad), math.cos(self._rotor_rad)
         return s, c, 2.0 * s * c
+
+    def _turn(self, throttle: float) -> None:
+        """Thrust grows with speed squared."""
+        self._rotor_rad += math.tau * self._errors.full_rotor_hz * math.sqrt(throttle) * self._dt_s
+        self._rotor_rad %= math.tau

@@ -8,6 +8,7 @@ one of their messages. Axes FRD (the autopilot has turned the mounting out), SI 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -125,8 +126,10 @@ class OnboardSensors:
         """Whether the receiver has told of a fix lately."""
         return self.gps is not None and now_s - self.gps.time_s < _FIX_LASTS_S
 
-    def step(self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: float) -> None:
-        """One physics step; `range_height_m` is the rangefinder's over what answers it."""
+    def step(
+        self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]
+    ) -> None:
+        """One physics step; `range_height_m` gives the rangefinder's over what answers it."""
         self.throttle = throttle
         self._receive(now_s, state)
         if not self._awake:
@@ -139,7 +142,7 @@ class OnboardSensors:
             self.mag = Field(now_s, self._mag.sample(field_body, throttle))
         if now_s >= self._range_due_s - _EARLY_S:
             self._range_due_s = max(self._range_due_s, now_s - RANGE_PERIOD_S) + RANGE_PERIOD_S
-            distance_m = self._range.sample(range_height_m, tilt_from_quat(state.attitude))
+            distance_m = self._range.sample(range_height_m(), tilt_from_quat(state.attitude))
             self.range = Echo(now_s, distance_m)
 
     def _receive(self, now_s: float, state: QuadrotorState) -> None:

@@ -8,6 +8,7 @@ meeting point at a meeting time, where the mission looks for it, give or take a 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -67,6 +68,19 @@ class Axes(NamedTuple):
         )
 
 
+# a board is asked for its axes several times a step
+@lru_cache(maxsize=16)
+def _axes(heading_rad: float, roll_rad: float, pitch_rad: float) -> Axes:
+    cy, sy = math.cos(heading_rad), math.sin(heading_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    return Axes(
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
+    )
+
+
 class PadTruth(NamedTuple):
     """The pad's surface centre at one time; roll and pitch (after the heading) are of a deck at sea."""
 
@@ -83,14 +97,7 @@ class PadTruth(NamedTuple):
 
     def axes(self) -> Axes:
         """The board's axes: yaw, then pitch, then roll."""
-        cy, sy = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        cp, sp = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
-        cr, sr = math.cos(self.roll_rad), math.sin(self.roll_rad)
-        return Axes(
-            (cp * cy, cp * sy, -sp),
-            (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
-            (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
-        )
+        return _axes(self.heading_rad, self.roll_rad, self.pitch_rad)
 
     def rate_ned_rad_s(self) -> Vector3:
         """How the board turns: the three angles' rates, each about its own axis."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from math import sqrt
 from typing import Annotated
 
 from pydantic import Field
@@ -36,8 +37,8 @@ Four = tuple[float, float, float, float]
 AIR_DENSITY_KG_M3 = 1.225
 NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
 
-# position NED, velocity NED, quaternion w x y z, body rate
-_Rigid = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
+# velocity NED, quaternion w x y z, body rate: what forces depend on
+_Moving = tuple[float, float, float, float, float, float, float, float, float, float]
 # what stays the same within a step: wind, drags, accelerations and coupling, see Quadrotor.step
 _Held = tuple[float, ...]
 
@@ -149,8 +150,8 @@ class Quadrotor:
             (torque[2] + torque_body_n_m[2]) / iz,
             *self._coupling,
         )
-        x = state.position_ned_m + state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
-        return _packed(state, _rk4(x, held, dt_s), share, dt_s)
+        x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
+        return _packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
 
     def _spin(self, share: Four, commands: Four, dt_s: float) -> tuple[Four, Four]:
         """Thrust shares after dt, and their means over it, of a first-order lag solved exactly."""
@@ -180,9 +181,9 @@ class Quadrotor:
         t3 = mean[2] * ratio[2] * p.max_thrust_n
         t4 = mean[3] * ratio[3] * p.max_thrust_n
         # speed goes with the root of thrust; the ground changes a rotor's thrust, not its reaction torque
-        w1, w2, w3, w4 = math.sqrt(new[0]), math.sqrt(new[1]), math.sqrt(new[2]), math.sqrt(new[3])
+        w1, w2, w3, w4 = sqrt(new[0]), sqrt(new[1]), sqrt(new[2]), sqrt(new[3])
         spin = self._momentum * (w2 + w4 - w1 - w3)
-        before = math.sqrt(old[1]) + math.sqrt(old[3]) - math.sqrt(old[0]) - math.sqrt(old[2])
+        before = sqrt(old[1]) + sqrt(old[3]) - sqrt(old[0]) - sqrt(old[2])
         spinning_up = (spin - self._momentum * before) / dt_s
         reaction = p.torque_to_thrust_m * p.max_thrust_n * (mean[0] - mean[1] + mean[2] - mean[3])
         torque = (p.arm_length_m * (t4 - t2), p.arm_length_m * (t1 - t3), reaction - spinning_up)
@@ -195,75 +196,80 @@ def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
     return end, (1.0 - end) * time_constant_s / dt_s
 
 
-def _derivative(x: _Rigid, held: _Held) -> _Rigid:
-    """Eqs. (6)-(8): the rate of change of the rigid body, by Newton, Euler and q' = q * (0, w) / 2."""
-    _, _, _, vn, ve, vd, w, a, b, c, p, q, r = x
+def _slope(x: _Moving, k: _Moving, h: float, held: _Held) -> _Moving:
+    """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler, q' = q * (0, w) / 2.
+
+    In its plane and along its axis a rotor drags differently: as if along every axis like in the plane, and
+    the difference along the axis alone. So of the rotation only the body's down axis in NED is needed.
+    """
+    vn, ve, vd, w, a, b, c, p, q, r = x
+    kn, ke, kd, kw, ka, kb, kc, kp, kq, kr = k
     wn, we, wd, plane, axial, body, thrust, fn, fe, fd, hx, hy, tx, ty, tz, jx, jy, jz = held
-    r00, r01, r02 = 1.0 - 2.0 * (b * b + c * c), 2.0 * (a * b - w * c), 2.0 * (a * c + w * b)
-    r10, r11, r12 = 2.0 * (a * b + w * c), 1.0 - 2.0 * (a * a + c * c), 2.0 * (b * c - w * a)
-    r20, r21, r22 = 2.0 * (a * c - w * b), 2.0 * (b * c + w * a), 1.0 - 2.0 * (a * a + b * b)
-    an, ae, ad = vn - wn, ve - we, vd - wd
-    quadratic = body * math.sqrt(an * an + ae * ae + ad * ad)
-    fx = -(plane + quadratic) * (r00 * an + r10 * ae + r20 * ad)
-    fy = -(plane + quadratic) * (r01 * an + r11 * ae + r21 * ad)
-    fz = -(axial + quadratic) * (r02 * an + r12 * ae + r22 * ad) - thrust
+    w, a, b, c = w + h * kw, a + h * ka, b + h * kb, c + h * kc
+    p, q, r = p + h * kp, q + h * kq, r + h * kr
+    an, ae, ad = vn + h * kn - wn, ve + h * ke - we, vd + h * kd - wd
+    dn, de, dd = 2.0 * (a * c + w * b), 2.0 * (b * c - w * a), 1.0 - 2.0 * (a * a + b * b)
+    drag = plane + body * sqrt(an * an + ae * ae + ad * ad)
+    along = (plane - axial) * (dn * an + de * ae + dd * ad) - thrust
     return (
-        vn,
-        ve,
-        vd,
-        r00 * fx + r01 * fy + r02 * fz + fn,
-        r10 * fx + r11 * fy + r12 * fz + fe,
-        r20 * fx + r21 * fy + r22 * fz + fd,
+        along * dn - drag * an + fn,
+        along * de - drag * ae + fe,
+        along * dd - drag * ad + fd,
         -0.5 * (a * p + b * q + c * r),
         0.5 * (w * p + b * r - c * q),
         0.5 * (w * q + c * p - a * r),
         0.5 * (w * r + a * q - b * p),
-        tx + jx * q * r - hx * q,
-        ty + jy * r * p + hy * p,
+        tx + (jx * r - hx) * q,
+        ty + (jy * r + hy) * p,
         tz + jz * p * q,
     )
 
 
-def _moved(x: _Rigid, k: _Rigid, h: float) -> _Rigid:
-    """x + h k."""
-    x0, x1, x2, x3, x4, x5, x6, x7, x8, x9, xa, xb, xc = x
-    k0, k1, k2, k3, k4, k5, k6, k7, k8, k9, ka, kb, kc = k
+def _rk4(place: Vector3, x: _Moving, held: _Held, dt_s: float) -> tuple[Vector3, _Moving]:
+    """One classical Runge-Kutta step; nothing depends on the place, whose slope is the velocity."""
+    half, h = 0.5 * dt_s, dt_s / 6.0
+    a = _slope(x, x, 0.0, held)
+    b = _slope(x, a, half, held)
+    c = _slope(x, b, half, held)
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = a
+    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = b
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = c
+    d0, d1, d2, d3, d4, d5, d6, d7, d8, d9 = _slope(x, c, dt_s, held)
+    x0, x1, x2, x3, x4, x5, x6, x7, x8, x9 = x
     return (
-        x0 + h * k0, x1 + h * k1, x2 + h * k2,
-        x3 + h * k3, x4 + h * k4, x5 + h * k5,
-        x6 + h * k6, x7 + h * k7, x8 + h * k8, x9 + h * k9,
-        xa + h * ka, xb + h * kb, xc + h * kc,
-    )  # fmt: skip
-
-
-def _rk4(x: _Rigid, held: _Held, dt_s: float) -> _Rigid:
-    """One classical Runge-Kutta step."""
-    k1 = _derivative(x, held)
-    k2 = _derivative(_moved(x, k1, 0.5 * dt_s), held)
-    k3 = _derivative(_moved(x, k2, 0.5 * dt_s), held)
-    k4 = _derivative(_moved(x, k3, dt_s), held)
-    h = dt_s / 6.0
-    return _moved(_moved(_moved(_moved(x, k1, h), k2, 2.0 * h), k3, 2.0 * h), k4, h)
-
-
-def _packed(old: QuadrotorState, x: _Rigid, share: Four, dt_s: float) -> QuadrotorState:
-    """The new state with a unit quaternion, and what its sensors felt on the way."""
-    pn, pe, pd, vn, ve, vd, w, a, b, c, p, q, r = x
-    n = 1.0 / math.sqrt(w * w + a * a + b * b + c * c)
-    attitude = (w * n, a * n, b * n, c * n)
-    rate = 1.0 / dt_s
-    v0, w0, q0 = old.velocity_ned_m_s, old.rate_body_rad_s, old.attitude
-    force_ned = ((vn - v0[0]) * rate, (ve - v0[1]) * rate, (vd - v0[2]) * rate - GRAVITY_M_S2)
-    # the two unit quaternions' mean stands half-way; they are too close to need a sign check
-    halfway = quat_normalise(
-        (q0[0] + attitude[0], q0[1] + attitude[1], q0[2] + attitude[2], q0[3] + attitude[3])
+        place[0] + dt_s * (x0 + h * (a0 + b0 + c0)),
+        place[1] + dt_s * (x1 + h * (a1 + b1 + c1)),
+        place[2] + dt_s * (x2 + h * (a2 + b2 + c2)),
+    ), (
+        x0 + h * (a0 + 2.0 * (b0 + c0) + d0),
+        x1 + h * (a1 + 2.0 * (b1 + c1) + d1),
+        x2 + h * (a2 + 2.0 * (b2 + c2) + d2),
+        x3 + h * (a3 + 2.0 * (b3 + c3) + d3),
+        x4 + h * (a4 + 2.0 * (b4 + c4) + d4),
+        x5 + h * (a5 + 2.0 * (b5 + c5) + d5),
+        x6 + h * (a6 + 2.0 * (b6 + c6) + d6),
+        x7 + h * (a7 + 2.0 * (b7 + c7) + d7),
+        x8 + h * (a8 + 2.0 * (b8 + c8) + d8),
+        x9 + h * (a9 + 2.0 * (b9 + c9) + d9),
     )
+
+
+def _packed(old: QuadrotorState, place: Vector3, x: _Moving, share: Four, dt_s: float) -> QuadrotorState:
+    """The new state with a unit quaternion, and what its sensors felt on the way."""
+    vn, ve, vd, w, a, b, c, p, q, r = x
+    n, rate = 1.0 / sqrt(w * w + a * a + b * b + c * c), 1.0 / dt_s
+    w, a, b, c = w * n, a * n, b * n, c * n
+    (un, ue, ud), (p0, q0, r0) = old.velocity_ned_m_s, old.rate_body_rad_s
+    w0, a0, b0, c0 = old.attitude
+    force_ned = ((vn - un) * rate, (ve - ue) * rate, (vd - ud) * rate - GRAVITY_M_S2)
+    # the two unit quaternions' mean stands half-way; they are too close to need a sign check
+    halfway = quat_normalise((w0 + w, a0 + a, b0 + b, c0 + c))
     return QuadrotorState(
-        (pn, pe, pd),
+        place,
         (vn, ve, vd),
-        attitude,
+        (w, a, b, c),
         (p, q, r),
         share,
         quat_rotate_inverse(halfway, force_ned),
-        ((p - w0[0]) * rate, (q - w0[1]) * rate, (r - w0[2]) * rate),
+        ((p - p0) * rate, (q - q0) * rate, (r - r0) * rate),
     )

@@ -85,6 +85,11 @@ class TouchdownWatch:
         self._airborne = False
         self._touching = True
 
+    @property
+    def flying(self) -> bool:
+        """Whether it has been high enough since it last stood: then its height does not matter."""
+        return self._airborne
+
     def step(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
         """Look at a state and the contact that is about to act on it."""
         tilt = tilt_from_quat(state.attitude)

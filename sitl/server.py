@@ -26,8 +26,9 @@ from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
 from sitl.links import TcpServer, UdpServer
 from sitl.orders import final_phase, say
+from sitl.report import write_report
 from sitl.scenario import Scenario
-from sitl.simulation import Simulation, write_report
+from sitl.simulation import Simulation
 
 REPORT_NAME: Final = "report.json"
 SENSOR_BAUD: Final = 9600

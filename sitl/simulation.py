@@ -12,37 +12,33 @@ The world counts from 0 at the loop's time `start_s`; stamps that leave it (fram
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, replace
 from typing import Final, Protocol
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from companion.clock import Clock
-from companion.config import CameraConfig, GpsConfig, VehicleConfig, find_file, load_model
+from companion.config import GpsConfig, VehicleConfig, find_file, load_model
 from companion.geometry import Vector3
-from companion.messages import Frame, Outcome, Phase, Truth
-from companion.pad import load_pad
+from companion.messages import Frame, Phase, Truth
 from companion.slots import Slot
-from sitl import camera as lens
-from sitl import exposure
 from sitl.autopilot import ESTIMATORS, Autopilot
 from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
-from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth, Wiring
+from sitl.devices.rack import SensorRack, Wiring
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
-from sitl.inertial import ImuErrors
 from sitl.network import Network, Port, Write
 from sitl.onboard import OnboardSensors
-from sitl.scenario import Scenario, SensorSettings
+from sitl.report import SimulationReport
+from sitl.scenario import Scenario
+from sitl.scene_camera import SceneCamera
 from sitl.score import judge
-from sitl.sensors import GpsErrors, MagErrors, RangeErrors
+from sitl.sensor_quality import sensor_errors
+from sitl.sensors import RangeErrors
 from sitl.signing import Signing
 from sitl.truth_telemetry import TruthMessages
 from sitl.world import World
@@ -61,6 +57,7 @@ FAULT_STREAM: Final = 21
 HOME: Final[Vector3] = (47.0, 8.0, 400.0)
 MAGNETIC_FIELD_NED_UT: Final[Vector3] = (20.9, 0.6, 42.9)
 OUT_OF_RANGE_M: Final = 99.0
+HALF_BEAM_RAD: Final = RangeErrors().half_beam_rad
 
 
 class ByteLink(Protocol):
@@ -93,24 +90,6 @@ class MemoryFrames:
         """Nothing to give back."""
 
 
-@dataclass(frozen=True, slots=True)
-class SimulationReport:
-    """How a flight ended by the truth, and the truth itself.
-
-    `latest_tick_s` is how far the simulation fell behind the clock at worst: 0 in virtual time.
-    `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right.
-    """
-
-    outcome: Outcome
-    failures: tuple[str, ...]
-    touchdown: dict[str, float] | None
-    pad_speed_m_s: float
-    duration_s: float
-    latest_tick_s: float
-    truth: tuple[Truth, ...]
-    touchdown_pad_m: tuple[float, float] | None = None
-
-
 class Simulation:
     """A scenario under one seed. Make it inside the running loop; its world begins when `run` does."""
 
@@ -128,7 +107,7 @@ class Simulation:
         signing_key: bytes | None = None,
         serve_truth: bool = False,
     ) -> None:
-        """Build the world and plug the devices in.
+        """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
         `link` is the MAVLink line of an app in this process, others come by `connect`. Nothing is rendered
         while the camera is not wanted. `unix_at_start_s` is UTC (s since 1970) when the world begins;
@@ -180,7 +159,7 @@ class Simulation:
             ),
         )
         self.imu_bus = self._rack.imu
-        self._range_m = OUT_OF_RANGE_M
+        self._ranging = self._world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
         app_rng, vehicle_rng = fault_rng.spawn(2)
         camera = scenario.camera
@@ -209,6 +188,7 @@ class Simulation:
             self._autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth
         )
         self._deliver_frame = deliver_frame
+        self._camera_wanted = camera_wanted
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
@@ -220,14 +200,32 @@ class Simulation:
         async with asyncio.TaskGroup() as group:
             if self._link is not None:
                 group.create_task(self._serve(self._link))
-            while True:
-                # half a tick early, so that the world is never further from the clock than that: an age of
-                # samples that is off by milliseconds is an attitude that does not fit the frames
-                due_s = self._start_s + (self._ticks + 0.5) * TICK_S
-                await self._clock.sleep_until(due_s)
-                self._keep_pace(self._clock.now_s() - due_s)
+            await self._beat()
+
+    async def _beat(self) -> None:
+        """Tick for ever, by the loop's timers: a task that sleeps in between costs three times as much."""
+        loop = asyncio.get_running_loop()
+        failed: asyncio.Future[None] = loop.create_future()
+
+        def tick(due_s: float) -> None:
+            if failed.done():
+                return
+            try:
+                self._keep_pace(loop.time() - due_s)
                 self._tick()
-                self._ticks += 1
+            except Exception as error:  # of whatever kind, it ends `run`
+                failed.set_exception(error)
+                return
+            self._ticks += 1
+            loop.call_at(self._due_s(), tick, self._due_s())
+
+        loop.call_at(self._due_s(), tick, self._due_s())
+        await failed
+
+    def _due_s(self) -> float:
+        """When the next tick is: half a tick early, so that the world is never further from the clock than
+        that. An age of samples that is off by milliseconds is an attitude that does not fit the frames."""
+        return self._start_s + (self._ticks + 0.5) * TICK_S
 
     def connect(self, write: Write, *, datagrams: bool) -> Port:
         """Another MAVLink client, at the far end of the scenario's line.
@@ -295,37 +293,24 @@ class Simulation:
         self._expose(now_s)
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
+            self._world.attitude_setpoint = self._autopilot.attitude_setpoint
             self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world
-        truth = world.truth()
-        motors = self._onboard.motors = self._autopilot.step(truth, PHYSICS_STEP_S, world.time_s)
-        world.attitude_setpoint = self._autopilot.attitude_setpoint
+        motors = self._onboard.motors = self._autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
         world.step(motors, PHYSICS_STEP_S)
-        state, throttle, range_height_m = world.state, 0.25 * sum(motors), self._range_height_m()
+        state, throttle = world.state, 0.25 * sum(motors)
+        if self._ticks % RANGE_EVERY_TICKS == 0:
+            self._ranging = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self._faults.step(world.time_s)
-        self._onboard.step(world.time_s, state, throttle, range_height_m)
-        self._rack.step(
-            world.time_s,
-            SensorTruth(
-                specific_force_body_m_s2=state.specific_force_body_m_s2,
-                rate_body_rad_s=state.rate_body_rad_s,
-                attitude=state.attitude,
-                position_ned_m=state.position_ned_m,
-                velocity_ned_m_s=state.velocity_ned_m_s,
-                range_height_m=range_height_m,
-                throttle=throttle,
-            ),
-        )
+        self._onboard.step(world.time_s, state, throttle, self._range_height_m)
+        self._rack.step(world.time_s, state, throttle, self._range_height_m)
 
     def _range_height_m(self) -> float:
-        """The ultrasonic's height over what answers it, updated when it may be about to ping."""
-        if self._ticks % RANGE_EVERY_TICKS == 0:
-            position = self._vehicle.range_position_body_m
-            distance = self._world.range_to_surface_m(position, RangeErrors().half_beam_rad)
-            self._range_m = OUT_OF_RANGE_M if distance is None else distance
-        return self._range_m
+        """The ultrasonic's height over what answers it."""
+        distance_m = self._ranging()
+        return OUT_OF_RANGE_M if distance_m is None else distance_m
 
     def _expose(self, now_s: float) -> None:
         """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
@@ -370,144 +355,3 @@ class Simulation:
             deliver()
         else:
             asyncio.get_running_loop().call_at(arrival_s, deliver)
-
-
-# ---------------------------------------------------------------- reports between processes
-
-
-def write_report(report: SimulationReport, path: Path) -> None:
-    """Write a report as JSON."""
-    path.write_bytes(TypeAdapter(SimulationReport).dump_json(report))
-
-
-def read_report(path: Path) -> SimulationReport:
-    """Read what `write_report` wrote.
-
-    Raises:
-        OSError: the file cannot be read.
-        pydantic.ValidationError: it is something else.
-    """
-    return TypeAdapter(SimulationReport).validate_json(path.read_bytes())
-
-
-# ---------------------------------------------------------------- parts
-
-
-class Scene(Protocol):
-    """A world as the camera sees it."""
-
-    def truth_at(self, time_s: float) -> Truth:
-        """Vehicle and pad at a time of the last 0.3 s, s of the world."""
-        ...
-
-
-class SceneCamera:
-    """Exposes at the camera's rate and renders when the last row has been read."""
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        vehicle: VehicleConfig,
-        world: Scene,
-        noise_rng: np.random.Generator,
-        latency_rng: np.random.Generator,
-        lens_rng: np.random.Generator,
-        start_s: float = 0.0,
-    ) -> None:
-        settings = scenario.camera
-        calibration = load_model(CameraConfig, find_file("cameras", settings.config))
-        config = ground_otherwise(calibration, settings.calibration_error, lens_rng)
-        develop = exposure.CameraSettings(
-            exposure_s=settings.exposure_s,
-            readout_s=settings.readout_s,
-            noise_grey=settings.noise_grey,
-            motion_blur=settings.blur,
-            light=scenario.light,
-            exposure=settings.exposure,
-            dirt=settings.dirt,
-        )
-        self._model = lens.CameraModel(config, vehicle, load_pad(scenario.pad.name), develop, noise_rng)
-        self._world = world
-        self._settings = settings
-        self._rng = latency_rng
-        self._period_s = 1.0 / (settings.rate_hz or config.rate_hz)
-        self._sequence = 0
-        self._next_s = start_s + self._period_s
-
-    @property
-    def exposed_s(self) -> float:
-        """When the next frame's last row will have been read (world time)."""
-        return self._next_s + 0.5 * self._model.span_s
-
-    def skip_to(self, now_s: float) -> None:
-        """Drop the frames whose exposure ended before now_s (world time); they are counted."""
-        missed = max(0, math.ceil((now_s - self.exposed_s) / self._period_s))
-        self._next_s += missed * self._period_s
-        self._sequence += missed
-
-    def step(self, now_s: float) -> tuple[Frame, float] | None:
-        """The frame whose exposure has just ended, and when it is to be delivered (world time)."""
-        if now_s < self.exposed_s:
-            return None
-        time_s = self._next_s
-        self._next_s += self._period_s
-        image = self._model.render(time_s, self._scene_at)
-        late = self._settings.latency_s + self._settings.latency_jitter_s * float(
-            self._rng.uniform(-1.0, 1.0)
-        )
-        frame = Frame(time_s=time_s, received_s=time_s, sequence=self._sequence, image=image)
-        self._sequence += 1
-        return frame, time_s + late
-
-    def _scene_at(self, time_s: float) -> lens.ScenePose:
-        truth = self._world.truth_at(time_s)
-        return lens.ScenePose(
-            vehicle_position_ned_m=truth.vehicle_position_ned_m,
-            vehicle_attitude=truth.vehicle_attitude,
-            pad_position_ned_m=truth.pad_position_ned_m,
-            pad_heading_rad=truth.pad_heading_rad,
-            pad_roll_rad=truth.pad_roll_rad,
-            pad_pitch_rad=truth.pad_pitch_rad,
-        )
-
-
-def ground_otherwise(calibration: CameraConfig, error: float, rng: np.random.Generator) -> CameraConfig:
-    """The lens itself, which no calibration meets; `error` is a standard deviation, of the focal length."""
-    longer, right, down = (error * rng.standard_normal(3)).tolist()
-    return calibration.model_copy(
-        update={
-            "fx_px": calibration.fx_px * (1.0 + longer),
-            "fy_px": calibration.fy_px * (1.0 + longer),
-            "cx_px": calibration.cx_px + right * calibration.fx_px,
-            "cy_px": calibration.cy_px + down * calibration.fy_px,
-        }
-    )
-
-
-def sensor_errors(settings: SensorSettings) -> SensorErrors:
-    """The data sheets' figures times the scenario's factors."""
-    imu, mag, gps, echo = ImuErrors(), MagErrors(), GpsErrors(), RangeErrors()
-    k, g = settings.imu_noise_factor, settings.gps_noise_factor
-    return SensorErrors(
-        imu=replace(
-            imu,
-            gyro_noise_rad_s_rthz=imu.gyro_noise_rad_s_rthz * k,
-            accel_noise_m_s2_rthz=imu.accel_noise_m_s2_rthz * k,
-            vibration_m_s2=imu.vibration_m_s2 * k,
-            vibration_rad_s=imu.vibration_rad_s * k,
-        ),
-        magnetometer=replace(mag, noise_ut=mag.noise_ut * settings.mag_noise_factor),
-        gps=replace(
-            gps,
-            wander_horizontal_m=gps.wander_horizontal_m * g,
-            wander_vertical_m=gps.wander_vertical_m * g,
-            noise_m=gps.noise_m * g,
-            speed_noise_m_s=gps.speed_noise_m_s * g,
-            climb_noise_m_s=gps.climb_noise_m_s * g,
-        ),
-        range=replace(
-            echo,
-            noise_m=echo.noise_m * settings.range_noise_factor,
-            noise_share=echo.noise_share * settings.range_noise_factor,
-        ),
-    )

@@ -38,6 +38,7 @@ ROUGHNESS_M: Final = 0.15 * FOOT_M
 SHEAR_LOWEST_M: Final = 0.3
 CARRIED_AT_LEAST_M_S: Final = 2.0
 TURBULENCE_STEP_S: Final = 0.02
+_PROFILE_AT_20_FT: Final = math.log(FOOT_M * REFERENCE_HEIGHT_FT / ROUGHNESS_M)
 
 
 class GustSettings(StrictModel):
@@ -89,7 +90,7 @@ class WindSettings(StrictModel):
 def shear(height_m: float) -> float:
     """Wind at a height over wind at 20 ft; taken as constant below 0.3 m, among grass and legs."""
     height = max(height_m, SHEAR_LOWEST_M)
-    return math.log(height / ROUGHNESS_M) / math.log(FOOT_M * REFERENCE_HEIGHT_FT / ROUGHNESS_M)
+    return math.log(height / ROUGHNESS_M) / _PROFILE_AT_20_FT
 
 
 class DrydenTurbulence:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import deque
+from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -19,19 +21,17 @@ from companion.geometry import (
     Vector3,
     norm,
     quat_normalise,
-    quat_rotate,
     quat_rotate_inverse,
     subtract,
-    tilt_from_quat,
     wrap_angle,
 )
 from companion.messages import Truth
 from companion.pad import load_pad
 from sitl.actuators import Motors
 from sitl.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.ground import Board, lean_over, rotor_ratios
+from sitl.ground import Board, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.pad_motion import PadTruth, build_pad_motion
-from sitl.quadrotor import Four, Quadrotor, QuadrotorState, resting_state
+from sitl.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
 from sitl.scenario import Scenario, load_airframe
 from sitl.score import Touchdown, TouchdownWatch
 from sitl.wind import Wind
@@ -59,6 +59,15 @@ class _Moment(NamedTuple):
     in_contact: bool
 
 
+class Motion(NamedTuple):
+    """The part of the truth that an autopilot errs about: it is asked for at every step."""
+
+    vehicle_position_ned_m: Vector3
+    vehicle_velocity_ned_m_s: Vector3
+    vehicle_attitude: Quaternion
+    rate_body_rad_s: Vector3
+
+
 class World:
     """A scenario's world under one seed, from rest at home at time 0."""
 
@@ -81,6 +90,7 @@ class World:
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
         self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
         self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
+        self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
         self._pad_motion = build_pad_motion(
@@ -118,8 +128,7 @@ class World:
     def step(self, motor_commands: Four, dt_s: float) -> None:
         """Move everything on by dt (s); commands are the motors' shares of full thrust, 0..1."""
         self.wind_ned_m_s = self._blow()
-        thrust_ratio = self._ground_effect()
-        self._load = self._contact.step(self._state, self.pad_state, dt_s)
+        thrust_ratio = self._feel_surfaces(dt_s)
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
         self._state = self._quadrotor.step(
             self._state,
@@ -132,13 +141,23 @@ class World:
         )
         self.time_s += dt_s
         self.pad_state = self._pad_motion.at(self.time_s)
-        self._watch.airborne(self.height_m - self.landed_reference_height_m)
+        if not self._watch.flying:
+            self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._remember()
 
     def _blow(self) -> Vector3:
         return self._wind.at(self.time_s, -self._state.position_ned_m[2])
 
-    def _ground_effect(self) -> Four:
+    def _feel_surfaces(self, dt_s: float) -> Four:
+        """What touches, and how each rotor's thrust grows near a surface."""
+        clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
+        if clear_m <= self._contact.reach_m:
+            self._load = self._contact.step(self._state, self.pad_state, dt_s)
+        elif self._load is not NO_CONTACT:
+            self._contact.release()
+            self._load = NO_CONTACT
+        if clear_m > self._ground_effect_reach_m:
+            return NO_RATIO
         return rotor_ratios(
             self._state,
             self._rotors,
@@ -194,28 +213,14 @@ class World:
         return self.airframe.legs.standing_height_m()
 
     def range_to_surface_m(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> float | None:
-        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back.
+        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back."""
+        return self.ranging(sensor_position_body_m, half_angle_rad)()
 
-        A smooth surface throws sound back from its nearest point alone, so that point has to lie in the
-        cone: the plumb point, or the board's nearest edge beside it.
-        """
-        state, pad = self._state, self.pad_state
-        offset = quat_rotate(state.attitude, sensor_position_body_m)
-        sensor = (
-            state.position_ned_m[0] + offset[0],
-            state.position_ned_m[1] + offset[1],
-            state.position_ned_m[2] + offset[2],
+    def ranging(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> Callable[[], float | None]:
+        """What `range_to_surface_m` would tell now, worked out when asked for."""
+        return partial(
+            echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
         )
-        tilt = tilt_from_quat(state.attitude)
-        echoes = []
-        if tilt <= half_angle_rad and sensor[2] < 0.0:
-            echoes.append(-sensor[2])
-        sideways, height = self.board.distance_m(pad, sensor)
-        # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
-        lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
-        if height > 0.0 and lean <= half_angle_rad:
-            echoes.append(math.hypot(sideways, height))
-        return min(echoes, default=None)
 
     # ------------------------------------------------------------ for the score and the camera
 
@@ -238,6 +243,11 @@ class World:
         turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
         turning = norm(subtract(state.rate_body_rad_s, turned)) > REST_RATE_RAD_S
         return self._load.on_board >= STANDING_FEET and not moving and not turning
+
+    def motion(self) -> Motion:
+        """The vehicle's motion now."""
+        state = self._state
+        return Motion(state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s)
 
     def truth(self) -> Truth:
         """Everything now."""

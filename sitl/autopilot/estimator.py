@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from companion.geometry import (
     quat_multiply,
     rotate_yaw,
 )
-from companion.messages import Truth
 
 _NOISE_BLOCK = 256
 
@@ -82,6 +81,19 @@ ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
 }
 
 
+class TrueMotion(Protocol):
+    """What it errs about; the world's `Truth` is one."""
+
+    @property
+    def vehicle_position_ned_m(self) -> Vector3: ...
+    @property
+    def vehicle_velocity_ned_m_s(self) -> Vector3: ...
+    @property
+    def vehicle_attitude(self) -> Quaternion: ...
+    @property
+    def rate_body_rad_s(self) -> Vector3: ...
+
+
 class Estimator:
     """Attitude at every step, position and velocity at the outer loop's pace."""
 
@@ -110,14 +122,14 @@ class Estimator:
         self.acceleration_ned_m_s2 = ZERO3
         self._true_velocity: Vector3 | None = None
 
-    def update_attitude(self, truth: Truth) -> None:
+    def update_attitude(self, truth: TrueMotion) -> None:
         """Take over attitude and rate: constant heading and horizon errors, a clean gyroscope."""
         self.attitude = quat_multiply(
             self._heading_error, quat_multiply(truth.vehicle_attitude, self._tilt_error)
         )
         self.rate_body_rad_s = truth.rate_body_rad_s
 
-    def update_position(self, truth: Truth, dt_s: float) -> None:
+    def update_position(self, truth: TrueMotion, dt_s: float) -> None:
         """Move the errors on by dt and take over position and velocity; acceleration is the IMU's, clean."""
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)

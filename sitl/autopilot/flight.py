@@ -9,8 +9,8 @@ from companion.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.messages import Truth
 from sitl.autopilot.cascade import STOPPED
+from sitl.autopilot.estimator import TrueMotion
 from sitl.autopilot.flight_state import FlightState
 from sitl.autopilot.landing_target import View
 from sitl.autopilot.mission import Here
@@ -28,7 +28,7 @@ class FlightLoop(FlightState):
 
     # ------------------------------------------------------------ time
 
-    def step(self, truth: Truth, dt_s: float, now_s: float) -> Motors:
+    def step(self, truth: TrueMotion, dt_s: float, now_s: float) -> Motors:
         """One step of the physics: the four motor commands 0..1 (front, right, rear, left)."""
         self.estimate.update_attitude(truth)
         if now_s >= self._outer_due_s - _EARLY_S:
@@ -37,7 +37,7 @@ class FlightLoop(FlightState):
             return STOPPED
         return self._cascade.step(self.estimate, dt_s)
 
-    def _outer(self, truth: Truth, now_s: float) -> None:
+    def _outer(self, truth: TrueMotion, now_s: float) -> None:
         if self.booted_s is None:
             self.booted_s = now_s
         # a step that comes late is made up for by the next ones, a long silence is not

@@ -47,6 +47,10 @@ class Ak8963Device:
         self._middle_s: float | None = None
         self._measured: tuple[float, Vector3] | None = None
 
+    def is_due(self, now_s: float) -> bool:
+        """Whether it measures in a step at that time: then the field counts."""
+        return self._period_s is not None and (self._middle_s is None or now_s >= self._middle_s)
+
     def step(self, now_s: float, field_body_ut: Vector3, throttle: float) -> None:
         """Measure when it is time to; the result shows half a measurement later."""
         if self._measured is not None and now_s >= self._measured[0]:

@@ -13,7 +13,9 @@ import math
 import struct
 from typing import Final, Literal
 
-from companion.geometry import GRAVITY_M_S2, Vector3
+import numpy as np
+
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.devices import ak8963
 from sitl.devices.ak8963 import Ak8963Device
 from sitl.inertial import ImuSensor
@@ -31,13 +33,22 @@ _USER_CTRL, _PWR_MGMT_1, _FIFO_COUNT, _FIFO_R_W, _WHO_AM_I = 0x6A, 0x6B, 0x72, 0
 # FIFO_EN bit -> its share of the 14 bytes accelerometer, temperature, gyroscope, in register order
 _FIFO_PARTS: Final = ((0x08, 0, 6), (0x80, 6, 8), (0x40, 8, 10), (0x20, 10, 12), (0x10, 12, 14))
 _FIFO_ALL: Final = 0xF8
+_MASTER_OR_FIFO: Final = 0x60  # USER_CTRL
 _WORDS: Final = struct.Struct(">7h")
+# steps that a sleeping chip notes at most, and those that it keeps when they are so many: a second's
+_LONGEST_NOTES: Final = 4000
+_REMEMBERED: Final = 400
+# time (s), specific force (m/s²), rate (rad/s), throttle
+_Felt = tuple[float, Vector3, Vector3, float]
 
 
 class Mpu9250Device:
     """A register bus with one MPU9250 on it. Step it at the physics' rate, read and write it any time.
 
     The fault "nack" is a bus that fails, "ones" a line that is pulled up, "stuck" a chip that stops sampling.
+
+    Until somebody speaks to it, it sleeps: what it would have felt is noted and made up for by `wake`, so
+    that a vehicle whose boards nobody reads does not pay for them and a reader cannot tell.
     """
 
     def __init__(
@@ -64,6 +75,8 @@ class Mpu9250Device:
         self.nacks_to_come = 0  # so many transactions are not acknowledged, as glitches on the bus make them
         self._previous: tuple[float, Vector3, Vector3] | None = None
         self._next_s = -math.inf
+        self._asleep = True
+        self._missed: list[_Felt] = []
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -85,14 +98,53 @@ class Mpu9250Device:
         field_body_ut: Vector3,
         throttle: float,
     ) -> None:
-        """Feel the truth of one physics step; sample when the chip's own time has come."""
-        force, rate = self._imu.sample(specific_force_body_m_s2, rate_body_rad_s, throttle)
+        """Feel the truth of one physics step; sample when the chip's own time has come.
+
+        `field_body_ut` counts when the magnetometer's measurement is due.
+        """
         self.magnetometer.step(now_s, field_body_ut, throttle)
+        if self._asleep:
+            self._missed.append((now_s, specific_force_body_m_s2, rate_body_rad_s, throttle))
+            if len(self._missed) >= _LONGEST_NOTES:
+                self._forget()
+            return
+        self._feel(now_s, specific_force_body_m_s2, rate_body_rad_s, throttle)
+
+    def wake(self) -> None:
+        """Make up for what was missed, and sleep no more."""
+        if not self._asleep:
+            return
+        self._asleep = False
+        self._forget()
+        for felt in self._missed:
+            self._feel(*felt)
+        self._missed.clear()
+
+    def _forget(self) -> None:
+        """Keep the newest notes, more than the filters remember; for the rest dice and clock go on."""
+        gone = self._missed[:-_REMEMBERED]
+        if not gone:
+            return
+        del self._missed[: len(gone)]
+        self._imu.skip([throttle for _, _, _, throttle in gone])
+        now_s = gone[-1][0]
+        first_s = gone[0][0] if self._previous is None else self._next_s
+        self._previous = (now_s, ZERO3, ZERO3)
+        self._next_s = _next_after(now_s, first_s, self._period_s)
+
+    def _feel(
+        self, now_s: float, specific_force_body_m_s2: Vector3, rate_body_rad_s: Vector3, throttle: float
+    ) -> None:
+        force, rate = self._imu.sample(specific_force_body_m_s2, rate_body_rad_s, throttle)
         if self._previous is None:
             self._next_s = now_s
             self._previous = (now_s, force, rate)
         before_s, before_force, before_rate = self._previous
         self._previous = (now_s, force, rate)
+        if not self._registers[_USER_CTRL] & _MASTER_OR_FIFO:
+            # one sample overwrites another
+            while self._next_s + self._period_s <= now_s:
+                self._next_s += self._period_s
         while self._next_s <= now_s:
             # the chip samples between two steps of the physics
             share = (now_s - self._next_s) / (now_s - before_s) if now_s > before_s else 0.0
@@ -153,6 +205,7 @@ class Mpu9250Device:
         Raises:
             OSError: no device at the address, or the fault "nack".
         """
+        self.wake()
         self._check(address)
         if self.fault == "ones":
             return b"\xff" * length
@@ -177,6 +230,7 @@ class Mpu9250Device:
         Raises:
             OSError: no device at the address, or the fault "nack".
         """
+        self.wake()
         self._check(address)
         if self.fault == "ones":
             return
@@ -242,6 +296,16 @@ class Mpu9250Device:
         self._gyro_per_rad_s = 32768.0 / gyro_range
         self._accel_per_m_s2 = 32768.0 / accel_range
         self._imu.set_filter(dlpf)
+
+
+def _next_after(now_s: float, first_s: float, period_s: float) -> float:
+    """The first sample's time after now, the periods added one by one as the chip does."""
+    if first_s > now_s:
+        return first_s
+    times_s = np.full(int((now_s - first_s) / period_s) + 3, period_s)
+    times_s[0] = first_s
+    times_s = np.add.accumulate(times_s)
+    return float(times_s[np.searchsorted(times_s, now_s, side="right")])
 
 
 def _blend(new: Vector3, old: Vector3, share_of_old: float) -> Vector3:

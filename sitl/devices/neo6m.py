@@ -31,6 +31,7 @@ UNIX_AT_START_S: Final = (
 _GEOID_SEPARATION_M: Final = 47.0
 _KNOT_M_S: Final = 1852.0 / 3600.0
 _FASTEST_MS: Final = 200
+_EARLY_S: Final = 1e-9
 
 _RATES_BAUD: Final = (4800, 9600, 19200, 38400, 57600, 115200)
 _UART1: Final = 1
@@ -91,9 +92,17 @@ class Neo6mDevice:
         self._replies = b""
         self._due: deque[tuple[float, bytes]] = deque()
 
+    @property
+    def next_s(self) -> float:
+        """When it next has something to do of itself: to measure, or to send."""
+        if self._next_ms is None or self._replies:
+            return -math.inf
+        epoch_s = self._next_ms / 1000.0 - _EARLY_S
+        return min(epoch_s, self._due[0][0]) if self._due else epoch_s
+
     def step(self, now_s: float, position_ned_m: Vector3, velocity_ned_m_s: Vector3) -> bytes:
         """Bytes that go on the line now; the antenna's truth counts at the instants of its epochs."""
-        elapsed_ms = now_s * 1000.0 + 1e-6  # a step that falls on an epoch counts as it
+        elapsed_ms = (now_s + _EARLY_S) * 1000.0  # a step that falls on an epoch counts as it
         if self._next_ms is None:
             self._schedule(int(elapsed_ms))
         if self._next_ms is not None and elapsed_ms >= self._next_ms:
@@ -109,6 +118,8 @@ class Neo6mDevice:
 
     def receive(self, data: bytes) -> None:
         """Bytes from the onboard computer: commands, or garbage."""
+        if not data:
+            return
         self._incoming += data
         while (start := self._incoming.find(b"\xb5\x62")) >= 0:
             del self._incoming[:start]

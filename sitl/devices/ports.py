@@ -140,6 +140,8 @@ class MemoryPort:
 
     def receive(self) -> bytes:
         """What has come from the app since the last call."""
+        if not self._from_app:
+            return b""
         data = bytes(self._from_app)
         self._from_app.clear()
         return data

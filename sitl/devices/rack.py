@@ -5,6 +5,7 @@ Each sensor has a random stream of its own, so that a fault in one does not chan
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from companion.config import GpsConfig, ImuConfig
 from companion.geometry import (
-    Quaternion,
+    ZERO3,
     Vector3,
     add,
     cross,
@@ -26,6 +27,7 @@ from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.inertial import ImuErrors, ImuSensor
+from sitl.quadrotor import QuadrotorState
 from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 
 OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
@@ -58,23 +60,6 @@ class Wiring:
     imu_interface: Interface = "i2c"
     gps_wake_baud: int = 9600
     ultrasonic: Literal["frames", "polled"] = "frames"
-
-
-@dataclass(frozen=True, slots=True)
-class SensorTruth:
-    """What the world does to the sensors at one instant.
-
-    Position and velocity are the reference point's (centre of mass); `range_height_m` is the ultrasonic's
-    over the floor or pad beneath it; `throttle` is the mean motor command, 0 to 1.
-    """
-
-    specific_force_body_m_s2: Vector3
-    rate_body_rad_s: Vector3
-    attitude: Quaternion
-    position_ned_m: Vector3
-    velocity_ned_m_s: Vector3
-    range_height_m: float
-    throttle: float
 
 
 class SensorRack:
@@ -118,16 +103,37 @@ class SensorRack:
         self._gps_port = gps_port
         self._range_port = range_port
 
-    def step(self, now_s: float, truth: SensorTruth) -> None:
-        """One physics step: feel it, and put on the lines what is due."""
-        attitude, rate = truth.attitude, truth.rate_body_rad_s
-        field_body = quat_rotate_inverse(attitude, self._field_ned_ut)
-        self.imu.step(now_s, truth.specific_force_body_m_s2, rate, field_body, truth.throttle)
-        antenna = quat_rotate(attitude, self._antenna_body_m)
-        turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))
-        self.gps.receive(self._gps_port.receive())
-        position, velocity = add(truth.position_ned_m, antenna), add(truth.velocity_ned_m_s, turning)
-        self._gps_port.set_baud(self.gps.baud)
-        self._gps_port.send(self.gps.step(now_s, position, velocity))
-        self.range.receive(self._range_port.receive())
-        self._range_port.send(self.range.step(now_s, truth.range_height_m, tilt_from_quat(attitude)))
+    def step(
+        self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]
+    ) -> None:
+        """One physics step: feel it, and put on the lines what is due.
+
+        `throttle` is the mean motor command, 0 to 1; `range_height_m` gives the ultrasonic's height over the
+        floor or pad beneath it, and is asked when it pings.
+        """
+        field_body = ZERO3
+        if self.imu.magnetometer.is_due(now_s):
+            field_body = quat_rotate_inverse(state.attitude, self._field_ned_ut)
+        self.imu.step(now_s, state.specific_force_body_m_s2, state.rate_body_rad_s, field_body, throttle)
+        self._step_gps(now_s, state)
+        self._step_range(now_s, state, range_height_m)
+
+    def _step_gps(self, now_s: float, state: QuadrotorState) -> None:
+        gps, port = self.gps, self._gps_port
+        if heard := port.receive():
+            gps.receive(heard)
+        if now_s < gps.next_s:
+            return
+        lever, attitude = self._antenna_body_m, state.attitude
+        turning = quat_rotate(attitude, cross(state.rate_body_rad_s, lever))
+        position = add(state.position_ned_m, quat_rotate(attitude, lever))
+        velocity = add(state.velocity_ned_m_s, turning)
+        port.set_baud(gps.baud)
+        port.send(gps.step(now_s, position, velocity))
+
+    def _step_range(self, now_s: float, state: QuadrotorState, range_height_m: Callable[[], float]) -> None:
+        sonar, port = self.range, self._range_port
+        if heard := port.receive():
+            sonar.receive(heard)
+        if now_s >= sonar.next_s:
+            port.send(sonar.step(now_s, range_height_m(), tilt_from_quat(state.attitude)))

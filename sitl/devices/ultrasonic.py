@@ -6,6 +6,7 @@ distance in two bytes of millimetres, 0x50 for a temperature in one byte of degr
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from sitl.sensors import RangeSensor
@@ -28,6 +29,13 @@ class UltrasonicDevice:
 
     def receive(self, data: bytes) -> None:
         """Bytes from the onboard computer: it does not listen."""
+
+    @property
+    def next_s(self) -> float:
+        """When it next has something to do of itself: to ping, or to send."""
+        if self._next_s is None:
+            return -math.inf
+        return min(self._next_s, self._answer_s) if self._frame else self._next_s
 
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
         """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""
@@ -59,6 +67,13 @@ class PolledUltrasonicDevice:
         """Bytes from the onboard computer; while it waits for an echo it does not listen."""
         if not self._answer:
             self._asked += data
+
+    @property
+    def next_s(self) -> float:
+        """When it next has something to do of itself: to ping, or to send."""
+        if self._asked:
+            return -math.inf
+        return self._answer_s if self._answer else math.inf
 
     def step(self, now_s: float, height_m: float, tilt_rad: float = 0.0) -> bytes:
         """Bytes that start on the line now; `height_m` of the sensor over the floor under it."""

@@ -64,7 +64,7 @@ def fly(manner: Manner, recorded: Record, seed: int) -> Record:
             due = next(waiting, None)
         motors = autopilot.step(world.truth(), PHYSICS_STEP_S, world.time_s)
         world.step(motors, PHYSICS_STEP_S)
-        sensors.step(world.time_s, world.state, 0.25 * sum(motors), FAR_M)
+        sensors.step(world.time_s, world.state, 0.25 * sum(motors), lambda: FAR_M)
         steps += 1
         if steps % STEPS_PER_TALK == 0:
             data = endpoint.transmit(world.time_s)

@@ -1,6 +1,10 @@
 """Virtual time: jumps, never sleeps, and gives the same order every time."""
 
 import asyncio
+import gc
+import os
+import signal
+import threading
 
 import pytest
 
@@ -67,3 +71,34 @@ async def test_in_real_time_computing_leaves_the_loop_free() -> None:
         return asyncio.run_coroutine_threadsafe(started.wait(), loop).result(timeout=10.0)
 
     assert await clock.run(wait_for_the_loop, modelled_s=1e6)
+
+
+def test_the_virtual_loop_hears_a_signal_and_a_thread_while_it_jumps() -> None:
+    async def wait_for_both() -> set[str]:
+        loop = asyncio.get_running_loop()
+        heard: set[str] = set()
+        loop.add_signal_handler(signal.SIGUSR1, heard.add, "signal")
+        try:
+            os.kill(os.getpid(), signal.SIGUSR1)
+            thread = threading.Thread(target=loop.call_soon_threadsafe, args=(heard.add, "thread"))
+            thread.start()
+            thread.join()
+            for _ in range(10_000):
+                if len(heard) == 2:
+                    break
+                await asyncio.sleep(0.001)
+        finally:
+            loop.remove_signal_handler(signal.SIGUSR1)
+        return heard
+
+    assert run_in_virtual_time(wait_for_both()) == {"signal", "thread"}
+
+
+def test_a_flight_collects_garbage_as_the_process_did_before_and_after() -> None:
+    before = gc.get_threshold()
+
+    async def threshold() -> int:
+        return gc.get_threshold()[0]
+
+    assert run_in_virtual_time(threshold()) > before[0]
+    assert gc.get_threshold() == before

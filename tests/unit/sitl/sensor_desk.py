@@ -19,11 +19,12 @@ from companion.sense.ultrasonic import Ultrasonic
 from sitl.actuators import Motors
 from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.ports import MemoryPort
-from sitl.devices.rack import SensorRack, SensorTruth
+from sitl.devices.rack import SensorRack
 from sitl.faults import Fault
 from sitl.faulty_link import LinkSettings, LinkWay
 from sitl.frame_line import FrameLine
 from sitl.onboard import OnboardSensors
+from sitl.quadrotor import QuadrotorState
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
@@ -57,10 +58,14 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
         for k in range(round(seconds / STEP_S)):
             schedule.step(k * STEP_S)
             attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)
-            truth = SensorTruth(
-                FORCE, (0.0, 0.0, 0.3), attitude, (0.0, k * STEP_S, -2.0), (0.0, 1.0, 0.0), 1.9, 0.5
+            state = QuadrotorState(
+                position_ned_m=(0.0, k * STEP_S, -2.0),
+                velocity_ned_m_s=(0.0, 1.0, 0.0),
+                attitude=attitude,
+                rate_body_rad_s=(0.0, 0.0, 0.3),
+                specific_force_body_m_s2=FORCE,
             )
-            rack.step(k * STEP_S, truth)
+            rack.step(k * STEP_S, state, 0.5, lambda: 1.9)
             await clock.sleep_until((k + 1) * STEP_S)
 
     async def inertial(driver: Mpu9250, clock: Clock) -> None:

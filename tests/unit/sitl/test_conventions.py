@@ -21,9 +21,10 @@ from companion.messages import ImuSample, MagSample
 from companion.pad import Marker, Pad, load_pad
 from companion.sense.mpu9250 import Mpu9250
 from sitl.camera import CameraModel, ScenePose
-from sitl.devices.rack import SensorErrors, SensorRack, SensorTruth
+from sitl.devices.rack import SensorErrors, SensorRack
 from sitl.exposure import CameraSettings
 from sitl.inertial import ImuErrors
+from sitl.quadrotor import QuadrotorState
 from sitl.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
@@ -258,9 +259,11 @@ def through_the_rack(
         imu_config=ImuConfig(body_from_sensor_deg=(0.0, 0.0, 45.0)),
         errors=QUIET,
     )
-    truth = SensorTruth(force, rate, attitude, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), 5.0, 0.0)
+    state = QuadrotorState(
+        (0.0, 0.0, -5.0), attitude=attitude, rate_body_rad_s=rate, specific_force_body_m_s2=force
+    )
     for k in range(400):
-        rack.step(k / 400.0, truth)
+        rack.step(k / 400.0, state, 0.0, lambda: 5.0)
         each_step(rack, k / 400.0)
     return rack
 

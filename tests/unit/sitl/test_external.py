@@ -37,8 +37,8 @@ from sitl.exposure import CameraSettings
 from sitl.external import ExternalSimulation, Parts
 from sitl.external_link import UdpEnd, open_link, open_relay
 from sitl.frame_server import FrameServer
+from sitl.report import read_report
 from sitl.scenario import Scenario
-from sitl.simulation import read_report
 from tests.unit.sitl.external_vehicle import (
     ARDUPILOT,
     GROUND,

@@ -190,7 +190,7 @@ def test_health_is_told_as_it_is(manner: Manner) -> None:
     def ill() -> int:
         client.heard()
         for _ in range(200):
-            desk.sensors.step(desk.flight.now_s, state, 0.0, 1.0)
+            desk.sensors.step(desk.flight.now_s, state, 0.0, lambda: 1.0)
             desk.run(0.01)
         heard = client.heard()
         fix = next(m.fix_type for m in reversed(heard) if m.get_type() == "GPS_RAW_INT")

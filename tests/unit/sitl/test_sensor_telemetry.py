@@ -57,7 +57,9 @@ class Vehicle:
         for _ in range(round(seconds * 200)):
             self.flight.run(2 * DT_S)
             for step in (1, 0):
-                self.sensors.step(self.flight.now_s - step * DT_S, self.state, 0.0, self.range_height_m)
+                self.sensors.step(
+                    self.flight.now_s - step * DT_S, self.state, 0.0, lambda: self.range_height_m
+                )
             heard += self.parser.parse_buffer(self.endpoint.transmit(self.flight.now_s)) or []
         return heard
 
