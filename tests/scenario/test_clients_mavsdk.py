@@ -9,14 +9,17 @@ import asyncio
 import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing, asynccontextmanager, closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.offboard import OffboardAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.plugins.mission_raw import MissionItem
 from mavsdk.plugins.offboard import AccelerationNed, Attitude, PositionNedYaw, VelocityNedYaw
 
 from companion.messages import Manner
@@ -24,7 +27,9 @@ from tests.scenario.serving import serving
 
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 HEIGHT_M = 3.0
-SPEED_PARAMETERS: dict[Manner, str] = {"px4": "MPC_XY_CRUISE", "ardupilot": "LAND_SPEED_HIGH"}
+RELATIVE_INT, WAYPOINT = 6, 16  # MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, MAV_CMD_NAV_WAYPOINT
+FURTHER_DEG = 4e-5  # 4.4 m of latitude
+SPEED_PARAMETERS: dict[Manner, str] = {"px4": "MPC_XY_CRUISE", "ardupilot": "WPNAV_SPEED"}
 
 
 def free_port() -> int:
@@ -100,6 +105,33 @@ async def fly_by_setpoints(system: Any, telemetry: TelemetryAsync) -> None:
     await offboard.stop()
 
 
+def waypoint(number: int, latitude_deg: float, longitude_deg: float) -> MissionItem:
+    """An item at the flight's height; the vehicle goes on when it is within half a metre."""
+    place = (round(latitude_deg * 1e7), round(longitude_deg * 1e7), HEIGHT_M)
+    first = int(number == 0)
+    return MissionItem(number, RELATIVE_INT, WAYPOINT, first, 1, 0.0, 0.5, 0.0, 0.0, *place, 0)
+
+
+async def fly_a_mission(system: Any, manner: Manner, telemetry: TelemetryAsync) -> None:
+    """Upload, read back, fly to the north and half the way back."""
+    mission = MissionRawAsync(system)
+    here = await until(telemetry.subscribe_position(), lambda _: True)
+    goals = [here.latitude_deg + FURTHER_DEG, here.latitude_deg + 0.5 * FURTHER_DEG]
+    places = [here.latitude_deg, *goals] if manner == "ardupilot" else goals  # its item 0 is home
+    items = [waypoint(n, latitude, here.longitude_deg) for n, latitude in enumerate(places)]
+    await mission.upload_mission(items)
+    read = await mission.download_mission()
+    assert [item.x for item in read[-2:]] == [item.x for item in items[-2:]]
+    await mission.start_mission()
+    for goal_deg in goals:
+        await until(telemetry.subscribe_position(), partial(is_near, goal_deg))
+
+
+def is_near(latitude_deg: float, position: Any) -> bool:
+    """Whether a telemetry position is within a metre or so of a latitude."""
+    return bool(abs(position.latitude_deg - latitude_deg) < 1e-5)
+
+
 async def land(system: Any, telemetry: TelemetryAsync) -> None:
     """Land, and wait until it has disarmed itself."""
     await ActionAsync(system).land()
@@ -114,6 +146,7 @@ async def whole_flight(manner: Manner, folder: Path) -> None:
             telemetry = TelemetryAsync(system)
             await fly_by_actions(system, manner, telemetry)
             await fly_by_setpoints(system, telemetry)
+            await fly_a_mission(system, manner, telemetry)
             await land(system, telemetry)
 
 
