@@ -58,6 +58,7 @@ LAST_HOLD_S: Final = 2.0
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 # entering one of these voids what was asked before
 NO_MORE_ERRANDS: Final = (*END_PHASES, Phase.HOLD)
+ON_THE_GROUND: Final = (Phase.CONNECT, Phase.ARM)  # there a mistake in the settings ends the app
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,8 @@ class App:
             step_s=config.control.step_s,
             fuzzy=load_table(config.plan.fuzzy)[0],
         )
-        self._controller = Controller(config.control, vehicle)
+        self._vehicle = vehicle
+        self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._errands = Errands(self._actions, self._take_result)
         self._action_results: list[ActionResult] = []
@@ -181,8 +183,10 @@ class App:
         """
         try:
             await work()
-        except ConfigError:
-            raise
+        except ConfigError as error:
+            if self._phase in ON_THE_GROUND:
+                raise
+            self._notice("device_lost", f"{name} lost: {error}", "error")
         except Exception as error:
             kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
             self._notice("device_lost", f"{name} lost: {kind}{error}", "error")
@@ -230,6 +234,8 @@ class App:
     async def _control_step(self, now_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self._sensing.take_attitude(self.session.state)
+        if self.session.state.manner is not None:
+            self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self._estimator.vehicle(now_s), self._estimator.pad(now_s)
         plan = self._plan(vehicle, pad, now_s)
         if vehicle is None:
@@ -240,10 +246,16 @@ class App:
         if plan.reference is None:
             return
         self.session.align(vehicle.attitude, vehicle.time_s)
-        controlled = self._controller.step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
+        controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
             self._send_setpoint(*controlled)
+
+    def _control(self) -> Controller:
+        if self._controller is None:
+            manner = self.session.state.manner or "px4"
+            self._controller = Controller(self._config.control, self._vehicle, manner=manner)
+        return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:
         results, self._action_results = tuple(self._action_results), []

@@ -39,7 +39,7 @@ from companion.config import (
 from companion.external import External
 from companion.hardware import Hardware, make_actions, make_own_actions, open_hardware
 from companion.link.transport import memory_pair
-from companion.messages import Manner, Phase
+from companion.messages import Phase
 from companion.record import FlightLog
 from sitl.devices.ports import MemoryPort
 from sitl.report import SimulationReport, read_report
@@ -57,12 +57,6 @@ SIMULATED_HARDWARE: Final[dict[str, Any]] = {
         "imu": ImuConfig().model_dump(include={"address", "body_from_sensor_deg"}),
         "gps": GpsConfig().model_dump(include={"antenna_position_body_m"}),
     },
-    "link": {"system_id": 1},
-}
-# what its installer would set for the autopilot on board
-AUTOPILOTS: Final[dict[Manner, dict[str, Any]]] = {
-    "px4": {},
-    "ardupilot": {"control": {"autopilot_lag_s": 0.17, "autopilot_climb_lag_s": 0.21}},
 }
 
 StatusCallback = Callable[[Status], None]
@@ -118,8 +112,10 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     Raises:
         ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
     """
-    installed = merge(_wiring(trial.scenario), AUTOPILOTS[trial.scenario.autopilot])
-    overrides = merge(merge(SIMULATED_HARDWARE, installed), trial.scenario.companion)
+    # somebody's own autopilot has the number that their settings give
+    link = {} if trial.external is not None else {"link": {"system_id": 1}}
+    hardware = merge(merge(SIMULATED_HARDWARE, link), _wiring(trial.scenario))
+    overrides = merge(hardware, trial.scenario.companion)
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})

@@ -45,10 +45,9 @@ class ControlConfig(StrictModel):
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)  # beyond the delay
     autopilot_velocity_gain_1_s: float = Field(default=2.2, ge=0.5, le=10.0)
     autopilot_climb_gain_1_s: float = Field(default=4.0, ge=0.5, le=10.0)
-    # the autopilot's own shaping of velocity setpoints, besides the vehicle's lag: none in PX4's OFFBOARD;
-    # ArduPilot limits the jerk, and its height loop is slow: 0.17 and 0.21
-    autopilot_lag_s: float = Field(default=0.0, ge=0.0, le=1.0)
-    autopilot_climb_lag_s: float = Field(default=0.0, ge=0.0, le=1.0)
+    # the autopilot's own shaping of velocity setpoints, besides the vehicle's lag; None: by its heartbeat
+    autopilot_lag_s: float | None = Field(default=None, ge=0.0, le=1.0)
+    autopilot_climb_lag_s: float | None = Field(default=None, ge=0.0, le=1.0)
     acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)  # sensor and its filters
     lasting_disturbance_s: float = Field(default=1.0, ge=0.1, le=20.0)  # what lasts so long is for v_sp
     maximum_disturbance_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)

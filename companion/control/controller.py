@@ -28,7 +28,7 @@ from companion.control.setpoints import (
 )
 from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.geometry import FloatArray, scale, subtract, vector3, yaw_from_quat
-from companion.messages import ControlReport, PadState, PlanStep, Reference, Setpoint, VehicleState
+from companion.messages import ControlReport, Manner, PadState, PlanStep, Reference, Setpoint, VehicleState
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -54,13 +54,18 @@ class Controller:
     """Tracks the plan's reference. `stopwatch`, when given, times the solves for the report (s)."""
 
     def __init__(
-        self, config: ControlConfig, vehicle: VehicleConfig, stopwatch: Callable[[], float] | None = None
+        self,
+        config: ControlConfig,
+        vehicle: VehicleConfig,
+        stopwatch: Callable[[], float] | None = None,
+        manner: Manner = "px4",
     ) -> None:
+        """`manner` is that of the autopilot that will obey; `stopwatch` is for measuring the solver."""
         self._config = config
-        self._lags_s = lags(vehicle, config)
+        self._lags_s = lags(vehicle, config, manner)
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._mpc = Mpc(config, self._lags_s)
-        self._plant = Plant(config, vehicle)
+        self._plant = Plant(config, vehicle, self._lags_s)
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)

@@ -10,13 +10,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
 from companion.geometry import FloatArray, Vector3
+from companion.messages import Manner
 
 AxisState = tuple[float, float, float]
+# what each autopilot's shaping of velocity setpoints adds, sideways and down (s): none in PX4's OFFBOARD;
+# ArduPilot limits the jerk, and its height loop is slow (identified on the simulated one, which answers as
+# recordings of ArduCopter 4.6 do)
+SHAPING_S: Final[dict[Manner, tuple[float, float]]] = {"px4": (0.0, 0.0), "ardupilot": (0.17, 0.21)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +56,16 @@ def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vect
     return Motion((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
 
 
-def lags(vehicle: VehicleConfig, control: ControlConfig) -> Vector3:
+def lags(vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4") -> Vector3:
     """Lag (s) along north, east and down: sideways it has to lean first, upwards only thrust lags.
 
     By velocity setpoints the autopilot's own shaping comes on top.
     """
     sideways, down = vehicle.acceleration_time_constant_s, vehicle.thrust_time_constant_s
     if control.setpoint == "velocity":
-        sideways, down = sideways + control.autopilot_lag_s, down + control.autopilot_climb_lag_s
+        shaping_s, climb_shaping_s = SHAPING_S[manner]
+        sideways += shaping_s if control.autopilot_lag_s is None else control.autopilot_lag_s
+        down += climb_shaping_s if control.autopilot_climb_lag_s is None else control.autopilot_climb_lag_s
     return (sideways, sideways, down)
 
 

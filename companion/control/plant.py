@@ -11,7 +11,7 @@ import math
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.attitude import level_acceleration
 from companion.control.disturbance import DisturbanceObserver, ThrustScale
-from companion.control.flight_model import Motion, lags
+from companion.control.flight_model import Motion
 from companion.control.history import Command, CommandHistory
 from companion.control.setpoints import velocity_gains
 from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
@@ -21,9 +21,10 @@ from companion.messages import Setpoint, VehicleState
 class Plant:
     """Learns from each estimate how the vehicle answers, and carries motions forward through that answer."""
 
-    def __init__(self, config: ControlConfig, vehicle: VehicleConfig) -> None:
+    def __init__(self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3) -> None:
+        """`lags_s` are `flight_model.lags`."""
         self._by_attitude = config.setpoint == "attitude"
-        self._lags_s = lags(vehicle, config)
+        self._lags_s = lags_s
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s, velocity_gains(config))
         self._observer = DisturbanceObserver(

@@ -30,6 +30,8 @@ OLDEST_STAMP_S: Final = 0.5
 # a frame from another process that is further off than this was stamped by another clock than ours
 EARLIEST_FOREIGN_S: Final = 0.05
 OLDEST_FOREIGN_S: Final = 5.0
+# after good ones, so many frames in a row of a time that cannot be right
+MOST_STRANGE: Final = 30
 
 
 class FrameSource(Protocol):
@@ -136,6 +138,8 @@ class SocketCamera:
         self._stream.close()
 
     async def _receive(self) -> None:
+        """Frames as they come. One with a time that cannot be right is none, many in a row end them."""
+        trusted, strange = False, 0
         try:
             while True:
                 header = await self._stream.read_header()
@@ -143,7 +147,16 @@ class SocketCamera:
                 _check_size(header.width_px, header.height_px, self._camera)
                 image = await self._stream.read_image(header)
                 received_s = self._clock.now_s()
-                time_s = self._exposure_s(header, received_s)
+                try:
+                    time_s = self._exposure_s(header, received_s)
+                except ConfigError as error:
+                    strange += 1
+                    if not trusted:
+                        raise
+                    if strange >= MOST_STRANGE:
+                        raise OSError(str(error)) from error
+                    continue
+                trusted, strange = True, 0
                 self._newest.put(Frame(time_s, received_s, header.sequence, _grey(image)))
         except (OSError, ConfigError) as error:
             self._newest.fail(error)

@@ -112,7 +112,7 @@ def test_the_command_itself_ends_so(tmp_path: Path) -> None:
         ("camera: nikon", "cameras: no 'nikon'; expected the path of a .yaml file or one of: "),
         ("pad: lily", "pads: no 'lily'; expected the path of a .yaml file or one of: "),
         ("vehicle: balloon", "vehicles: no 'balloon'; expected the path of a .yaml file or one of: "),
-        ("link: {connection: 'tcp:host:1'}", "settings.yaml: link.connection: expected serial:PATH:BAUD"),
+        ("link: {connection: 'ftp:host:1'}", "settings.yaml: link.connection: expected serial:PATH:BAUD"),
     ],
 )
 def test_a_wrong_setting_is_named_with_its_file_and_key(
@@ -218,7 +218,7 @@ def test_a_udp_port_in_use_is_said(tmp_path: Path, pty: str, companion: Companio
         ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"),
         ("vision", {"source": "v4l2:99"}, "sense.vision.source: v4l2:99: no camera at /dev/video99"),
         ("vision", {"source": "socket:/nowhere"}, "sense.vision.source: socket:/nowhere: No such file"),
-        ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER or socket:PATH"),
+        ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER, socket:PATH"),
     ],
 )
 def test_hardware_that_is_missing_is_named(

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from companion.config import ControlConfig
 from companion.geometry import (
     IDENTITY,
     ZERO3,
@@ -135,7 +136,7 @@ def test_on_the_ground_it_goes_along_with_the_pad_and_presses_down() -> None:
     pad = _pad(0.0, (0.0, 0.0, 0.18), (1.0, 0.5, 0.2))
     answer = controller().step(_plan(0.0, _hover(0.0), on_ground=True), _vehicle(0.0), pad, 0.0)
     assert answer is not None
-    assert answer[0].velocity_ned_m_s == (1.0, 0.5, 0.6)
+    assert answer[0].velocity_ned_m_s == (1.0, 0.5, ControlConfig().ground_descent_m_s)
     assert answer[0].acceleration_ned_m_s2[2] >= 0.0
     assert answer[0].attitude is None
     without = controller().step(_plan(0.0, _hover(0.0), on_ground=True), _vehicle(0.0), None, 0.0)

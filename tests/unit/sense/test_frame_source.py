@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,14 @@ from companion.clock import Clock
 from companion.config import CameraConfig, ConfigError
 from companion.frame_format import pack_frame
 from companion.messages import Frame
-from companion.sense.camera import SocketCamera, V4l2Camera, exposure_time_s, open_camera
+from companion.sense.camera import (
+    MOST_STRANGE,
+    FrameSource,
+    SocketCamera,
+    V4l2Camera,
+    exposure_time_s,
+    open_camera,
+)
 from sitl.frame_server import FrameServer
 
 
@@ -145,21 +154,32 @@ async def test_frames_of_another_size_than_the_calibrations_are_refused(
     await server.close()
 
 
-async def from_a_server_that_says(data: bytes, folder: Path, camera: CameraConfig) -> Frame:
-    """The frame that the app makes of a stranger's bytes."""
+@asynccontextmanager
+async def a_server_that_says(
+    data: Sequence[bytes], folder: Path, camera: CameraConfig
+) -> AsyncIterator[FrameSource]:
+    """The app's camera at a stranger who sends these bytes, piece by piece, and hangs up."""
 
     async def talk(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(data)
-        await writer.drain()
+        for piece in data:
+            writer.write(piece)
+            await writer.drain()
+            await asyncio.sleep(0.01)
         writer.close()
 
     server = await asyncio.start_unix_server(talk, folder / "frames")
     source = await open_camera(f"socket:{folder / 'frames'}", camera, unstamped_latency_s=0.03)
     try:
-        return await asyncio.wait_for(source.next(), 5.0)
+        yield source
     finally:
         source.close()
         server.close()
+
+
+async def from_a_server_that_says(data: bytes, folder: Path, camera: CameraConfig) -> Frame:
+    """The frame that the app makes of a stranger's bytes."""
+    async with a_server_that_says([data], folder, camera) as source:
+        return await asyncio.wait_for(source.next(), 5.0)
 
 
 async def test_a_colour_image_becomes_grey(tmp_path: Path, camera: CameraConfig) -> None:
@@ -183,6 +203,33 @@ async def test_another_clock_than_ours_is_told(off_s: float, tmp_path: Path, cam
     data = pack_frame(np.zeros((480, 640), np.uint8), 0, max(Clock().now_s() + off_s, 1e-9))
     with pytest.raises(ConfigError, match="expected CLOCK_MONOTONIC at mid-exposure, or 0"):
         await from_a_server_that_says(data, tmp_path, camera)
+
+
+async def until_it_fails(source: FrameSource) -> None:
+    while True:
+        await source.next()
+
+
+def grey_frame(sequence: int, off_s: float) -> bytes:
+    return pack_frame(np.zeros((480, 640), np.uint8), sequence, max(Clock().now_s() + off_s, 1e-9))
+
+
+async def test_a_single_frame_from_another_time_is_passed_over(tmp_path: Path, camera: CameraConfig) -> None:
+    data = [grey_frame(0, 0.0), grey_frame(1, 3600.0), grey_frame(2, 0.0)]
+    seen: list[int] = []
+    async with asyncio.timeout(5.0), a_server_that_says(data, tmp_path, camera) as source:
+        while 2 not in seen:
+            seen.append((await source.next()).sequence)
+    assert 1 not in seen
+
+
+async def test_a_clock_that_runs_away_after_good_frames_is_a_lost_camera(
+    tmp_path: Path, camera: CameraConfig
+) -> None:
+    data = [grey_frame(0, 0.0), *(grey_frame(n, 3600.0) for n in range(1, 1 + MOST_STRANGE))]
+    async with asyncio.timeout(5.0), a_server_that_says(data, tmp_path, camera) as source:
+        with pytest.raises(OSError, match="expected CLOCK_MONOTONIC"):
+            await until_it_fails(source)
 
 
 @pytest.mark.parametrize(
