@@ -8,7 +8,8 @@ the link's delay. Of the messages that may carry the IMU the best one that comes
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
+from dataclasses import replace
 from typing import Final
 
 from companion.config import SenseConfig
@@ -41,6 +42,11 @@ SWITCH_S: Final = 0.5  # a better message is silent for so long: take the next b
 IMU_SILENCE_S: Final = 0.5  # without the IMU for longer there is no estimate
 SILENCE_S: Final = 2.0  # a stream that has said nothing usable for so long is a problem
 PATIENCE_S: Final = 6.0  # after the first heartbeat: rates are asked for, and asked for again
+# the autopilot's own climb rate, which GPS_RAW_INT has not: what it may be off by, and by how much its time
+# may miss the fix's
+CLIMB_ACCURACY_M_S: Final = 1.0
+CLIMB_AGE_S: Final = 0.1
+_CLIMBS_KEPT: Final = 40
 SLOWEST_IMU_HZ: Final = 45.0  # 50 Hz less what a stream may be off
 _WINDOW_S: Final = 2.0
 _ADVICE: Final[dict[Manner, str]] = {
@@ -59,6 +65,7 @@ class OnboardSensors:
         self._manner: Manner | None = None
         self._connected_s = self._heartbeat_s = -math.inf
         self._samples: list[Sample] = []
+        self._climbs: deque[tuple[float, float]] = deque(maxlen=_CLIMBS_KEPT)  # autopilot's s, down m/s
         self._imu_message: int | None = None
         self._range_id: int | None = None
         self._heard_s: dict[int, float] = {}
@@ -101,6 +108,20 @@ class OnboardSensors:
         elif self._is_best(number, now_s):
             self._hear_imu(message, now_s)
 
+    def hear_climb(self, message: Message) -> None:
+        """Remember LOCAL_POSITION_NED's vertical velocity, for a fix of that time."""
+        self._climbs.append((readings.stamp_s(message), message.vz))
+
+    def _with_climb(self, fix: GpsFix, stamp_s: float) -> GpsFix:
+        """A fix with the vertical velocity of its time (by the autopilot's clock), if that is known."""
+        near = min(self._climbs, key=lambda climb: abs(climb[0] - stamp_s), default=None)
+        if near is None or abs(near[0] - stamp_s) > CLIMB_AGE_S or not math.isfinite(near[1]):
+            return fix
+        north, east, _ = fix.velocity_ned_m_s
+        return replace(
+            fix, velocity_ned_m_s=(north, east, near[1]), vertical_speed_accuracy_m_s=CLIMB_ACCURACY_M_S
+        )
+
     def _is_best(self, number: int, now_s: float) -> bool:
         """Whether the IMU is to be taken from this kind of message."""
         assert self._manner is not None
@@ -129,7 +150,10 @@ class OnboardSensors:
         if message.fix_type < mavlink.GPS_FIX_TYPE_3D_FIX:
             return  # nothing wrong: it waits for satellites, and so does the mission
         if (time_s := self._time_s("gps", message, now_s)) is not None:
-            fix = readings.gps_fix(message, time_s - self._config.autopilot.gps_latency_s)
+            latency_s = self._config.autopilot.gps_latency_s
+            fix = readings.gps_fix(message, time_s - latency_s)
+            if fix is not None:
+                fix = self._with_climb(fix, readings.stamp_s(message) - latency_s)
             self._use("gps", fix, now_s)
 
     def _hear_range(self, message: Message, now_s: float) -> None:

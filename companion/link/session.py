@@ -156,6 +156,8 @@ class Session:
     def _hear_state(self, message: Message, message_id: int, now_s: float) -> None:
         was_armed = self.state.armed
         self.state = update_state(self.state, message, self._measured_s(message, message_id, now_s))
+        if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
+            self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
             self._home_due_s = now_s  # arming sets home anew
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:

@@ -141,7 +141,7 @@ def test_on_the_ground_it_goes_along_with_the_pad_and_presses_down() -> None:
     assert answer[0].attitude is None
     without = controller().step(_plan(0.0, _hover(0.0), on_ground=True), _vehicle(0.0), None, 0.0)
     assert without is not None
-    assert without[0].velocity_ned_m_s == (0.0, 0.0, 0.6)
+    assert without[0].velocity_ned_m_s == (0.0, 0.0, ControlConfig().ground_descent_m_s)
 
 
 def test_on_the_ground_by_attitude_it_is_level_with_little_thrust() -> None:

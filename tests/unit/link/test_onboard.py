@@ -8,9 +8,10 @@ import pytest
 
 from companion.link.boot_clock import WRAP_S, BootClock
 from companion.link.codec import mavlink
-from companion.link.onboard import IMU_LATENCY_S
+from companion.link.onboard import CLIMB_ACCURACY_M_S, IMU_LATENCY_S
+from companion.link.readings import UNKNOWN_SPEED_M_S
 from companion.messages import GpsFix, MagSample, Manner, RangeSample
-from tests.unit.link.autopilot_readings import START_S, Onboard, distance, gps, highres, raw, scaled
+from tests.unit.link.autopilot_readings import START_S, Onboard, distance, gps, highres, packed, raw, scaled
 
 # ---------------------------------------------------------------- time
 
@@ -222,3 +223,19 @@ def test_an_imu_that_is_too_slow_gps_and_rangefinder_that_are_missing_are_told()
     assert "no GPS_RAW_INT comes; expected it at 5 Hz" in str(onboard.sensors.watch(onboard.now_s))
     onboard.hear(gps(onboard.boot_s, fix_type=1))  # waiting for satellites is nothing wrong
     assert "no DISTANCE_SENSOR of a rangefinder that looks down" in str(onboard.sensors.watch(onboard.now_s))
+
+
+@pytest.mark.parametrize(
+    ("since_s", "vertical"), [(0.12, (-1.5, CLIMB_ACCURACY_M_S)), (1.0, (0.0, UNKNOWN_SPEED_M_S))]
+)
+def test_a_fix_has_the_autopilots_climb_rate_of_its_own_time(
+    since_s: float, vertical: tuple[float, float]
+) -> None:
+    onboard = Onboard(gps_latency_s=0.12)
+    boot_s = onboard.boot_s
+    for at_s, down_m_s in ((boot_s - since_s, -1.5), (boot_s - since_s - 0.3, 9.0)):
+        message = mavlink.MAVLink_local_position_ned_message(round(at_s * 1e3), 0, 0, 0, 0, 0, down_m_s)
+        onboard.sensors.hear_climb(packed(message))
+    [fix] = onboard.hear(gps(boot_s))
+    assert isinstance(fix, GpsFix)
+    assert (fix.velocity_ned_m_s[2], fix.vertical_speed_accuracy_m_s) == vertical
