@@ -185,6 +185,7 @@ async def test_a_recorded_landing_is_filmed_and_scored(autopilot: int, tmp_path:
         await asyncio.gather(listening, return_exceptions=True)
         line.close()
         report = b.simulation.report(Phase.LANDED)
+        assert b.simulation.client.flown  # so its pose stays of one source
     assert_scored(report)
     assert_filmed(b, flight, contact_s)
     assert max(echoes) == pytest.approx(2.0 + STANDING_M, abs=0.3)

@@ -191,6 +191,15 @@ def test_estimates_that_hold_no_pose_are_not_taken_and_spoil_none_that_follows(
     assert bench.client.take_samples()[-1].place == pytest.approx(GROUND, abs=1e-6)
 
 
+def test_an_estimate_that_goes_to_infinity_is_passed_over() -> None:
+    bench = Bench(PX4)
+    bench.run(6.0, *ESTIMATE)
+    bench.client.take_samples()
+    bench.hear(mavlink.MAVLink_local_position_ned_message(0, math.inf, 4.0, -5.0, 0.0, 0.0, 0.0), LOCAL)
+    (sample,) = bench.client.take_samples()
+    assert sample.place == pytest.approx(GROUND, abs=1e-6)
+
+
 def test_an_attitude_that_is_nearly_of_unit_length_is_made_so() -> None:
     bench = Bench(PX4)
     bench.run(

@@ -140,7 +140,7 @@ def test_disarmed_after_a_flight_it_goes_on() -> None:
 def test_begun_anew_nothing_of_the_last_ground_is_left() -> None:
     """The truth comes: 1.2 m under the estimates' ground, where nothing has been touched yet."""
     world = ExternalWorld(line(1.0), 0)
-    play(world, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    play(world, lambda _: ((0.5, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
     world.begin(sample(0.0, (0.3, -0.4, 1.2)).place)
     world.see(sample(START_S + 1.0, (0.3, -0.4, 1.2)), armed=False)
     assert world.truth_at(START_S + 1.0).vehicle_position_ned_m == pytest.approx(
@@ -149,6 +149,15 @@ def test_begun_anew_nothing_of_the_last_ground_is_left() -> None:
     assert world.pad_at(START_S + 9.0).velocity_ned_m_s == (0.0, 0.0, 0.0)
     world.see(sample(START_S + 1.02, (0.3, -0.4, 0.1)), armed=True)
     assert not world.truth_at(START_S + 1.02).in_contact
+
+
+def test_estimates_that_rose_by_themselves_are_no_flight_and_the_truth_beneath_no_touchdown() -> None:
+    world = ExternalWorld(static(), 0)
+    play(world, lambda time_s: ((0.0, 0.0, -1.5 * time_s), (0.0, 0.0, -1.5)), 1.0, disarm_s=0.0)
+    assert not world.flown
+    world.begin(GROUND)
+    world.see(sample(START_S + 1.0, (0.0, 0.0, 0.0)), armed=False)
+    assert world.touchdown is None
 
 
 def test_the_touchdown_is_measured_against_the_pad_of_the_same_moment() -> None:
