@@ -115,12 +115,12 @@ def anchor(local: Message, position: Message) -> Anchor | None:
 def estimate(local: Message, attitude: Message, tied: Anchor, time_s: float) -> Sample | None:
     """LOCAL_POSITION_NED and the last ATTITUDE_QUATERNION; None when they hold no pose."""
     unit = _unit((attitude.q1, attitude.q2, attitude.q3, attitude.q4))
-    there = (local.x, local.y, local.z)
-    if unit is None or not all(map(math.isfinite, there)):
+    if unit is None:
         return None
+    away = subtract((local.x, local.y, local.z), tied.local_ned_m)
     return _sample(
         time_s,
-        geodetic_from_ned(subtract(there, tied.local_ned_m), tied.place),
+        geodetic_from_ned(away, tied.place),
         (local.vx, local.vy, local.vz),
         unit,
         (attitude.rollspeed, attitude.pitchspeed, attitude.yawspeed),
