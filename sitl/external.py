@@ -25,6 +25,7 @@ from sitl.external_client import VehicleClient
 from sitl.external_link import ExternalLink, UdpEnd, pump
 from sitl.external_pose import LONGEST_GUESS_S
 from sitl.external_world import ExternalWorld
+from sitl.frame_line import FrameLine
 from sitl.frame_server import FrameServer
 from sitl.ground_station import GroundStation
 from sitl.report import SimulationReport
@@ -69,7 +70,7 @@ class ExternalSimulation:
         self.world = ExternalWorld(scenario, seed)
         self.ready = asyncio.Event()
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
-        streams = iter(np.random.default_rng((seed, STREAM)).spawn(5))
+        streams = iter(np.random.default_rng((seed, STREAM)).spawn(6))
         errors = sensor_errors(scenario.sensors)
         self._half_beam_rad = errors.range.half_beam_rad
         echo = RangeSensor(errors.range, next(streams))
@@ -77,8 +78,12 @@ class ExternalSimulation:
         self._ultrasonic = PolledUltrasonicDevice(echo) if polled else UltrasonicDevice(echo)
         cameras = (next(streams), next(streams), next(streams))
         self._camera = SceneCamera(scenario, self._vehicle, self.world, *cameras, self._clock.now_s())
-        self._station_rng, self._beacon_std_m = next(streams), scenario.beacon.position_std_m
+        self._station_rng, self._beacon = next(streams), scenario.beacon
         self._station: GroundStation | None = None
+        self._settled_by: str | None = None
+        self._frame_line = FrameLine(
+            next(streams), scenario.camera.lost_share, scenario.camera.lost_burst_frames
+        )
         self._truth: list[Truth] = []
         self._ticks = 0
         self._first_s: float | None = None
@@ -127,9 +132,11 @@ class ExternalSimulation:
         if not self._parts.relay.has_peer:
             self._hear_ground(data, now_s)
         for sample in self.client.take_samples():
-            if self.world.origin is None and not self._settle(sample.place):
+            # the truth and the estimates lie metres apart, above all in height: each has its own ground
+            if self._settled_by != self.client.source and not self._settle(sample.place):
                 continue
             self.world.see(sample, armed=self.client.armed)
+            self.client.flown = self.world.flown
         if self.world.track.newest is not None and self._first_s is None:
             self._first_s = now_s
             self._camera.skip_to(now_s)
@@ -153,7 +160,8 @@ class ExternalSimulation:
             ground = self.client.home
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
-        self._station = GroundStation(self._station_rng, self._beacon_std_m, ground)
+        self._settled_by = self.client.source
+        self._station = GroundStation.of(self._beacon, self._station_rng, ground)
         self._tell(
             f"vehicle {self.client.system_id} found by {self.client.source}; ground at latitude "
             f"{ground[0]:.7f}, longitude {ground[1]:.7f}, altitude {ground[2]:.2f} m"
@@ -230,6 +238,9 @@ class ExternalSimulation:
             await asyncio.sleep(TICK_S)
 
     def _deliver_later(self, frame: Frame, due_s: float) -> None:
+        if self._frame_line.delay_s(frame.sequence) is None:
+            return  # lost on the way
+
         def deliver() -> None:
             self._parts.frames.deliver(replace(frame, received_s=self._clock.now_s()))
 

@@ -3,8 +3,8 @@
 Sans I/O: bytes in with `receive`, bytes out with `transmit`, samples of its pose out with `take_samples`.
 Component 26 (MAV_COMP_ID_USER2) of the vehicle's own system; of no type that an autopilot waits for. It asks
 for the simulator's truth by MAV_CMD_SET_MESSAGE_INTERVAL, and again while it comes too seldom; when none has
-come for a while it says so and takes the autopilot's estimates. Before arming a truth that comes late still
-takes their place.
+come for a while it says so and takes the autopilot's estimates. A truth that comes late still takes their
+place, but not while armed nor after a flight, whose score would be lost: the two lie metres apart.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from companion.geometry import Vector3, geodetic_from_ned, subtract
+from companion.geometry import Vector3
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, command_long, is_autopilot_heartbeat, mavlink
 from sitl.external_pose import (
     ATTITUDE,
@@ -22,9 +22,13 @@ from sitl.external_pose import (
     HIL_STATE,
     LOCAL_POSITION,
     SIM_STATE,
+    Anchor,
     Message,
     Sample,
+    anchor,
+    estimate,
     hil_state,
+    place_of,
     sim_state,
 )
 
@@ -91,6 +95,7 @@ class VehicleClient:
     def __init__(self, tell: Callable[[str], None]) -> None:
         """Nothing is known; `tell` gets each trouble in one line, once while it lasts."""
         self.armed = False
+        self.flown = False  # for whoever judges the flight to say; the source stays then
         self.home: Vector3 | None = None
         self.source: str | None = None
         self.beats = 0
@@ -106,9 +111,9 @@ class VehicleClient:
         self._counts: dict[int, int] = {}
         self._on_estimates = False
         self._attitude: Message | None = None
-        self._anchor: tuple[Vector3, Vector3] | None = None  # a place, and the local position there
+        self._anchor: Anchor | None = None
         self._global: Message | None = None
-        self._lost = self._blind = False
+        self._lost = self._blind = self._kept = False
         self._slow_windows = 0
 
     @property
@@ -122,7 +127,7 @@ class VehicleClient:
         return self._system or 1
 
     def take_samples(self) -> list[Sample]:
-        """The poses since the last call."""
+        """The poses since the last call, all of `source`."""
         samples, self._samples = self._samples, []
         return samples
 
@@ -171,18 +176,28 @@ class VehicleClient:
         self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
     def _on_home(self, message: Message, now_s: float) -> None:
-        self.home = (message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3)
+        self.home = place_of(message.latitude, message.longitude, message.altitude) or self.home
 
     def _on_truth(self, number: int, sample: Sample | None, now_s: float) -> None:
         if sample is None:
             return
         self._truth_s = now_s
-        if self._on_estimates:
-            if self.armed:
-                return  # another origin in flight would be a jump
-            self._on_estimates = False
-            self._tell(f"{TRUTH[number]} comes after all: the pose is the simulator's truth")
+        if self._on_estimates and not self._give_up_estimates(TRUTH[number]):
+            return
         self._take(sample, TRUTH[number], now_s)
+
+    def _give_up_estimates(self, truth: str) -> bool:
+        """Whether it may be: another origin in flight would be a jump, and after it the score be lost."""
+        if self.armed or self.flown:
+            if not self._kept:
+                why = "has flown" if self.flown else "is armed"
+                self._tell(f"{truth} comes after all, but the vehicle {why}: keeping to the estimates")
+            self._kept = True
+            return False
+        self._on_estimates = self._kept = False
+        self._samples.clear()
+        self._tell(f"{truth} comes after all: the pose is the simulator's truth")
+        return True
 
     def _take(self, sample: Sample, source: str, now_s: float) -> None:
         self.source, self._pose_s = source, now_s
@@ -196,27 +211,15 @@ class VehicleClient:
 
     def _on_local(self, message: Message, now_s: float) -> None:
         """An estimate; its local frame is tied to the globe once, where both are known."""
-        attitude = self._attitude
-        if not self._on_estimates or attitude is None:
+        if not self._on_estimates or self._attitude is None:
             return
-        local = (message.x, message.y, message.z)
+        if self._anchor is None and self._global is not None:
+            self._anchor = anchor(message, self._global)
         if self._anchor is None:
-            if self._global is None:
-                return
-            place = (self._global.lat * 1e-7, self._global.lon * 1e-7, self._global.alt * 1e-3)
-            self._anchor = (place, local)
-        place, there = self._anchor
-        self._take(
-            Sample(
-                now_s,
-                geodetic_from_ned(subtract(local, there), place),
-                (message.vx, message.vy, message.vz),
-                (attitude.q1, attitude.q2, attitude.q3, attitude.q4),
-                (attitude.rollspeed, attitude.pitchspeed, attitude.yawspeed),
-            ),
-            ESTIMATES,
-            now_s,
-        )
+            return
+        sample = estimate(message, self._attitude, self._anchor, now_s)
+        if sample is not None:
+            self._take(sample, ESTIMATES, now_s)
 
     # ------------------------------------------------------------ out
 

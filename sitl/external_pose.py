@@ -3,7 +3,8 @@
     SIM_STATE             ArduPilot's SITL: the truth. Float quaternion, altitude (m) and velocity; place in
                           1e-7 deg (11 mm). Older ones have the place as float alone (0.4 m). Without a stamp
     HIL_STATE_QUATERNION  PX4's SITL and SIH: the truth. 1e-7 deg, mm, cm/s; PX4 leaves the stamp 0
-    LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, for want of better
+    LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, for want of better; its frame is
+                          tied to the globe by a GLOBAL_POSITION_INT
 
 A message without a stamp is taken to tell of the moment at which it came: on a loopback it is some
 milliseconds old. NED, FRD, SI; quaternions (w, x, y, z) body to NED.
@@ -19,6 +20,7 @@ from companion.geometry import (
     Quaternion,
     Vector3,
     add,
+    geodetic_from_ned,
     norm,
     quat_from_euler,
     quat_integrate,
@@ -96,14 +98,53 @@ def hil_state(message: Message, time_s: float) -> Sample | None:
     )
 
 
+class Anchor(NamedTuple):
+    """Where the estimates' local frame lies on the globe: a place, and the local position (m, NED) there."""
+
+    place: Vector3
+    local_ned_m: Vector3
+
+
+def anchor(local: Message, position: Message) -> Anchor | None:
+    """Of a LOCAL_POSITION_NED and the GLOBAL_POSITION_INT of about then; None when either holds no place."""
+    place = place_of(position.lat, position.lon, position.alt)
+    there = (local.x, local.y, local.z)
+    return None if place is None or not all(map(math.isfinite, there)) else Anchor(place, there)
+
+
+def estimate(local: Message, attitude: Message, tied: Anchor, time_s: float) -> Sample | None:
+    """LOCAL_POSITION_NED and the last ATTITUDE_QUATERNION; None when they hold no pose."""
+    unit = _unit((attitude.q1, attitude.q2, attitude.q3, attitude.q4))
+    if unit is None:
+        return None
+    away = subtract((local.x, local.y, local.z), tied.local_ned_m)
+    return _sample(
+        time_s,
+        geodetic_from_ned(away, tied.place),
+        (local.vx, local.vy, local.vz),
+        unit,
+        (attitude.rollspeed, attitude.pitchspeed, attitude.yawspeed),
+    )
+
+
+def place_of(latitude_e7: int, longitude_e7: int, altitude_mm: int) -> Vector3 | None:
+    """Latitude (deg), longitude (deg), altitude (m) of a message in 1e-7 deg and mm; None: it has none."""
+    place = (latitude_e7 * 1e-7, longitude_e7 * 1e-7, altitude_mm * 1e-3)
+    return place if _on_globe(place) else None
+
+
 def _sample(
     time_s: float, place: Vector3, velocity: Vector3, attitude: Quaternion, rate: Vector3
 ) -> Sample | None:
     if not all(map(math.isfinite, (*place, *velocity, *attitude, *rate))):
         return None
-    if (place[0] == 0.0 and place[1] == 0.0) or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
-        return None
-    return Sample(time_s, place, velocity, attitude, rate)
+    return Sample(time_s, place, velocity, attitude, rate) if _on_globe(place) else None
+
+
+def _on_globe(place: Vector3) -> bool:
+    """0/0 is what an autopilot sends before it knows."""
+    latitude, longitude, _ = place
+    return (latitude != 0.0 or longitude != 0.0) and abs(latitude) <= 90.0 and abs(longitude) <= 180.0
 
 
 def _unit(values: tuple[float, ...]) -> Quaternion | None:
@@ -119,6 +160,7 @@ class PoseTrack:
 
     def __init__(self) -> None:
         self._poses: tuple[Pose, ...] = ()
+        self._anew = True
 
     @property
     def newest(self) -> Pose | None:
@@ -131,9 +173,12 @@ class PoseTrack:
         A clock that has gone back by more than is kept is a simulator that has started anew.
         """
         last = self.newest
-        if last is not None and last.time_s - MEMORY_S < pose.time_s <= last.time_s:
+        if self._anew or last is None:
+            self._anew, self._poses = False, (pose,)
+            return pose
+        if last.time_s - MEMORY_S < pose.time_s <= last.time_s:
             return None
-        if last is None or not 0.0 < pose.time_s - last.time_s < GAP_S:
+        if not 0.0 < pose.time_s - last.time_s < GAP_S:
             self._poses = (pose,)
             return pose
         kept = _smoothed(last, pose)
@@ -141,9 +186,9 @@ class PoseTrack:
         self._poses = (*older, kept)
         return kept
 
-    def clear(self) -> None:
-        """Forget all."""
-        self._poses = ()
+    def begin_anew(self) -> None:
+        """Forget all when the next pose comes, not before: another thread may be looking."""
+        self._anew = True
 
     def at(self, time_s: float) -> Pose:
         """The pose at a time: between two messages, or carried on from the newest for `LONGEST_GUESS_S`.

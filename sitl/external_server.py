@@ -15,7 +15,6 @@ import asyncio
 import contextlib
 import signal
 import sys
-from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,7 @@ from sitl.devices.ports import PtyPort
 from sitl.external import ExternalSimulation, Parts
 from sitl.external_link import check_connection, open_link, open_relay
 from sitl.frame_server import FrameServer
-from sitl.orders import final_phase, say
-from sitl.report import write_report
+from sitl.orders import final_phase, fly_until_told, say
 from sitl.scenario import Scenario
 from sitl.server import REPORT_NAME, SENSOR_BAUD
 
@@ -54,7 +52,9 @@ async def serve_external(
         _tell_pad(scenario)
         tell(f"waiting for a vehicle on {connection}")
         endpoints = _endpoints(relay_port, range_port.path, frames.address)
-        await _watch_until_told(simulation, folder, endpoints, ending)
+        telling = asyncio.create_task(_tell_once_found(simulation, endpoints))
+        stack.callback(telling.cancel)
+        await fly_until_told(simulation, folder / REPORT_NAME, ending)
 
 
 def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
@@ -70,29 +70,9 @@ def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
     }
 
 
-async def _watch_until_told(
-    simulation: ExternalSimulation,
-    folder: Path,
-    endpoints: dict[str, Any],
-    ending: Coroutine[Any, Any, Phase | None],
-) -> None:
-    flying = asyncio.create_task(simulation.run())
-    listening = asyncio.create_task(ending)
-    found = asyncio.create_task(simulation.ready.wait())
-    await asyncio.wait([flying, listening, found], return_when=asyncio.FIRST_COMPLETED)
-    if found.done():
-        say(endpoints)
-    found.cancel()
-    await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
-    if flying.done():
-        listening.cancel()
-        flying.result()
-    phase = listening.result()
-    flying.cancel()
-    await asyncio.wait([flying])
-    if phase is not None:
-        write_report(simulation.report(phase), folder / REPORT_NAME)
-        say({"report": str(folder / REPORT_NAME)})
+async def _tell_once_found(simulation: ExternalSimulation, endpoints: dict[str, Any]) -> None:
+    await simulation.ready.wait()
+    say(endpoints)
 
 
 def _stop_signals() -> asyncio.Event:

@@ -2,7 +2,8 @@
 
 The vehicle's pose is given, so nothing here pushes it: its own simulator has the ground, level and at the
 height on which the vehicle stands when it is first seen, disarmed. There lies the pad, flush, whatever height
-the scenario gives it. The pad sets off when the vehicle is armed. Touchdown is when a foot meets the ground;
+the scenario gives it. The pad sets off when the vehicle is armed, and is back at its start when that is
+disarmed without having flown. Touchdown is when a foot meets the ground;
 its own simulator does not carry a vehicle on the pad along, so the pad waits under it until it flies again.
 
 NED from where the vehicle was first seen, z = 0 the ground, the vehicle's reference point at its airframe's
@@ -59,20 +60,31 @@ class ExternalWorld:
         _check_level(self._motion, scenario)
         self.track = PoseTrack()
         self.origin: Vector3 | None = None
-        self.armed = False
-        self._departed_s: float | None = None
-        self._waited_s = 0.0
-        self._waits_since_s: float | None = None
-        self._load = NO_CONTACT
-        self._in_air: Pose | None = None
-        self._watch = TouchdownWatch()
+        self._forget_flight()
 
     # ------------------------------------------------------------ in
 
     def begin(self, ground_place: Vector3) -> None:
-        """Put the origin: latitude (deg), longitude (deg) and altitude (m) at which the vehicle stands."""
+        """Put the origin: latitude (deg), longitude (deg) and altitude (m) at which the vehicle stands.
+
+        Whatever was seen about another origin is forgotten; `see` the next pose at once.
+        """
         self.origin = ground_place
-        self.track.clear()
+        self.track.begin_anew()
+        self._forget_flight()
+
+    def _forget_flight(self) -> None:
+        self.armed = self.flown = False  # flown: it has been in the air, armed
+        self._load = NO_CONTACT
+        self._in_air: Pose | None = None
+        self._watch = TouchdownWatch()
+        self._stop_pad()
+
+    def _stop_pad(self) -> None:
+        """Back to its start, until the vehicle is armed."""
+        self._departed_s: float | None = None
+        self._waited_s = 0.0
+        self._waits_since_s: float | None = None
 
     def see(self, sample: Sample, *, armed: bool) -> None:
         """Take the vehicle's next pose; `begin` comes first."""
@@ -80,6 +92,8 @@ class ExternalWorld:
         self.armed = armed
         if armed and self._departed_s is None:
             self._departed_s = sample.time_s
+        elif not armed and not self.flown:
+            self._stop_pad()
         north, east, down = ned_from_geodetic(*sample.place, self.origin)
         position = (north, east, down - self._standing_m)
         pose = self.track.put(
@@ -108,8 +122,9 @@ class ExternalWorld:
         # the message that tells of the ground tells of a vehicle that it has stopped: take the one before
         touches_now = self._load.touching and not touched
         state = self._in_air if touches_now and self._in_air is not None else pose
-        self._watch.step(pose.time_s, _body(state), pad, self._load)
+        self._watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
         self._watch.airborne(lowest_m)
+        self.flown = self.flown or (self.armed and self._watch.flying)
         self._hold_pad(pose.time_s, waits=self._load.on_board >= STANDING_FEET)
 
     def _hold_pad(self, now_s: float, *, waits: bool) -> None:
@@ -188,6 +203,11 @@ def _check_level(motion: PadMotion, scenario: Scenario) -> None:
     Raises:
         ConfigError: it does.
     """
+    if scenario.pad.deck is not None:
+        raise ConfigError(
+            f"scenario '{scenario.name}': pad.deck: expected none, since the ground of an external simulator "
+            "is flat and does not heave"
+        )
     for k in range(math.ceil(scenario.time_limit_s / _LEVEL_EVERY_S)):
         if abs(motion.at(k * _LEVEL_EVERY_S).position_ned_m[2]) > LEVEL_M:
             raise ConfigError(

@@ -14,6 +14,7 @@ import numpy as np
 
 from companion.geometry import ZERO3, Vector3, geodetic_from_ned
 from sitl.framing import FrameReader, MavFrame, dialect
+from sitl.scenario import BeaconSettings
 from sitl.signing import Signing
 
 mavlink: Any = dialect
@@ -70,6 +71,22 @@ class GroundStation:
         self._answers_due_s: list[float] = []
         self._heartbeat_due_s = -math.inf
         self._chunks: dict[tuple[int, int], list[str]] = {}
+
+    @classmethod
+    def of(
+        cls, beacon: BeaconSettings, rng: np.random.Generator, home: Vector3, signing: Signing | None = None
+    ) -> GroundStation:
+        """The one with a scenario's beacon."""
+        return cls(
+            rng,
+            beacon.position_std_m,
+            home,
+            velocity_std_m_s=beacon.velocity_std_m_s,
+            delay_s=beacon.delay_s,
+            rate_hz=beacon.rate_hz,
+            available=beacon.available,
+            signing=signing,
+        )
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that have just arrived."""

@@ -8,9 +8,46 @@ import json
 import os
 import sys
 import threading
-from typing import Any
+from collections.abc import Coroutine
+from pathlib import Path
+from typing import Any, Protocol
 
 from companion.messages import Phase
+from sitl.report import SimulationReport, write_report
+
+
+class Judged(Protocol):
+    """A simulation that runs until it is cancelled, and judges the flight as it stands."""
+
+    async def run(self) -> None:
+        """Go on until cancelled."""
+        ...
+
+    def report(self, final_phase: Phase) -> SimulationReport:
+        """Judge; `final_phase` is the app's last."""
+        ...
+
+
+async def fly_until_told(
+    simulation: Judged, report_path: Path, ending: Coroutine[Any, Any, Phase | None]
+) -> None:
+    """Run a simulation until `ending` returns; with a phase the flight is judged, and the report's path said.
+
+    Raises:
+        Exception: whatever ended the simulation before.
+    """
+    flying = asyncio.create_task(simulation.run())
+    listening = asyncio.create_task(ending)
+    await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
+    if flying.done():
+        listening.cancel()
+        flying.result()
+    phase = listening.result()
+    flying.cancel()
+    await asyncio.wait([flying])
+    if phase is not None:
+        write_report(simulation.report(phase), report_path)
+        say({"report": str(report_path)})
 
 
 async def final_phase() -> Phase | None:

@@ -25,8 +25,7 @@ from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
 from sitl.links import TcpServer, UdpServer
-from sitl.orders import final_phase, say
-from sitl.report import write_report
+from sitl.orders import final_phase, fly_until_told, say
 from sitl.scenario import Scenario
 from sitl.simulation import Simulation
 
@@ -97,7 +96,7 @@ async def serve_child(scenario: Scenario, seed: int, folder: Path) -> None:
         devices = await _plug_in(stack, scenario, seed, folder)
         udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
         say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
-        await _fly_until_told(devices.simulation, folder)
+        await fly_until_told(devices.simulation, folder / REPORT_NAME, final_phase())
 
 
 async def _plug_in(
@@ -195,18 +194,3 @@ async def _fly_until_stopped(simulation: Simulation) -> None:
     await asyncio.wait([flying])
     if not flying.cancelled():
         flying.result()
-
-
-async def _fly_until_told(simulation: Simulation, folder: Path) -> None:
-    flying = asyncio.create_task(simulation.run())
-    listening = asyncio.create_task(final_phase())
-    await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
-    if flying.done():
-        listening.cancel()
-        flying.result()
-    phase = listening.result()
-    flying.cancel()
-    await asyncio.wait([flying])
-    if phase is not None:
-        write_report(simulation.report(phase), folder / REPORT_NAME)
-        say({"report": str(folder / REPORT_NAME)})

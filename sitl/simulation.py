@@ -132,17 +132,8 @@ class Simulation:
             ESTIMATORS[scenario.estimator],
             self._world.airframe.rates,
         )
-        beacon, signing = scenario.beacon, Signing(scenario.autopilot, signing_key)
-        ground_station = GroundStation(
-            next(streams),
-            beacon.position_std_m,
-            HOME,
-            velocity_std_m_s=beacon.velocity_std_m_s,
-            delay_s=beacon.delay_s,
-            rate_hz=beacon.rate_hz,
-            available=beacon.available,
-            signing=signing,
-        )
+        signing = Signing(scenario.autopilot, signing_key)
+        ground_station = GroundStation.of(scenario.beacon, next(streams), HOME, signing)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         errors = sensor_errors(scenario.sensors)
         self._rack = SensorRack(

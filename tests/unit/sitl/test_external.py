@@ -31,6 +31,7 @@ from companion.pad import load_pad
 from companion.sense.serial_port import SerialPort
 from companion.sense.ultrasonic import Ultrasonic
 from sitl import camera as lens
+from sitl import external_client
 from sitl.cli import main
 from sitl.devices.ports import PtyPort
 from sitl.exposure import CameraSettings
@@ -90,6 +91,9 @@ class Player:
             if k % 20 == 0:
                 self._end.write(self._sender.pack(heartbeat(self._autopilot, armed=armed)))
             self._end.write(self._sender.pack(message(position, velocity if time_s >= 0.0 else (0.0,) * 3)))
+
+    def say(self, *messages: Any) -> None:
+        self._end.write(self._sender.pack(*messages))
 
     async def open(self) -> None:
         self.port = await self._end.open("127.0.0.1", 0, listen=True)
@@ -181,6 +185,7 @@ async def test_a_recorded_landing_is_filmed_and_scored(autopilot: int, tmp_path:
         await asyncio.gather(listening, return_exceptions=True)
         line.close()
         report = b.simulation.report(Phase.LANDED)
+        assert b.simulation.client.flown  # so its pose stays of one source
     assert_scored(report)
     assert_filmed(b, flight, contact_s)
     assert max(echoes) == pytest.approx(2.0 + STANDING_M, abs=0.3)
@@ -233,6 +238,19 @@ async def test_the_app_shares_the_connection_and_hears_of_the_pad(tmp_path: Path
     assert place[:2] == pytest.approx(PAD, abs=1.0)  # with the noise of a receiver
 
 
+async def pad_by_beacon(b: Bench) -> Any:
+    """What the ground station answers an app that asks where the pad is."""
+    app, codec = await open_link(f"udp:127.0.0.1:{b.relay_port}", print), Codec(1, 191)
+    question = command_long(mavlink.MAV_CMD_REQUEST_MESSAGE, (144, 0, 0, 0, 0, 0, 0), 255, 190)
+    app.write(codec.encode(question))
+    while True:
+        for message in codec.decode(await asyncio.wait_for(app.read(), 5.0)):
+            refused = message.get_type() == "COMMAND_ACK" and message.result != mavlink.MAV_RESULT_ACCEPTED
+            if refused or message.get_type() == "FOLLOW_TARGET":
+                app.close()
+                return message
+
+
 async def test_while_no_pose_comes_there_are_no_frames_and_then_there_are_again(tmp_path: Path) -> None:
     player = Player(ARDUPILOT, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
     async with bench(tmp_path, player) as b:
@@ -255,12 +273,61 @@ async def test_one_that_flies_already_has_its_ground_at_home(tmp_path: Path) -> 
     async with bench(tmp_path, player) as b:
         await player.run(0.0, 0.3)
         assert not b.simulation.ready.is_set()
-        player._end.write(player._sender.pack(home))
+        player.say(home)
         await player.run(0.0, 0.3)
         assert b.simulation.ready.is_set()
         truth = b.simulation.world.truth_at(Clock().now_s())
     assert truth.vehicle_position_ned_m[2] == pytest.approx(-5.0 - STANDING_M, abs=0.01)
     assert b.texts[0].startswith("WARNING: the vehicle is armed already")
+
+
+def stand_estimated(altitude_m: float) -> tuple[Any, ...]:
+    """The autopilot's estimates of a vehicle at rest at GROUND, but for the altitude."""
+    return (
+        mavlink.MAVLink_attitude_quaternion_message(0, *LEVEL, 0.0, 0.0, 0.0),
+        mavlink.MAVLink_global_position_int_message(
+            0, round(GROUND[0] * 1e7), round(GROUND[1] * 1e7), round(altitude_m * 1e3), 0, 0, 0, 0, 0
+        ),
+        mavlink.MAVLink_local_position_ned_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    )
+
+
+async def test_a_late_truth_has_a_ground_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The autopilot's estimate is 1.2 m too low: on its ground the vehicle would touch that far up."""
+    monkeypatch.setattr(external_client, "PATIENCE_S", 0.1)
+    player = Player(ARDUPILOT, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
+    async with bench(tmp_path, player) as b:
+        while not b.simulation.ready.is_set():
+            player.say(heartbeat(ARDUPILOT), *stand_estimated(altitude_m=GROUND[2] - 1.2))
+            await asyncio.sleep(0.02)
+        assert "and ATTITUDE_QUATERNION; ground at" in b.texts[1]
+        estimated = b.simulation.world.origin
+        await player.run(0.3, 0.0)
+        truth = b.simulation.world.truth_at(Clock().now_s())
+        true = b.simulation.world.origin
+        asked = await pad_by_beacon(b)
+    assert truth.vehicle_position_ned_m == pytest.approx((0.0, 0.0, -STANDING_M), abs=0.01)
+    assert truth.in_contact
+    assert estimated is not None
+    assert true is not None
+    assert true[2] - estimated[2] == pytest.approx(1.2, abs=0.01)
+    assert b.texts[2].startswith("SIM_STATE comes after all")
+    assert b.texts[3].startswith("vehicle 1 found by SIM_STATE; ground at")
+    assert asked.alt == pytest.approx(GROUND[2], abs=0.6)  # with the noise of a receiver
+
+
+async def test_what_the_scenario_says_of_beacon_and_camera_applies(tmp_path: Path) -> None:
+    settings = SCENARIO.model_dump(by_alias=True)
+    settings["beacon"] |= {"available": False}
+    settings["camera"] |= {"lost_share": 0.999}
+    player = Player(ARDUPILOT, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
+    async with bench(tmp_path, player, Scenario.model_validate(settings)) as b:
+        playing = asyncio.create_task(player.run(2.0, 0.0))
+        await b.simulation.ready.wait()
+        answer = await pad_by_beacon(b)
+        await playing
+        assert b.taken == []
+    assert (answer.get_type(), answer.result) == ("COMMAND_ACK", mavlink.MAV_RESULT_UNSUPPORTED)
 
 
 # ---------------------------------------------------------------- the process

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import Any
 
@@ -129,17 +130,82 @@ def test_without_the_truth_it_warns_once_and_takes_the_estimates() -> None:
     assert moved == pytest.approx((1.0, 0.0, 0.0), abs=1e-4)
 
 
+TRUE_PLACE = (0.3, -0.4, 1.2)  # from where the estimates have it
+
+
 def test_a_truth_that_comes_late_takes_their_place_on_the_ground_and_not_in_the_air() -> None:
     bench = Bench(ARDUPILOT)
     bench.run(7.0, *ESTIMATE)
     bench.client.take_samples()
     bench.armed = True
-    bench.run(1.0, sim_state((0.0, 0.0, 0.0)))
+    bench.run(1.0, sim_state(TRUE_PLACE))
     assert bench.client.take_samples() == []
+    assert bench.texts[1:] == [
+        "SIM_STATE comes after all, but the vehicle is armed: keeping to the estimates"
+    ]
     bench.armed = False
-    bench.run(1.0, sim_state((0.0, 0.0, 0.0)))
+    # what the estimates said in the same breath is not taken for truth
+    bench.hear(heartbeat(ARDUPILOT), *ESTIMATE, sim_state(TRUE_PLACE))
+    (sample,) = bench.client.take_samples()
+    assert ned_from_geodetic(*sample.place, GROUND) == pytest.approx(TRUE_PLACE, abs=0.012)
     assert bench.client.source == "SIM_STATE"
-    assert bench.texts[-1] == "SIM_STATE comes after all: the pose is the simulator's truth"
+    assert bench.texts[2:] == ["SIM_STATE comes after all: the pose is the simulator's truth"]
+
+
+def test_after_a_flight_on_estimates_its_score_is_kept_to() -> None:
+    bench = Bench(ARDUPILOT)
+    bench.run(7.0, *ESTIMATE)
+    bench.client.take_samples()
+    bench.client.flown = True
+    bench.run(0.8, sim_state(TRUE_PLACE))
+    assert bench.client.source == ESTIMATES
+    assert bench.texts[1:] == [
+        "SIM_STATE comes after all, but the vehicle has flown: keeping to the estimates"
+    ]
+
+
+ATTITUDE, GLOBAL, LOCAL = ESTIMATE
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        (mavlink.MAVLink_attitude_quaternion_message(0, NAN, NAN, NAN, NAN, 0.0, 0.0, 0.0), GLOBAL, LOCAL),
+        (mavlink.MAVLink_attitude_quaternion_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), GLOBAL, LOCAL),
+        (mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, NAN, 0.0, 0.0), GLOBAL, LOCAL),
+        (ATTITUDE, GLOBAL, mavlink.MAVLink_local_position_ned_message(0, NAN, 4.0, -5.0, 1.0, 0.0, 0.0)),
+        (ATTITUDE, GLOBAL, mavlink.MAVLink_local_position_ned_message(0, 3.0, 4.0, math.inf, 0.0, 0.0, 0.0)),
+        (ATTITUDE, GLOBAL, mavlink.MAVLink_local_position_ned_message(0, 3.0, 4.0, -5.0, NAN, 0.0, 0.0)),
+        (ATTITUDE, mavlink.MAVLink_global_position_int_message(0, 0, 0, 0, 0, 0, 0, 0, 0), LOCAL),
+        (ATTITUDE, mavlink.MAVLink_global_position_int_message(0, 910000000, 0, 0, 0, 0, 0, 0, 0), LOCAL),
+    ],
+)
+def test_estimates_that_hold_no_pose_are_not_taken_and_spoil_none_that_follows(
+    wrong: tuple[Any, ...],
+) -> None:
+    bench = Bench(PX4)
+    bench.run(8.0, *wrong)
+    assert bench.client.take_samples() == []
+    bench.run(0.1, *ESTIMATE)
+    assert bench.client.take_samples()[-1].place == pytest.approx(GROUND, abs=1e-6)
+
+
+def test_an_estimate_that_goes_to_infinity_is_passed_over() -> None:
+    bench = Bench(PX4)
+    bench.run(6.0, *ESTIMATE)
+    bench.client.take_samples()
+    bench.hear(mavlink.MAVLink_local_position_ned_message(0, math.inf, 4.0, -5.0, 0.0, 0.0, 0.0), LOCAL)
+    (sample,) = bench.client.take_samples()
+    assert sample.place == pytest.approx(GROUND, abs=1e-6)
+
+
+def test_an_attitude_that_is_nearly_of_unit_length_is_made_so() -> None:
+    bench = Bench(PX4)
+    bench.run(
+        6.0, mavlink.MAVLink_attitude_quaternion_message(0, 1.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), GLOBAL, LOCAL
+    )
+    assert bench.client.take_samples()[-1].attitude == pytest.approx((1.0, 0.0, 0.0, 0.0))
 
 
 def test_a_vehicle_that_falls_silent_is_told_once_and_so_is_its_return() -> None:
@@ -180,6 +246,11 @@ def test_home_is_asked_for_until_it_comes() -> None:
     home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
     requests = [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == home]
     assert len(requests) >= 2
+    nowhere = mavlink.MAVLink_home_position_message(
+        0, 0, 0, 0.0, 0.0, 0.0, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0
+    )
+    bench.hear(nowhere)
+    assert bench.client.home is None
     bench.hear(
         mavlink.MAVLink_home_position_message(
             470000000, 80000000, 400000, 0.0, 0.0, 0.0, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0

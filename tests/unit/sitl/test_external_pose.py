@@ -125,5 +125,12 @@ def test_what_is_old_is_forgotten_and_without_a_pose_there_is_none() -> None:
     assert track.at(0.0).time_s > 5.0
     assert track.newest is not None
     assert track.newest.attitude == LEVEL
-    track.clear()
-    assert track.newest is None
+
+
+def test_beginning_anew_what_was_is_there_until_the_next_pose_comes_whenever_that_is_of() -> None:
+    track = PoseTrack()
+    track.put(pose(1.0, 3.0, 0.0))
+    track.begin_anew()
+    assert track.at(1.0).position_ned_m[0] == 3.0
+    track.put(pose(0.99, 0.5, 0.0))  # by another stamp
+    assert track.at(1.0).position_ned_m[0] == 0.5

@@ -94,6 +94,13 @@ def test_a_pad_that_heaves_is_refused_in_one_line() -> None:
         ExternalWorld(load_scenario("heave"), 0)
 
 
+def test_a_deck_at_sea_is_refused_in_one_line() -> None:
+    settings = static().model_dump(by_alias=True)
+    settings["pad"] |= {"deck": {}, "surface_height_m": 2.0}
+    with pytest.raises(ConfigError, match=r"^scenario 't': pad.deck: expected none, since the ground.*$"):
+        ExternalWorld(Scenario.model_validate(settings), 0)
+
+
 @pytest.mark.parametrize("name", ["static", "line", "circle", "figure_8"])
 def test_the_shipped_ones_that_stay_on_the_ground_suit(name: str) -> None:
     assert ExternalWorld(load_scenario(name), 0).pad_at(0.0).position_ned_m[2] == 0.0
@@ -109,6 +116,66 @@ def test_the_pad_sets_off_when_the_vehicle_is_armed() -> None:
     met = world.pad_at(START_S + 10.0)
     assert met.position_ned_m == pytest.approx((4.0, 3.0, 0.0), abs=1e-6)
     assert met.velocity_ned_m_s == pytest.approx((0.0, 1.0, 0.0), abs=1e-6)
+
+
+def test_armed_and_disarmed_on_the_ground_it_is_back_at_its_start_and_sets_off_anew() -> None:
+    world, place = ExternalWorld(line(1.0), 0), (0.0, 0.0, 0.0)
+    world.begin(GROUND)
+    start = world.pad_at(START_S - 100.0)
+    for k in range(4000):
+        world.see(sample(START_S - 80.0 + k * STEP_S, place), armed=k < 250)
+    assert world.pad_at(START_S - 0.1) == start
+    world.see(sample(START_S, place), armed=True)
+    assert world.pad_at(START_S + 10.0).position_ned_m == pytest.approx((4.0, 3.0, 0.0), abs=1e-6)
+
+
+def test_disarmed_after_a_flight_it_goes_on() -> None:
+    flight, contact_s = hop(0.0, -30.0)
+    world = play(ExternalWorld(line(1.0), 0), flight, contact_s + 3.0, disarm_s=contact_s + 1.0)
+    assert world.flown
+    there = world.pad_at(START_S + contact_s + 2.9)
+    assert there.position_ned_m[1] == pytest.approx(3.0 + contact_s + 2.9 - 10.0, abs=1e-6)
+
+
+def test_begun_anew_nothing_of_the_last_ground_is_left() -> None:
+    """The truth comes: 1.2 m under the estimates' ground, where nothing has been touched yet."""
+    world = ExternalWorld(line(1.0), 0)
+    play(world, lambda _: ((0.5, 0.0, 0.0), (0.0, 0.0, 0.0)), 1.0)
+    world.begin(sample(0.0, (0.3, -0.4, 1.2)).place)
+    world.see(sample(START_S + 1.0, (0.3, -0.4, 1.2)), armed=False)
+    assert world.truth_at(START_S + 1.0).vehicle_position_ned_m == pytest.approx(
+        (0.0, 0.0, -STANDING_M), abs=1e-6
+    )
+    assert world.pad_at(START_S + 9.0).velocity_ned_m_s == (0.0, 0.0, 0.0)
+    world.see(sample(START_S + 1.02, (0.3, -0.4, 0.1)), armed=True)
+    assert not world.truth_at(START_S + 1.02).in_contact
+
+
+def test_estimates_that_rose_by_themselves_are_no_flight_and_the_truth_beneath_no_touchdown() -> None:
+    world = ExternalWorld(static(), 0)
+    play(world, lambda time_s: ((0.0, 0.0, -1.5 * time_s), (0.0, 0.0, -1.5)), 1.0, disarm_s=0.0)
+    assert not world.flown
+    world.begin(GROUND)
+    world.see(sample(START_S + 1.0, (0.0, 0.0, 0.0)), armed=False)
+    assert world.touchdown is None
+
+
+def test_the_touchdown_is_measured_against_the_pad_of_the_same_moment() -> None:
+    """At 2 m/s and 20 Hz one message is 10 cm of way."""
+    speed_m_s, gap_s, sink_m_s = 2.0, 0.05, 0.4
+    world = ExternalWorld(line(speed_m_s), 0)
+    world.begin(GROUND)
+    for k in range(400):
+        time_s = gap_s * k
+        height_m = max(0.0, 3.0 - sink_m_s * time_s)
+        pad = world.pad_at(time_s).position_ned_m
+        moves = (0.0, speed_m_s, sink_m_s) if height_m else (0.0, 0.0, 0.0)
+        world.see(sample(time_s, (pad[0], pad[1], -height_m), moves), armed=True)
+        if world.touchdown is not None:
+            break
+    assert world.touchdown is not None
+    assert world.touchdown.on_pad
+    assert world.touchdown.lateral_error_m < 1e-3
 
 
 def test_a_moving_pad_waits_under_a_vehicle_that_stands_on_it_and_goes_on_after_it() -> None:

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.geometry import Vector3, ned_from_geodetic
 from sitl.ground_station import GroundStation
+from sitl.scenario import BeaconSettings
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 PAD: Vector3 = (12.0, -5.0, -0.3)
@@ -114,7 +115,7 @@ def test_random_bytes_do_no_harm() -> None:
 
 
 def test_a_pad_without_a_beacon_is_told_of_and_gives_no_answer() -> None:
-    ground = GroundStation(np.random.default_rng(1), 1.5, HOME, available=False)
+    ground = GroundStation.of(BeaconSettings(available=False), np.random.default_rng(1), HOME)
     ask(ground, 1.0)
     acknowledgement = next(m for m in listen(ground, 1.0) if m.get_type() == "COMMAND_ACK")
     assert acknowledgement.result == mavlink.MAV_RESULT_UNSUPPORTED
@@ -122,7 +123,8 @@ def test_a_pad_without_a_beacon_is_told_of_and_gives_no_answer() -> None:
 
 
 def test_the_answer_is_the_newest_fix_after_the_delay() -> None:
-    ground = GroundStation(np.random.default_rng(1), 0.0, HOME, rate_hz=0.5, delay_s=0.1)
+    beacon = BeaconSettings(position_std_m=0.0, rate_hz=0.5, delay_s=0.1)
+    ground = GroundStation.of(beacon, np.random.default_rng(1), HOME)
     assert listen(ground, 10.0)  # a fix at 10 s, the next at 12 s
     ask(ground, 11.0)
     assert not [m for m in listen(ground, 11.05) if m.get_type() == "FOLLOW_TARGET"]
@@ -136,7 +138,8 @@ def test_the_answer_is_the_newest_fix_after_the_delay() -> None:
 
 def test_the_beacons_velocity_is_as_good_as_it_is_said_to_be() -> None:
     def off(std_m_s: float) -> float:
-        ground = GroundStation(np.random.default_rng(3), 1.5, HOME, velocity_std_m_s=std_m_s)
+        beacon = BeaconSettings(velocity_std_m_s=std_m_s)
+        ground = GroundStation.of(beacon, np.random.default_rng(3), HOME)
         errors = []
         for k in range(60):
             ask(ground, float(k))
