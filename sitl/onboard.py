@@ -8,6 +8,7 @@ one of their messages. Axes FRD (the autopilot has turned the mounting out), SI 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
@@ -102,7 +103,7 @@ class OnboardSensors:
         self._antenna_body_m = antenna_body_m
         self._awake = False
         self._mag_due_s = self._gps_due_s = self._range_due_s = -math.inf
-        self._coming: Fix | None = None
+        self._coming: deque[Fix] = deque()  # epochs on their way, oldest first
         # for faults that the world around does, and so to these sensors too: no sky, another field
         self.has_sky = True
         self.stray_field_ut = ZERO3
@@ -147,8 +148,8 @@ class OnboardSensors:
 
     def _receive(self, now_s: float, state: QuadrotorState) -> None:
         """An epoch of the receiver's reaches the autopilot after a while, and is stamped then."""
-        if self._coming is not None and now_s >= self._coming.time_s - _EARLY_S:
-            self.gps, self._coming = self._coming, None
+        while self._coming and now_s >= self._coming[0].time_s - _EARLY_S:
+            self.gps = self._coming.popleft()
         if now_s < self._gps_due_s - _EARLY_S:
             return
         self._gps_due_s = max(self._gps_due_s, now_s - GPS_PERIOD_S) + GPS_PERIOD_S
@@ -160,4 +161,4 @@ class OnboardSensors:
         reading = self._gps.sample(
             now_s, add(state.position_ned_m, antenna), add(state.velocity_ned_m_s, turning)
         )
-        self._coming = Fix(now_s + self._gps_latency_s, reading)
+        self._coming.append(Fix(now_s + self._gps_latency_s, reading))

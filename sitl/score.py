@@ -197,6 +197,6 @@ def _broken(touchdown: Touchdown, bounds: PassBounds) -> tuple[str, ...]:
     broken = tuple(
         f"{name} {value:.2f} {unit}, expected at most {limit:g}"
         for name, value, limit, unit in measured
-        if value > limit
+        if not value <= limit  # so that what is no number is no landing
     )
     return broken if touchdown.on_pad else ("touched down beside the pad", *broken)

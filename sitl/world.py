@@ -239,10 +239,10 @@ class World:
         """Whether it stands on the board and goes with it."""
         state, pad = self._state, self.pad_state
         carried = pad.velocity_at_ned_m_s(state.position_ned_m)
-        moving = norm(subtract(state.velocity_ned_m_s, carried)) > REST_SPEED_M_S
+        still = norm(subtract(state.velocity_ned_m_s, carried)) <= REST_SPEED_M_S
         turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
-        turning = norm(subtract(state.rate_body_rad_s, turned)) > REST_RATE_RAD_S
-        return self._load.on_board >= STANDING_FEET and not moving and not turning
+        steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
+        return self._load.on_board >= STANDING_FEET and still and steady
 
     def motion(self) -> Motion:
         """The vehicle's motion now."""

@@ -3,8 +3,8 @@
 Place, velocity and acceleration alone each move the path in their own way; P on its place, PID on its
 velocity and its acceleration fed forward keep the vehicle there, so that an acceleration is one that is
 flown, whatever the wind. Height likewise, and there a PI on the acceleration makes the throttle. When the
-kind of setpoint changes the path starts anew from where the vehicle is. After ArduCopter 4.6; gains by its
-names.
+kind of setpoint changes the path starts anew from where the vehicle is; where lean or throttle are at their
+limit it waits for the vehicle. After ArduCopter 4.6; gains by its names.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
-from math import isnan, nan
+from math import isnan
 from typing import Final
 
 from companion.geometry import GRAVITY_M_S2, Vector3, wrap_angle
@@ -107,23 +107,28 @@ class ArdupilotControl(PositionControl):
         if kinds != self._kinds:
             self._kinds = kinds
             self._start_sideways(position, velocity)
-        self._start_down(position, velocity, kinds[1])
         self._move_sideways(setpoint, kinds[0], dt_s)
-        self._move_down(setpoint, kinds[1], dt_s)
         if frozen:  # standing: the path waits
             self._start_sideways(position, velocity)
-            self._along_down.position = position[2]
         self._follow_track(setpoint, dt_s)
         ax, ay = self._hold_sideways(position, velocity, dt_s, frozen)
-        return (ax, ay, self._hold_down(position, velocity, acceleration, dt_s, frozen))
+        return (ax, ay, self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen))
 
     def _wanted_down(
-        self, position: Vector3, velocity: Vector3, acceleration: Vector3, climb_m_s: float, dt_s: float
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
     ) -> float:
-        self._start_down(position, velocity, _Kind.VELOCITY)
-        setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
-        self._move_down(setpoint, _Kind.VELOCITY, dt_s)
-        return self._hold_down(position, velocity, acceleration, dt_s, False)
+        kind = _kind(setpoint, 2)
+        self._start_down(position, velocity, kind)
+        self._move_down(setpoint, kind, dt_s)
+        if frozen:
+            self._along_down.position = position[2]
+        return self._hold_down(position, velocity, acceleration, dt_s, frozen)
 
     # ------------------------------------------------------------ the path
 
@@ -173,18 +178,24 @@ class ArdupilotControl(PositionControl):
 
     def _hold_sideways(self, position: Vector3, velocity: Vector3, dt: float, frozen: bool) -> Two:
         gains, path = self._gains, self._across
-        ex, ey = path.position[0] - position[0], path.position[1] - position[1]
+        ex, ey = path.behind_m = path.position[0] - position[0], path.position[1] - position[1]
         if (distance := math.hypot(ex, ey)) > 0.0:
             gain = root_law(distance, gains.position_p, gains.sideways.acceleration, dt) / distance
             ex, ey = gain * ex, gain * ey
         rx, ry = path.velocity[0] + ex, path.velocity[1] + ey
-        (ax, ay), (ix, iy) = self._pid(rx - velocity[0], ry - velocity[1], dt)
+        path.slower_m_s = rx - velocity[0], ry - velocity[1]
+        (ax, ay), (ix, iy) = self._pid(*path.slower_m_s, dt)
         self.velocity_reference = (rx, ry, self.velocity_reference[2])
-        if not frozen and not self.saturated:
-            self._integral = bounded(ix, iy, gains.integral_limit)
+        wanted = ax + path.acceleration[0], ay + path.acceleration[1]
         most = math.tan(gains.limits.tilt_rad) * GRAVITY_M_S2
-        self._commanded = bounded(ax + path.acceleration[0], ay + path.acceleration[1], most)
-        return self._commanded
+        self._commanded = bounded(*wanted, most)
+        # `saturated` is of the step before: then the lean was cut further for the height's sake
+        limited = wanted != self._commanded or self.saturated
+        path.limit = wanted if limited else (0.0, 0.0)
+        if not frozen:  # at the limit the integral may shrink, but grows no more
+            longest = math.hypot(*self._integral) if limited else gains.integral_limit
+            self._integral = bounded(ix, iy, min(longest, gains.integral_limit))
+        return wanted  # unbounded, so that whoever makes a lean of it sees that it is too much
 
     def _pid(self, ex: float, ey: float, dt: float) -> tuple[Two, Two]:
         """Acceleration for a velocity error, and the integral after it."""
@@ -202,15 +213,17 @@ class ArdupilotControl(PositionControl):
         self, position: Vector3, velocity: Vector3, acceleration: Vector3, dt: float, frozen: bool
     ) -> float:
         gains, path = self._gains, self._along_down
-        wish = signed_root_law(path.position - position[2], gains.height_p, gains.vertical.acceleration, dt)
+        path.behind_m = path.position - position[2]
+        wish = signed_root_law(path.behind_m, gains.height_p, gains.vertical.acceleration, dt)
         reference = path.velocity + wish
+        path.slower_m_s = reference - velocity[2]
         self.velocity_reference = (*self.velocity_reference[:2], reference)
-        wanted = gains.climb_p * self._climb_error.step(reference - velocity[2], dt) + path.acceleration
+        wanted = gains.climb_p * self._climb_error.step(path.slower_m_s, dt) + path.acceleration
         error = self._throttle_error.step(wanted - acceleration[2], dt)
         made = gains.acceleration_p * error + self._throttle_integral
         low, high = (self._hover_share(share) for share in gains.limits.thrust_range)
-        stuck = (made >= -low and error > 0.0) or (made <= -high and error < 0.0)
-        if not frozen and not stuck:
+        path.limit = 1.0 if made >= -low else -1.0 if made <= -high else 0.0
+        if not frozen and not error * path.limit > 0.0:
             change = gains.acceleration_i * error * dt
             self._throttle_integral = clamp(self._throttle_integral + change, 2.0 * GRAVITY_M_S2)
         return made

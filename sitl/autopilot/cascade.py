@@ -79,7 +79,7 @@ class Cascade:
         self._detector.lift_off()
 
     def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: Estimator) -> bool:
-        """Does a setpoint ask for a climb from the ground?"""
+        """Does a setpoint ask for a climb, as from the ground?"""
         if isinstance(setpoint, AttitudeSetpoint):
             return setpoint.thrust > 1.02 * self._hover
         return (
@@ -100,7 +100,7 @@ class Cascade:
         frozen = self._spool < 1.0
         self._spool = min(1.0, self._spool + dt_s / _SPOOL_UP_S)
         if isinstance(setpoint, AttitudeSetpoint):
-            descending = self._follow_attitude(setpoint, estimate, thrust_is_climb_rate, dt_s)
+            descending = self._follow_attitude(setpoint, estimate, thrust_is_climb_rate, dt_s, frozen)
         else:
             descending = self._follow_motion(setpoint, estimate, dt_s, frozen)
         if frozen:
@@ -143,10 +143,16 @@ class Cascade:
         self._leave_rates(estimate)
         self.attitude_setpoint, self.thrust = law.attitude, law.thrust
         self._feed_rate = turn_about_down(estimate.attitude, law.yaw_rate_rad_s)
-        return law.velocity_reference[2] > _DESCENDING_M_S
+        # a law that shapes its setpoints still goes down for a while after a climb is asked for
+        return law.velocity_reference[2] > _DESCENDING_M_S and not self.wants_up(setpoint, estimate)
 
     def _follow_attitude(
-        self, setpoint: AttitudeSetpoint, estimate: Estimator, thrust_is_climb_rate: bool, dt_s: float
+        self,
+        setpoint: AttitudeSetpoint,
+        estimate: Estimator,
+        thrust_is_climb_rate: bool,
+        dt_s: float,
+        frozen: bool,
     ) -> bool:
         """Fly an attitude or body rates; returns whether it asks for a descent."""
         law = self._position
@@ -166,7 +172,8 @@ class Cascade:
         climb = 2.0 * (share - 0.5)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
         position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
-        law.step_climb(position, velocity, estimate.acceleration_ned_m_s2, estimate.attitude, climb, dt_s)
+        acceleration = estimate.acceleration_ned_m_s2
+        law.step_climb(position, velocity, acceleration, estimate.attitude, climb, dt_s, frozen)
         self.thrust = law.thrust
         return climb < -_DESCENDING_M_S
 

@@ -18,13 +18,15 @@ _ENDS_WITH_FLIGHT = (Task.LAND, Task.PRECISION_LAND, Task.RETURN, Task.TAKE_OFF)
 class Commander:
     """Armed or not, the mode, the task within it, and what there is to say (`texts`).
 
-    `subtask` is what a mission has flown at present, None for plain flying.
+    `subtask` is what a mission has flown at present, None for plain flying. `disarmings` counts how often the
+    motors were stopped, for whoever looks too seldom to see each.
     """
 
     def __init__(self, manner: Manner) -> None:
         self._manner = manner
         self.situation = Situation()
         self.armed = False
+        self.disarmings = 0
         self.in_failsafe = False
         self.texts: deque[Text] = deque((Severity.INFO, text) for text in manner.texts.boot)
         self.mode = manner.mode(manner.boot_mode)
@@ -146,6 +148,7 @@ class Commander:
 
     def _stop(self, severity: Severity, text: str) -> None:
         self.armed = False
+        self.disarmings += 1
         self.say(severity, text)
         self._forget_failsafe()
         self._held_s = [0.0] * len(self._held_s)

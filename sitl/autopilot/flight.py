@@ -45,19 +45,26 @@ class FlightLoop(FlightState):
         self._now_s = now_s
         estimate = self.estimate
         estimate.update_position(truth, _OUTER_PERIOD_S)
+        self._note_arming()  # by commands since the step before
         self._watch(now_s - self.booted_s, now_s - self._setpoint_s)
-        if self._commander.armed != self._was_armed:
-            self._was_armed = self._commander.armed
-            self._cascade.disarm(estimate)
-            if not self._was_armed:
-                self._runner.rest()
-                self._navigator.speeds.forget()
+        self._note_arming()  # by a failsafe in this one
         if self._lander is not None:
             self._lander.watch(self._view(), _OUTER_PERIOD_S)
         if self._commander.armed:
             self._fly()
         elif not self._navigator.home_is_fixed:
             self._navigator.home_ned_m = estimate.position_ned_m
+
+    def _note_arming(self) -> None:
+        """Start from the ground after every arming and disarming, however soon the one follows the other."""
+        now = (self._commander.armed, self._commander.disarmings)
+        if now == self._arming_seen:
+            return
+        stopped, self._arming_seen = now[1] != self._arming_seen[1], now
+        self._cascade.disarm(self.estimate)
+        if stopped:
+            self._runner.rest()
+            self._navigator.speeds.forget()
 
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
         """Tell the commander how things stand."""

@@ -80,7 +80,7 @@ class FlightState:
         self._setpoint = None
         self.wanted: MotionSetpoint | AttitudeSetpoint | None = None  # what is flown, None before
         self._setpoint_s = -inf
-        self._was_armed = False
+        self._arming_seen = (False, 0)  # armed, and disarmings so far
         self._mission_version = -1
         self._last_task: Task | None = None
         self._lands_precisely = False

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from math import isnan
+from math import isnan, nan
 from typing import Final
 
 from companion.geometry import (
@@ -81,15 +81,17 @@ class PositionControl(ABC):
         attitude: Quaternion,
         climb_m_s: float,
         dt_s: float,
+        frozen: bool = False,
     ) -> None:
         """Only the height: thrust for a climb rate at an attitude that someone else commands."""
-        down = self._wanted_down(position, velocity, acceleration, climb_m_s, dt_s)
+        setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
+        down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
         lean = max(_STEEPEST_COSINE, math.cos(tilt_from_quat(attitude)))
         self.thrust = self._bounded_thrust(self._hover * (1.0 - down / GRAVITY_M_S2) / lean)
 
     def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
         """Somebody else commands the attitude: start from heading and velocity as they are by then."""
-        self.yaw_rad, self.yaw_rate_rad_s = yaw_rad, 0.0
+        self.yaw_rad, self.yaw_rate_rad_s, self.saturated = yaw_rad, 0.0, False
         vx, vy, _ = velocity_ned_m_s
         self.velocity_reference = (vx, vy, self.velocity_reference[2])
         self._let_go_sideways()
@@ -118,9 +120,15 @@ class PositionControl(ABC):
 
     @abstractmethod
     def _wanted_down(
-        self, position: Vector3, velocity: Vector3, acceleration: Vector3, climb_m_s: float, dt_s: float
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
     ) -> float:
-        """The vertical one for a climb rate."""
+        """The vertical one alone."""
 
     # ------------------------------------------------------------ heading, tilt and thrust
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from math import isnan, nan
+from math import isnan
 from typing import Final
 
 from companion.geometry import GRAVITY_M_S2, Vector3
@@ -66,13 +66,7 @@ class Px4Control(PositionControl):
         frozen: bool,
     ) -> Vector3:
         ax, ay = self._sideways(position, velocity, setpoint, dt_s, frozen)
-        return (ax, ay, self._down(position[2], velocity[2], setpoint, dt_s, frozen))
-
-    def _wanted_down(
-        self, position: Vector3, velocity: Vector3, acceleration: Vector3, climb_m_s: float, dt_s: float
-    ) -> float:
-        setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
-        return self._down(position[2], velocity[2], setpoint, dt_s, False)
+        return (ax, ay, self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen))
 
     def _sideways(
         self, position: Vector3, velocity: Vector3, sp: MotionSetpoint, dt_s: float, frozen: bool
@@ -128,8 +122,16 @@ class Px4Control(PositionControl):
             vx, vy = vx * sp.horizontal_speed_m_s / speed, vy * sp.horizontal_speed_m_s / speed
         return vx, vy
 
-    def _down(self, place: float, speed: float, sp: MotionSetpoint, dt_s: float, frozen: bool) -> float:
-        gains = self._gains
+    def _wanted_down(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
+    ) -> float:
+        gains, sp, place, speed = self._gains, setpoint, position[2], velocity[2]
         v, p, ff = sp.velocity_ned_m_s[2], sp.position_ned_m[2], sp.acceleration_ned_m_s2[2]
         rx, ry, rz = self.velocity_reference
         if isnan(v) and isnan(p) and not isnan(ff):

@@ -66,13 +66,25 @@ def clamp(value: float, limit: float) -> float:
     return limit if value > limit else -limit if value < -limit else value
 
 
+def _dot(a: Two, b: Two) -> float:
+    return a[0] * b[0] + a[1] * b[1]
+
+
 @dataclass(slots=True)
 class Path2:
-    """A shaped path in the plane: where it is, how fast, how it accelerates."""
+    """A shaped path in the plane: where it is, how fast, how it accelerates.
+
+    Whoever holds a vehicle on it tells how that goes: `limit` points to where the vehicle cannot be pushed
+    any harder (zero while it can), `behind_m` and `slower_m_s` are how far the path is ahead of it. The path
+    then waits that way, lest all that it got ahead be flown after a stop (AC_PosControl's limit vector).
+    """
 
     position: Two = (0.0, 0.0)
     velocity: Two = (0.0, 0.0)
     acceleration: Two = (0.0, 0.0)
+    limit: Two = (0.0, 0.0)
+    behind_m: Two = (0.0, 0.0)
+    slower_m_s: Two = (0.0, 0.0)
 
     def to_place(
         self, place: Two, velocity: Two, acceleration: Two, top: float, by: Limits, dt: float
@@ -99,19 +111,26 @@ class Path2:
     def to_acceleration(self, acceleration: Two, by: Limits, dt: float) -> None:
         """One step towards an acceleration, and on along the path."""
         ax, ay = self.acceleration = approach(*self.acceleration, acceleration, by.jerk * dt)
-        (px, py), (vx, vy) = self.position, self.velocity
+        (px, py), (vx, vy), limit = self.position, self.velocity, self.limit
         half = 0.5 * dt * dt
-        self.position = (px + vx * dt + ax * half, py + vy * dt + ay * half)
-        self.velocity = (vx + ax * dt, vy + ay * dt)
+        way, gain = (vx * dt + ax * half, vy * dt + ay * half), (ax * dt, ay * dt)
+        if not (_dot(way, limit) > 0.0 and _dot(self.behind_m, limit) > 0.0):
+            self.position = (px + way[0], py + way[1])
+        braking = _dot(self.velocity, limit) < 0.0
+        if braking or not (_dot(gain, limit) > 0.0 and _dot(self.slower_m_s, limit) > 0.0):
+            self.velocity = (vx + gain[0], vy + gain[1])
 
 
 @dataclass(slots=True)
 class Path1:
-    """A shaped path along one axis."""
+    """A shaped path along one axis; `limit`, `behind_m` and `slower_m_s` as `Path2` has them."""
 
     position: float = 0.0
     velocity: float = 0.0
     acceleration: float = 0.0
+    limit: float = 0.0
+    behind_m: float = 0.0
+    slower_m_s: float = 0.0
 
     def to_place(
         self, place: float, velocity: float, acceleration: float, top: Two, by: Limits, dt: float
@@ -128,8 +147,13 @@ class Path1:
     def to_acceleration(self, acceleration: float, by: Limits, dt: float) -> None:
         """One step towards an acceleration, and on along the path."""
         self.acceleration += clamp(acceleration - self.acceleration, by.jerk * dt)
-        self.position += self.velocity * dt + 0.5 * self.acceleration * dt * dt
-        self.velocity += self.acceleration * dt
+        limit = self.limit
+        way, gain = self.velocity * dt + 0.5 * self.acceleration * dt * dt, self.acceleration * dt
+        if not (way * limit > 0.0 and self.behind_m * limit > 0.0):
+            self.position += way
+        braking = self.velocity * limit < 0.0
+        if braking or not (gain * limit > 0.0 and self.slower_m_s * limit > 0.0):
+            self.velocity += gain
 
 
 class LowPass:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from math import nan
 from typing import Any
 
 import pytest
@@ -53,6 +54,8 @@ def test_each_bound_holds_up_to_itself_and_no_further(field: str, bound: float) 
     assert over.outcome is Outcome.MISSED
     assert len(over.failures) == 1
     assert f"expected at most {bound:g}" in over.failures[0]
+    unknown = judged(dataclasses.replace(GOOD, **{field: nan}))  # type: ignore[arg-type]
+    assert unknown.outcome is Outcome.MISSED
 
 
 @pytest.mark.parametrize(

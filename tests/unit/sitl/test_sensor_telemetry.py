@@ -185,3 +185,22 @@ def test_the_same_seed_gives_the_same_samples_whoever_else_draws() -> None:
 
     assert samples(5) == samples(5)
     assert samples(5) != samples(6)
+
+
+@pytest.mark.parametrize("latency_s", [0.12, 0.2, 0.5])
+def test_however_late_its_fixes_come_none_is_lost(latency_s: float) -> None:
+    sensors = OnboardSensors(
+        np.random.default_rng(1),
+        DT_S,
+        home=HOME,
+        field_ned_ut=FIELD_UT,
+        imu_filter=2,
+        gps_latency_s=latency_s,
+    )
+    state, told = resting_state((0.0, 0.0, -0.18), 0.0), set()
+    for step in range(round(10.0 / DT_S)):
+        sensors.step(step * DT_S, state, 0.0, lambda: 1.0)
+        if sensors.gps is not None:
+            told.add(sensors.gps.time_s)
+    assert min(told) == pytest.approx(latency_s)
+    assert (10.0 - latency_s) / 0.2 - 1.0 < len(told) < 52

@@ -59,6 +59,38 @@ def test_an_acceleration_is_reached_at_the_jerk_and_flown_on() -> None:
     assert path.velocity == pytest.approx(1.9, abs=0.01)
 
 
+def test_a_path_waits_where_the_vehicle_cannot_follow_and_goes_on_every_other_way() -> None:
+    line, plane = Path1(velocity=1.0), Path2(velocity=(1.0, 1.0))
+    line.limit, line.behind_m, line.slower_m_s = 1.0, 0.5, 0.5
+    plane.limit, plane.behind_m, plane.slower_m_s = (3.0, 0.0), (0.5, 0.0), (0.5, 0.0)
+    for _ in range(100):
+        line.to_acceleration(1.0, LIMITS, DT_S)
+        plane.to_acceleration((1.0, 1.0), LIMITS, DT_S)
+    assert (line.position, line.velocity) == (0.0, 1.0)
+    assert (plane.position, plane.velocity) == ((0.0, 0.0), (1.0, 1.0))
+    for _ in range(400):  # braking and turning back are free
+        line.to_velocity(-1.0, 0.0, LIMITS, DT_S)
+        plane.to_velocity((-1.0, 0.0), (0.0, 0.0), LIMITS, DT_S)
+    assert line.velocity == pytest.approx(-1.0, abs=1e-2)
+    assert plane.velocity == pytest.approx((-1.0, 0.0), abs=1e-2)
+    assert line.position < -1.0
+    for _ in range(400):  # and it may brake into the limit
+        line.to_velocity(1.0, 0.0, LIMITS, DT_S)
+    assert line.velocity == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_vehicle_that_has_caught_up_moves_the_path_on_at_the_limit_too() -> None:
+    line, plane = Path1(velocity=1.0), Path2(velocity=(1.0, 0.0))
+    line.limit, line.behind_m, line.slower_m_s = 1.0, -0.5, -0.5
+    plane.limit, plane.behind_m, plane.slower_m_s = (3.0, 0.0), (-0.5, 0.0), (-0.5, 0.0)
+    line.to_acceleration(1.0, LIMITS, DT_S)
+    plane.to_acceleration((1.0, 0.0), LIMITS, DT_S)
+    assert line.position == pytest.approx(plane.position[0])
+    assert line.position > 0.0
+    assert line.velocity == pytest.approx(plane.velocity[0])
+    assert line.velocity > 1.0
+
+
 def test_a_low_pass_starts_from_its_first_value_and_lags_by_its_cutoff() -> None:
     low = LowPass(1.0 / (2.0 * math.pi))  # a time constant of 1 s
     assert low.step(3.0, DT_S) == 3.0
