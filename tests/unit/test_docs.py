@@ -89,7 +89,7 @@ def is_run(words: list[str]) -> bool:
     if words[0] == "companion":
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
     if words[0] == "companion-sitl":
-        return words[1] in {"scenarios", "schema"}
+        return words[1:2] in (["scenarios"], ["schema"])
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
@@ -98,7 +98,7 @@ def check_without_running(words: list[str]) -> None:
     if words[0] in PROGRAMS:
         command = typer.main.get_command(PROGRAMS[words[0]])
         context = command.make_context(words[0], words[1:])
-        if (other := getattr(command, "commands", {}).get(words[1])) is not None:
+        if words[1:] and (other := getattr(command, "commands", {}).get(words[1])) is not None:
             other.make_context(words[1], words[2:])
         if context.params["scenario"] is not None:
             load_scenario(context.params["scenario"])
