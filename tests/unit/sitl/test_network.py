@@ -226,3 +226,10 @@ def test_wrong_frames_cost_no_legal_one(manner: Manner, key: bytes | None) -> No
     assert found.holds, found
     assert found.lost == 0
     assert (found.refused > 1000) is (key is not None)
+
+
+@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+def test_orders_that_make_no_sense_cost_no_legal_frame(manner: Manner) -> None:
+    found = Fuzz(manner, 3, orders=True).run(5000)
+    assert found.holds, found
+    assert found.kinds["orders"] > 3000
