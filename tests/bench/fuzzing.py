@@ -302,6 +302,7 @@ class Fuzz:
         self.tcp.port = self.network.connect(self.tcp.write, datagrams=False)
         self.network.connect(self.quiet.write, datagrams=True)
         self._stream = bytearray()
+        self._overdue = 0  # bytes of it that were there at the last tick
         self._packer = mavlink.MAVLink(None, srcSystem=GARBAGE_SYSTEM, srcComponent=7)
         # whom ArduPilot lets fly by hand
         self._pilot = mavlink.MAVLink(None, srcSystem=255, srcComponent=7)
@@ -375,9 +376,13 @@ class Fuzz:
         assert self.tcp.port is not None
         data = bytes(self._stream[:count])
         del self._stream[:count]
+        self._overdue = max(0, self._overdue - count)
         self.network.receive(self.tcp.port, data, self.flight.now_s)
 
     def _tick(self) -> None:
+        # cut anywhere, but no half of a frame is held back for long: that would be no frame, and rightly
+        self._flush(self._overdue)
+        self._overdue = len(self._stream)
         self.flight.run(TICK_S)
         self.network.transmit(self.flight.now_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for client in (self.udp, self.tcp, self.quiet):

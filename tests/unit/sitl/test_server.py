@@ -45,7 +45,7 @@ def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
         port = other.getsockname()[1]
         with pytest.raises(SystemExit):
             main(("--port", "0", "--gcs-port", "0", "--tcp-port", str(port)))
-    assert f"TCP port 127.0.0.1:{port}: already in use; expected a free port" in capsys.readouterr().err
+    assert f"TCP port 127.0.0.1:{port}: already in use; expected a free port at an address" in capsys.readouterr().err
 
 
 def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
