@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from companion.geometry import Vector3, geodetic_from_ned, subtract
+from companion.geometry import Vector3, geodetic_from_ned, norm, subtract
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, command_long, is_autopilot_heartbeat, mavlink
 from sitl.external_pose import (
     ATTITUDE,
@@ -24,12 +24,14 @@ from sitl.external_pose import (
     SIM_STATE,
     Message,
     Sample,
+    believable,
     hil_state,
     sim_state,
 )
 
 COMPONENT: Final = mavlink.MAV_COMP_ID_USER2
 RATE_HZ: Final = 100.0  # asked for of the truth, and of the estimates in its place
+_FARTHEST_M: Final = 1e6  # from the local frame's origin
 SLOWEST_HZ: Final = 40.0  # less of it makes the picture wrong by more than the lens does
 PATIENCE_S: Final = 5.0  # without the truth, before the estimates are taken
 SILENCE_S: Final = 5.0  # without a heartbeat: the vehicle is lost
@@ -185,6 +187,8 @@ class VehicleClient:
         self._take(sample, TRUTH[number], now_s)
 
     def _take(self, sample: Sample, source: str, now_s: float) -> None:
+        if not believable(sample):
+            return
         self.source, self._pose_s = source, now_s
         self._samples.append(sample)
 
@@ -202,6 +206,8 @@ class VehicleClient:
         local = (message.x, message.y, message.z)
         if self._anchor is None:
             if self._global is None:
+                return
+            if not norm(local) <= _FARTHEST_M:  # or no number
                 return
             place = (self._global.lat * 1e-7, self._global.lon * 1e-7, self._global.alt * 1e-3)
             self._anchor = (place, local)

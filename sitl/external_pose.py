@@ -41,6 +41,12 @@ LONGEST_GUESS_S: Final = 0.1  # how far a pose is carried on beyond the newest m
 SMOOTHING_S: Final = 0.1  # place follows velocity, and the message's place over so long: 11 mm steps vanish
 JUMP_M: Final = 1.0  # a place that is this far from where the velocity led is a new one
 GAP_S: Final = 0.5
+# what is beyond these is no multirotor's
+MOST_ANGLE_RAD: Final = 10.0
+MOST_RATE_RAD_S: Final = 100.0
+MOST_SPEED_M_S: Final = 500.0
+MOST_ALTITUDE_M: Final = 100_000.0
+UNIT_TOLERANCE: Final = 0.1  # of a quaternion's squared length
 
 
 class Sample(NamedTuple):
@@ -67,7 +73,10 @@ def sim_state(message: Message, time_s: float) -> Sample | None:
     """SIM_STATE that came at time_s; None when it holds no pose."""
     attitude = _unit((message.q1, message.q2, message.q3, message.q4))
     if attitude is None:
-        attitude = quat_from_euler(message.roll, message.pitch, message.yaw)
+        angles = (message.roll, message.pitch, message.yaw)
+        if not all(abs(angle) <= MOST_ANGLE_RAD for angle in angles):
+            return None
+        attitude = quat_from_euler(*angles)
     latitude, longitude = message.lat_int * 1e-7, message.lon_int * 1e-7
     if message.lat_int == 0 and message.lon_int == 0:
         # the float fields; ArduPilot puts 1e-7 deg into them as well
@@ -99,17 +108,28 @@ def hil_state(message: Message, time_s: float) -> Sample | None:
 def _sample(
     time_s: float, place: Vector3, velocity: Vector3, attitude: Quaternion, rate: Vector3
 ) -> Sample | None:
-    if not all(map(math.isfinite, (*place, *velocity, *attitude, *rate))):
-        return None
-    if (place[0] == 0.0 and place[1] == 0.0) or abs(place[0]) > 90.0 or abs(place[1]) > 180.0:
-        return None
-    return Sample(time_s, place, velocity, attitude, rate)
+    sample = Sample(time_s, place, velocity, attitude, rate)
+    return sample if believable(sample) else None
+
+
+def believable(sample: Sample) -> bool:
+    """Whether these are numbers, and within what a vehicle can do; huge ones would overflow further on."""
+    latitude, longitude, altitude = sample.place
+    return (
+        abs(latitude) <= 90.0
+        and abs(longitude) <= 180.0
+        and (latitude, longitude) != (0.0, 0.0)
+        and abs(altitude) <= MOST_ALTITUDE_M
+        and all(abs(speed) <= MOST_SPEED_M_S for speed in sample.velocity_ned_m_s)
+        and all(abs(rate) <= MOST_RATE_RAD_S for rate in sample.rate_body_rad_s)
+        and abs(sum(part * part for part in sample.attitude) - 1.0) <= UNIT_TOLERANCE
+    )
 
 
 def _unit(values: tuple[float, ...]) -> Quaternion | None:
     w, x, y, z = values
     length = w * w + x * x + y * y + z * z
-    if not math.isfinite(length) or abs(length - 1.0) > 0.1:
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
         return None
     return quat_normalise((w, x, y, z))
 

@@ -70,11 +70,6 @@ def schema_text() -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
-def schema_path() -> Path:
-    """Where the schema is shipped."""
-    return CONFIG_FOLDER / "scenarios" / "scenario.schema.json"
-
-
 # ---------------------------------------------------------------- in a few words
 
 

@@ -68,7 +68,11 @@ class Orders:
     def _fly(self) -> list[Message]:
         mode = (1, 4, 3) if self._is_px4 else (1, 4, 0)
         height = 410.0 if self._is_px4 else 10.0
-        return [_long(_SET_MODE, *mode), _long(_ARM, 1, FORCE_MAGIC), _long(_TAKE_OFF, 0, 0, 0, 0, 0, 0, height)]
+        return [
+            _long(_SET_MODE, *mode),
+            _long(_ARM, 1, FORCE_MAGIC),
+            _long(_TAKE_OFF, 0, 0, 0, 0, 0, 0, height),
+        ]
 
     def _mission(self) -> list[Message]:
         """An upload, usually of what is taken, and the order to fly it."""
@@ -123,7 +127,13 @@ class Orders:
 
     def _global(self) -> Message:
         return mavlink.MAVLink_set_position_target_global_int_message(
-            0, 1, 1, self._one((0, 3, 5, 6, 10, 11)), self._below(4096), *self._some(WHOLE, 2), *self._floats(9)
+            0,
+            1,
+            1,
+            self._one((0, 3, 5, 6, 10, 11)),
+            self._below(4096),
+            *self._some(WHOLE, 2),
+            *self._floats(9),
         )
 
     def _attitude(self) -> Message:
@@ -139,7 +149,9 @@ class Orders:
         )
 
     def _count(self) -> Message:
-        return mavlink.MAVLink_mission_count_message(1, 1, self._one((0, 1, 2, 5, 5, 65535)), self._one((0, 0, 1)))
+        return mavlink.MAVLink_mission_count_message(
+            1, 1, self._one((0, 1, 2, 5, 5, 65535)), self._one((0, 0, 1))
+        )
 
     def _item(self) -> Message:
         return mavlink.MAVLink_mission_item_int_message(
@@ -168,7 +180,9 @@ class Orders:
         return mavlink.MAVLink_request_data_stream_message(1, 1, self._below(14), rate, self._below(3))
 
     def _text(self) -> Message:
-        return mavlink.MAVLink_statustext_message(self._below(256), bytes(range(130, 180)), self._below(65536), 0)
+        return mavlink.MAVLink_statustext_message(
+            self._below(256), bytes(range(130, 180)), self._below(65536), 0
+        )
 
     # ------------------------------------------------------------ draws
 

@@ -96,6 +96,16 @@ def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
     assert "Armed by external command" in [m.text for m in heard if m.get_type() == "STATUSTEXT"]
 
 
+def test_a_text_that_time_brings_goes_to_all() -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk.run(0.5)
+    one.send(mavlink.MAVLink_mission_count_message(1, 1, 3, 0), desk.flight.now_s)
+    desk.run(10.0)
+    for client in (one, other):
+        assert [m.text for m in client.heard("STATUSTEXT")][-1] == "Operation timeout"
+
+
 def test_a_parameter_that_one_sets_is_told_to_all() -> None:
     desk = Desk()
     one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
