@@ -208,8 +208,8 @@ async def open_relay() -> tuple[UdpEnd, int]:
 async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell = print) -> None:
     """Hand on whatever comes, until cancelled.
 
-    A vehicle that says what nobody can reckon with does not end the world about it: `tell` gets the first such
-    trouble, and the bytes are passed over.
+    A vehicle that says what nobody can reckon with does not end the world about it: `tell` gets the first
+    such trouble, and the bytes are passed over.
     """
     told = False
     with contextlib.suppress(asyncio.CancelledError):

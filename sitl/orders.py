@@ -45,7 +45,7 @@ def say(message: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """While inside, SIGTERM and SIGHUP end a program as cleanly as Ctrl-C does; one that is ignored stays so."""
+    """While inside, SIGTERM and SIGHUP end a program as cleanly as Ctrl-C does; what is ignored stays so."""
     numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]
     before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
     try:

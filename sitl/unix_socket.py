@@ -38,7 +38,9 @@ class UnixServer:
                 f"{path}: too long for a socket; expected a folder with a path of at most "
                 f"{MOST_PATH_BYTES - len(path.name) - 1} bytes"
             )
-        await _clear(path)
+        if _is_in_the_way(path):
+            await _check_abandoned(path)
+            _remove(path)
         try:
             return cls(await asyncio.start_unix_server(converse, path), path)
         except OSError as error:
@@ -50,7 +52,7 @@ class UnixServer:
         """Stop listening and remove the file, if it is still ours."""
         self._server.close()
         if self._file is not None and _identity(self._path) == self._file:
-            self._path.unlink(missing_ok=True)
+            _remove(self._path)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
@@ -61,16 +63,21 @@ def _identity(path: Path) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-async def _clear(path: Path) -> None:
-    """Remove a socket file that nobody listens at any more."""
-    if not path.exists():
-        return
-    if not path.is_socket():
+def _is_in_the_way(path: Path) -> bool:
+    """Whether there is a socket file already; anything else is refused."""
+    if path.exists() and not path.is_socket():
         raise ConfigError(f"{path}: is in the way of a socket; expected a folder without a file of that name")
+    return path.exists()
+
+
+async def _check_abandoned(path: Path) -> None:
     try:
         _, writer = await asyncio.open_unix_connection(path)
     except OSError:
-        path.unlink(missing_ok=True)
         return
     writer.close()
     raise ConfigError(f"{path}: another simulator serves there; expected a folder of its own")
+
+
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)

@@ -106,7 +106,7 @@ class Autopilot(FlightLoop):
         return Result.ACCEPTED
 
     def set_home(self, place: Vector3 | None, over_home: bool = False) -> Result:
-        """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is; denied for one too far away."""
+        """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is; denied when too far away."""
         if not self.aligned:
             return Result.FAILED
         home = self.estimate.position_ned_m if place is None else self._local(place, over_home)

@@ -2,8 +2,8 @@
 
 A flown vehicle has three clients: one sends over UDP (a datagram a frame), one over TCP (the bytes cut
 anywhere), one only listens. The two send garbage, and every so often a command and a TIMESYNC whose answers
-are known. Everything comes from one seed. Garbage bears other names than the legal stream's. `orders`: most of
-it is legal in form, and slower, so that the vehicle does something about it (`tests.bench.fuzz_orders`).
+are known. Everything comes from one seed. Garbage bears other names than the legal stream's. `orders`: most
+of it is legal in form, and slower, so that the vehicle does something about it (`tests.bench.fuzz_orders`).
 """
 
 from __future__ import annotations

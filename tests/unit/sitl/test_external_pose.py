@@ -58,7 +58,8 @@ def test_what_holds_no_pose_gives_none() -> None:
 @pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 3.4e38, -3.4e38])
 @pytest.mark.parametrize("name", ["roll", "yaw", "xgyro", "zgyro", "vn", "vd", "alt"])
 def test_wild_numbers_are_no_pose(name: str, wild: float) -> None:
-    message = sim_state(PLACE, attitude=(0.0, 0.0, 0.0, 0.0), **{name: wild})
+    values: dict[str, Any] = {name: wild}
+    message = sim_state(PLACE, attitude=(0.0, 0.0, 0.0, 0.0), **values)
     assert external_pose.sim_state(message, 0.0) is None
 
 

@@ -198,16 +198,11 @@ def test_a_heading_that_is_no_number_is_the_present_one(manner: Manner, yaw: flo
 @BOTH
 def test_homes_upon_homes_stay_within_what_can_be_told(manner: Manner) -> None:
     station = Station(manner)
-    results = []
-    for _ in range(40):
-        results.append(
-            station.result(
-                mavlink.MAVLink_command_int_message(
-                    1, 1, 6, mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0.0, 0.0, 0.0, 0.0,
-                    round(HOME[0] * 1e7), round(HOME[1] * 1e7), 9000.0,
-                )
-            )
-        )  # fmt: skip
+    higher = mavlink.MAVLink_command_int_message(
+        1, 1, 6, mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0.0, 0.0, 0.0, 0.0,
+        round(HOME[0] * 1e7), round(HOME[1] * 1e7), 9000.0,
+    )  # fmt: skip
+    results = [station.result(higher) for _ in range(40)]
     assert results == [ACCEPTED] * 3 + [DENIED] * 37
     beyond_the_horizon = station.command(mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0, 0, -47.0, -172.0, 0.0)
     assert beyond_the_horizon == DENIED

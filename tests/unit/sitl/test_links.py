@@ -31,6 +31,12 @@ class Host:
             await self._changed.wait()
             self._changed.clear()
 
+    async def has_heard(self) -> None:
+        """Wait until somebody has spoken."""
+        while not self.heard:
+            await self._changed.wait()
+            self._changed.clear()
+
     def connect(self, write: Any, *, datagrams: bool) -> Port:
         port: Any = type("P", (), {"write": staticmethod(write), "datagrams": datagrams})()
         self.ports.append(port)
@@ -39,6 +45,7 @@ class Host:
 
     def hear(self, port: Any, data: bytes) -> None:
         self.heard.append(data)
+        self._changed.set()
 
     def disconnect(self, port: Any) -> None:
         self.ports.remove(port)
@@ -133,8 +140,7 @@ async def test_a_listener_named_by_its_host_is_one_client_only() -> None:
         server = UdpServer(host, ("localhost", listener.getsockname()[1]))
         own = await server.open("localhost", 0)
         listener.sendto(HELLO, ("127.0.0.1", own))
-        while not host.heard:
-            await asyncio.sleep(0.01)
+        await host.has_heard()
         assert len(host.ports) == 1
         server.close()
 
