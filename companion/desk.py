@@ -305,7 +305,6 @@ class SimulatorProcess:
                 *(sys.executable, "-m", "sitl.cli", "--child", "--scenario", str(trial.path)),
                 *("--seed", str(trial.seed), "--folder", str(folder)),
                 *_world_options(trial.external),
-                "--child",
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=stderr,

@@ -10,7 +10,7 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -22,6 +22,7 @@ from companion.messages import Manner
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
 from sitl.external_server import serve_external
+from sitl.orders import terminated_as_interrupted
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
@@ -30,6 +31,8 @@ from sitl.view import HELP as VIEW_HELP
 from sitl.view import view_command
 
 USER_ERROR: Final = 2
+WITH_CHILD: Final = ("scenario", "seed", "autopilot", "folder", "child")
+WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 cli.command("scenarios", help=SCENARIOS_HELP)(scenarios_command)
@@ -84,12 +87,18 @@ def companion_sitl(
 ) -> None:
     """Serve a simulated quadrotor with a camera over a pad that moves."""
     if context.invoked_subcommand is not None:
+        other = context.invoked_subcommand
+        refuse(context, (), f"belongs to a vehicle that is served; expected it without '{other}'")
         return
+    if external is not None:
+        refuse(context, WITH_EXTERNAL, "the vehicle is somebody else's; expected it without --external")
+    elif child:
+        refuse(context, WITH_CHILD, "expected it without --child")
     loaded = load_scenario(scenario)
     if autopilot is not None:
         loaded = loaded.model_copy(update={"autopilot": autopilot})
     key = None if signing_key is None else read_key(signing_key)
-    with contextlib.ExitStack() as stack:
+    with terminated_as_interrupted(), contextlib.ExitStack() as stack:
         place = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
         if not os.access(place, os.W_OK) or not place.is_dir():
             raise ConfigError(f"--folder {place}: expected a folder that can be written to")
@@ -100,6 +109,18 @@ def companion_sitl(
         else:
             service = Service(bind, port, gcs_port, tcp_port)
             asyncio.run(serve(loaded, seed, place, service, key, serve_truth=serve_truth))
+
+
+def refuse(context: typer.Context, goes: Collection[str], why: str) -> None:
+    """Refuse what was given on the command line and would be passed over, all but the options `goes`.
+
+    Raises:
+        ConfigError: there is such an option.
+    """
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name or "")
+        if source is not None and source.name == "COMMANDLINE" and parameter.name not in goes:
+            raise ConfigError(f"{parameter.opts[0]}: {why}")
 
 
 def main(words: Sequence[str] | None = None) -> None:

@@ -118,8 +118,11 @@ class MavlinkEndpoint:
         handler(message, now_s)
 
     def transmit(self, now_s: float) -> bytes:
-        """All that is due: answers, texts, telemetry."""
-        return b"".join(self.due(now_s))
+        """All that is due on a vehicle's only link: answers, texts, telemetry."""
+        due = self.due(now_s)
+        for severity, text in self.autopilot.take_texts():
+            self.say(severity, text)
+        return b"".join(due + self.answers(now_s))
 
     def due(self, now_s: float) -> list[bytes]:
         """All that is due, frame by frame; the autopilot's state is that of `now_s`."""
@@ -131,9 +134,7 @@ class MavlinkEndpoint:
         return self.answers(now_s)
 
     def answers(self, now_s: float) -> list[bytes]:
-        """What does not wait for its time: answers and texts, frame by frame."""
-        for severity, text in self.autopilot.take_texts():
-            self.say(severity, text)
+        """What does not wait for its time: answers and what was said, frame by frame."""
         if not self._outgoing:
             return []
         self.signing.advance(self._unix_at_start_s + now_s)

@@ -7,6 +7,7 @@ relay's port goes to the vehicle, and what the vehicle sends comes there too.
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Final
@@ -40,6 +41,7 @@ TICK_S: Final = 0.005
 # a picture waits so long for the message after its last row; then the newest pose is carried on
 POSE_WAIT_S: Final = 0.04
 CAMERA_BACKLOG_S: Final = 0.2
+_MOST_TRUTH: Final = 100_000  # half an hour: more than a flight, and not all of a world left on for days
 STREAM: Final = 22  # random draws of this world: (seed, 22); the pad's are the bundled world's own
 
 
@@ -84,7 +86,7 @@ class ExternalSimulation:
         self._frame_line = FrameLine(
             next(streams), scenario.camera.lost_share, scenario.camera.lost_burst_frames
         )
-        self._truth: list[Truth] = []
+        self._truth: deque[Truth] = deque(maxlen=_MOST_TRUTH)
         self._ticks = 0
         self._first_s: float | None = None
         self._latest_tick_s = 0.0
@@ -94,8 +96,8 @@ class ExternalSimulation:
         """Go on until cancelled."""
         parts = self._parts
         async with asyncio.TaskGroup() as group:
-            group.create_task(pump(parts.link, self._hear_vehicle, parts.relay.write))
-            group.create_task(pump(parts.relay, parts.link.write, self._hear_app))
+            group.create_task(pump(parts.link, self._hear_vehicle, parts.relay.write, tell=self._tell))
+            group.create_task(pump(parts.relay, parts.link.write, self._hear_app, tell=self._tell))
             group.create_task(self._film())
             due_s = self._clock.now_s()
             while True:

@@ -10,13 +10,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import re
 from collections.abc import Callable
 from typing import Final
 
-from companion.config import ConfigError
+from companion.config import CONNECTION_FORM, ConfigError
 
-CONNECTION_FORM: Final = re.compile(r"(?P<kind>udp|udpin|tcp):(?P<host>[^:\s]+):(?P<port>\d{1,5})")
 RETRY_S: Final = 1.0
 _INBOX_CHUNKS: Final = 1000
 _READ_BYTES: Final = 4096
@@ -161,10 +159,20 @@ def check_connection(spec: str, option: str) -> None:
         ConfigError: one line that says what was expected.
     """
     form = CONNECTION_FORM.fullmatch(spec)
-    if form is None or not 1 <= int(form["port"]) <= 65535:
+    calls = form is not None and form["host"] is not None and _is_name(form["host"])
+    if form is None or not calls or not 1 <= int(form["port"]) <= 65535:
         raise ConfigError(
             f"{option} {spec}: expected udp:HOST:PORT, udpin:HOST:PORT or tcp:HOST:PORT, port 1..65535"
         )
+
+
+def _is_name(host: str) -> bool:
+    """Whether it can be asked for at all; whether there is such a host may turn out later."""
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        return False
+    return True
 
 
 async def open_link(spec: str, tell: Tell) -> ExternalLink:
@@ -197,10 +205,20 @@ async def open_relay() -> tuple[UdpEnd, int]:
     return relay, await relay.open("127.0.0.1", 0, listen=True)
 
 
-async def pump(source: ExternalLink, *sinks: Callable[[bytes], None]) -> None:
-    """Hand on whatever comes, until cancelled."""
+async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell = print) -> None:
+    """Hand on whatever comes, until cancelled.
+
+    A vehicle that says what nobody can reckon with does not end the world about it: `tell` gets the first
+    such trouble, and the bytes are passed over.
+    """
+    told = False
     with contextlib.suppress(asyncio.CancelledError):
         while True:
             data = await source.read()
             for sink in sinks:
-                sink(data)
+                try:
+                    sink(data)
+                except (ArithmeticError, ValueError) as error:
+                    if not told:
+                        told = True
+                        tell(f"WARNING: passed over what makes no sense ({error})")

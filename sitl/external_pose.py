@@ -43,6 +43,13 @@ LONGEST_GUESS_S: Final = 0.1  # how far a pose is carried on beyond the newest m
 SMOOTHING_S: Final = 0.1  # place follows velocity, and the message's place over so long: 11 mm steps vanish
 JUMP_M: Final = 1.0  # a place that is this far from where the velocity led is a new one
 GAP_S: Final = 0.5
+# what is beyond these is no multirotor's
+MOST_ANGLE_RAD: Final = 10.0
+MOST_RATE_RAD_S: Final = 100.0
+MOST_SPEED_M_S: Final = 500.0
+MOST_ALTITUDE_M: Final = 100_000.0
+FARTHEST_M: Final = 1e6  # from the local frame's origin
+UNIT_TOLERANCE: Final = 0.1  # of a quaternion's squared length
 
 
 class Sample(NamedTuple):
@@ -69,7 +76,10 @@ def sim_state(message: Message, time_s: float) -> Sample | None:
     """SIM_STATE that came at time_s; None when it holds no pose."""
     attitude = _unit((message.q1, message.q2, message.q3, message.q4))
     if attitude is None:
-        attitude = quat_from_euler(message.roll, message.pitch, message.yaw)
+        angles = (message.roll, message.pitch, message.yaw)
+        if not all(abs(angle) <= MOST_ANGLE_RAD for angle in angles):
+            return None
+        attitude = quat_from_euler(*angles)
     latitude, longitude = message.lat_int * 1e-7, message.lon_int * 1e-7
     if message.lat_int == 0 and message.lon_int == 0:
         # the float fields; ArduPilot puts 1e-7 deg into them as well
@@ -109,15 +119,15 @@ def anchor(local: Message, position: Message) -> Anchor | None:
     """Of a LOCAL_POSITION_NED and the GLOBAL_POSITION_INT of about then; None when either holds no place."""
     place = place_of(position.lat, position.lon, position.alt)
     there = (local.x, local.y, local.z)
-    return None if place is None or not all(map(math.isfinite, there)) else Anchor(place, there)
+    return Anchor(place, there) if place is not None and norm(there) <= FARTHEST_M else None
 
 
 def estimate(local: Message, attitude: Message, tied: Anchor, time_s: float) -> Sample | None:
     """LOCAL_POSITION_NED and the last ATTITUDE_QUATERNION; None when they hold no pose."""
     unit = _unit((attitude.q1, attitude.q2, attitude.q3, attitude.q4))
-    if unit is None:
-        return None
     away = subtract((local.x, local.y, local.z), tied.local_ned_m)
+    if unit is None or not norm(away) <= FARTHEST_M:  # or no number
+        return None
     return _sample(
         time_s,
         geodetic_from_ned(away, tied.place),
@@ -133,24 +143,34 @@ def place_of(latitude_e7: int, longitude_e7: int, altitude_mm: int) -> Vector3 |
     return place if _on_globe(place) else None
 
 
-def _sample(
-    time_s: float, place: Vector3, velocity: Vector3, attitude: Quaternion, rate: Vector3
-) -> Sample | None:
-    if not all(map(math.isfinite, (*place, *velocity, *attitude, *rate))):
-        return None
-    return Sample(time_s, place, velocity, attitude, rate) if _on_globe(place) else None
-
-
 def _on_globe(place: Vector3) -> bool:
     """0/0 is what an autopilot sends before it knows."""
     latitude, longitude, _ = place
     return (latitude != 0.0 or longitude != 0.0) and abs(latitude) <= 90.0 and abs(longitude) <= 180.0
 
 
+def _sample(
+    time_s: float, place: Vector3, velocity: Vector3, attitude: Quaternion, rate: Vector3
+) -> Sample | None:
+    sample = Sample(time_s, place, velocity, attitude, rate)
+    return sample if believable(sample) else None
+
+
+def believable(sample: Sample) -> bool:
+    """Whether these are numbers, and within what a vehicle can do; huge ones would overflow further on."""
+    return (
+        _on_globe(sample.place)
+        and abs(sample.place[2]) <= MOST_ALTITUDE_M
+        and all(abs(speed) <= MOST_SPEED_M_S for speed in sample.velocity_ned_m_s)
+        and all(abs(rate) <= MOST_RATE_RAD_S for rate in sample.rate_body_rad_s)
+        and abs(sum(part * part for part in sample.attitude) - 1.0) <= UNIT_TOLERANCE
+    )
+
+
 def _unit(values: tuple[float, ...]) -> Quaternion | None:
     w, x, y, z = values
     length = w * w + x * x + y * y + z * z
-    if not math.isfinite(length) or abs(length - 1.0) > 0.1:
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
         return None
     return quat_normalise((w, x, y, z))
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from companion.frame_format import pack_frame
 from companion.messages import Frame
+from sitl.unix_socket import UnixServer
 
 
 class FrameServer:
@@ -18,7 +19,7 @@ class FrameServer:
     def __init__(self, where: Path | int) -> None:
         """Serve on a unix socket's path, or on a TCP port of the loopback (0: a free one)."""
         self._where = where
-        self._server: asyncio.Server | None = None
+        self._server: asyncio.Server | UnixServer | None = None
         self._clients: set[asyncio.StreamWriter] = set()
         self._gone: set[asyncio.Event] = set()
 
@@ -32,21 +33,20 @@ class FrameServer:
         """What a client has to open, as in `sense.vision.source`; once started."""
         if isinstance(self._where, Path):
             return f"socket:{self._where}"
-        assert self._server is not None
+        assert isinstance(self._server, asyncio.Server)
         return f"tcp:127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
 
     async def start(self) -> None:
         """Listen. A socket file left behind is replaced.
 
         Raises:
-            OSError: the path or port cannot be used.
+            ConfigError: the path cannot be used.
+            OSError: the port cannot be used.
         """
         if isinstance(self._where, int):
             self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._where)
-            return
-        if self._where.is_socket():
-            self._where.unlink()
-        self._server = await asyncio.start_unix_server(self._serve, self._where)
+        else:
+            self._server = await UnixServer.start(self._serve, self._where)
 
     def deliver(self, frame: Frame) -> None:
         """Hand a frame to every client that can take it."""
@@ -65,8 +65,6 @@ class FrameServer:
             client.transport.abort()
         for gone in tuple(self._gone):
             await gone.wait()
-        if isinstance(self._where, Path):
-            self._where.unlink(missing_ok=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Keep a client until it goes; it has nothing to say."""

@@ -30,6 +30,8 @@ _POSITION_AND_VELOCITY: Final = 0b11
 _LINK_ID: Final = 255  # of its signatures: no link of the vehicle's
 _MOST_TEXTS: Final = 1000
 _MOST_CHUNKS: Final = 16
+_MOST_UNFINISHED: Final = 16  # texts whose end has not come; the oldest gives way
+_MOST_ANSWERS: Final = 32  # that wait for their time
 
 
 class GroundStation:
@@ -97,7 +99,7 @@ class GroundStation:
         """Take a frame that has just arrived and may be believed."""
         if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
             self._hear_text(self._decoder.decode(bytearray(frame.data)), now_s)
-        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and frame.target[0] == SYSTEM_ID:
+        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_for_us(frame.target):
             self._obey(self._decoder.decode(bytearray(frame.data)), now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
@@ -131,10 +133,12 @@ class GroundStation:
             message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
             and wanted == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
         )
-        if known:
+        busy = len(self._answers_due_s) >= _MOST_ANSWERS
+        if known and not busy:
             self.requests += 1
             self._answers_due_s.append(now_s + self._delay_s)
         result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_UNSUPPORTED
+        result = mavlink.MAV_RESULT_TEMPORARILY_REJECTED if known and busy else result
         self._acknowledgements.append(
             mavlink.MAVLink_command_ack_message(
                 message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
@@ -162,12 +166,18 @@ class GroundStation:
         text_id = getattr(message, "id", 0)
         if text_id:
             key = (message.get_srcSystem(), text_id)
+            if key not in self._chunks and len(self._chunks) >= _MOST_UNFINISHED:
+                del self._chunks[next(iter(self._chunks))]
             self._chunks.setdefault(key, []).append(text)
             if len(text) == 50 and len(self._chunks[key]) < _MOST_CHUNKS:
                 return
             text = "".join(self._chunks.pop(key))
-        if (
-            len(self.texts) >= _MOST_TEXTS
-        ):  # more than a flight has; whoever talks so must not fill the memory
+        # more than a flight has; whoever talks so must not fill the memory
+        if len(self.texts) >= _MOST_TEXTS:
             del self.texts[0]
         self.texts.append((now_s, message.severity, text))
+
+
+def _is_for_us(target: tuple[int, int]) -> bool:
+    system, component = target
+    return system == SYSTEM_ID and component in (0, COMPONENT_ID)

@@ -9,19 +9,23 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import socket
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from companion.clock import Clock
 from companion.config import ConfigError
+from sitl.framing import FrameReader
 from sitl.network import Port, Write
 
-Address = tuple[str, int]
+Address = tuple[Any, ...]  # host, port; over IPv6 flow and scope, too
 
 MOST_CLIENTS: Final = 16
 UDP_SILENCE_S: Final = 60.0  # a ground station beats once a second; who is silent so long has gone
+SWEEP_PERIOD_S: Final = 10.0
 DATAGRAM_BYTES: Final = 1400
 UNREAD_BYTES: Final = 1 << 18
+_NO_ADDRESS: Final = (OSError, OverflowError, UnicodeError)  # the last for what is no name of a host
 
 
 class Vehicle(Protocol):
@@ -51,6 +55,7 @@ class UdpServer(asyncio.DatagramProtocol):
         self._clients: dict[Address, Port] = {}
         self._heard_s: dict[Address, float] = {}
         self._held_up = False
+        self._sweeping: asyncio.TimerHandle | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Bind, begin to send, and return the port (a free one for 0).
@@ -58,20 +63,24 @@ class UdpServer(asyncio.DatagramProtocol):
         Raises:
             ConfigError: the port is taken or the host is not ours.
         """
+        loop = asyncio.get_running_loop()
         try:
-            self._socket, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: self, local_addr=(host, port)
-            )
-        except (OSError, OverflowError) as error:
+            self._socket, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(host, port))
+            if self._listener is not None:
+                # by number, as it is when it speaks: by name it would be another client
+                family = self._socket.get_extra_info("socket").family
+                found = await loop.getaddrinfo(*self._listener, family=family, type=socket.SOCK_DGRAM)
+                self._listener = found[0][4]
+                self._welcome(self._listener)
+        except _NO_ADDRESS as error:
+            self.close()
             raise ConfigError(_refusal("UDP", host, port, error)) from error
-        if self._listener is not None:
-            self._welcome(self._listener)
-        address: Address = self._socket.get_extra_info("sockname")
-        return address[1]
+        self._sweep()
+        return int(self._socket.get_extra_info("sockname")[1])
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         """asyncio: a datagram came."""
-        port = self._clients.get(addr) or self._welcome(addr)
+        port = self._clients.get(addr) or self._welcome_speaker(addr, data)
         if port is not None:
             self._heard_s[addr] = self._clock.now_s()
             self._vehicle.hear(port, data)
@@ -89,18 +98,34 @@ class UdpServer(asyncio.DatagramProtocol):
 
     def close(self) -> None:
         """Give the port back."""
+        if self._sweeping is not None:
+            self._sweeping.cancel()
         for address in tuple(self._clients):
             self._part_from(address)
         if self._socket is not None:
             self._socket.close()
 
-    def _welcome(self, address: Address) -> Port | None:
-        """A port for a new client, None when there are too many; those that have gone make room."""
+    def _welcome_speaker(self, address: Address, data: bytes) -> Port | None:
+        """A port for whoever sends MAVLink; None when it is something else, or there are too many."""
+        if not FrameReader(datagrams=True).read(data, 0.0):
+            return None  # a stray datagram: no client, and not worth one's place
+        self._part_from_silent()
+        return self._welcome(address) if len(self._clients) < MOST_CLIENTS else None
+
+    def _sweep(self) -> None:
+        """Now and then, so that nobody who has gone is sent to for ever."""
+        self._part_from_silent()
+        self._sweeping = asyncio.get_running_loop().call_later(SWEEP_PERIOD_S, self._sweep)
+
+    def _part_from_silent(self) -> None:
+        """Make room; the listener's place stays its own, whether it speaks or not."""
         now_s = self._clock.now_s()
-        for other in [a for a, heard_s in self._heard_s.items() if now_s - heard_s > UDP_SILENCE_S]:
-            self._part_from(other)
-        if len(self._clients) >= MOST_CLIENTS:
-            return None
+        for address, heard_s in tuple(self._heard_s.items()):
+            if address != self._listener and now_s - heard_s > UDP_SILENCE_S:
+                self._part_from(address)
+
+    def _welcome(self, address: Address) -> Port:
+        """A port for a new client."""
 
         def write(frames: Sequence[bytes]) -> None:
             if self._socket is None or self._socket.is_closing() or self._held_up:
@@ -109,8 +134,6 @@ class UdpServer(asyncio.DatagramProtocol):
                 self._socket.sendto(datagram, address)
 
         port = self._clients[address] = self._vehicle.connect(write, datagrams=True)
-        if address != self._listener:
-            self._heard_s[address] = now_s
         return port
 
     def _part_from(self, address: Address) -> None:
@@ -136,7 +159,7 @@ class TcpServer:
             self._server = await asyncio.get_running_loop().create_server(
                 lambda: _TcpClient(self._vehicle, self._clients), host, port
             )
-        except (OSError, OverflowError) as error:
+        except _NO_ADDRESS as error:
             raise ConfigError(_refusal("TCP", host, port, error)) from error
         return int(self._server.sockets[0].getsockname()[1])
 
@@ -204,4 +227,4 @@ def _refusal(kind: str, host: str, port: int, error: Exception) -> str:
     """Why an address cannot be had, in one line."""
     in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
     reason = "already in use" if in_use else getattr(error, "strerror", None) or str(error)
-    return f"{kind} port {host}:{port}: {reason}; expected a free port"
+    return f"{kind} port {host}:{port}: {reason}; expected a free port at an address of this computer"

@@ -116,7 +116,6 @@ class Network:
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
         """Send all that is due; the pad's motion is where the ground station's beacon starts."""
-        self._say_texts()
         self._signing.advance(self._unix_at_start_s + now_s)
         beacon = self._ground_station.transmit(now_s, pad_position_ned_m, pad_velocity_ned_m_s)
         for port in tuple(self._ports):
@@ -127,6 +126,7 @@ class Network:
                 due.append(beacon)
             if due:
                 port.write(due)
+        self._answer(now_s)  # what has been said since, in the course of the above as well
 
     def _answer(self, now_s: float) -> None:
         self._say_texts()

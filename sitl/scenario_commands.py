@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Annotated, Final
 
 import typer
@@ -68,11 +67,6 @@ def schema_text() -> str:
         **Scenario.model_json_schema(by_alias=True),
     }
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
-
-
-def schema_path() -> Path:
-    """Where the schema is shipped."""
-    return CONFIG_FOLDER / "scenarios" / "scenario.schema.json"
 
 
 # ---------------------------------------------------------------- in a few words

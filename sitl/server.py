@@ -74,7 +74,14 @@ async def serve(
     async with contextlib.AsyncExitStack() as stack:
         unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
         devices = await _plug_in(
-            stack, scenario, seed, folder, signing_key, unix_at_start_s, serve_truth=serve_truth
+            stack,
+            scenario,
+            seed,
+            folder,
+            signing_key,
+            unix_at_start_s,
+            serve_truth=serve_truth,
+            keep_truth=False,
         )
         companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
         ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
@@ -108,6 +115,7 @@ async def _plug_in(
     unix_at_start_s: float = UNIX_AT_START_S,
     *,
     serve_truth: bool = False,
+    keep_truth: bool = True,
 ) -> _Devices:
     """A simulation with everything but MAVLink connected; the stack takes it all down."""
     gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
@@ -126,6 +134,7 @@ async def _plug_in(
         signing_key=signing_key,
         unix_at_start_s=unix_at_start_s,
         serve_truth=serve_truth,
+        keep_truth=keep_truth,
     )
     registers = await serve_registers(simulation.imu_bus, folder / "registers")
     stack.callback(registers.close)

@@ -70,10 +70,15 @@ class Signing:
         self.refused = 0
 
     def set_up(self, key: bytes, stamp: int) -> None:
-        """SETUP_SIGNING: take another key and begin at `stamp`; a key of zeros ends signing."""
+        """SETUP_SIGNING: take another key and begin at `stamp`; a key of zeros ends signing.
+
+        Given the same key again, what was heard stays heard: it must not be replayed.
+        """
+        changed = self.key != key
         self.key = key if any(key) else None
         self.stamp = min(max(self.stamp, stamp), _LAST_STAMP)
-        self._last.clear()
+        if changed:
+            self._last.clear()
 
     def advance(self, unix_s: float) -> None:
         """The time (s since 1970), from which our own stamps are taken; they never go back."""

@@ -106,12 +106,13 @@ class Simulation:
         unix_at_start_s: float = UNIX_AT_START_S,
         signing_key: bytes | None = None,
         serve_truth: bool = False,
+        keep_truth: bool = True,
     ) -> None:
         """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
-        `link` is the MAVLink line of an app in this process, others come by `connect`. Nothing is rendered
-        while the camera is not wanted. `unix_at_start_s` is UTC (s since 1970) when the world begins;
-        `serve_truth` lets clients ask for the truth.
+        `link` is the MAVLink line of an app in this process, others come by `connect`. `unix_at_start_s` is
+        UTC (s since 1970) when the world begins; `serve_truth` lets clients ask for the truth; `keep_truth`
+        keeps all of it for `report`, which a vehicle that is served for days has no memory for.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -179,7 +180,7 @@ class Simulation:
             self._autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth
         )
         self._deliver_frame = deliver_frame
-        self._camera_wanted = camera_wanted
+        self._keep_truth = keep_truth
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
@@ -285,7 +286,8 @@ class Simulation:
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
             self._world.attitude_setpoint = self._autopilot.attitude_setpoint
-            self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
+            if self._keep_truth:
+                self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world

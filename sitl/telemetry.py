@@ -58,6 +58,7 @@ _ACCURACY_M: Final = (0.8, 0.5)
 _CHANNELS: Final = 18
 _NO_CHANNEL: Final = 65535
 _RSSI_UNKNOWN: Final = 255
+_MOST_INT32: Final = 2**31 - 1
 _CELL_MV: Final = (4100, 4100, 4100, *(65535,) * 7)
 
 
@@ -134,7 +135,7 @@ def global_position(autopilot: Autopilot, now_s: float) -> Message | None:
     north, east, down = (_bounded(100.0 * speed, 32767) for speed in estimate.velocity_ned_m_s)
     heading = round(math.degrees(euler_from_quat(estimate.attitude)[2]) * 100.0) % 36000
     return mavlink.MAVLink_global_position_int_message(
-        milliseconds(autopilot, now_s), latitude, longitude, altitude, round(1e3 * over_home),
+        milliseconds(autopilot, now_s), latitude, longitude, altitude, _bounded(1e3 * over_home, _MOST_INT32),
         north, east, down, heading,
     )  # fmt: skip
 
@@ -252,7 +253,7 @@ def ekf_status_report(autopilot: Autopilot, now_s: float) -> Message:
 
 def _scaled(autopilot: Autopilot, position_ned_m: Vector3) -> tuple[int, int, int]:
     latitude, longitude, altitude = autopilot.geodetic(position_ned_m)
-    return round(latitude * 1e7), round(longitude * 1e7), round(altitude * 1e3)
+    return round(latitude * 1e7), round(longitude * 1e7), _bounded(altitude * 1e3, _MOST_INT32)
 
 
 def _bounded(value: float, limit: int) -> int:

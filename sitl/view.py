@@ -7,6 +7,7 @@ frame, or an MP4 file. Each picture carries its number, its time and its age whe
 from __future__ import annotations
 
 import asyncio
+import signal
 import sys
 from collections import deque
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from companion.config import ConfigError
 from companion.frame_format import FrameHeader
 from companion.frame_stream import FrameStream
 from sitl.mjpeg import MjpegServer
+from sitl.orders import terminated_as_interrupted
 
 HELP: Final = "Show (in a browser) or record the frames that a socket serves."
 STATUS_PERIOD_S: Final = 1.0
@@ -174,8 +176,21 @@ def annotated(image: Image, header: FrameHeader, received_s: float) -> Image:
     return np.asarray(colour, dtype=np.uint8)
 
 
-async def view(address: str, wishes: Wishes) -> Statistics:
-    """Show and record frames until there are enough or the server goes.
+async def _view_until_stopped(address: str, wishes: Wishes) -> Statistics:
+    """As `view`; SIGTERM and SIGHUP end it like the server's end does, and what was recorded is whole."""
+    statistics = Statistics()
+    viewing = asyncio.create_task(view(address, wishes, statistics))
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, viewing.cancel)
+    await asyncio.wait([viewing])
+    if not viewing.cancelled():
+        viewing.result()
+    return statistics
+
+
+async def view(address: str, wishes: Wishes, statistics: Statistics | None = None) -> Statistics:
+    """Show and record frames until there are enough or the server goes; `statistics` counts them.
 
     Raises:
         ConfigError: nobody serves frames there, what comes is none, or the wishes cannot be met.
@@ -186,7 +201,7 @@ async def view(address: str, wishes: Wishes) -> Statistics:
         raise ConfigError(str(error)) from error
     recorder = _recorder(wishes.record)
     page = MjpegServer()
-    statistics = Statistics()
+    statistics = statistics or Statistics()
     try:
         if wishes.serve_port is not None:
             await _open_page(page, wishes.serve_port)
@@ -263,5 +278,6 @@ def view_command(
 ) -> None:
     """Show or record frames."""
     address = socket if socket.startswith(("socket:", "tcp:")) else f"socket:{socket}"
-    statistics = asyncio.run(view(address, Wishes(record, every, frames, serve)))
+    with terminated_as_interrupted():
+        statistics = asyncio.run(_view_until_stopped(address, Wishes(record, every, frames, serve)))
     print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

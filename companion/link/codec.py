@@ -26,7 +26,6 @@ Message = Any
 
 COMPANION_COMPONENT: Final = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 AUTOPILOT_COMPONENT: Final = 1
-GROUND_SYSTEM: Final = 255
 
 Severity = Literal["info", "warning", "error"]
 _SEVERITY: Final[dict[Severity, int]] = {"info": 6, "warning": 4, "error": 3}  # MAV_SEVERITY

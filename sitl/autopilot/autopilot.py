@@ -6,7 +6,7 @@ Commands are method calls that answer with a MAV_RESULT; what it has to say is i
 from __future__ import annotations
 
 import dataclasses
-from math import isnan, nan
+from math import isfinite, isnan, nan
 
 from companion.geometry import Vector3, yaw_from_quat
 from sitl.autopilot.flight import FlightLoop
@@ -72,14 +72,14 @@ class Autopilot(FlightLoop):
     ) -> Result:
         """DO_REPOSITION: fly to latitude, longitude and altitude (over home, or above sea level), and hold.
 
-        NaN keeps the present latitude and longitude, or altitude.
+        NaN keeps the present latitude and longitude, or altitude; a yaw that is no number the heading.
         """
         if not self.armed or self._cascade.landed or not _is_place(place):
             return Result.DENIED
         result = self.set_mode_named(self.manner.after_take_off_mode)
         if result is Result.ACCEPTED:
             self._navigator.target_ned_m = self._local(place, over_home)
-            self._navigator.target_yaw_rad = yaw_rad
+            self._navigator.target_yaw_rad = yaw_rad if isfinite(yaw_rad) else nan
             self._navigator.target_speed_m_s = speed_m_s
             self._commander.begin(Task.GO_TO)
         return result
@@ -106,13 +106,11 @@ class Autopilot(FlightLoop):
         return Result.ACCEPTED
 
     def set_home(self, place: Vector3 | None, over_home: bool = False) -> Result:
-        """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is."""
+        """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is; denied when too far away."""
         if not self.aligned:
             return Result.FAILED
-        self._navigator.fix_home(
-            self.estimate.position_ned_m if place is None else self._local(place, over_home)
-        )
-        return Result.ACCEPTED
+        home = self.estimate.position_ned_m if place is None else self._local(place, over_home)
+        return Result.ACCEPTED if self._navigator.fix_home(home) else Result.DENIED
 
     def terminate(self) -> Result:
         """Flight termination: motors off."""

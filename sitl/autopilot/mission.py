@@ -28,6 +28,7 @@ from sitl.parameters import Parameters
 
 _MOST_ITEMS_A_STEP = 100
 _FROM_THE_GROUND = (Command.TAKEOFF, Command.LAND, Command.RETURN_TO_LAUNCH)
+_NOWHERE_S = 1.0  # how long a jump back waits when nothing was flown since the last one
 _REQUIRED = 2  # PRECISION_LAND_MODE
 _HEIGHT_REACHED_M = 0.8
 _FACE_BEYOND_M = 2.0
@@ -106,6 +107,7 @@ class MissionRunner:
         self.paused = False
         self.precision_required = False
         self._jumped: dict[int, int] = {}
+        self._flown_since_jump = True
         self._version = store.version
         self._now = _Progress()
 
@@ -139,9 +141,10 @@ class MissionRunner:
             item = store.items[store.current]
             wanted = self._climb_first(item, here) or self._act(item, here)
             if wanted is not None:
+                self._flown_since_jump = self._flown_since_jump or item.command != Command.DO_JUMP
                 return wanted
             self._complete()
-        return Task.HOLD  # jumps that lead nowhere
+        return Task.HOLD  # too many that have nothing to fly; more in the next step
 
     def task_done(self, following: Task) -> None:
         """The navigator has done the task that the last step returned, and would go on with another."""
@@ -156,7 +159,7 @@ class MissionRunner:
 
     def _act(self, item: MissionItem, here: Here) -> Wanted | None:
         """Fly an item; None: it is done. What has nothing to act upon here is done at once."""
-        if not self._now.announced:
+        if not self._now.announced and item.command != Command.DO_JUMP:
             self._now.announced = True
             text = self._store.rules.item_text
             self._store.say(Severity.INFO, text.format(number=self._store.current) if text else "")
@@ -165,7 +168,8 @@ class MissionRunner:
 
     def _complete(self) -> None:
         store = self._store
-        store.reach(store.current)
+        if store.items[store.current].command != Command.DO_JUMP:  # neither autopilot tells of a jump
+            store.reach(store.current)
         store.current = store.current + 1 if self._now.jump_to is None else self._now.jump_to
         if store.current >= len(store):
             store.finished, store.current = True, max(0, len(store) - 1)
@@ -298,11 +302,18 @@ class MissionRunner:
         return replace(self._navigator.towards(self._now.target, here.position_ned_m), yaw_rad=heading)
 
     def _jump(self, item: MissionItem, here: Here) -> Wanted | None:
+        """Go on elsewhere; a loop with nothing to fly in it is gone round slowly, not within one step."""
         number, target, times = self._store.current, item.whole(1), item.whole(2)
         done = self._jumped.get(number, 0)
-        if (times < 0 or done < times) and 0 <= target < len(self._store):
-            self._jumped[number] = done + 1
-            self._now.jump_to = target
+        if not ((times < 0 or done < times) and 0 <= target < len(self._store)):
+            return None
+        if target <= number and not self._flown_since_jump:
+            self._now.waited_s += here.dt_s
+            if self._now.waited_s < _NOWHERE_S:
+                return Task.HOLD
+        self._jumped[number] = done + 1
+        self._now.jump_to = target
+        self._flown_since_jump = self._flown_since_jump and target > number
         return None
 
     def _change_speed(self, item: MissionItem, here: Here) -> Wanted | None:

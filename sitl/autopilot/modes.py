@@ -50,7 +50,6 @@ class Severity(IntEnum):
     CRITICAL = 2
     ERROR = 3
     WARNING = 4
-    NOTICE = 5
     INFO = 6
 
 

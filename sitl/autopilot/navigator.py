@@ -22,6 +22,7 @@ _FASTEST_M_S = 50.0
 # gentler than the controller could, so that it comes to rest without overshoot
 _BRAKING_M_S2 = 1.0
 _SLOWEST_M_S = 0.5
+_FARTHEST_HOME_M = 30_000.0  # above or below the origin of the local frame
 
 
 class Speeds:
@@ -87,9 +88,16 @@ class Navigator:
         """Forget the held place: the next hold brakes and stays where it comes to rest."""
         self._held = None
 
-    def fix_home(self, position_ned_m: Vector3) -> None:
-        """Somebody has said where home is: it no longer is where the vehicle was armed."""
+    def fix_home(self, position_ned_m: Vector3) -> bool:
+        """Somebody has said where home is: it no longer is where the vehicle was armed.
+
+        False, and nothing is changed, for one that is too far above or below: one said over home, again and
+        again, would climb out of all bounds. (A place beyond the horizon is far below, too.)
+        """
+        if not abs(position_ned_m[2]) <= _FARTHEST_HOME_M:
+            return False
         self.home_ned_m, self.home_is_fixed = position_ned_m, True
+        return True
 
     def towards(
         self, target: Vector3, position: Vector3, speed_m_s: float | None = None, yaw_rad: float = nan

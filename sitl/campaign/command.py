@@ -7,11 +7,11 @@ hold, 2 something the user can mend, 130 interrupted (the same command goes on).
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import shlex
-import signal
 import tempfile
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
@@ -26,6 +26,7 @@ from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, write_parquet
 from sitl.campaign.worker import Flown
+from sitl.orders import terminated_as_interrupted
 
 INTERRUPTED: Final = 130
 FAILED: Final = 1
@@ -135,7 +136,7 @@ def run_campaign(options: Options, console: Console) -> int:
         runs = _open(folder, plan)
         stack.callback(runs.close)
         try:
-            with _terminated_as_interrupted():
+            with terminated_as_interrupted():
                 _fly(plan, runs, options, console)
                 rows = _in_order(plan, runs.rows)
                 _publish(folder, plan, rows, console)
@@ -148,22 +149,55 @@ def run_campaign(options: Options, console: Console) -> int:
 
 
 def _open(folder: Path, plan: Plan) -> RunsFile:
-    """The campaign's file of rows, once it is sure that it is this one's."""
+    """The campaign's file of rows, once it is sure that it is this one's.
+
+    The file of rows is opened first: who has it is alone with the folder, the manifest included.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {folder}: cannot be written: {error.strerror}") from error
+    runs = RunsFile(folder)
+    try:
+        _check_is_ours(folder, plan, runs)
+        _write_atomically(folder / MANIFEST_NAME, plan.manifest.model_dump_json(indent=2) + "\n")
+    except BaseException:
+        runs.close()
+        raise
+    return runs
+
+
+def _check_is_ours(folder: Path, plan: Plan, runs: RunsFile) -> None:
     old = read_manifest(folder)
     if old is not None:
         check_goes_on(old, plan.manifest, folder)
-    elif (folder / CSV_NAME).exists():
+    elif runs.rows:
         raise ConfigError(
             f"--out {folder}: has a {CSV_NAME} without its {MANIFEST_NAME}; expected a new folder"
         )
+    planned = {(flight.scenario, flight.seed) for flight in plan.flights()}
+    for number, row in enumerate(runs.rows, start=2):
+        run = (row.scenario, row.seed)
+        if run not in planned:
+            raise ConfigError(
+                f"{runs.path}:{number}: '{row.scenario}', seed {row.seed} is in the file twice, or none of "
+                "this campaign's; expected one row a run"
+            )
+        planned.remove(run)
+
+
+def _write_atomically(path: Path, text: str) -> None:
+    """Write a file so that nobody ever sees half of it.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        part = folder / f"{MANIFEST_NAME}.part"
-        part.write_text(plan.manifest.model_dump_json(indent=2) + "\n", encoding="utf-8")
-        part.replace(folder / MANIFEST_NAME)
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
     except OSError as error:
-        raise ConfigError(f"--out {folder}: cannot be written: {error.strerror}") from error
-    return RunsFile(folder)
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _fly(plan: Plan, runs: RunsFile, options: Options, console: Console) -> None:
@@ -197,16 +231,6 @@ def _flown(flights: Sequence[Flight], options: Options) -> Generator[Flown, None
     return fly_on_cluster(flights, options.scheduler)
 
 
-@contextlib.contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """While inside, SIGTERM ends a campaign as cleanly as Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def _say_how_to_go_on(console: Console, options: Options, runs: RunsFile, total: int) -> None:
     if options.folder is None:
         console.print(f"stopped after {len(runs.rows)} of {total} runs; without --out none is kept")
@@ -231,8 +255,9 @@ def _publish(folder: Path, plan: Plan, rows: Sequence[Row], console: Console) ->
 
     bounds = {name: scenario.pass_bounds for name, scenario in plan.scenarios.items()}
     print_summary(console, rows, bounds)
-    with (folder / SUMMARY_NAME).open("w", encoding="utf-8") as stream:
-        print_summary(Console(file=stream, width=SUMMARY_COLUMNS), rows, bounds)
+    text = io.StringIO()
+    print_summary(Console(file=text, width=SUMMARY_COLUMNS), rows, bounds)
+    _write_atomically(folder / SUMMARY_NAME, text.getvalue())
     write_plots(folder, rows, plan.scenarios)
     write_parquet(rows, folder)
 

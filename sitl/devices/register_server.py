@@ -14,6 +14,7 @@ from companion.bus_format import (
     decode_request,
     encode_reply,
 )
+from sitl.unix_socket import UnixServer
 
 
 class RegisterDevice(Protocol):
@@ -44,8 +45,12 @@ def answer(device: RegisterDevice, request: bytes) -> bytes:
     return encode_reply(0)
 
 
-async def serve_registers(device: RegisterDevice, path: Path) -> asyncio.Server:
-    """Start serving `device` at the socket `path`, replacing a stale one; close the server to end."""
+async def serve_registers(device: RegisterDevice, path: Path) -> UnixServer:
+    """Start serving `device` at the socket `path`, replacing a stale one; close the server to end.
+
+    Raises:
+        ConfigError: the path cannot be used.
+    """
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -57,4 +62,4 @@ async def serve_registers(device: RegisterDevice, path: Path) -> asyncio.Server:
         finally:
             writer.close()
 
-    return await asyncio.start_unix_server(converse, path)
+    return await UnixServer.start(converse, path)

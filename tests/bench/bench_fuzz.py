@@ -1,4 +1,4 @@
-"""A million random and mutated MAVLink frames into the simulated vehicle, between them a legal stream.
+"""A million random, mutated and senseless MAVLink frames into the simulated vehicle, and a legal stream.
 
     python -m tests.bench.bench_fuzz --frames 1000000
 
@@ -20,12 +20,14 @@ from companion.clock import wall_clock_s
 from companion.messages import Manner
 from tests.bench.fuzzing import Fuzz, FuzzResult
 
-# manner, whether it has a key, share of the frames
-RUNS: tuple[tuple[Manner, bool, float], ...] = (
-    ("px4", False, 0.4),
-    ("ardupilot", False, 0.4),
-    ("px4", True, 0.1),
-    ("ardupilot", True, 0.1),
+# manner, whether it has a key, whether most frames are orders, share of the frames
+RUNS: tuple[tuple[Manner, bool, bool, float], ...] = (
+    ("px4", False, False, 0.35),
+    ("ardupilot", False, False, 0.35),
+    ("px4", False, True, 0.05),
+    ("ardupilot", False, True, 0.05),
+    ("px4", True, False, 0.1),
+    ("ardupilot", True, False, 0.1),
 )
 KEY = bytes(range(32))
 
@@ -57,9 +59,9 @@ def main(words: Sequence[str] | None = None) -> int:
     options = parser.parse_args(words)
     began_s = wall_clock_s()
     results = []
-    for manner, with_key, share in RUNS:
-        name = f"{manner}, signed" if with_key else manner
-        fuzz = Fuzz(manner, options.seed, KEY if with_key else None)
+    for manner, with_key, orders, share in RUNS:
+        name = manner + ", signed" * with_key + ", orders" * orders
+        fuzz = Fuzz(manner, options.seed, KEY if with_key else None, orders=orders)
         results.append((name, fuzz.run(round(options.frames * share))))
     Console(width=160).print(table(results))
     kinds: Counter[str] = sum((found.kinds for _, found in results), Counter())

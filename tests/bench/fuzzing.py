@@ -2,7 +2,8 @@
 
 A flown vehicle has three clients: one sends over UDP (a datagram a frame), one over TCP (the bytes cut
 anywhere), one only listens. The two send garbage, and every so often a command and a TIMESYNC whose answers
-are known. Everything comes from one seed. Garbage bears other names than the legal stream's.
+are known. Everything comes from one seed. Garbage bears other names than the legal stream's. `orders`: most
+of it is legal in form, and slower, so that the vehicle does something about it (`tests.bench.fuzz_orders`).
 """
 
 from __future__ import annotations
@@ -22,12 +23,15 @@ from sitl.ground_station import GroundStation
 from sitl.network import VEHICLE, Network, Port
 from sitl.onboard import OnboardSensors
 from sitl.signing import Signing
+from tests.bench.fuzz_orders import Orders
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 
 mavlink: Any = dialect
 
 LEGAL_EVERY: Final = 20  # one frame in so many
 FRAMES_PER_TICK: Final = 20
+ORDERS_PER_TICK: Final = 2
+ORDERS_SHARE: Final = 0.8
 TICK_S: Final = 0.01
 LEGAL_SYSTEM: Final = 250
 GARBAGE_SYSTEM: Final = 9
@@ -282,7 +286,7 @@ class FuzzResult:
 class Fuzz:
     """A vehicle in flight under fire."""
 
-    def __init__(self, manner: Manner, seed: int, key: bytes | None = None) -> None:
+    def __init__(self, manner: Manner, seed: int, key: bytes | None = None, *, orders: bool = False) -> None:
         self.rng = np.random.default_rng(seed)
         self.flight = Flight(manner)
         self.flight.take_off()
@@ -298,8 +302,13 @@ class Fuzz:
         self.tcp.port = self.network.connect(self.tcp.write, datagrams=False)
         self.network.connect(self.quiet.write, datagrams=True)
         self._stream = bytearray()
-        packer = mavlink.MAVLink(None, srcSystem=GARBAGE_SYSTEM, srcComponent=7)
-        self._templates = [bytes(message.pack(packer)) for message in templates()]
+        self._overdue = 0  # bytes of it that were there at the last tick
+        self._packer = mavlink.MAVLink(None, srcSystem=GARBAGE_SYSTEM, srcComponent=7)
+        # whom ArduPilot lets fly by hand
+        self._pilot = mavlink.MAVLink(None, srcSystem=255, srcComponent=7)
+        self._templates = [bytes(message.pack(self._packer)) for message in templates()]
+        self._orders = Orders(self.rng, self.flight.autopilot) if orders else None
+        self._frames_per_tick = ORDERS_PER_TICK if orders else FRAMES_PER_TICK
         self._kinds: Counter[str] = Counter()
 
     def run(self, frames: int) -> FuzzResult:
@@ -309,7 +318,7 @@ class Fuzz:
             legal = number % LEGAL_EVERY == LEGAL_EVERY - 1
             client = (self.udp, self.tcp)[int(self.rng.integers(2))]
             self._send(client, self._legal(client, number) if legal else self._garbage())
-            if number % FRAMES_PER_TICK == FRAMES_PER_TICK - 1:
+            if number % self._frames_per_tick == self._frames_per_tick - 1:
                 self._tick()
         self._flush(len(self._stream))
         for _ in range(200):  # false beginnings at the stream's end are given up one by one
@@ -335,6 +344,9 @@ class Fuzz:
         return Client(packer)
 
     def _garbage(self) -> bytes:
+        if self._orders is not None and self.rng.random() < ORDERS_SHARE:
+            self._kinds["orders"] += 1
+            return bytes(self._orders.next().pack(self._pilot if self.rng.random() < 0.5 else self._packer))
         make = KINDS[int(self.rng.integers(len(KINDS)))]
         self._kinds[make.__name__.replace("_", " ")] += 1
         return make(self.rng, self._templates[int(self.rng.integers(len(self._templates)))])
@@ -364,9 +376,13 @@ class Fuzz:
         assert self.tcp.port is not None
         data = bytes(self._stream[:count])
         del self._stream[:count]
+        self._overdue = max(0, self._overdue - count)
         self.network.receive(self.tcp.port, data, self.flight.now_s)
 
     def _tick(self) -> None:
+        # cut anywhere, but no half of a frame is held back for long: that would be no frame, and rightly
+        self._flush(self._overdue)
+        self._overdue = len(self._stream)
         self.flight.run(TICK_S)
         self.network.transmit(self.flight.now_s, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         for client in (self.udp, self.tcp, self.quiet):

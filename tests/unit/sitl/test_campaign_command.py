@@ -22,7 +22,7 @@ from sitl.campaign.manifest import Flight
 from sitl.campaign.plots import write_plots
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
-from sitl.campaign.rows import COLUMNS, CSV_NAME, read_rows
+from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
 from sitl.campaign.worker import Flown, Worker
 from sitl.cli import main
 from tests.unit.sitl.campaign_parts import row, scenario_file
@@ -251,8 +251,34 @@ def test_another_campaigns_folder_is_refused(
     assert (tmp_path / CSV_NAME).read_bytes() == before
 
 
+@pytest.mark.parametrize("wrong", ["static,0,", "elsewhere,0,"])
+def test_rows_that_come_twice_or_from_elsewhere_are_refused(
+    wrong: str, tmp_path: Path, asked: list[Flight], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(options(tmp_path))
+    path = tmp_path / CSV_NAME
+    first = next(line for line in path.read_text().splitlines() if line.startswith("static,0,"))
+    path.write_text(path.read_text() + first.replace("static,0,", wrong) + "\n")
+    line = refused(capsys, "--scenarios", "static", "--runs", "2", "--out", tmp_path)
+    assert "runs.csv:4: " in line
+    assert "expected one row a run" in line
+
+
+def test_a_folder_that_another_writes_keeps_its_manifest(
+    tmp_path: Path, asked: list[Flight], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(options(tmp_path))
+    before = (tmp_path / "campaign.json").read_bytes()
+    held = RunsFile(tmp_path)
+    assert "another campaign writes it" in refused(capsys, "--scenarios", "static", "--out", tmp_path)
+    held.close()
+    assert (tmp_path / "campaign.json").read_bytes() == before
+
+
 def test_rows_without_a_manifest_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / CSV_NAME).write_text(",".join(COLUMNS) + "\n")
+    held = RunsFile(tmp_path)
+    held.append(row())
+    held.close()
     assert "without its campaign.json" in refused(capsys, "--scenarios", "static", "--out", tmp_path)
 
 

@@ -260,3 +260,18 @@ def test_home_is_asked_for_until_it_comes() -> None:
     bench.sent.clear()
     bench.run(5.0)
     assert not [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == home]
+
+
+@pytest.mark.parametrize("wild", [math.nan, math.inf, 3.4e38])
+def test_wild_estimates_are_passed_over(wild: float) -> None:
+    bench = Bench(PX4)
+    bench.run(8.0)  # no truth comes
+    place = mavlink.MAVLink_global_position_int_message(0, 470_000_000, 80_000_000, 400_000, 0, 0, 0, 0, 0)
+    level = mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    spun = mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, wild)
+    here = mavlink.MAVLink_local_position_ned_message(0, 1.0, 2.0, -3.0, 0.0, 0.0, 0.0)
+    bench.hear(place, level, mavlink.MAVLink_local_position_ned_message(0, wild, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.hear(mavlink.MAVLink_local_position_ned_message(0, 0.0, 0.0, 0.0, wild, 0.0, 0.0), spun, here)
+    assert not bench.client.take_samples()
+    bench.hear(level, here)
+    assert len(bench.client.take_samples()) == 1

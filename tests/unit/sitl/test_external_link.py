@@ -15,7 +15,16 @@ from sitl.external_link import check_connection, open_link, open_relay, pump
 
 @pytest.mark.parametrize(
     "spec",
-    ["udp:127.0.0.1", "udp:127.0.0.1:0", "udp:127.0.0.1:70000", "serial:/dev/tty:57600", "", "tcp::1"],
+    [
+        "udp:127.0.0.1",
+        "udp:127.0.0.1:0",
+        "udp:127.0.0.1:70000",
+        "serial:/dev/tty:57600",
+        "",
+        "tcp::1",
+        "tcp:a..b:1",
+        "udp:a..b:1",
+    ],
 )
 def test_what_is_no_connection_is_refused_in_one_line(spec: str) -> None:
     with pytest.raises(ConfigError) as caught:
@@ -104,5 +113,25 @@ async def test_pumped_bytes_reach_every_sink() -> None:
     assert one == other == b"bytes"
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
+    caller.close()
+    relay.close()
+
+
+async def test_what_makes_no_sense_is_told_once_and_the_rest_goes_on() -> None:
+    relay, port = await open_relay()
+    caller = await open_link(f"udp:127.0.0.1:{port}", print)
+    told: list[str] = []
+    handed_on: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def reckon(data: bytes) -> None:
+        raise ValueError("math domain error")
+
+    pumping = asyncio.create_task(pump(relay, reckon, handed_on.put_nowait, tell=told.append))
+    for data in (b"wild", b"wilder"):
+        caller.write(data)
+        assert await asyncio.wait_for(handed_on.get(), 5.0) == data
+    assert told == ["WARNING: passed over what makes no sense (math domain error)"]
+    pumping.cancel()
+    await asyncio.wait([pumping])
     caller.close()
     relay.close()

@@ -55,6 +55,14 @@ def test_what_holds_no_pose_gives_none() -> None:
     assert external_pose.hil_state(hil_state(PLACE, attitude=(0.0, 0.0, 0.0, 0.0)), 0.0) is None
 
 
+@pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 3.4e38, -3.4e38])
+@pytest.mark.parametrize("name", ["roll", "yaw", "xgyro", "zgyro", "vn", "vd", "alt"])
+def test_wild_numbers_are_no_pose(name: str, wild: float) -> None:
+    values: dict[str, Any] = {name: wild}
+    message = sim_state(PLACE, attitude=(0.0, 0.0, 0.0, 0.0), **values)
+    assert external_pose.sim_state(message, 0.0) is None
+
+
 def pose(time_s: float, north_m: float, speed_m_s: float, yaw_rad: float = 0.0, rate: float = 0.0) -> Pose:
     yawed = quat_from_euler(0.0, 0.0, yaw_rad)
     return Pose(time_s, (north_m, 0.0, 0.0), (speed_m_s, 0.0, 0.0), yawed, (0.0, 0.0, rate))

@@ -185,6 +185,32 @@ def test_a_home_that_is_set_stays_and_is_returned_to(manner: Manner) -> None:
 
 
 @BOTH
+@pytest.mark.parametrize("yaw", [math.inf, -math.inf, math.nan])
+def test_a_heading_that_is_no_number_is_the_present_one(manner: Manner, yaw: float) -> None:
+    station = flying(manner)
+    message = reposition(6, 10.0, 5.0)
+    message.param4 = yaw
+    assert station.result(message) == ACCEPTED
+    station.run(9.0)
+    assert math.dist(station.flight.vehicle.position, (10.0, 0.0, -5.18)) < 0.3
+
+
+@BOTH
+def test_homes_upon_homes_stay_within_what_can_be_told(manner: Manner) -> None:
+    station = Station(manner)
+    higher = mavlink.MAVLink_command_int_message(
+        1, 1, 6, mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0.0, 0.0, 0.0, 0.0,
+        round(HOME[0] * 1e7), round(HOME[1] * 1e7), 9000.0,
+    )  # fmt: skip
+    results = [station.result(higher) for _ in range(40)]
+    assert results == [ACCEPTED] * 3 + [DENIED] * 37
+    beyond_the_horizon = station.command(mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0, 0, -47.0, -172.0, 0.0)
+    assert beyond_the_horizon == DENIED
+    told = next(m for m in reversed(station.run(2.0)) if m.get_type() == "GLOBAL_POSITION_INT")
+    assert told.relative_alt == pytest.approx(-27_000_000, abs=500_000)
+
+
+@BOTH
 @pytest.mark.parametrize("value", [math.inf, -math.inf, 1e38, -1e38, 2.0**31])
 def test_commands_full_of_huge_numbers_do_no_harm(manner: Manner, value: float) -> None:
     station = flying(manner)

@@ -111,6 +111,27 @@ def test_random_bytes_do_no_harm() -> None:
     assert ground.requests > 0
 
 
+def test_whoever_floods_it_does_not_fill_the_memory() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    for number in range(1, 500):
+        begun = mavlink.MAVLink_statustext_message(6, b"x" * 50, number, 0)
+        ground.receive(bytes(begun.pack(COMPANION)), 0.0)
+        ask(ground, 0.0)
+    assert len(ground._chunks) <= 16
+    heard = listen(ground, 0.0)
+    results = [m.result for m in heard if m.get_type() == "COMMAND_ACK"]
+    assert results.count(mavlink.MAV_RESULT_ACCEPTED) == 32
+    assert results.count(mavlink.MAV_RESULT_TEMPORARILY_REJECTED) == len(results) - 32
+    assert len([m for m in listen(ground, 0.5) if m.get_type() == "FOLLOW_TARGET"]) == 32
+
+
+def test_another_component_of_its_system_is_somebody_else() -> None:
+    ground = GroundStation(np.random.default_rng(1), 1.5, HOME)
+    request = mavlink.MAVLink_command_long_message(255, 191, 512, 0, 144, 0, 0, 0, 0, 0, 0)
+    ground.receive(bytes(request.pack(COMPANION)), 0.0)
+    assert not [m for m in listen(ground, 0.6) if m.get_type() != "HEARTBEAT"]
+
+
 # ---------------------------------------------------------------- a beacon's settings
 
 

@@ -6,8 +6,15 @@ import asyncio
 import socket
 from typing import Any, cast
 
-from sitl.links import MOST_CLIENTS, UNREAD_BYTES, TcpServer, UdpServer, in_datagrams
+import pytest
+
+from companion.clock import Clock
+from companion.config import ConfigError
+from sitl.framing import dialect
+from sitl.links import MOST_CLIENTS, UDP_SILENCE_S, UNREAD_BYTES, TcpServer, UdpServer, in_datagrams
 from sitl.network import Port
+
+HELLO = bytes(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(dialect.MAVLink(None, srcSystem=255)))
 
 
 class Host:
@@ -24,6 +31,12 @@ class Host:
             await self._changed.wait()
             self._changed.clear()
 
+    async def has_heard(self) -> None:
+        """Wait until somebody has spoken."""
+        while not self.heard:
+            await self._changed.wait()
+            self._changed.clear()
+
     def connect(self, write: Any, *, datagrams: bool) -> Port:
         port: Any = type("P", (), {"write": staticmethod(write), "datagrams": datagrams})()
         self.ports.append(port)
@@ -32,6 +45,7 @@ class Host:
 
     def hear(self, port: Any, data: bytes) -> None:
         self.heard.append(data)
+        self._changed.set()
 
     def disconnect(self, port: Any) -> None:
         self.ports.remove(port)
@@ -67,16 +81,75 @@ async def test_a_udp_server_talks_to_its_listener_and_to_who_speaks() -> None:
         host.ports[0].write([b"one", b"two"])
         data, address = listener.recvfrom(100)
         assert (data, address[1]) == (b"onetwo", own)
-        caller.sendto(b"hello", ("127.0.0.1", own))
+        caller.sendto(HELLO, ("127.0.0.1", own))
         await host.has_ports(2)
-        assert host.heard == [b"hello"]
+        assert host.heard == [HELLO]
         for _ in range(2 * MOST_CLIENTS):
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-                stranger.sendto(b"x", ("127.0.0.1", own))
+                stranger.sendto(HELLO, ("127.0.0.1", own))
         await asyncio.sleep(0.05)
         assert len(host.ports) <= MOST_CLIENTS
         server.close()
     assert not host.ports
+
+
+class Hands:
+    """A clock that is set by hand."""
+
+    time_s = 0.0
+
+    def now_s(self) -> float:
+        return self.time_s
+
+
+async def test_who_has_gone_makes_room_and_the_listener_stays() -> None:
+    host, clock = Host(), Hands()
+    server = UdpServer(host, ("127.0.0.1", 9))
+    server._clock = cast("Clock", clock)
+    await server.open("127.0.0.1", 0)
+    (listener,) = host.ports
+    server.datagram_received(HELLO, ("127.0.0.1", 9))
+    server.datagram_received(HELLO, ("127.0.0.1", 10))
+    assert len(host.ports) == 2
+    clock.time_s = UDP_SILENCE_S + 1.0
+    server.datagram_received(HELLO, ("127.0.0.1", 11))
+    assert len(host.ports) == 2
+    assert host.ports[0] is listener
+    clock.time_s *= 2.0
+    server._sweep()
+    assert host.ports == [listener]
+    server.close()
+
+
+async def test_stray_datagrams_take_nobodys_place() -> None:
+    host = Host()
+    server = UdpServer(host)
+    await server.open("127.0.0.1", 0)
+    for port in range(100):
+        server.datagram_received(b"\xfd is no frame", ("127.0.0.1", 1000 + port))
+    assert not host.ports
+    server.datagram_received(HELLO, ("127.0.0.1", 10))
+    assert host.heard == [HELLO]
+    server.close()
+
+
+async def test_a_listener_named_by_its_host_is_one_client_only() -> None:
+    host = Host()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        server = UdpServer(host, ("localhost", listener.getsockname()[1]))
+        own = await server.open("localhost", 0)
+        listener.sendto(HELLO, ("127.0.0.1", own))
+        await host.has_heard()
+        assert len(host.ports) == 1
+        server.close()
+
+
+@pytest.mark.parametrize("name", ["a..b", f"{'x' * 70}.com", "300.1.1.1"])
+async def test_an_address_that_is_none_is_told_of_in_one_line(name: str) -> None:
+    for server in (UdpServer(Host()), TcpServer(Host())):
+        with pytest.raises(ConfigError, match="expected a free port at an address of this computer"):
+            await server.open(name, 0)
 
 
 def test_datagrams_hold_whole_frames() -> None:

@@ -248,6 +248,20 @@ def test_jumps_that_lead_nowhere_do_no_harm(manner: Manner) -> None:
 
 
 @BOTH
+def test_a_loop_with_nothing_to_fly_is_told_of_once_a_second_at_most(manner: Manner) -> None:
+    station = Station(manner)
+    first = 1 if manner == "ardupilot" else 0
+    station.fly([item(TAKE_OFF, 0, 0, 3), item(WAYPOINT, 0, 0, 3), plain(177, first, -1)])
+    station.run(6.0)
+    before = len(station.heard)
+    station.run(5.0)
+    new = [m for m in station.heard[before:] if m.get_type() in ("MISSION_ITEM_REACHED", "STATUSTEXT")]
+    assert 4 <= len(new) <= 30
+    assert first + 2 not in station.reached()  # a jump is no place to be reached
+    assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
+
+
+@BOTH
 def test_returning_is_an_item_too(manner: Manner) -> None:
     station = Station(manner)
     for name, value in (("RTL_RETURN_ALT", 5.0), ("RTL_ALT", 500.0)):

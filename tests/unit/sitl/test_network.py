@@ -96,6 +96,16 @@ def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
     assert "Armed by external command" in [m.text for m in heard if m.get_type() == "STATUSTEXT"]
 
 
+def test_a_text_that_time_brings_goes_to_all() -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk.run(0.5)
+    one.send(mavlink.MAVLink_mission_count_message(1, 1, 3, 0), desk.flight.now_s)
+    desk.run(10.0)
+    for client in (one, other):
+        assert [m.text for m in client.heard("STATUSTEXT")][-1] == "Operation timeout"
+
+
 def test_a_parameter_that_one_sets_is_told_to_all() -> None:
     desk = Desk()
     one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
@@ -226,3 +236,10 @@ def test_wrong_frames_cost_no_legal_one(manner: Manner, key: bytes | None) -> No
     assert found.holds, found
     assert found.lost == 0
     assert (found.refused > 1000) is (key is not None)
+
+
+@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+def test_orders_that_make_no_sense_cost_no_legal_frame(manner: Manner) -> None:
+    found = Fuzz(manner, 3, orders=True).run(5000)
+    assert found.holds, found
+    assert found.kinds["orders"] > 3000

@@ -12,7 +12,7 @@ import yaml
 from companion.config import CONFIG_FOLDER
 from sitl.cli import main
 from sitl.scenario import load_scenario
-from sitl.scenario_commands import schema_path, schema_text, shipped
+from sitl.scenario_commands import schema_text, shipped
 
 FIRST_LINE = "# yaml-language-server: $schema=scenario.schema.json"
 
@@ -65,7 +65,8 @@ def test_the_shipped_schema_is_current(capsys: pytest.CaptureFixture[str]) -> No
     code, out, _ = said(["schema"], capsys)
     assert code == 0
     assert out == schema_text()
-    assert schema_path().read_text(encoding="utf-8") == out, (
+    path = CONFIG_FOLDER / "scenarios" / "scenario.schema.json"
+    assert path.read_text(encoding="utf-8") == out, (
         "run: companion-sitl schema > configs/scenarios/scenario.schema.json"
     )
 

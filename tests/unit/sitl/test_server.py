@@ -1,9 +1,11 @@
 """The simulator as a command: what is wrong is said in one line, and it ends with its standard input."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
+import time
 from contextlib import closing
 from pathlib import Path
 
@@ -23,6 +25,21 @@ COMMAND = (sys.executable, "-m", "sitl.cli")
         (("--seed", "-1"), "Invalid value for '--seed': Input should be greater than or equal to 0"),
         (("--port", "99999"), "Invalid value for '--port': Input should be less than or equal to 65535"),
         (("--wings", "2"), "No such option: --wings"),
+        (
+            ("--seed", "3", "campaign"),
+            "--seed: belongs to a vehicle that is served; expected it without 'campaign'",
+        ),
+        (("--bind", "a..b"), "UDP port a..b:14580: "),
+        (("--external", "tcp:a..b:1"), "--external tcp:a..b:1: expected udp:HOST:PORT"),
+        (("--external", "udp:a..b:1"), "--external udp:a..b:1: expected udp:HOST:PORT"),
+        *(
+            (
+                ("--external", "udp:127.0.0.1:9", *more),
+                f"{more[0]}: the vehicle is somebody else's; expected it",
+            )
+            for more in (("--bind", "0.0.0.0"), ("--port", "1"), ("--signing-key", "k"), ("--serve-truth",))
+        ),
+        (("--child", "--tcp-port", "1"), "--tcp-port: expected it without --child"),
         (("--folder", "/nowhere"), "--folder /nowhere: expected a folder that can be written to"),
     ],
 )
@@ -45,7 +62,10 @@ def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
         port = other.getsockname()[1]
         with pytest.raises(SystemExit):
             main(("--port", "0", "--gcs-port", "0", "--tcp-port", str(port)))
-    assert f"TCP port 127.0.0.1:{port}: already in use; expected a free port" in capsys.readouterr().err
+    assert (
+        f"TCP port 127.0.0.1:{port}: already in use; expected a free port at an address"
+        in capsys.readouterr().err
+    )
 
 
 def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
@@ -67,6 +87,39 @@ def test_it_says_where_it_listens_and_judges_when_told(tmp_path: Path) -> None:
     report = read_report(Path(json.loads(said)["report"]))
     assert report.outcome == "timeout"
     assert report.touchdown is None
+
+
+@pytest.mark.parametrize("name", ["camera", "registers"])
+def test_a_file_in_a_sockets_place_is_said(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).write_text("a file")
+    with pytest.raises(SystemExit) as ended:
+        main(("--folder", str(tmp_path), "--port", "0", "--gcs-port", "0", "--tcp-port", "0"))
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is in the way of a socket" in line
+    assert (tmp_path / name).read_text() == "a file"
+
+
+def test_terminated_while_it_starts_it_leaves_nothing(tmp_path: Path) -> None:
+    place = tmp_path / "tmp"
+    place.mkdir()
+    with subprocess.Popen(
+        (*COMMAND, "--port", "0", "--gcs-port", "0", "--tcp-port", "0"),
+        cwd=CONFIG_FOLDER.parent,
+        env={**os.environ, "TMPDIR": str(place)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        until = time.monotonic() + 20.0
+        while not list(place.glob("companion-sitl-*")) and time.monotonic() < until:
+            time.sleep(0.01)
+        process.terminate()
+        _, errors = process.communicate(timeout=20.0)
+    assert not list(place.iterdir())
+    assert (process.returncode, errors) == (130, b"")
 
 
 def test_a_child_ends_with_its_standard_input() -> None:

@@ -66,6 +66,16 @@ def test_what_was_heard_cannot_be_said_again() -> None:
     assert signing.accepts(frame(KEY, NOW + 6))
 
 
+def test_the_same_key_set_up_again_forgets_nothing() -> None:
+    signing = with_key()
+    heard = frame(KEY, NOW + 5)
+    assert signing.accepts(heard)
+    signing.set_up(KEY, 0)
+    assert not signing.accepts(heard)
+    signing.set_up(OTHER, 0)
+    assert signing.accepts(frame(OTHER, NOW + 5))
+
+
 def test_a_new_stream_may_be_a_minute_behind() -> None:
     assert with_key().accepts(frame(KEY, NOW - 60 * STAMPS_PER_S))
     assert not with_key().accepts(frame(KEY, NOW - 61 * STAMPS_PER_S))

@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import validate
-from companion.messages import Frame
+from companion.messages import Frame, Phase
 from sitl.devices.ports import MemoryPort
+from sitl.report import SimulationReport
 from sitl.scenario import Scenario
 from sitl.simulation import Simulation
 
@@ -52,9 +53,10 @@ class Flown(NamedTuple):
 
     desk: Desk
     frames: list[Frame]
+    report: SimulationReport
 
 
-def stand(seconds: float, **values: Any) -> Flown:
+def stand(seconds: float, *, keep_truth: bool = True, **values: Any) -> Flown:
     """A vehicle stands at home for a while."""
 
     async def main() -> Flown:
@@ -67,14 +69,22 @@ def stand(seconds: float, **values: Any) -> Flown:
             gps_port=MemoryPort(9600),
             range_port=MemoryPort(9600),
             deliver_frame=frames.append,
+            keep_truth=keep_truth,
         )
         task = asyncio.create_task(simulation.run())
         await Clock().sleep_until(seconds)
         task.cancel()
         await asyncio.wait([task])
-        return Flown(desk, frames)
+        return Flown(desk, frames, simulation.report(Phase.SEARCH))
 
     return run_in_virtual_time(main())
+
+
+def test_a_vehicle_that_is_served_for_days_keeps_no_truth() -> None:
+    kept, not_kept = (stand(0.5, keep_truth=keep).report for keep in (True, False))
+    assert len(kept.truth) == 25
+    assert not not_kept.truth
+    assert not_kept.outcome == kept.outcome
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import sys
+from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 
 from companion.clock import Clock
-from companion.config import ConfigError
+from companion.config import CONFIG_FOLDER, ConfigError
 from companion.frame_format import FrameHeader, pack_frame
 from companion.messages import Frame
 from sitl.cli import main
@@ -75,6 +77,21 @@ async def test_a_video_has_the_frames_and_their_rate(tmp_path: Path) -> None:
         count += 1
     assert count == 40
     assert 0.5 * statistics.rate_hz < video.get(cv2.CAP_PROP_FPS) < 2.0 * statistics.rate_hz
+    video.release()
+
+
+async def test_terminated_it_leaves_a_video_that_plays(tmp_path: Path) -> None:
+    path = tmp_path / "flight.mp4"
+    async with camera(tmp_path / "camera") as address:
+        words = (sys.executable, "-m", "sitl.cli", "view", address, "--record", str(path))
+        process = await asyncio.create_subprocess_exec(*words, cwd=CONFIG_FOLDER.parent, stdout=PIPE)
+        assert process.stdout is not None
+        await asyncio.wait_for(process.stdout.readline(), 20.0)  # a second of frames
+        process.terminate()
+        await asyncio.wait_for(process.communicate(), 20.0)
+    assert process.returncode == 0
+    video = cv2.VideoCapture(str(path))
+    assert video.read()[0]
     video.release()
 
 
