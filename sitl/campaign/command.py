@@ -24,7 +24,7 @@ from sitl.campaign import SCENARIOS
 from sitl.campaign.manifest import MANIFEST_NAME, Flight, Plan, check_goes_on, make_plan, read_manifest
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
-from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, write_parquet
+from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_rows, write_parquet
 from sitl.campaign.worker import Flown
 from sitl.orders import terminated_as_interrupted
 
@@ -235,8 +235,9 @@ def _say_how_to_go_on(console: Console, options: Options, runs: RunsFile, total:
     if options.folder is None:
         console.print(f"stopped after {len(runs.rows)} of {total} runs; without --out none is kept")
         return
+    kept = len(read_rows(runs.path))  # the interruption may have come just after a row was written
     console.print(
-        f"stopped: {len(runs.rows)} of {total} runs are in {runs.path}; this goes on:\n  {options.command}",
+        f"stopped: {kept} of {total} runs are in {runs.path}; this goes on:\n  {options.command}",
         highlight=False,
         markup=False,
         soft_wrap=True,

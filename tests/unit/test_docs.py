@@ -116,7 +116,8 @@ def check_without_running(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in PAGES if commands(TEXTS[name])])
-def test_every_command_of_a_page_works(name: str, tmp_path: Path) -> None:
+def test_every_command_of_a_page_works(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     for file_name, body in EXAMPLE_FILE.findall(TEXTS[name]):
         (tmp_path / file_name).write_text(body)
     for words in commands(TEXTS[name]):
