@@ -112,7 +112,7 @@ def test_a_simulator_that_crashes_ends_the_flight_in_one_line(tmp_path: Path) ->
 
 def test_the_vehicle_s_own_command_flies_by_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
     simulator = subprocess.Popen(
-        (sys.executable, "-m", "sitl.cli", "--scenario", "static", "--folder", str(tmp_path)),
+        (sys.executable, "-m", "sitl.cli", "--child", "--scenario", "static", "--folder", str(tmp_path)),
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
