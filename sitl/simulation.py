@@ -34,7 +34,7 @@ from sitl.ground_station import GroundStation
 from sitl.network import Network, Port, Write
 from sitl.onboard import OnboardSensors
 from sitl.report import SimulationReport
-from sitl.scenario import Scenario
+from sitl.scenario import Scenario, SensorSettings
 from sitl.scene_camera import SceneCamera
 from sitl.score import judge
 from sitl.sensor_quality import sensor_errors
@@ -136,20 +136,7 @@ class Simulation:
         signing = Signing(scenario.autopilot, signing_key)
         ground_station = GroundStation.of(scenario.beacon, next(streams), HOME, signing)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
-        errors = sensor_errors(scenario.sensors)
-        self._rack = SensorRack(
-            seed,
-            PHYSICS_STEP_S,
-            home=HOME,
-            field_ned_ut=MAGNETIC_FIELD_NED_UT,
-            gps_port=gps_port,
-            range_port=range_port,
-            gps_config=GpsConfig(latency_s=scenario.sensors.gps_delay_s),
-            errors=errors,
-            wiring=Wiring(
-                scenario.sensors.imu_interface, scenario.sensors.gps_wake_baud, scenario.sensors.ultrasonic
-            ),
-        )
+        self._rack = _rack(scenario.sensors, seed, gps_port, range_port)
         self.imu_bus = self._rack.imu
         self._ranging = self._world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
@@ -158,18 +145,7 @@ class Simulation:
         self._frame_line = FrameLine(fault_rng, camera.lost_share, camera.lost_burst_frames)
         self._to_app, self._to_vehicle = LinkWay(scenario.link, app_rng), LinkWay(scenario.link, vehicle_rng)
         camera_streams = (next(streams), next(streams))
-        self._onboard = OnboardSensors(
-            next(streams),
-            PHYSICS_STEP_S,
-            home=HOME,
-            field_ned_ut=MAGNETIC_FIELD_NED_UT,
-            imu_filter=self._autopilot.manner.imu_filter,
-            gps_latency_s=scenario.sensors.gps_delay_s,
-            imu_errors=errors.imu,
-            mag_errors=errors.magnetometer,
-            gps_errors=errors.gps,
-            range_errors=errors.range,
-        )
+        self._onboard = _onboard(scenario.sensors, next(streams), self._autopilot.manner.imu_filter)
         self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         breakable = Breakable(
             self._rack, self._onboard, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
@@ -348,3 +324,38 @@ class Simulation:
             deliver()
         else:
             asyncio.get_running_loop().call_at(arrival_s, deliver)
+
+
+# ---------------------------------------------------------------- parts
+
+
+def _rack(settings: SensorSettings, seed: int, gps_port: DevicePort, range_port: DevicePort) -> SensorRack:
+    """The boards that the app reads."""
+    return SensorRack(
+        seed,
+        PHYSICS_STEP_S,
+        home=HOME,
+        field_ned_ut=MAGNETIC_FIELD_NED_UT,
+        gps_port=gps_port,
+        range_port=range_port,
+        gps_config=GpsConfig(latency_s=settings.gps_delay_s),
+        errors=sensor_errors(settings),
+        wiring=Wiring(settings.imu_interface, settings.gps_wake_baud, settings.ultrasonic),
+    )
+
+
+def _onboard(settings: SensorSettings, rng: np.random.Generator, imu_filter: int) -> OnboardSensors:
+    """The autopilot's own sensors."""
+    errors = sensor_errors(settings)
+    return OnboardSensors(
+        rng,
+        PHYSICS_STEP_S,
+        home=HOME,
+        field_ned_ut=MAGNETIC_FIELD_NED_UT,
+        imu_filter=imu_filter,
+        gps_latency_s=settings.gps_delay_s,
+        imu_errors=errors.imu,
+        mag_errors=errors.magnetometer,
+        gps_errors=errors.gps,
+        range_errors=errors.range,
+    )
