@@ -8,6 +8,7 @@
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
+# make bench-calibration DATA=DIR  the calibration tools on made-up truth, and on real logs and photos
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -20,7 +21,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-sitl-speed bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -73,6 +74,14 @@ bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_fuzz
 bench-sitl-speed: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_sitl_speed
+
+# real logs and photos are in DATA's folders magnetometer and aruco; without DATA: made-up truth alone
+bench-calibration: $(VENV)/.dev
+	@status=0; \
+	$(BIN)/python -m tests.bench.bench_magnetometer $(DATA) || status=1; \
+	$(BIN)/python -m tests.bench.bench_camera $(DATA) || status=1; \
+	$(BIN)/python -m tests.bench.bench_mount || status=1; \
+	exit $$status
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

@@ -24,6 +24,7 @@ from companion.clock import start_unix_s
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
 from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
 from companion.external import External
+from companion.files import write_atomically
 from companion.flights import HELP as FLIGHTS_HELP
 from companion.flights import reason, score, serve_flights
 from companion.hardware import make_actions, open_hardware
@@ -283,13 +284,6 @@ def writable(path: Path | None) -> None:
         return
     if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise ConfigError(f"--json {path}: cannot be written; expected a file in an existing folder")
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that nobody ever sees half of it."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
 
 
 def main() -> None:

@@ -24,7 +24,7 @@ from companion.clock import Clock
 from companion.config import ConfigError
 from companion.frame_format import FrameHeader
 from companion.frame_stream import FrameStream
-from sitl.mjpeg import MjpegServer
+from companion.mjpeg import MjpegServer
 from sitl.orders import terminated_as_interrupted
 
 HELP: Final = "Show (in a browser) or record the frames that a socket serves."

@@ -36,7 +36,7 @@ for group in dialout i2c spi video gpio; do
 done
 
 install -d "$PREFIX" "$SETTINGS"
-for folder in companion sitl configs; do
+for folder in companion sitl calibration configs; do
     rm -rf "${PREFIX:?}/$folder"
     cp -r "$SOURCE/$folder" "$PREFIX/"
 done

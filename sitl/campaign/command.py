@@ -20,6 +20,7 @@ import typer
 from rich.console import Console
 
 from companion.config import ConfigError
+from companion.files import write_atomically
 from sitl.campaign import SCENARIOS
 from sitl.campaign.manifest import MANIFEST_NAME, Flight, Plan, check_goes_on, make_plan, read_manifest
 from sitl.campaign.pool import fly_locally
@@ -160,7 +161,7 @@ def _open(folder: Path, plan: Plan) -> RunsFile:
     runs = RunsFile(folder)
     try:
         _check_is_ours(folder, plan, runs)
-        _write_atomically(folder / MANIFEST_NAME, plan.manifest.model_dump_json(indent=2) + "\n")
+        write_atomically(folder / MANIFEST_NAME, plan.manifest.model_dump_json(indent=2) + "\n")
     except BaseException:
         runs.close()
         raise
@@ -184,20 +185,6 @@ def _check_is_ours(folder: Path, plan: Plan, runs: RunsFile) -> None:
                 "this campaign's; expected one row a run"
             )
         planned.remove(run)
-
-
-def _write_atomically(path: Path, text: str) -> None:
-    """Write a file so that nobody ever sees half of it.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _fly(plan: Plan, runs: RunsFile, options: Options, console: Console) -> None:
@@ -258,7 +245,7 @@ def _publish(folder: Path, plan: Plan, rows: Sequence[Row], console: Console) ->
     print_summary(console, rows, bounds)
     text = io.StringIO()
     print_summary(Console(file=text, width=SUMMARY_COLUMNS), rows, bounds)
-    _write_atomically(folder / SUMMARY_NAME, text.getvalue())
+    write_atomically(folder / SUMMARY_NAME, text.getvalue())
     write_plots(folder, rows, plan.scenarios)
     write_parquet(rows, folder)
 

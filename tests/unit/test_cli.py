@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from companion.cli import EXIT_CODES, next_flight_folder, write_atomically
+from companion.cli import EXIT_CODES, next_flight_folder
 from companion.messages import Outcome
 
 
@@ -18,11 +18,3 @@ def test_flights_on_the_vehicle_are_numbered(tmp_path: Path) -> None:
     (tmp_path / "flight-0010").mkdir()
     (tmp_path / "flight-9-of-last-year").mkdir()
     assert next_flight_folder(tmp_path) == tmp_path / "flight-0011"
-
-
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "result.json"
-    path.write_text("old")
-    write_atomically(path, "new\n")
-    assert path.read_text() == "new\n"
-    assert list(tmp_path.iterdir()) == [path]

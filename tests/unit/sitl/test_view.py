@@ -17,9 +17,9 @@ from companion.clock import Clock
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.frame_format import FrameHeader, pack_frame
 from companion.messages import Frame
+from companion.mjpeg import MjpegServer
 from sitl.cli import main
 from sitl.frame_server import FrameServer
-from sitl.mjpeg import MjpegServer
 from sitl.view import Statistics, Wishes, annotated, view
 
 GREY = np.full((120, 160), 90, np.uint8)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 _BOUNDARY: Final = "frame"
 _REQUEST_TIMEOUT_S: Final = 5.0
 _LONGEST_REQUEST: Final = 8192
-_PAGE: Final = b"""<!DOCTYPE html><html><head><title>companion-sitl view</title></head>
+_PAGE: Final = b"""<!DOCTYPE html><html><head><title>companion</title></head>
 <body style="margin:0;background:#222">
 <img src="/stream" style="width:100%;image-rendering:pixelated">
 </body></html>

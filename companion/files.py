@@ -1,0 +1,21 @@
+"""Writing files so that nobody ever sees half of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from companion.config import ConfigError
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file whole, or leave what was there.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
