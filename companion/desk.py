@@ -50,6 +50,7 @@ START_TIMEOUT_S: Final = 20.0
 # an external autopilot may still be booting, and finding its position before it arms
 EXTERNAL_START_TIMEOUT_S: Final = 60.0
 EXTERNAL_PATIENCE_S: Final = 60.0
+WORDS_PERIOD_S: Final = 0.3
 END_TIMEOUT_S: Final = 10.0
 # what a settings file for a real vehicle may say otherwise, and the simulated one is
 SIMULATED_HARDWARE: Final[dict[str, Any]] = {
@@ -313,18 +314,34 @@ class SimulatorProcess:
             )
         simulator = cls(process, {}, words)
         try:
-            external = trial.external
-            simulator.endpoints = await simulator._listen(
-                START_TIMEOUT_S if external is None else EXTERNAL_START_TIMEOUT_S
-            )
-            if external is not None and external.world is not None:
-                simulator.endpoints["link"]["connection"] = external.app
+            if trial.external is None:
+                simulator.endpoints = await simulator._listen(START_TIMEOUT_S)
+            else:
+                simulator.endpoints = await simulator._find(trial.external)
         except BaseException as error:
             await simulator.kill()
             if isinstance(error, SimulatorError):
                 raise ConfigError(f"the simulator did not start: {error}") from error
             raise
         return simulator
+
+    async def _find(self, external: External) -> dict[str, Any]:
+        """Where the world listens, once it has found the vehicle; what it says meanwhile is passed on."""
+        passing_on = asyncio.create_task(self._pass_words_on())
+        try:
+            endpoints = await self._listen(EXTERNAL_START_TIMEOUT_S)
+        finally:
+            passing_on.cancel()
+        if external.world is not None:
+            endpoints["link"]["connection"] = external.app
+        return endpoints
+
+    async def _pass_words_on(self) -> None:
+        """A minute of silence would leave a person guessing what is waited for."""
+        with self._words.open(errors="replace") as words:
+            while True:
+                print(words.read(), end="", file=sys.stderr, flush=True)
+                await asyncio.sleep(WORDS_PERIOD_S)
 
     async def watch(self) -> None:
         """Wait for the end that should not come.

@@ -31,6 +31,7 @@ HELP: Final = "Show (in a browser) or record the frames that a socket serves."
 STATUS_PERIOD_S: Final = 1.0
 _WINDOW: Final = 30
 _VIDEO_SUFFIX: Final = ".mp4"
+_OTHER_SUFFIXES: Final = (".avi", ".mkv", ".mov", ".webm", ".png", ".jpg", ".jpeg", ".gif")
 _FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 Image = NDArray[np.uint8]
@@ -199,10 +200,11 @@ async def view(address: str, wishes: Wishes, statistics: Statistics | None = Non
         stream = await FrameStream.open(address)
     except (OSError, ValueError) as error:
         raise ConfigError(str(error)) from error
-    recorder = _recorder(wishes.record)
+    recorder: Recorder | None = None
     page = MjpegServer()
     statistics = statistics or Statistics()
     try:
+        recorder = _recorder(wishes.record)
         if wishes.serve_port is not None:
             await _open_page(page, wishes.serve_port)
         await _watch(stream, wishes, recorder, page, statistics)
@@ -254,7 +256,10 @@ async def _watch(
 def _recorder(path: Path | None) -> Recorder | None:
     if path is None:
         return None
-    return Video(path) if path.suffix.lower() == _VIDEO_SUFFIX else PngFolder(path)
+    suffix = path.suffix.lower()
+    if suffix in _OTHER_SUFFIXES:
+        raise ConfigError(f"--record {path}: expected FILE.mp4, or a folder for PNG files")
+    return Video(path) if suffix == _VIDEO_SUFFIX else PngFolder(path)
 
 
 def _tell(statistics: Statistics) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from companion import cli
+from companion import cli, desk
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.desk import SimulatorError, SimulatorProcess, Trial, desk_settings
 from companion.external import External
@@ -87,3 +87,18 @@ async def test_an_autopilot_that_is_not_there_is_said_in_the_worlds_own_words(tm
         await simulator._listen(0.05)
     await simulator.kill()
     assert str(caught.value) == "nothing for 0.05 s: companion-sitl: tcp:127.0.0.1:1: Connection refused"
+
+
+async def test_what_the_world_waits_for_is_said_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(desk, "EXTERNAL_START_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(desk, "WORDS_PERIOD_S", 0.05)
+    words = tmp_path / "stderr"
+    words.write_text("companion-sitl: waiting for a vehicle\n")
+    silent = await asyncio.create_subprocess_exec("sleep", "60", stdout=asyncio.subprocess.PIPE)
+    simulator = SimulatorProcess(silent, {}, words)
+    with pytest.raises(SimulatorError):
+        await simulator._find(External(UDP))
+    await simulator.kill()
+    assert capfd.readouterr().err == "companion-sitl: waiting for a vehicle\n"

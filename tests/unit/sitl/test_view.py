@@ -95,6 +95,14 @@ async def test_terminated_it_leaves_a_video_that_plays(tmp_path: Path) -> None:
     video.release()
 
 
+@pytest.mark.parametrize("name", ["flight.avi", "frame.PNG"])
+async def test_another_kind_of_file_is_refused_and_nothing_made(name: str, tmp_path: Path) -> None:
+    async with camera(tmp_path / "camera") as address:
+        with pytest.raises(ConfigError, match=r"expected FILE\.mp4, or a folder"):
+            await view(address, Wishes(tmp_path / name, frames=1))
+    assert not (tmp_path / name).exists()
+
+
 async def test_a_browser_gets_a_page_and_the_pictures(tmp_path: Path) -> None:
     page = MjpegServer()
     port = await page.start(0)
