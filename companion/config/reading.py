@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
 
 # pydantic's words for these name its own types
 _EXPECTED = {
@@ -93,7 +94,7 @@ def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(_one_line(error, source)) from error
+        raise ConfigError(_one_line(error, source, data)) from error
 
 
 def load_model(model: type[Model], path: Path) -> Model:
@@ -116,13 +117,43 @@ def merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _one_line(error: ValidationError, source: str) -> str:
-    first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"]) or "(top)"
+def _one_line(error: ValidationError, source: str, data: Any) -> str:
+    """What is wrong first of all: a key that nobody knows, since what it was meant to be is then missing."""
+    errors = error.errors(include_url=False)
+    first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+    key = _key(first["loc"], data)
+    # what may be of several kinds fails once for each
+    same = [e for e in errors if _key(e["loc"], data) == key]
+    more = len({_key(e["loc"], data) for e in errors}) - 1
+    tail = f" (and {more} more)" if more else ""
+    where = f"{source}: {key or '(top)'}"
     if first["type"] == "extra_forbidden":
         return f"{source}: unknown key '{key}'"
-    text = _EXPECTED.get(first["type"]) or first["msg"].removeprefix("Value error, ")
-    text = text.replace("Input should be", "expected")
+    if first["type"].startswith("union_tag"):
+        context = first["ctx"]
+        kind, tags = context["discriminator"].strip("'"), context.get("expected_tags")
+        wrong = f"one of {tags}, found '{context['tag']}'" if tags else "a value, found none"
+        return f"{where}.{kind}: expected {wrong}{tail}"
+    texts = list(dict.fromkeys(_expected(e) for e in same))
+    text = " or ".join(texts[:1] + [t.removeprefix("expected ") for t in texts[1:]])
     found = "" if first["type"] in {"missing", "value_error"} else f", found {first['input']!r}"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{source}: {key}: {text}{found}{more}"
+    return f"{where}: {text}{found}{tail}"
+
+
+def _expected(error: ErrorDetails) -> str:
+    text = _EXPECTED.get(error["type"]) or error["msg"].removeprefix("Value error, ")
+    return text.replace("Input should be", "expected").split(", unable to parse")[0]
+
+
+def _key(location: tuple[int | str, ...], data: Any) -> str:
+    """The key as it stands in the file: without what pydantic adds for the kind that it tried."""
+    parts, here = list[str](), data
+    for i, part in enumerate(location):
+        inside = isinstance(here, dict) and part in here
+        inside |= isinstance(here, (list, tuple)) and isinstance(part, int) and part < len(here)
+        if inside:
+            here = here[part]
+        elif i < len(location) - 1 or not isinstance(here, dict):
+            continue
+        parts.append(str(part))
+    return ".".join(parts)

@@ -129,7 +129,7 @@ def test_a_wrong_setting_is_named_with_its_file_and_key(
         ({"companion": {"plan": {"wings": 2}}}, "line_changed.yaml: companion: unknown key 'plan.wings'"),
         (
             {"pad": {"motion": {"speed_m_s": 99}}},
-            "line_changed.yaml: pad.motion.line.speed_m_s: ",
+            "line_changed.yaml: pad.motion.speed_m_s: ",
         ),
         ({"airframe": "balloon"}, "airframes: no 'balloon'; expected the path of a .yaml file or one of: "),
     ],

@@ -88,6 +88,16 @@ def written(tmp_path: Path, **values: Any) -> Path:
             ["arc_s", "shortest"],
         ),
         ({"colour": "red"}, ["unknown key", "colour"]),
+        ({"pad": {"motion": {"kind": "circle", "radus_m": 5}}}, ["unknown key 'pad.motion.radus_m'"]),
+        (
+            {"pad": {"motion": {"kind": "circel", "radius_m": 5}}},
+            ["pad.motion.kind: expected one of 'static', 'line', 'circle'", "found 'circel'"],
+        ),
+        ({"pad": {"motion": {"radius_m": 5}}}, ["pad.motion.kind: expected a value, found none"]),
+        (
+            {"start_heading_deg": "north"},
+            ["start_heading_deg: expected a valid number or 'random', found 'north'"],
+        ),
         ({"camera": {"latency_s": 1.0}}, ["camera.latency_s"]),
         ({"camera": {"exposure": {"shortest_s": 0.02}}}, ["shortest_s", "longest_s"]),
         ({"link": {"loss_share": 2.0}}, ["link.loss_share"]),
