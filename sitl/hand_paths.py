@@ -199,6 +199,9 @@ def _sway(standing_m: float, rng: np.random.Generator) -> HandPath:
     return together(swung((0.0, 0.0, -height_m, 0.0, 0.0, 0.0), waves), tremor(rng))
 
 
+HOLD_S: Final = 4.0
+
+
 def _over_pad(standing_m: float, rng: np.random.Generator) -> HandPath:
     """What `companion check --pad` asks for, one after another, each from the middle and back to it."""
     low, high = -float(rng.uniform(0.5, 0.6)), -float(rng.uniform(0.95, 1.1))
@@ -212,9 +215,9 @@ def _over_pad(standing_m: float, rng: np.random.Generator) -> HandPath:
         (0.0, 0.0, high, lean, 0.0, 0.0),
         (0.0, 0.0, high, 0.0, lean, 0.0),
     ]
-    stations = [Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), 7.0), Rest(middle, 5.0)]
+    stations = [Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), 7.0), Rest(middle, HOLD_S)]
     for place in moved:
-        stations += [Rest(place, 5.0, 1.5), Rest(middle, 5.0, 1.5)]
+        stations += [Rest(place, HOLD_S, 1.5), Rest(middle, HOLD_S, 1.5)]
     stations.append(Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), math.inf))
     return together(rests(stations), tremor(rng))
 

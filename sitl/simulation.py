@@ -139,7 +139,7 @@ class Simulation:
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
         self._world = World(scenario, seed) if motion is None else HandHeldWorld(scenario, seed, motion)
         body = self._world.airframe.body
-        self._autopilot = Autopilot(
+        self.autopilot = Autopilot(
             scenario.autopilot,
             body,
             next(streams),
@@ -159,16 +159,14 @@ class Simulation:
         self._frame_line = FrameLine(fault_rng, camera.lost_share, camera.lost_burst_frames)
         self._to_app, self._to_vehicle = LinkWay(scenario.link, app_rng), LinkWay(scenario.link, vehicle_rng)
         camera_streams = (next(streams), next(streams))
-        self._onboard = _onboard(scenario.sensors, next(streams), self._autopilot.manner.imu_filter)
+        self._onboard = _onboard(scenario.sensors, next(streams), self.autopilot.manner.imu_filter)
         self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         breakable = Breakable(
             self._rack, self._onboard, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
         )
         self._faults = FaultSchedule(scenario.faults, breakable)
-        truth = TruthMessages(self._autopilot, self._world, HOME) if serve_truth else None
-        self.network = Network(
-            self._autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth
-        )
+        truth = TruthMessages(self.autopilot, self._world, HOME) if serve_truth else None
+        self.network = Network(self.autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth)
         self._deliver_frame = deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
@@ -257,7 +255,7 @@ class Simulation:
             self._scenario.pass_bounds,
             crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
-            disarmed=not self._autopilot.armed,
+            disarmed=not self.autopilot.armed,
             final_phase=final_phase,
         )
         pad_speed = (
@@ -285,13 +283,13 @@ class Simulation:
         self._expose(now_s)
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
-            self._world.attitude_setpoint = self._autopilot.attitude_setpoint
+            self._world.attitude_setpoint = self.autopilot.attitude_setpoint
             if self._keep_truth:
                 self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world
-        motors = self._onboard.motors = self._autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
+        motors = self._onboard.motors = self.autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
         world.step(motors, PHYSICS_STEP_S)
         state, throttle = world.state, 0.25 * sum(motors)
         if self._ticks % RANGE_EVERY_TICKS == 0:
