@@ -215,7 +215,8 @@ def _over_pad(standing_m: float, rng: np.random.Generator) -> HandPath:
         (0.0, 0.0, high, lean, 0.0, 0.0),
         (0.0, 0.0, high, 0.0, lean, 0.0),
     ]
-    stations = [Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), 7.0), Rest(middle, HOLD_S)]
+    # long enough at first to start what is to look on
+    stations = [Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), 10.0), Rest(middle, HOLD_S)]
     for place in moved:
         stations += [Rest(place, HOLD_S, 1.5), Rest(middle, HOLD_S, 1.5)]
     stations.append(Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), math.inf))

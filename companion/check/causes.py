@@ -76,6 +76,8 @@ _ADVICE: Final[dict[Part, str]] = {
     "'{m.vehicle}' is off: calibrate-mount measures it",
     "sight": "the pad '{m.pad}' or the move was not seen: the settings' pad is the printed one, whole in "
     "view, in good light; each step wants a rest of a second and a half",
+    "loss": "samples of the IMU were lost in the middle of the move: too busy a machine, or too slow a bus "
+    "(sense.imu.bus, sense.imu.poll_hz)",
     "mirror": "the camera's image is mirrored: switch the flip off in its driver (v4l2-ctl, libcamera)",
     "hand": "camera and IMU agree on another move than was asked: move it along the vehicle's own axes, or "
     "its front is not where you think (then camera_yaw_deg and sense.imu.body_from_sensor_deg are off alike)",

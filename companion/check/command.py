@@ -12,7 +12,8 @@ from rich.text import Text
 
 from companion.check.report import cause_lines, report_json, report_table, verdict_line
 from companion.check.session import Outlets, PadCheck
-from companion.check.wizard import Report, Say
+from companion.check.steps import Say
+from companion.check.wizard import Report
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
 from companion.files import write_atomically
 from companion.hardware import open_hardware

@@ -24,7 +24,7 @@ from companion.geometry import (
 )
 
 # what may be to blame for a finding
-Part = Literal["camera", "imu", "range", "scale", "compass", "pad", "hand", "sight", "mirror"]
+Part = Literal["camera", "imu", "range", "scale", "compass", "pad", "hand", "sight", "mirror", "loss"]
 
 ASTRAY_RAD: Final = math.radians(35.0)  # further from what was asked is another direction
 LEVEL_RAD: Final = math.radians(10.0)  # held by hand, on an accelerometer from the shop

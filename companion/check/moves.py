@@ -113,6 +113,11 @@ def imu_move(before: Rest, after: Rest, imu: Sequence[ImuSample], rate_bias_rad_
     return Move(rotation_vector_from_quat(turned), vector3(displacement))
 
 
+def longest_gap_s(imu: Sequence[ImuSample]) -> float:
+    """The longest time without a sample: over a long one nothing can be integrated."""
+    return max((new.time_s - old.time_s for old, new in pairwise(imu)), default=0.0)
+
+
 def _attitudes(imu: Sequence[ImuSample], rate_bias_rad_s: Vector3) -> list[Quaternion]:
     """The rotation from body axes at each sample into those at the first."""
     attitudes = [IDENTITY]

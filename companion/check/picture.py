@@ -39,11 +39,11 @@ def draw(
         if np.isfinite(outline).all():
             cv2.polylines(image, [np.rint(outline).astype(np.int32)], True, _PAD, 2)
     length_m = ARROW_SHARE * float(origin[2])
-    _arrow(image, vision, origin, (length_m, 0.0, 0.0), _FORWARD, "forward")
-    _arrow(image, vision, origin, (0.0, length_m, 0.0), _RIGHT, "right")
     if wizard.axis is not None and wizard.axis[0] == "shift":
         forward, right, down = (2.0 * length_m * share for share in wizard.axis[1])
         _arrow(image, vision, origin, (forward, right, down), _ASKED, "move")
+    _arrow(image, vision, origin, (length_m, 0.0, 0.0), _FORWARD, "forward")
+    _arrow(image, vision, origin, (0.0, length_m, 0.0), _RIGHT, "right")
     text = wizard.order.replace("°", " deg")
     cv2.rectangle(image, (0, 0), (image.shape[1], 26), (0, 0, 0), cv2.FILLED)
     cv2.putText(image, text, (6, 18), _FONT, 0.45, _TEXT, 1, cv2.LINE_AA)

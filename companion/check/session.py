@@ -19,7 +19,8 @@ from companion.check.causes import Mounting
 from companion.check.eyes import CheckingEyes
 from companion.check.picture import draw
 from companion.check.samples import Samples
-from companion.check.wizard import Report, Say, Wizard
+from companion.check.steps import Say
+from companion.check.wizard import Report, Wizard
 from companion.clock import Clock
 from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
 from companion.hardware import Hardware

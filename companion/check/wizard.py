@@ -15,7 +15,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final, Literal
+from typing import Final
 
 from companion.check.causes import Evidence, Mounting, likely_cause
 from companion.check.judge import (
@@ -29,9 +29,10 @@ from companion.check.judge import (
     judge_shift,
     judge_turn,
 )
-from companion.check.moves import camera_move, imu_move
+from companion.check.moves import Move, camera_move, imu_move, longest_gap_s
 from companion.check.rest import LEAST_IMU_SAMPLES, REST_S, Rest, find_rest
 from companion.check.samples import Samples, within
+from companion.check.steps import BACK_ORDER, START_ORDER, STEPS, Kind, Say, SayKind, Step
 from companion.geometry import Vector3, add, norm, scale
 
 STEP_TIMEOUT_S: Final = 60.0
@@ -42,12 +43,12 @@ LEAST_SHIFT_M: Final = 0.10
 LEAST_TURN_RAD: Final = math.radians(8.0)
 BACK_SHARE: Final = 0.5
 MOST_REPEATS: Final = 1
+# what a step is asked for again for: another move than asked, a move that the IMU has not seen all of
+REPEATED: Final[tuple[tuple[Part, ...], ...]] = (("hand",), ("loss",))
+LONGEST_GAP_S: Final = 0.1
 # beginning and end of a move pass for rest; so long apart from it nothing of it is left in a mean
 SETTLED_S: Final = 0.6
 FIRST_REST_S: Final = 2.0 * REST_S
-
-Kind = Literal["lift", "shift", "turn"]
-SayKind = Literal["order", "good", "bad", "note"]
 
 
 class Stage(StrEnum):
@@ -57,36 +58,6 @@ class Stage(StrEnum):
     OUT = "out"
     BACK = "back"
     END = "end"
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A move that is asked for: along (or about, for a turn) `axis`, in the vehicle's own axes, FRD."""
-
-    name: str
-    kind: Kind
-    axis: Vector3
-    order: str
-
-
-STEPS: Final = (
-    Step("up is up", "lift", (0.0, 0.0, -1.0), "Raise it straight up by half a metre and hold it still"),
-    Step("right is right", "shift", (0.0, 1.0, 0.0), "Move it to its right by 20 cm and hold it still"),
-    Step("forward is forward", "shift", (1.0, 0.0, 0.0), "Move it forward by 20 cm and hold it still"),
-    Step("turn right", "turn", (0.0, 0.0, 1.0), "Turn its nose to the right by 45° and hold it still"),
-    Step("roll right", "turn", (1.0, 0.0, 0.0), "Lean it to the right by 15° and hold it still"),
-    Step("nose up", "turn", (0.0, 1.0, 0.0), "Raise its nose by 15° and hold it still"),
-)
-START_ORDER: Final = "Hold it level and still, half a metre over the middle of the pad"
-BACK_ORDER: Final = "Bring it back, level over the middle of the pad, and hold it still"
-
-
-@dataclass(frozen=True, slots=True)
-class Say:
-    """Something for the person: an order, a good or a bad answer, or a note."""
-
-    text: str
-    kind: SayKind = "note"
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,15 +188,25 @@ class Wizard:
         step = STEPS[self._number]
         imu = within(samples.imu, before.start_s, after.end_s)
         moves = camera_move(before, after), imu_move(before, after, imu, self._rate_bias())
-        judge = judge_turn if step.kind == "turn" else judge_shift
-        finding = judge(step.name, step.axis, *moves, imu_is_level=self._imu_is_level)
-        if finding.blamed == ("hand",) and self._repeats < MOST_REPEATS:
+        finding = self._finding(step, moves, longest_gap_s(imu))
+        if finding.blamed in REPEATED and self._repeats < MOST_REPEATS:
             self._repeats += 1
-            self._say(f"{step.name}: that was another move ({finding.told}); once more", "bad")
+            self._say(f"{step.name}: {finding.told}; once more", "bad")
             self._bring_back(after, self._number, now_s)
             return
         self._repeats = 0
         self._found(finding)
+        if finding.blamed not in REPEATED:
+            self._keep(step, before, after, moves)
+        if step.kind == "lift":
+            # the other steps are made up here
+            self._base = after
+            self._go_out(self._number + 1, now_s)
+        else:
+            self._bring_back(after, self._number + 1, now_s)
+
+    def _keep(self, step: Step, before: Rest, after: Rest, moves: tuple[Move, Move]) -> None:
+        """A step's moves as evidence, and the answers that come with it."""
         match step.kind:
             case "lift":
                 self._evidence.high, self._evidence.lift = after, moves
@@ -236,12 +217,13 @@ class Wizard:
                 self._evidence.turns.append((step.axis, *moves))
                 if step.axis[2] != 0.0:
                     self._found(judge_compass_turn(before, after, moves[1]))
-        if step.kind == "lift":
-            # the other steps are made up here
-            self._base = after
-            self._go_out(self._number + 1, now_s)
-        else:
-            self._bring_back(after, self._number + 1, now_s)
+
+    def _finding(self, step: Step, moves: tuple[Move, Move], gap_s: float) -> Finding:
+        """The answer to a step, moved so by camera and IMU, the IMU with a gap of so long."""
+        if gap_s > LONGEST_GAP_S:
+            return Finding(step.name, f"samples of the IMU are missing for {gap_s:.2f} s", ("loss",))
+        judge = judge_turn if step.kind == "turn" else judge_shift
+        return judge(step.name, step.axis, *moves, imu_is_level=self._imu_is_level)
 
     def _go_out(self, number: int, now_s: float) -> None:
         """Ask for a step, or end where there is none left."""

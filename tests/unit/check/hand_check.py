@@ -12,7 +12,8 @@ import yaml
 
 from companion.check.samples import Samples
 from companion.check.session import Outlets, PadCheck
-from companion.check.wizard import Report, Say
+from companion.check.steps import Say
+from companion.check.wizard import Report
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.desk import SIMULATED_HARDWARE

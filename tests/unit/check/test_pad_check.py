@@ -14,7 +14,8 @@ import pytest
 from companion.check.causes import Mounting
 from companion.check.report import cause_lines, report_json, verdict_line
 from companion.check.samples import Samples
-from companion.check.wizard import STEP_TIMEOUT_S, STEPS, Report, Wizard
+from companion.check.steps import STEPS, Say
+from companion.check.wizard import STEP_TIMEOUT_S, Report, Wizard
 from companion.config import ConfigError
 from companion.geometry import (
     Quaternion,
@@ -52,6 +53,8 @@ MOUNTING = Mounting(
     range_position_body_m=(-0.03, 0.0, 0.08),
     field_ned_ut=(20.9, 0.6, 42.9),
 )
+# of the simulated hand: ten seconds, two to rise, four of rest; then it goes to the right
+RIGHT_MOVE_S = 16.5
 Any = ImuSample | MagSample | PadSighting | RangeSample
 
 
@@ -125,8 +128,9 @@ def test_an_armed_vehicle_is_refused() -> None:
 # ---------------------------------------------------------------- on samples
 
 
-def again(change: Callable[[Any], Any | None]) -> Report:
+def again(change: Callable[[Any], Any | None], said: list[Say] | None = None) -> Report:
     """The check over the samples of a right vehicle, as other settings or sensors would have given them."""
+    heard = [] if said is None else said
     samples, wizard = Samples(), Wizard(MOUNTING, 0.0)
     takers = {
         ImuSample: samples.add_imu,
@@ -137,13 +141,13 @@ def again(change: Callable[[Any], Any | None]) -> Report:
     next_s = 0.0
     for heard_s, sample in right().heard:
         while heard_s > next_s:
-            wizard.step(samples, next_s)
+            heard += wizard.step(samples, next_s)
             next_s += 0.1
         changed = change(sample)
         if changed is not None:
             takers[type(changed)](changed)  # type: ignore[operator]
     while not wizard.finished:
-        wizard.step(samples, next_s)
+        heard += wizard.step(samples, next_s)
         next_s += 0.1
     return wizard.report()
 
@@ -282,6 +286,22 @@ def test_a_strong_magnet_is_noticed() -> None:
         return replace(sample, field_body_ut=(x + 60.0, y, z))
 
     assert "compass" in failed(again(near_a_magnet))
+
+
+def test_a_move_that_the_imu_missed_is_asked_for_again_and_another_move_is_no_answer() -> None:
+    """The hand does not wait: when "right" is asked for again, it goes forward."""
+    moved_s = next(heard_s for heard_s, sample in right().heard if isinstance(sample, PadSighting) and
+                   sample.time_s > RIGHT_MOVE_S)  # fmt: skip
+
+    def losing(sample: Any) -> Any | None:
+        lost = isinstance(sample, ImuSample) and moved_s < sample.time_s < moved_s + 0.3
+        return None if lost else sample
+
+    said = list[Say]()
+    report = again(losing, said)
+    assert any("samples of the IMU are missing for 0.3" in line.text for line in said)
+    assert "agree on another move" in report.causes["right is right"]
+    assert "forward" in next(f.told for f in report.findings if f.name == "right is right")
 
 
 def test_moves_that_are_not_made_end_by_time() -> None:
