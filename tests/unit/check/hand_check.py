@@ -149,7 +149,13 @@ def check(
             if arm:
                 vehicle.simulation.autopilot.arm(force=True)
             frames = vehicle.frames if change is None else ChangedFrames(vehicle.frames, change)
-            hardware = Hardware(app_end, frames, imu_bus=vehicle.imu_bus, range_port=vehicle.range_port)
+            boards = config is None or config.sense.source == "boards"
+            hardware = Hardware(
+                app_end,
+                frames,
+                imu_bus=vehicle.imu_bus if boards else None,
+                range_port=vehicle.range_port if boards else None,
+            )
             outlets = Outlets(said.append)
             checking = PadCheck(config or settings(), hardware, outlets, linked=linked, samples=heard)
             return Checked(await checking.run(), said, heard.all)

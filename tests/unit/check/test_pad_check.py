@@ -60,8 +60,8 @@ Any = ImuSample | MagSample | PadSighting | RangeSample
 
 @lru_cache(maxsize=1)
 def right() -> Checked:
-    """One check of a vehicle on which all is well, with its autopilot."""
-    return check(linked=True)
+    """One check of a vehicle on which all is well."""
+    return check()
 
 
 # ---------------------------------------------------------------- whole
@@ -88,7 +88,7 @@ def test_wrong_settings_are_named_with_what_would_fit(tmp_path: Path) -> None:
         vehicle=vehicle_file(tmp_path, camera_yaw_deg=90.0),
         sense={"imu": {"body_from_sensor_deg": [0.0, 0.0, 0.0]}},
     )
-    checked = check(wrong)
+    checked = check(wrong, linked=True)
     assert {"level is level", "right is right", "forward is forward", "roll right"} <= checked.failed
     assert checked.failed.isdisjoint({"up is up", "height, low", "height, high", "compass"})
     assert "camera_yaw_deg" in checked.cause("forward is forward")
