@@ -28,7 +28,7 @@ Part = Literal["camera", "imu", "range", "scale", "compass", "pad", "hand", "sig
 
 ASTRAY_RAD: Final = math.radians(35.0)  # further from what was asked is another direction
 LEVEL_RAD: Final = math.radians(10.0)  # held by hand, on an accelerometer from the shop
-PAD_LEVEL_RAD: Final = math.radians(6.0)
+PAD_LEVEL_RAD: Final = math.radians(8.0)
 ALIKE_RAD: Final = math.radians(12.0)  # between the axes that camera and gyroscope turned about
 ALIKE_SIZE: Final = (math.radians(3.0), 0.2)  # and between the angles: so much, and a share
 HEIGHT: Final = (0.04, 0.07)  # likewise between two heights (m)

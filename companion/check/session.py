@@ -87,6 +87,7 @@ class PadCheck:
             tell=self._tell,
         )
         self._mounting = _mounting(config, vehicle)
+        self._wizard: Wizard | None = None
 
     async def run(self) -> Report:
         """Check; ends by itself, after at most a minute a step.
@@ -99,7 +100,6 @@ class PadCheck:
             works |= {"autopilot link": self._receive_task, "heartbeat": self._link_task}
         if self._outlets.page is not None:
             works["picture"] = self._picture_task
-        self._wizard: Wizard | None = None
         try:
             async with asyncio.TaskGroup() as group:
                 workers = [

@@ -94,7 +94,7 @@ def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: P
         (("--pad", "--json", "/nowhere/check.json"), "--json /nowhere/check.json: cannot be written"),
         (("--pad", "--config", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--pad", "--no-link", "--config", "telemetry.yaml"), "--no-link: sense.source is autopilot"),
-        (("--pad", "--no-link", "--config", "absent.yaml"), "bus 'socket:/nowhere/registers'"),
+        (("--pad", "--no-link", "--config", "absent.yaml"), "serial port /nowhere/gps: cannot be opened"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(
@@ -106,7 +106,9 @@ def test_what_is_wrong_is_said_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "telemetry.yaml").write_text("sense: {source: autopilot}\n")
-    (tmp_path / "absent.yaml").write_text("sense: {imu: {bus: 'socket:/nowhere/registers'}}\n")
+    (tmp_path / "absent.yaml").write_text(
+        "sense: {imu: {bus: 'socket:/nowhere/bus'}, gps: {port: /nowhere/gps}}\n"
+    )
     monkeypatch.setattr(sys, "argv", ["companion", "check", *words])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from companion.check.causes import Mounting
 from companion.check.samples import Samples
 from companion.check.session import Outlets, PadCheck
 from companion.check.steps import Say
@@ -26,6 +27,17 @@ from sitl.in_process import carried
 from sitl.scenario import Scenario
 
 SEED = 3
+# as the shipped settings have it
+MOUNTING = Mounting(
+    vehicle="x500",
+    camera="sitl_640x480",
+    pad="moving_1300",
+    camera_yaw_deg=0.0,
+    camera_tilt_deg=0.0,
+    body_from_sensor_deg=(180.0, 0.0, 0.0),
+    range_position_body_m=(-0.03, 0.0, 0.08),
+    field_ned_ut=(20.9, 0.6, 42.9),
+)
 
 
 @dataclass

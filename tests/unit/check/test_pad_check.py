@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.check.causes import Mounting
 from companion.check.report import cause_lines, report_json, verdict_line
 from companion.check.samples import Samples
 from companion.check.steps import STEPS, Say
@@ -27,7 +26,7 @@ from companion.geometry import (
     scale,
 )
 from companion.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
-from tests.unit.check.hand_check import Checked, check, mirrored, settings, vehicle_file
+from tests.unit.check.hand_check import MOUNTING, Checked, check, mirrored, settings, vehicle_file
 
 QUESTIONS = (
     "level is level",
@@ -42,16 +41,6 @@ QUESTIONS = (
     "compass turns along",
     "roll right",
     "nose up",
-)
-MOUNTING = Mounting(
-    vehicle="x500",
-    camera="sitl_640x480",
-    pad="moving_1300",
-    camera_yaw_deg=0.0,
-    camera_tilt_deg=0.0,
-    body_from_sensor_deg=(180.0, 0.0, 0.0),
-    range_position_body_m=(-0.03, 0.0, 0.08),
-    field_ned_ut=(20.9, 0.6, 42.9),
 )
 # of the simulated hand: ten seconds, two to rise, four of rest; then it goes to the right
 RIGHT_MOVE_S = 16.5
