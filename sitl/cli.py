@@ -125,7 +125,9 @@ def main(words: Sequence[str] | None = None) -> None:
     try:
         code = cli(args=words, standalone_mode=False)
     except TyperException as error:
-        code = _fail(f"{error.format_message().rstrip('.')}; see companion-sitl --help")
+        # what lists choices takes several lines
+        said = " ".join(error.format_message().split()).rstrip(".")
+        code = _fail(f"{said}; see companion-sitl --help")
     except ConfigError as error:
         code = _fail(str(error))
     except (KeyboardInterrupt, typer.Abort):

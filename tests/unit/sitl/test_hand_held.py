@@ -40,6 +40,7 @@ from companion.messages import Frame, ImuSample, MagSample
 from companion.pad import load_pad
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.vision import Vision
+from sitl.cli import main
 from sitl.hand_held import HandHeldWorld
 from sitl.hand_paths import FACES, HAND_MOTIONS, HandMotion
 from sitl.in_process import InProcess, carried
@@ -224,6 +225,25 @@ def test_the_pad_stays_in_view(motion: HandMotion, length_s: float, share: float
 
 
 # ---------------------------------------------------------------- as a process
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), "Missing option '--motion'"),
+        (("--motion", "juggle"), "Invalid value for '--motion'"),
+        (("--motion", "still", "--scenario", "nowhere"), "scenarios: no 'nowhere'"),
+        (("--motion", "still", "--folder", "/nowhere"), "--folder /nowhere: expected a folder"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(("hold", *words))
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"companion-sitl: {expected}")
 
 
 def test_it_is_served_as_a_process(tmp_path: Path) -> None:
