@@ -20,6 +20,8 @@ from rich.console import Console
 from typer.exceptions import TyperException
 
 from companion.app import App
+from companion.check.command import HELP as CHECK_HELP
+from companion.check.command import check_command
 from companion.clock import start_unix_s
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
 from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
@@ -50,6 +52,7 @@ LATE_S: Final = 0.1
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 cli.command("replay", help=REPLAY_HELP, short_help="Run the estimators again over a log.")(replay_command)
+cli.command("check", help=CHECK_HELP, short_help="Check before a first flight, held by hand.")(check_command)
 
 
 @cli.callback(invoke_without_command=True)
@@ -99,10 +102,10 @@ def companion(
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live status; one line a notice.")] = False,
 ) -> None:
     """Land a multirotor softly on a pad that moves, by eye."""
+    prepare_opencv()
     if context.invoked_subcommand is not None:
         alone(context)
         return
-    prepare_opencv()
     output = Output(Console(), record, json_file, live=not no_ui)
     try:
         theirs = {"--autopilot": autopilot, "--connect": connect, "--connect-world": connect_world}
@@ -123,7 +126,6 @@ def companion(
 @cli.command("flights", help=FLIGHTS_HELP, hidden=True)
 def flights() -> None:
     """Fly many in one process, for a campaign."""
-    prepare_opencv()
     serve_flights()
 
 

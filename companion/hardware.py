@@ -12,7 +12,7 @@ from companion.config import CameraConfig, CompanionConfig, RangeConfig, find_fi
 from companion.link.actions import PymavlinkActions, VehicleActions
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
-from companion.link.transport import Transport, open_transport
+from companion.link.transport import Transport, memory_pair, open_transport
 from companion.sense.camera import FrameSource, open_camera
 from companion.sense.echo_pins import EchoPins
 from companion.sense.i2c import RegisterBus, open_bus
@@ -56,8 +56,10 @@ class Hardware:
 
 
 @asynccontextmanager
-async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
+async def open_hardware(config: CompanionConfig, *, linked: bool = True) -> AsyncIterator[Hardware]:
     """Open what the settings name, and close it again at the end.
+
+    Not `linked`, the line to the autopilot stays closed, and nothing ever comes over it.
 
     Raises:
         ConfigError: a port, bus or camera is missing, taken or misspelt; one line says which.
@@ -65,9 +67,10 @@ async def open_hardware(config: CompanionConfig) -> AsyncIterator[Hardware]:
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
     sense = config.sense
     with ExitStack() as opened:
-        transport = opened.enter_context(
-            closing(await open_transport(config.link.connection, config.link.system_id))
-        )
+        link = config.link
+        transport: Transport = memory_pair()[0]
+        if linked:
+            transport = opened.enter_context(closing(await open_transport(link.connection, link.system_id)))
         imu_bus: RegisterBus | None = None
         gps_port: BytePort | None = None
         range_port: BytePort | EchoPins | None = None

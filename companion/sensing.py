@@ -19,7 +19,6 @@ from typing import Final, Protocol
 
 from companion.clock import Clock
 from companion.config import CompanionConfig
-from companion.estimate.estimator import Estimator
 from companion.hardware import BytePort, Hardware
 from companion.link.codec import Severity
 from companion.link.onboard import OnboardSensors, Sample
@@ -31,6 +30,8 @@ from companion.messages import (
     GpsFix,
     ImuSample,
     MagSample,
+    PadPrior,
+    PadSighting,
     RangeSample,
 )
 from companion.record import FlightLog
@@ -38,7 +39,7 @@ from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
 from companion.sense.range_finder import RangeFinder, make_range_finder
-from companion.sense.vision import Vision, VisionResult
+from companion.sense.vision import VisionResult
 
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
@@ -53,6 +54,26 @@ class Tell(Protocol):
         ...
 
 
+class Eyes(Protocol):
+    """What looks at frames: `companion.sense.vision.Vision`, or it with something about it."""
+
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+        """One frame in, what it shows out."""
+        ...
+
+
+class Estimates(Protocol):
+    """Where samples go: the estimator, or whoever wants them as they are."""
+
+    def add_imu(self, sample: ImuSample) -> object: ...
+    def add_mag(self, sample: MagSample) -> object: ...
+    def add_gps(self, fix: GpsFix) -> object: ...
+    def add_range(self, sample: RangeSample) -> object: ...
+    def add_sighting(self, sighting: PadSighting) -> object: ...
+    def add_autopilot_attitude(self, sample: AutopilotAttitude) -> object: ...
+    def pad_prior(self, time_s: float) -> PadPrior | None: ...
+
+
 class Sensing:
     """All sensors of one vehicle."""
 
@@ -60,8 +81,8 @@ class Sensing:
         self,
         config: CompanionConfig,
         hardware: Hardware,
-        vision: Vision,
-        estimator: Estimator,
+        vision: Eyes,
+        estimator: Estimates,
         onboard: OnboardSensors | None = None,
         *,
         clock: Clock,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -31,12 +31,15 @@ from sitl.devices.rack import SensorRack, Wiring
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
+from sitl.hand_held import HandHeldWorld
+from sitl.hand_paths import HandMotion
 from sitl.network import Network, Port, Write
 from sitl.onboard import OnboardSensors
 from sitl.report import SimulationReport
 from sitl.scenario import Scenario, SensorSettings
-from sitl.scene_camera import SceneCamera
+from sitl.scene_camera import CameraTruth, SceneCamera
 from sitl.score import judge
+from sitl.sensor_flaws import BoardTruth
 from sitl.sensor_quality import sensor_errors
 from sitl.sensors import RangeErrors
 from sitl.signing import Signing
@@ -50,7 +53,7 @@ TICK_S: Final = PHYSICS_STEP_S * STEPS_PER_TICK
 LONGEST_CATCH_UP_S: Final = 0.03
 TRUTH_EVERY_TICKS: Final = 4
 RANGE_EVERY_TICKS: Final = 2
-# the world and the sensors draw from (seed, 0..13)
+# the world and the sensors draw from (seed, 0..14)
 SIMULATION_STREAM: Final = 20
 FAULT_STREAM: Final = 21
 # latitude (deg), longitude (deg), altitude (m) of the world's origin, and the field there (WMM 2025, rounded)
@@ -70,6 +73,15 @@ class ByteLink(Protocol):
     def write(self, data: bytes) -> None:
         """Send without waiting."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTruth:
+    """Of the companion's boards, the autopilot's own sensors and the camera."""
+
+    boards: BoardTruth
+    autopilot: BoardTruth
+    camera: CameraTruth
 
 
 class MemoryFrames:
@@ -107,12 +119,14 @@ class Simulation:
         signing_key: bytes | None = None,
         serve_truth: bool = False,
         keep_truth: bool = True,
+        motion: HandMotion | None = None,
     ) -> None:
         """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
         `link` is the MAVLink line of an app in this process, others come by `connect`. `unix_at_start_s` is
         UTC (s since 1970) when the world begins; `serve_truth` lets clients ask for the truth; `keep_truth`
-        keeps all of it for `report`, which a vehicle that is served for days has no memory for.
+        keeps all of it for `report`, which a vehicle that is served for days has no memory for. With a
+        `motion` it is carried by hand and cannot fly.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -123,9 +137,9 @@ class Simulation:
         self._link = link
         self._camera_wanted = camera_wanted
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
-        self._world = World(scenario, seed)
+        self._world = World(scenario, seed) if motion is None else HandHeldWorld(scenario, seed, motion)
         body = self._world.airframe.body
-        self._autopilot = Autopilot(
+        self.autopilot = Autopilot(
             scenario.autopilot,
             body,
             next(streams),
@@ -145,21 +159,29 @@ class Simulation:
         self._frame_line = FrameLine(fault_rng, camera.lost_share, camera.lost_burst_frames)
         self._to_app, self._to_vehicle = LinkWay(scenario.link, app_rng), LinkWay(scenario.link, vehicle_rng)
         camera_streams = (next(streams), next(streams))
-        self._onboard = _onboard(scenario.sensors, next(streams), self._autopilot.manner.imu_filter)
+        self._onboard = _onboard(scenario.sensors, next(streams), self.autopilot.manner.imu_filter)
         self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         breakable = Breakable(
             self._rack, self._onboard, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
         )
         self._faults = FaultSchedule(scenario.faults, breakable)
-        truth = TruthMessages(self._autopilot, self._world, HOME) if serve_truth else None
-        self.network = Network(
-            self._autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth
-        )
+        truth = TruthMessages(self.autopilot, self._world, HOME) if serve_truth else None
+        self.network = Network(self.autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth)
         self._deliver_frame = deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
+
+    @property
+    def sensor_truth(self) -> SensorTruth:
+        """How the sensors truly are: for tests and benches."""
+        return SensorTruth(self._rack.truth, self._onboard.truth, self._camera.truth)
+
+    @property
+    def world(self) -> World:
+        """The truth now: for tests and benches."""
+        return self._world
 
     async def run(self) -> None:
         """Go on until cancelled."""
@@ -233,7 +255,7 @@ class Simulation:
             self._scenario.pass_bounds,
             crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
-            disarmed=not self._autopilot.armed,
+            disarmed=not self.autopilot.armed,
             final_phase=final_phase,
         )
         pad_speed = (
@@ -261,13 +283,13 @@ class Simulation:
         self._expose(now_s)
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
-            self._world.attitude_setpoint = self._autopilot.attitude_setpoint
+            self._world.attitude_setpoint = self.autopilot.attitude_setpoint
             if self._keep_truth:
                 self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world
-        motors = self._onboard.motors = self._autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
+        motors = self._onboard.motors = self.autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
         world.step(motors, PHYSICS_STEP_S)
         state, throttle = world.state, 0.25 * sum(motors)
         if self._ticks % RANGE_EVERY_TICKS == 0:

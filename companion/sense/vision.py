@@ -83,6 +83,10 @@ class Vision:
                 return VisionResult(self._sighting(frame, pose), _count(pose.used), number >= len(looks))
         return VisionResult(None, _count(tuple(found)), bool(wide))
 
+    def pixels(self, points_body_m: FloatArray) -> FloatArray:
+        """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
+        return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
+
     def _whole_frame(self) -> tuple[SearchPass, ...]:
         self._turn += 1
         return self._planner.whole_frame(self._turn)

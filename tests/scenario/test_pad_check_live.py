@@ -1,0 +1,117 @@
+"""`companion check --pad` as a program: on a vehicle in another process, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from pymavlink import mavutil
+
+from companion.cli import main
+from companion.config import CONFIG_FOLDER
+
+ROOT = CONFIG_FOLDER.parent
+PATIENCE_S = 40.0
+FORCE = 21196
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[dict[str, Any]]:
+    """A vehicle that stands on its pad, as a process; yields the app's settings that lead there."""
+    words = ("-m", "sitl.cli", "hold", "--child", "--motion", "still", "--folder", str(folder))
+    with subprocess.Popen(
+        (sys.executable, *words), cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        try:
+            yield json.loads(process.stdout.readline())
+        finally:
+            process.communicate(timeout=PATIENCE_S)
+
+
+def arm(connection: str) -> None:
+    """Arm a vehicle against its will."""
+    line = mavutil.mavlink_connection(f"udpout:{connection.partition(':')[2]}", source_system=254)
+    for _ in range(20):
+        line.mav.command_long_send(
+            1, 1, mavutil.mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, 1, FORCE, 0, 0, 0, 0, 0
+        )
+        answer = line.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.5)
+        if answer is not None and answer.result == mavutil.mavlink.MAV_RESULT_ACCEPTED:
+            break
+    line.close()
+
+
+def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: Path) -> None:
+    with held(tmp_path) as endpoints:
+        path = tmp_path / "mine.yaml"
+        path.write_text(yaml.safe_dump(endpoints))
+        command = (
+            sys.executable,
+            "-m",
+            "companion.cli",
+            "check",
+            "--pad",
+            "--config",
+            str(path),
+            "--serve",
+            "0",
+        )
+        with subprocess.Popen(
+            command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            guard = threading.Timer(PATIENCE_S, process.kill)
+            guard.start()
+            assert process.stdout is not None
+            said = []
+            for line in process.stdout:
+                said.append(line.strip())
+                if "Raise it" in line:
+                    break
+            arm(endpoints["link"]["connection"])
+            _, errors = process.communicate()
+            guard.cancel()
+    assert said[0].startswith("picture at http://127.0.0.1:")
+    assert "Hold it level" in said[1]
+    answers = {line.partition(":")[0] for line in said if line.startswith("ok")}
+    assert answers >= {"ok  level is level", "ok  compass", "ok  height, low"}, said
+    assert process.returncode == 2
+    assert errors.startswith("companion: the autopilot says armed; expected a disarmed vehicle")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), "check: expected --pad"),
+        (("--pad", "--json", "/nowhere/check.json"), "--json /nowhere/check.json: cannot be written"),
+        (("--pad", "--config", "missing.yaml"), "missing.yaml: cannot be read"),
+        (("--pad", "--no-link", "--config", "telemetry.yaml"), "--no-link: sense.source is autopilot"),
+        (("--pad", "--no-link", "--config", "absent.yaml"), "serial port /nowhere/gps: cannot be opened"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(
+    words: tuple[str, ...],
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "telemetry.yaml").write_text("sense: {source: autopilot}\n")
+    (tmp_path / "absent.yaml").write_text(
+        "sense: {imu: {bus: 'socket:/nowhere/bus'}, gps: {port: /nowhere/gps}}\n"
+    )
+    monkeypatch.setattr(sys, "argv", ["companion", "check", *words])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"companion: {expected}")
