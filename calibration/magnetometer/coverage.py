@@ -10,13 +10,14 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.geometry import FloatArray
 
+BoolArray = NDArray[np.bool_]
+
 CELLS: Final = 100
 WHOLE: Final = 0.80  # of the cells: no hole is left that is worth a turn
-
-AXIS_NAMES: Final = ("x", "y", "z")
 
 
 def lattice(count: int) -> FloatArray:
@@ -32,13 +33,13 @@ def lattice(count: int) -> FloatArray:
 _CENTRES: Final = lattice(CELLS)
 
 
-def cells_of(directions: FloatArray) -> FloatArray:
+def cells_of(directions: FloatArray) -> NDArray[np.intp]:
     """The cell of each unit vector (n, 3)."""
-    cells: FloatArray = np.argmax(directions @ _CENTRES.T, axis=1)
+    cells: NDArray[np.intp] = np.argmax(directions @ _CENTRES.T, axis=1)
     return cells
 
 
-def covered_cells(directions: FloatArray) -> FloatArray:
+def covered_cells(directions: FloatArray) -> BoolArray:
     """Mask (CELLS,) of the cells that unit vectors (n, 3) lie in."""
     covered = np.zeros(CELLS, dtype=bool)
     covered[cells_of(directions)] = True

@@ -21,7 +21,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.magnetometer.coverage import WHOLE, covered_share
+from calibration.magnetometer.coverage import WHOLE, BoolArray, covered_share
 from calibration.magnetometer.distance import UNKNOWNS, distance, pack, unpack
 from calibration.magnetometer.ellipsoid import Ellipsoid, robust_start
 from companion.geometry import FloatArray
@@ -55,7 +55,7 @@ class EllipsoidFit:
     objective: Objective
     covariance: FloatArray
     radius: float
-    kept: FloatArray
+    kept: BoolArray
     noise: float
     condition: float
     correlation_samples: float
@@ -121,7 +121,6 @@ def whiteness_sigma(residuals: FloatArray) -> float:
 # ---------------------------------------------------------------- objectives
 
 
-
 def _plain(x: FloatArray, raw: FloatArray) -> FloatArray:
     return unpack(x).deviation(raw)
 
@@ -149,7 +148,7 @@ def _residuals(x: FloatArray, raw: FloatArray, sigma: float) -> FloatArray:
     return residuals
 
 
-def _refine(raw: FloatArray, start: Ellipsoid) -> tuple[FloatArray, FloatArray, float]:
+def _refine(raw: FloatArray, start: Ellipsoid) -> tuple[FloatArray, BoolArray, float]:
     """The likelihood's optimum, the mask of what it was taken over, and the noise of one axis.
 
     Least squares over what lies near enough, with the spread of all readings for a measure of "near" until
