@@ -15,6 +15,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+from calibration.magnetometer.coverage import CELLS
 from calibration.magnetometer.coverage_map import picture, text_map
 from calibration.magnetometer.guidance import Progress, progress
 from calibration.magnetometer.live import LiveSource
@@ -26,6 +27,7 @@ from companion.mjpeg import MjpegServer
 ENOUGH: Final = 0.88  # of the sphere: then it stops by itself
 LEAST_SAMPLES: Final = 500
 _LOOK_S: Final = 0.5
+_RECENT: Final = 200  # inertial samples: guidance needs the newest alone
 _LINE_S: Final = 3.0
 
 
@@ -46,7 +48,7 @@ async def collect(source: LiveSource, limits: Limits, console: Console) -> Recor
     """
     clock = Clock()
     start_s = looked_s = clock.now_s()
-    now = Progress(0, np.zeros(1, dtype=bool), None, "")
+    now = Progress(0, np.zeros(CELLS, dtype=bool), None, "")
     async with _browser(limits.port) as browser:
         with _screen(console) as screen:
             while clock.now_s() - start_s < limits.time_s:
@@ -56,16 +58,14 @@ async def collect(source: LiveSource, limits: Limits, console: Console) -> Recor
                 looked_s = clock.now_s()
                 now = progress(*paired(mags, imus[-_RECENT:]), source.body_from_sensor)
                 screen.show(now, looked_s - start_s)
-                browser.show(picture(now)) if browser is not None and now.samples else None
+                if browser is not None:
+                    browser.show(picture(now))
                 if now.share >= ENOUGH and now.samples >= LEAST_SAMPLES:
                     break
     if limits.picture is not None and now.samples:
         _save(limits.picture, picture(now))
         console.print(f"coverage in {limits.picture}", highlight=False, markup=False)
     return source.recording()
-
-
-_RECENT: Final = 200  # inertial samples: guidance needs the newest alone
 
 
 @asynccontextmanager

@@ -89,7 +89,7 @@ def fit_ellipsoid(
     scaled, sigma = (thinned - middle) / size, sigma / size
     x = pack(Ellipsoid(refined.matrix * size, np.zeros(3)))
     normal, correlation = _information(x, scaled[kept], sigma)
-    covariance = correlation * np.linalg.pinv(normal)
+    covariance = np.asarray(correlation * np.linalg.pinv(normal), dtype=float)
     chosen: Objective = "likelihood" if objective == "auto" else objective
     if objective == "residual" or (objective == "auto" and _is_better_plain(x, scaled[kept])):
         chosen = "residual"
@@ -198,10 +198,10 @@ def _information(x: FloatArray, raw: FloatArray, sigma: float) -> tuple[FloatArr
     """J^T J / σ² of the likelihood (9, 9), and the residuals' correlation in samples."""
     jacobian = distance(x, raw).jacobian()
     normal: FloatArray = jacobian.T @ jacobian / sigma**2
-    return normal, _correlation_samples(_residuals(x, raw, sigma))
+    return normal, correlation_samples(_residuals(x, raw, sigma))
 
 
-def _correlation_samples(residuals: FloatArray) -> float:
+def correlation_samples(residuals: FloatArray) -> float:
     """Integrated autocorrelation of residuals in order: 1 for white noise (Sokal's window, at five times it).
 
     n correlated samples tell as much as n / this independent ones.

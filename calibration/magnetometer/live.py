@@ -190,9 +190,8 @@ class Autopilot:
             for name in NAMES[manner]:
                 self._parameters.submit(ParameterRequest(name))
         for message_id, rate_hz in self._rates.to_ask(now_s):
-            self._transport.write(
-                self._codec.encode(set_message_interval(message_id, rate_hz, system_id).message())
-            )
+            ask = set_message_interval(message_id, rate_hz, system_id).message(0)
+            self._transport.write(self._codec.encode(ask))
         for message in self._parameters.to_send(now_s, system_id):
             self._transport.write(self._codec.encode(message))
 

@@ -10,8 +10,8 @@ from rich.table import Table
 from calibration.magnetometer.calibrate import Calibrated, TrueField
 from companion.config.magnetometer import MagnetometerCalibration
 
-_HEAD: Final = """# A magnetometer's calibration: calibrated = soft_iron (raw - hard_iron); raw in {unit}, {axes} axes.
-# Written by calibrate-magnetometer. {use}
+_HEAD: Final = """# A magnetometer's calibration: calibrated = soft_iron (raw - hard_iron),
+# raw in {unit}, {axes} axes. Written by calibrate-magnetometer. {use}
 """
 _USE: Final = {
     "mpu9250": "The app's settings name it as sense.imu.magnetometer_calibration.",

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 import re
+import zipfile
+import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -181,7 +183,7 @@ def read_numpy_table(path: Path) -> SampleTable:
     try:
         loaded = np.load(path, allow_pickle=False)
         arrays = dict(loaded) if path.suffix.lower() == ".npz" else {"mag": loaded}
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ConfigError(f"{path}: cannot be read as numpy's arrays: {error}") from error
     lowered: dict[str, Any] = {name.lower(): array for name, array in arrays.items()}
     raw = _array(lowered, _NPZ_MAGNETOMETER, "m")
