@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from calibration.magnetometer.recording import Recording
 from companion.config.calibration import Provenance
 from companion.config.magnetometer import MagnetometerCalibration, MagnetometerQuality
 from companion.geometry import FloatArray, Vector3, vector3
+
+_LEAST_KEPT: Final = 0.1  # of the samples; fewer are what happened to lie near something
 
 
 class UnfitError(Exception):
@@ -117,6 +120,8 @@ def _fit(raw: FloatArray, rng: np.random.Generator, objective: Objective | None)
         fit = fit_ellipsoid(raw, rng, objective or "auto")
     except NoEllipsoidError as error:
         raise UnfitError(f"{error}: turn it about all three axes") from error
+    if fit.kept.mean() < _LEAST_KEPT or not np.isfinite(fit.covariance).all():
+        raise UnfitError("the samples are on no ellipsoid: was it turned about at all?")
     if flatness(raw[fit.kept]) < FLATTEST:
         raise UnfitError("the samples lie in one plane or on a narrow band: turn it about the other axes too")
     return fit

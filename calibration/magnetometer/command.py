@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import re
+import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -50,6 +51,7 @@ Exit codes: 0 calibrated, 1 refused as not good enough (nothing is written but w
 you can mend, 130 interrupted.
 """
 _POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")
+_PLAIN_WIDTH: Final = 140
 _SEED: Final = 0  # of the robust start's random subsets: the same samples give the same file
 
 cli = typer.Typer(
@@ -144,7 +146,8 @@ def calibrate_command(
         ConfigError: something the user can mend.
         RefusedError: the calibration is not good enough.
     """
-    console = Console(soft_wrap=True)
+    # a file or a pipe has no width: no figure is broken across lines there
+    console = Console(soft_wrap=True, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
     settings = CompanionConfig() if config is None else load_config(config)
     wanted = _choice("--sensor", sensor, ("mpu9250", "autopilot", "other"))
     objective = _choice("--fit", fit, ("auto", "likelihood", "residual"))

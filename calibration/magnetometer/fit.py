@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from calibration.magnetometer.coverage import WHOLE, BoolArray, covered_share
 from calibration.magnetometer.distance import UNKNOWNS, distance, pack, unpack
-from calibration.magnetometer.ellipsoid import Ellipsoid, robust_start
+from calibration.magnetometer.ellipsoid import Ellipsoid, NoEllipsoidError, robust_start
 from companion.geometry import FloatArray
 
 Objective = Literal["likelihood", "residual"]
@@ -167,6 +167,8 @@ def _refine(raw: FloatArray, start: Ellipsoid) -> tuple[FloatArray, BoolArray, f
         deviation = math.sqrt(float(near @ near) / max(len(near) - UNKNOWNS, 1))
         sigma = max(deviation if settled else min(_spread(residuals), deviation), 1e-9)
         before, kept = kept, np.abs(residuals) <= limit * sigma
+        if kept.sum() <= UNKNOWNS:
+            raise NoEllipsoidError("the readings are on none")
         if np.array_equal(kept, before):
             if settled:
                 break

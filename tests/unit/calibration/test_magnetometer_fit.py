@@ -70,7 +70,7 @@ def test_the_unit_does_not_matter() -> None:
 def test_correlated_residuals_of_a_whole_sphere_are_minimised_themselves_and_count_for_less() -> None:
     case = turned(3, samples=4000, half=False, noise=0.0)
     rng = np.random.default_rng(5)
-    drift = np.convolve(rng.standard_normal((4200)), np.ones(200) / np.sqrt(200.0), "valid")[:4000]
+    drift = np.convolve(rng.standard_normal(4200), np.ones(200) / np.sqrt(200.0), "valid")[:4000]
     raw = case.centre + (case.raw - case.centre) * (1.0 + 0.02 * drift[:, None])
     fit = fit_ellipsoid(raw, np.random.default_rng(0))
     assert fit.objective == "residual"

@@ -7,18 +7,18 @@ import re
 import numpy as np
 import pytest
 
-from calibration.magnetometer.coverage import CELLS, covered_cells, covered_share, lattice
+from calibration.magnetometer.coverage import CELLS, BoolArray, covered_cells, covered_share, lattice
 from calibration.magnetometer.coverage_map import picture, text_map
 from calibration.magnetometer.guidance import hint, progress
-from companion.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector
+from companion.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 from tests.unit.calibration.magnetometer_truth import turned
 
 CENTRES = lattice(CELLS)
 
 
-def all_but(direction: FloatArray, cosine: float = 0.8) -> FloatArray:
+def all_but(direction: FloatArray, cosine: float = 0.8) -> BoolArray:
     """A mask with a hole about a direction."""
-    return CENTRES @ direction < cosine
+    return np.asarray(CENTRES @ direction < cosine)
 
 
 def carried_out(words: str, now: FloatArray) -> FloatArray:
@@ -27,7 +27,7 @@ def carried_out(words: str, now: FloatArray) -> FloatArray:
     turn = np.zeros(3)
     for kind, side, degrees in re.findall(r"(roll|nose|turn) (\w+) (\d+)°", words):
         turn[axes[kind]] = np.radians(float(degrees)) * (1.0 if side in ("right", "up") else -1.0)
-    return matrix_from_quat(quat_from_rotation_vector(turn)).T @ now
+    return matrix_from_quat(quat_from_rotation_vector(vector3(turn.tolist()))).T @ now
 
 
 @pytest.mark.parametrize("missing", [(1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0), (0.6, 0.0, 0.8)])
