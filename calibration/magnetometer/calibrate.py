@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calibration.magnetometer.alignment import align, dip_of
+from calibration.magnetometer.alignment import Alignment, align, dip_of
 from calibration.magnetometer.coverage import covered_share
 from calibration.magnetometer.ellipsoid import NoEllipsoidError
 from calibration.magnetometer.fit import EllipsoidFit, Objective, fit_ellipsoid
@@ -79,40 +79,63 @@ def calibrate(
     """
     fit = _fit(recording.raw, rng, objective)
     sphere = fit.ellipsoid.apply(recording.raw)
-    alignment, dip = None, None
+    alignment = _alignment(recording, fit, sphere) if aligned else None
+    rotation = np.eye(3) if alignment is None else alignment.rotation
+    sphere = sphere @ rotation.T
+    figures = _figures(recording, fit, sphere, field, alignment)
+    symmetric = (fit.radius if field is None else field.strength_ut) * fit.ellipsoid.matrix
+    parameters: dict[str, float] = {}
+    if recording.onboard is not None:
+        parameters = parameters_for(recording.onboard.manner, symmetric, fit.ellipsoid.centre)
+    matrix = rotation @ symmetric
+    file = _file(recording, fit, figures, matrix, field, tool, date)
+    return Calibrated(file, recording, fit, figures, matrix, fit.ellipsoid.centre, sphere, parameters)
+
+
+def _alignment(recording: Recording, fit: EllipsoidFit, sphere: FloatArray) -> Alignment:
+    """The rotation into the accelerometer's axes."""
+    found = None
     if recording.force is not None:
-        directions = sphere / np.linalg.norm(sphere, axis=1)[:, None]
-        kept = fit.kept & np.isfinite(recording.force).all(axis=1)
-        if aligned and (alignment := align(directions[kept], recording.force[kept])) is not None:
-            directions, sphere = directions @ alignment.rotation.T, sphere @ alignment.rotation.T
-        dip = dip_of(directions[kept], recording.force[kept])
-    if aligned and alignment is None:
+        used = fit.kept & np.isfinite(recording.force).all(axis=1)
+        found = align(_directions(sphere[used]), recording.force[used])
+    if found is None:
         raise UnfitError(
             "--align needs an accelerometer's samples beside the magnetometer's, at rest or slow"
         )
+    return found
+
+
+def _figures(
+    recording: Recording,
+    fit: EllipsoidFit,
+    sphere: FloatArray,
+    field: TrueField | None,
+    alignment: Alignment | None,
+) -> Figures:
+    """What the verdict is made of."""
+    dip = None
+    if recording.force is not None:
+        used = fit.kept & np.isfinite(recording.force).all(axis=1)
+        dip = dip_of(_directions(sphere[used]), recording.force[used])
     deviation = fit.ellipsoid.deviation(recording.raw)
-    directions = sphere[fit.kept] / np.linalg.norm(sphere[fit.kept], axis=1)[:, None]
-    in_ut = recording.unit == "uT"
-    figures = Figures(
+    return Figures(
         samples=len(recording.raw),
         kept=int(fit.kept.sum()),
         residual=_rms(deviation),
         residual_kept=_rms(deviation[fit.kept]),
-        coverage=covered_share(directions),
-        strength_ratio=fit.radius / field.strength_ut if field is not None and in_ut else None,
+        coverage=covered_share(_directions(sphere[fit.kept])),
+        strength_ratio=None
+        if field is None or recording.unit == "counts"
+        else fit.radius / field.strength_ut,
         dip=dip,
         true_dip_deg=None if field is None else field.dip_deg,
         alignment=alignment,
     )
-    strength = fit.radius if field is None else field.strength_ut
-    matrix = strength * fit.ellipsoid.matrix
-    parameters: dict[str, float] = {}
-    if recording.onboard is not None:
-        parameters = parameters_for(recording.onboard.manner, matrix, fit.ellipsoid.centre)
-    if alignment is not None:
-        matrix = alignment.rotation @ matrix
-    file = _file(recording, fit, figures, matrix, field, tool, date)
-    return Calibrated(file, recording, fit, figures, matrix, fit.ellipsoid.centre, sphere, parameters)
+
+
+def _directions(sphere: FloatArray) -> FloatArray:
+    unit: FloatArray = sphere / np.linalg.norm(sphere, axis=1)[:, None]
+    return unit
 
 
 def _fit(raw: FloatArray, rng: np.random.Generator, objective: Objective | None) -> EllipsoidFit:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
-import re
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -25,13 +23,11 @@ from calibration.magnetometer.pictures import write_picture
 from calibration.magnetometer.recording import Recording
 from calibration.magnetometer.report import lines, result_table, yaml_text
 from calibration.magnetometer.sources import read_recording
+from calibration.magnetometer.true_field import field_at, field_by, year_of
 from companion.clock import start_unix_s
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.config.magnetometer import Sensor
 from companion.files import write_atomically
-from companion.geometry import Vector3
-from companion.magnetic_field import field_ned_ut
-from companion.replay.flight_record import Place
 
 PROGRAM: Final = "calibrate-magnetometer"
 HELP: Final = """Calibrate a magnetometer: turn the vehicle about, or give a recording of that.
@@ -50,7 +46,6 @@ calibrate-magnetometer 00000042.BIN
 Exit codes: 0 calibrated, 1 refused as not good enough (nothing is written but with --force), 2 something that
 you can mend, 130 interrupted.
 """
-_POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")
 _PLAIN_WIDTH: Final = 140
 _SEED: Final = 0  # of the robust start's random subsets: the same samples give the same file
 
@@ -151,8 +146,8 @@ def calibrate_command(
     settings = CompanionConfig() if config is None else load_config(config)
     wanted = _choice("--sensor", sensor, ("mpu9250", "autopilot", "other"))
     objective = _choice("--fit", fit, ("auto", "likelihood", "residual"))
-    year = _year(date)
-    field = _field_of(position, year, settings, config)
+    year = year_of(date)
+    field = field_by(position, year, settings, config)
     _check_writable(output)
     taken: Recording
     if recording is not None:
@@ -167,7 +162,7 @@ def calibrate_command(
         limits = Limits(time_limit_s, output.with_suffix(".coverage.png"), serve)
         taken = asyncio.run(_live(bus, connect, config is not None, settings, limits, console))
     if field is None and taken.place is not None:
-        field = _field_at(taken.place, year, f"{taken.source}'s own position")
+        field = field_at(taken.place, year, f"{taken.source}'s own position")
     kind: Objective | None = None if objective == "auto" else objective  # type: ignore[assignment]
     done = _calibrated(taken, field, align, kind)
     console.print(result_table(done, field))
@@ -252,55 +247,6 @@ def _check_writable(path: Path) -> None:
     """Before anybody turns a vehicle about for minutes."""
     if path.is_dir() or not path.resolve().parent.is_dir():
         raise ConfigError(f"--output {path}: cannot be written; expected a file in an existing folder")
-
-
-# ---------------------------------------------------------------- the Earth's field
-
-
-def _field_of(
-    position: str | None, year: float | None, settings: CompanionConfig, config: Path | None
-) -> TrueField | None:
-    """By the position, else by the settings where they say it themselves."""
-    if position is not None:
-        return _field_at(_place(position), year, "--position")
-    if config is not None and "magnetic_field_ned_ut" in settings.estimate.model_fields_set:
-        return TrueField(
-            settings.estimate.magnetic_field_ned_ut, f"estimate.magnetic_field_ned_ut of {config}"
-        )
-    return None
-
-
-def _field_at(place: Place, year: float | None, source: str) -> TrueField:
-    when = year or place.year or _year_of(datetime.fromtimestamp(start_unix_s(virtual=True), UTC))
-    field: Vector3 = field_ned_ut(place.latitude_deg, place.longitude_deg, place.altitude_m, when)
-    return TrueField(field, f"World Magnetic Model {when:.1f}, {source}")
-
-
-def _place(text: str) -> Place:
-    form = _POSITION.fullmatch(text)
-    try:
-        numbers = [float(group or 0.0) for group in form.groups()] if form else []
-    except ValueError:
-        numbers = []
-    good = len(numbers) == 3 and abs(numbers[0]) <= 90.0 and abs(numbers[1]) <= 180.0
-    if not good or not math.isfinite(numbers[2]) or abs(numbers[2]) > 100_000.0:
-        raise ConfigError(f"--position {text}: expected latitude,longitude[,altitude] in degrees and metres")
-    return Place(numbers[0], numbers[1], numbers[2], None)
-
-
-def _year(date: str | None) -> float | None:
-    if date is None:
-        return None
-    try:
-        return _year_of(datetime.fromisoformat(date).replace(tzinfo=UTC))
-    except ValueError:
-        pass
-    raise ConfigError(f"--date {date}: expected YYYY-MM-DD")
-
-
-def _year_of(date: datetime) -> float:
-    start = datetime(date.year, 1, 1, tzinfo=UTC)
-    return date.year + (date - start).total_seconds() / (365.2425 * 86_400.0)
 
 
 def main() -> None:

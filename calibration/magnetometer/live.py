@@ -15,9 +15,9 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from calibration.magnetometer.logs import HEARD, Telemetry
 from calibration.magnetometer.onboard import NAMES
 from calibration.magnetometer.recording import Recording, paired
+from calibration.magnetometer.telemetry import HEARD, Telemetry
 from companion.clock import Clock
 from companion.config import ConfigError, ImuConfig
 from companion.geometry import FloatArray, matrix_from_quat, quat_from_euler

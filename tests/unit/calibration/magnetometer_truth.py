@@ -32,7 +32,7 @@ def turned(
     field: float = FIELD_UT,
     outliers: float = 0.0,
 ) -> Turned:
-    """Soft iron of this size, the hard iron up to a field, noise as a share of the field, half a sphere or all.
+    """Soft iron of this size, hard iron up to a field, noise as a share of it, half a sphere or all.
 
     The force is gravity in the same axes, at the field's dip.
     """

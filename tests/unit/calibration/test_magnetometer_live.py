@@ -122,10 +122,8 @@ def test_a_vehicle_that_stands_still_is_refused() -> None:
         return await collect(Chip(vehicle.imu_bus, ImuConfig()), Limits(20.0), Console(file=io.StringIO()))
 
     recording = run_in_virtual_time(carry("still", collected))
-    try:
-        assert calibrated(recording).file.quality.verdict == "refused"
-    except UnfitError as error:
-        assert "ellipsoid" in str(error)
+    with pytest.raises(UnfitError, match="was it turned about at all"):
+        calibrated(recording)
 
 
 class DeadBus:
@@ -142,7 +140,7 @@ def test_a_chip_or_an_autopilot_that_is_not_there_is_told() -> None:
     async def chip() -> None:
         await collect(Chip(DeadBus(), ImuConfig()), Limits(60.0), Console(file=io.StringIO()))
 
-    with pytest.raises(ConfigError, match="MPU9250 on i2c:1: .*Remote I/O error; expected its magnetometer"):
+    with pytest.raises(ConfigError, match=r"MPU9250 on i2c:1: .*Remote I/O error; expected its magnetometer"):
         run_in_virtual_time(chip())
 
     async def autopilot() -> None:
