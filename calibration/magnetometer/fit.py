@@ -3,8 +3,7 @@
 Two objectives. `likelihood`: each raw reading has the same noise in all axes, so what counts is its distance
 from the ellipsoid in raw units (`distance`), less what noise adds to it on average, for the ellipsoid curves
 away. With half a sphere and 2 % noise this errs by what the noise must cost; plain least squares of |B| - 1,
-B = C (m - o), shrink the matrix where the noise is, and err by 7 % of the field there. So does a first-order
-distance (Sampson's), by less: its error goes with the noise.
+B = C (m - o), shrink the matrix where the noise is, and err by 7 % of the field there.
 `residual`: the plain least squares all the same, which by definition leave the least residual.
 When the whole sphere is covered they do little harm, and when the residuals are correlated in time they are
 not the sensor's noise (the field is not the same everywhere, the vehicle's parts move), so that the

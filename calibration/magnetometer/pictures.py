@@ -29,15 +29,12 @@ def write_picture(path: Path, done: Calibrated) -> None:
     Raises:
         ConfigError: it cannot be written.
     """
-    import matplotlib  # noqa: PLC0415 - slow to import, and seldom needed
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot  # noqa: PLC0415
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import, and not always needed
 
     chosen = np.unique(np.linspace(0, len(done.sphere) - 1, _MOST_POINTS).astype(int))
     raw, sphere = done.recording.raw[chosen] / done.fit.radius, done.sphere[chosen]
     kept = done.fit.kept[chosen]
-    figure = pyplot.figure(figsize=(13, 8.5))
+    figure = Figure(figsize=(13, 8.5))
     _draw_solid(figure.add_subplot(2, 3, 1, projection="3d"), raw[kept], sphere[kept])
     for place, (i, j) in zip((2, 3, 5), ((0, 1), (0, 2), (1, 2)), strict=True):
         _draw_plane(figure.add_subplot(2, 3, place), raw, sphere, kept, i, j)
@@ -49,8 +46,6 @@ def write_picture(path: Path, done: Calibrated) -> None:
         figure.savefig(path, dpi=110)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        pyplot.close(figure)
 
 
 def _draw_solid(axes: Any, raw: FloatArray, sphere: FloatArray) -> None:
