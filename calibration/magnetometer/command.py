@@ -89,7 +89,11 @@ def calibrate_command(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option("--config", help="The app's settings: bus, mounting, magnetic field.", metavar="FILE"),
+        typer.Option(
+            "--config",
+            help="The app's settings: which sensor, its bus, mounting, magnetic field.",
+            metavar="FILE",
+        ),
     ] = None,
     position: Annotated[
         str | None,
@@ -213,9 +217,11 @@ async def _live(
     limits: Limits,
     console: Console,
 ) -> Recording:
-    """Collect from whichever device is named."""
+    """Collect from whichever device is named, by an option or as the one that the settings use."""
     if bus is not None and connect is not None:
         raise ConfigError("--bus and --connect: expected one of them")
+    if connect is None and bus is None and configured and settings.sense.source == "autopilot":
+        connect = settings.link.connection
     if connect is not None:
         async with open_autopilot(connect) as source:
             return await collect(source, limits, console)

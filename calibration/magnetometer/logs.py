@@ -28,7 +28,7 @@ from companion.config import CompanionConfig, ConfigError
 from companion.config.magnetometer import load_magnetometer_calibration
 from companion.geometry import FloatArray, matrix_from_quat, quat_from_euler, vector3
 from companion.link.codec import Codec
-from companion.messages import ImuSample, MagSample
+from companion.messages import GpsFix, ImuSample, MagSample
 from companion.replay.dataflash import DataFlashLog
 from companion.replay.flight_record import Place
 from companion.replay.mcap_log import read_mcap
@@ -168,7 +168,9 @@ def read_own_log(path: Path) -> Recording:
         notes = ["the log holds no settings: in body axes, of a sensor that is not known"]
         return Recording(str(path), "other", body, force=force, notes=notes)
     config = record.rig.config
-    recording = Recording(str(path), "mpu9250", body, force=force)
+    fixes = (item for item in items if isinstance(item, GpsFix))
+    place = next((Place(f.latitude_deg, f.longitude_deg, f.altitude_m, None) for f in fixes), None)
+    recording = Recording(str(path), "mpu9250", body, force=force, place=place)
     if config.sense.source == "autopilot":
         recording.sensor = "autopilot"
     else:

@@ -81,7 +81,7 @@ def test_the_chip_turned_about_is_calibrated_to_the_truth(tmp_path: Path) -> Non
 def test_the_calibration_makes_the_drivers_field_true() -> None:
     async def collected(vehicle: InProcess) -> Any:
         recording = await collect(
-            Chip(vehicle.imu_bus, ImuConfig()), Limits(60.0), Console(file=io.StringIO())
+            Chip(vehicle.imu_bus, ImuConfig()), Limits(30.0), Console(file=io.StringIO())
         )
         file = calibrated(recording).file
         clock, driver, found = Clock(), Mpu9250(vehicle.imu_bus, ImuConfig(), file), []
@@ -102,7 +102,7 @@ def test_an_autopilots_compass_is_calibrated_over_mavlink() -> None:
         async def collected(vehicle: InProcess) -> Any:
             source = Autopilot(ours, "the line")
             try:
-                recording = await collect(source, Limits(90.0), Console(file=io.StringIO()))
+                recording = await collect(source, Limits(60.0), Console(file=io.StringIO()))
             finally:
                 source.close()
             return recording, vehicle.simulation.sensor_truth.autopilot.magnetometer
