@@ -14,11 +14,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Final, Protocol
 
+import numpy as np
+
 from companion.clock import Clock
-from companion.config import CompanionConfig
+from companion.config import CompanionConfig, SenseConfig
+from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
+from companion.geometry import vector3
 from companion.hardware import BytePort, Hardware
 from companion.link.codec import Severity
 from companion.link.onboard import OnboardSensors, Sample
@@ -44,6 +49,22 @@ from companion.sense.vision import VisionResult
 GPS_CONFIGURATION_PERIOD_S: Final = 0.2
 FAULT_PERIOD_S: Final = 2.0
 WATCH_PERIOD_S: Final = 1.0
+
+
+def load_used_magnetometer(sense: SenseConfig) -> MagnetometerCalibration | None:
+    """The calibration of whichever magnetometer the settings use; None when they name none for it.
+
+    Raises:
+        ConfigError: it is missing, or another sensor's.
+    """
+    sensor: Sensor
+    if sense.source == "autopilot":
+        path, sensor, key = sense.autopilot.magnetometer_calibration, "autopilot", "sense.autopilot"
+    else:
+        path, sensor, key = sense.imu.magnetometer_calibration, "mpu9250", "sense.imu"
+    if path is None:
+        return None
+    return load_magnetometer_calibration(path, sensor, f"{key}.magnetometer_calibration")
 
 
 class Tell(Protocol):
@@ -89,9 +110,14 @@ class Sensing:
         log: FlightLog,
         tell: Tell,
     ) -> None:
-        """Make the drivers; nothing is read yet. `onboard` are the autopilot's sensors, if they are used."""
+        """Make the drivers; nothing is read yet. `onboard` are the autopilot's sensors, if they are used.
+
+        Raises:
+            ConfigError: a calibration that the settings name is missing, or another sensor's.
+        """
         self._config, self._hardware = config, hardware
         self._onboard = onboard
+        self._magnetometer = load_used_magnetometer(config.sense)
         self._gps = Neo6m(config.sense.gps)
         self._range: RangeFinder | None = None
         if hardware.range_port is not None:
@@ -108,7 +134,8 @@ class Sensing:
         """What is to run, by the device's name."""
         hardware, tasks = self._hardware, dict[str, Callable[[], Awaitable[None]]]()
         if hardware.imu_bus is not None:
-            tasks["mpu9250"] = partial(self._imu_task, Mpu9250(hardware.imu_bus, self._config.sense.imu))
+            driver = Mpu9250(hardware.imu_bus, self._config.sense.imu, self._magnetometer)
+            tasks["mpu9250"] = partial(self._imu_task, driver)
         if hardware.gps_port is not None:
             tasks["gps"] = partial(self._gps_task, hardware.gps_port)
             tasks["gps configuration"] = partial(self._gps_configuration_task, hardware.gps_port)
@@ -125,11 +152,18 @@ class Sensing:
                 case ImuSample():
                     self._take_inertial([sample], [])
                 case MagSample():
-                    self._take_inertial([], [sample])
+                    self._take_inertial([], [self._calibrated(sample)])
                 case GpsFix():
                     self._take_fix(sample)
                 case RangeSample():
                     self._take_range(sample)
+
+    def _calibrated(self, sample: MagSample) -> MagSample:
+        """The autopilot's field in its body axes, by the calibration that is on top of its own."""
+        if self._magnetometer is None:
+            return sample
+        field = self._magnetometer.apply(np.array([sample.field_body_ut]))[0]
+        return replace(sample, field_body_ut=vector3(field.tolist()))
 
     # ------------------------------------------------------------ inertial
 

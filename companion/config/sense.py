@@ -32,6 +32,7 @@ class ImuConfig(StrictModel):
     mag_path: Literal["master", "bypass"] = "master"
     mag_rate_hz: Literal[8, 100] = 100
     body_from_sensor_deg: Vector = (180.0, 0.0, 0.0)
+    magnetometer_calibration: str | None = None
 
     @property
     def over_spi(self) -> bool:
@@ -125,6 +126,9 @@ class AutopilotSensorsConfig(StrictModel):
     gps_latency_s: float = Field(default=0.12, ge=0.0, le=0.5)  # age of a fix at its stamp
     range_source: Literal["autopilot", "boards"] = "autopilot"  # boards: our ultrasonic all the same
     range_rate_hz: float = Field(default=20.0, ge=1.0, le=100.0)  # asked for
+    magnetometer_calibration: str | None = (
+        None  # file of `calibrate-magnetometer`, on top of the autopilot's own calibration; none: as it comes
+    )
 
 
 class VisionConfig(StrictModel):

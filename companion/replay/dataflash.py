@@ -63,7 +63,7 @@ def read_dataflash(path: Path) -> FlightRecord:
     words = io.StringIO()
     with contextlib.redirect_stderr(words):
         try:
-            log = _Log(str(path))
+            log = DataFlashLog(str(path))
             reading = _Reading()
             wanted = [*reading.takers]
             while (message := log.recv_match(type=wanted)) is not None:
@@ -77,7 +77,7 @@ def read_dataflash(path: Path) -> FlightRecord:
     return reading.finish(_damage(words.getvalue()))
 
 
-class _Log(DFReader.DFReader_binary):  # type: ignore[misc]
+class DataFlashLog(DFReader.DFReader_binary):  # type: ignore[misc]
     """The library's reader, without its quicker index: that one complains past Python's streams."""
 
     def init_arrays_fast(self, progress_callback: Any = None) -> None:

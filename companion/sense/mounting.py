@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from companion.geometry import Vector3, matrix_from_quat, quat_from_euler
 
@@ -14,6 +17,13 @@ def mounting_rows(body_from_sensor_deg: Vector3, factor: float) -> Rows:
     roll, pitch, yaw = (math.radians(angle) for angle in body_from_sensor_deg)
     matrix = matrix_from_quat(quat_from_euler(roll, pitch, yaw)) * factor
     a, b, c, d, e, f, g, h, i = (float(value) for value in matrix.flat)
+    return (a, b, c, d, e, f, g, h, i)
+
+
+def calibrated_rows(body_from_sensor: Rows, matrix: Sequence[Sequence[float]]) -> Rows:
+    """The product of a mounting's rows and a 3x3 correction in the sensor's own axes, row by row."""
+    product = np.array(body_from_sensor).reshape(3, 3) @ np.array(matrix)
+    a, b, c, d, e, f, g, h, i = (float(value) for value in product.flat)
     return (a, b, c, d, e, f, g, h, i)
 
 

@@ -19,13 +19,14 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.config import ImuConfig
-from companion.geometry import GRAVITY_M_S2, Vector3
+from companion.config.magnetometer import MagnetometerCalibration
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, subtract
 from companion.messages import ImuSample, MagSample
 from companion.sense.ak8963 import Ak8963, BringUp
 from companion.sense.ak8963_path import BypassPath, MasterPath, Waits
 from companion.sense.fifo import FRAME_BYTES, Fifo, SamplesLostError
 from companion.sense.i2c import RegisterBus, SensorError
-from companion.sense.mounting import mounting_rows, turn
+from companion.sense.mounting import calibrated_rows, mounting_rows, turn
 from companion.sense.output_registers import OutputRegisters
 from companion.sense.sample_clock import SampleClock
 
@@ -62,9 +63,14 @@ _MAG_MEASUREMENT_S: Final = 0.0036
 
 
 class Mpu9250:
-    """One MPU9250 on a register bus. Poll it at `config.poll_hz`."""
+    """One MPU9250 on a register bus. Poll it at `config.poll_hz`.
 
-    def __init__(self, bus: RegisterBus, config: ImuConfig) -> None:
+    `magnetometer` is applied in the sensor's own axes; None leaves its readings as they come.
+    """
+
+    def __init__(
+        self, bus: RegisterBus, config: ImuConfig, magnetometer: MagnetometerCalibration | None = None
+    ) -> None:
         self._bus = bus
         self._address = config.address
         self._name = f"MPU9250 at 0x{config.address:02x}"
@@ -81,6 +87,10 @@ class Mpu9250:
         self._accel = mounting_rows(mounting, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
         self._gyro = mounting_rows(mounting, math.radians(config.gyro_range_deg_s) / 32768.0)
         self._field = mounting_rows(mounting, 1.0)
+        self._hard_iron_ut = ZERO3
+        if magnetometer is not None:
+            self._field = calibrated_rows(self._field, magnetometer.soft_iron)
+            self._hard_iron_ut = magnetometer.hard_iron
         self._bring_up: BringUp | None = None
         self._ready = False
         self._failed_polls = 0
@@ -258,7 +268,7 @@ class Mpu9250:
             # copied at the newest sample, or at the one before; measured up to one sample earlier than that
             age_s = (1.0 if newest else 2.0) * self._clock.period_s
         time_s = now_s - age_s - _MAG_MEASUREMENT_S
-        return MagSample(time_s, turn(self._field, *field_ut))
+        return MagSample(time_s, turn(self._field, *subtract(field_ut, self._hard_iron_ut)))
 
     # ------------------------------------------------------------ bus
 
