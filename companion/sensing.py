@@ -34,6 +34,7 @@ from companion.messages import (
     RangeSample,
 )
 from companion.record import FlightLog
+from companion.sense.camera import at_exposure
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
@@ -67,8 +68,13 @@ class Sensing:
         clock: Clock,
         log: FlightLog,
         tell: Tell,
+        frame_time_offset_s: float = 0.0,
     ) -> None:
-        """Make the drivers; nothing is read yet. `onboard` are the autopilot's sensors, if they are used."""
+        """Make the drivers; nothing is read yet.
+
+        `onboard` are the autopilot's sensors, if they are used; `frame_time_offset_s` is added to the frames'
+        stamps.
+        """
         self._config, self._hardware = config, hardware
         self._onboard = onboard
         self._gps = Neo6m(config.sense.gps)
@@ -78,6 +84,7 @@ class Sensing:
         self._vision = vision
         self._estimator = estimator
         self._clock, self._log, self._tell = clock, log, tell
+        self._frame_time_offset_s = frame_time_offset_s
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
@@ -214,7 +221,7 @@ class Sensing:
     async def _vision_task(self) -> None:
         """Look at the newest frame; what it shows enters the estimator at its exposure time."""
         while True:
-            frame = await self._hardware.frames.next()
+            frame = at_exposure(await self._hardware.frames.next(), self._frame_time_offset_s)
             self._log.write_frame(frame, self._clock.now_s())
             prior = self._estimator.pad_prior(frame.time_s)
             try:

@@ -32,6 +32,7 @@ class ImuConfig(StrictModel):
     mag_path: Literal["master", "bypass"] = "master"
     mag_rate_hz: Literal[8, 100] = 100
     body_from_sensor_deg: Vector = (180.0, 0.0, 0.0)
+    inertial_calibration: str | None = None
 
     @property
     def over_spi(self) -> bool:

@@ -19,12 +19,13 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.config import ImuConfig
-from companion.geometry import GRAVITY_M_S2, Vector3
+from companion.geometry import GRAVITY_M_S2, Vector3, subtract
 from companion.messages import ImuSample, MagSample
 from companion.sense.ak8963 import Ak8963, BringUp
 from companion.sense.ak8963_path import BypassPath, MasterPath, Waits
 from companion.sense.fifo import FRAME_BYTES, Fifo, SamplesLostError
 from companion.sense.i2c import RegisterBus, SensorError
+from companion.sense.inertial_calibration import Offsets, calibrated, load_inertial
 from companion.sense.mounting import mounting_rows, turn
 from companion.sense.output_registers import OutputRegisters
 from companion.sense.sample_clock import SampleClock
@@ -81,6 +82,9 @@ class Mpu9250:
         self._accel = mounting_rows(mounting, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
         self._gyro = mounting_rows(mounting, math.radians(config.gyro_range_deg_s) / 32768.0)
         self._field = mounting_rows(mounting, 1.0)
+        self._offsets: Offsets | None = None
+        if (inertial := load_inertial(config)) is not None:
+            self._gyro, self._accel, self._offsets = calibrated(self._gyro, self._accel, mounting, inertial)
         self._bring_up: BringUp | None = None
         self._ready = False
         self._failed_polls = 0
@@ -243,12 +247,10 @@ class Mpu9250:
 
     def _sample(self, time_s: float, words: tuple[int, ...], at: int) -> ImuSample:
         ax, ay, az, temperature, gx, gy, gz = words[at : at + 7]
-        return ImuSample(
-            time_s - self._delay_s,
-            turn(self._gyro, gx, gy, gz),
-            turn(self._accel, ax, ay, az),
-            temperature / 333.87 + 21.0,
-        )
+        rate, force = turn(self._gyro, gx, gy, gz), turn(self._accel, ax, ay, az)
+        if self._offsets is not None:
+            rate, force = subtract(rate, self._offsets.rate), subtract(force, self._offsets.force)
+        return ImuSample(time_s - self._delay_s, rate, force, temperature / 333.87 + 21.0)
 
     def _mag_sample(self, now_s: float, field_ut: Vector3, newest: bool) -> MagSample:
         if self._config.mag_path == "bypass":

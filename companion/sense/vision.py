@@ -2,7 +2,7 @@
 
 The camera sits on the airframe at `camera_position_body_m`, turned by `camera_yaw_deg` (clockwise seen
 from above; 0: the image's top edge is forward) after being tilted by `camera_tilt_deg` (positive: it
-looks towards the image's top edge).
+looks towards the image's top edge) after being rolled by `camera_roll_deg` (positive: it looks to the left).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     FloatArray,
+    Quaternion,
     Vector3,
     matrix_from_quat,
     quat_conjugate,
@@ -54,8 +55,7 @@ class Vision:
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
         self._detector = PadDetector(pad, config)
-        yaw, tilt = math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
-        self._body_from_camera = quat_multiply(quat_from_euler(0.0, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
+        self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)
         self._mount = np.array(vehicle.camera_position_body_m)
         self._turn = 0
@@ -112,6 +112,13 @@ class Vision:
             marker_count=count,
             reprojection_error_px=pose.reprojection_error_px,
         )
+
+
+def body_from_camera(vehicle: VehicleConfig) -> Quaternion:
+    """The rotation of camera axes (OpenCV's) into body axes by the vehicle's settings."""
+    angles = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)
+    roll, tilt, yaw = (math.radians(angle) for angle in angles)
+    return quat_multiply(quat_from_euler(roll, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
 
 
 def _turn_covariance(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
