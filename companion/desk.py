@@ -41,10 +41,9 @@ from companion.hardware import Hardware, make_actions, make_own_actions, open_ha
 from companion.link.transport import memory_pair
 from companion.messages import Phase
 from companion.record import FlightLog
-from sitl.devices.ports import MemoryPort
+from sitl.in_process import InProcess
 from sitl.report import SimulationReport, read_report
 from sitl.scenario import Scenario, load_scenario
-from sitl.simulation import MemoryFrames, Simulation
 
 START_TIMEOUT_S: Final = 20.0
 # an external autopilot may still be booting, and finding its position before it arms
@@ -213,32 +212,29 @@ async def _virtual_flight(
     config: CompanionConfig, trial: Trial, log: FlightLog, on_status: StatusCallback
 ) -> DeskFlight:
     app_end, vehicle_end = memory_pair()
-    gps_line, range_line = MemoryPort(config.sense.gps.baud), MemoryPort(config.sense.range.baud)
-    frames = MemoryFrames()
-    simulation = Simulation(
+    vehicle = InProcess(
         trial.scenario,
         trial.seed,
         link=vehicle_end,
-        gps_port=gps_line,
-        range_port=range_line,
-        deliver_frame=frames.deliver,
+        gps_baud=config.sense.gps.baud,
+        range_baud=config.sense.range.baud,
     )
     boards = config.sense.source == "boards"
     hardware = Hardware(
         app_end,
-        frames,
-        imu_bus=simulation.imu_bus if boards else None,
-        gps_port=gps_line.app if boards else None,
-        range_port=None if config.sense.range_by_telemetry else range_line.app,
+        vehicle.frames,
+        imu_bus=vehicle.imu_bus if boards else None,
+        gps_port=vehicle.gps_port if boards else None,
+        range_port=None if config.sense.range_by_telemetry else vehicle.range_port,
     )
     app = App(config, hardware, log, make_own_actions, on_status)
     started_s = wall_clock_s()
-    world = asyncio.create_task(simulation.run())
+    world = asyncio.create_task(vehicle.simulation.run())
     try:
         phase = await _fly(app, trial.scenario.time_limit_s, world)
     finally:
         await _cancel(world)
-    return DeskFlight(simulation.report(phase), Clock().now_s() / (wall_clock_s() - started_s))
+    return DeskFlight(vehicle.simulation.report(phase), Clock().now_s() / (wall_clock_s() - started_s))
 
 
 # ---------------------------------------------------------------- real time

@@ -80,15 +80,22 @@ class CameraModel:
         rng: np.random.Generator,
         *,
         ground_seed: int = 1,
+        mount_error_deg: Vector3 = ZERO3,
     ) -> None:
+        """`mount_error_deg`: a further turn (roll, pitch, yaw) about the body's axes that `vehicle` lacks."""
         self._camera = camera
         self._settings = settings
         self._rng = rng
-        self._mount_position = vehicle.camera_position_body_m
-        self._body_from_camera = body_from_camera(
+        self.position_body_m = vehicle.camera_position_body_m
+        self.body_from_camera = body_from_camera(
             math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
         )
-        self._camera_attitude = quat_from_matrix(self._body_from_camera)
+        if mount_error_deg != ZERO3:
+            roll, pitch, yaw = (math.radians(angle) for angle in mount_error_deg)
+            self.body_from_camera = (
+                matrix_from_quat(quat_from_euler(roll, pitch, yaw)) @ self.body_from_camera
+            )
+        self._camera_attitude = quat_from_matrix(self.body_from_camera)
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
         self._pad_texture = pad_texture(pad)
@@ -148,8 +155,8 @@ class CameraModel:
         self, image: GreyImage, scene: ScenePose, time_s: float, inside: FloatArray | None
     ) -> tuple[GreyImage, NDArray[np.float32] | None]:
         """The picture with its shade, and apart from it the sun's image in the board: that is too bright."""
-        ned_from_camera = matrix_from_quat(scene.vehicle_attitude) @ self._body_from_camera
-        lever = quat_rotate(scene.vehicle_attitude, self._mount_position)
+        ned_from_camera = matrix_from_quat(scene.vehicle_attitude) @ self.body_from_camera
+        lever = quat_rotate(scene.vehicle_attitude, self.position_body_m)
         away = subtract(add(scene.vehicle_position_ned_m, lever), scene.pad_position_ned_m)
         shade = self._light.shade(ned_from_camera, away, time_s)
         if shade is not None:
@@ -177,7 +184,7 @@ class CameraModel:
         """Homography (3, 3) from a camera ray (x, y, 1) to the plane (x, y, 1), and the height over it."""
         w, x, y, z = world_from_plane
         plane_from_world = (w, -x, -y, -z)
-        lever = quat_rotate(scene.vehicle_attitude, self._mount_position)
+        lever = quat_rotate(scene.vehicle_attitude, self.position_body_m)
         camera = subtract(add(scene.vehicle_position_ned_m, lever), origin)
         px, py, pz = quat_rotate(plane_from_world, camera)
         world_from_camera = quat_multiply(scene.vehicle_attitude, self._camera_attitude)

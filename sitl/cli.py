@@ -6,10 +6,7 @@ Exit codes: 0 well, 1 a run failed, 2 something the user can mend.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
 import sys
-import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Final
@@ -22,7 +19,9 @@ from companion.messages import Manner
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
 from sitl.external_server import serve_external
-from sitl.orders import terminated_as_interrupted
+from sitl.hold_command import HELP as HOLD_HELP
+from sitl.hold_command import hold_command
+from sitl.orders import socket_folder, terminated_as_interrupted
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
@@ -39,6 +38,7 @@ cli.command("scenarios", help=SCENARIOS_HELP)(scenarios_command)
 cli.command("schema", help=SCHEMA_HELP)(schema_command)
 cli.command("campaign", help=CAMPAIGN_HELP, short_help="Fly scenarios under many seeds.")(campaign_command)
 cli.command("view", help=VIEW_HELP)(view_command)
+cli.command("hold", help=HOLD_HELP, short_help="Serve a vehicle that is carried by hand.")(hold_command)
 
 
 @cli.callback(invoke_without_command=True)
@@ -98,10 +98,7 @@ def companion_sitl(
     if autopilot is not None:
         loaded = loaded.model_copy(update={"autopilot": autopilot})
     key = None if signing_key is None else read_key(signing_key)
-    with terminated_as_interrupted(), contextlib.ExitStack() as stack:
-        place = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
-        if not os.access(place, os.W_OK) or not place.is_dir():
-            raise ConfigError(f"--folder {place}: expected a folder that can be written to")
+    with terminated_as_interrupted(), socket_folder(folder) as place:
         if external is not None:
             asyncio.run(serve_external(loaded, seed, place, external, child=child))
         elif child:

@@ -5,7 +5,7 @@ and delay. Pure; body axes FRD, SI units. The sensor sits at the centre of mass:
 
 Figures: MPU-9250 product specification PS-MPU-9250A-01 rev. 1.1 (tables 1 and 2), register map
 RM-MPU-9250A-00 rev. 1.6 (filters). What a start-up or six-position calibration takes out is left out
-here too: the figures are residuals.
+here too: the figures are residuals, unless the errors are said to be those of an uncalibrated sensor.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from companion.geometry import (
     Vector3,
 )
 from sitl.glitches import Glitches
+from sitl.sensor_flaws import Flaws, uncalibrated_accelerometer, uncalibrated_gyroscope
 from sitl.sensors import NOISE_BLOCK, flawed_rotation
 
 _MILLI_G: Final = 1e-3 * GRAVITY_M_S2
@@ -50,6 +51,7 @@ class ImuErrors:
     vibration_m_s2: float = 1.5  # rms an axis at full throttle, before the filter
     vibration_rad_s: float = 0.04
     full_rotor_hz: float = 130.0  # 7800 rpm; the blades pass at twice that
+    calibrated: bool = True  # else the data sheet's tolerances (`sensor_flaws`) instead of biases and scales
 
 
 NO_IMU_ERRORS: Final = ImuErrors(
@@ -117,7 +119,7 @@ class _NoiseBlocks:
         self._rng = rng
         self._white = white
         self._wander = wander
-        self._bias = bias * rng.standard_normal(3)
+        self.bias: FloatArray = bias * rng.standard_normal(3)
         self._drift: FloatArray = wander * rng.standard_normal(3)
         self._keep = math.exp(-NOISE_BLOCK / wander_steps)
         self._values: list[list[float]] = []
@@ -140,7 +142,7 @@ class _NoiseBlocks:
         push = math.sqrt(1.0 - self._keep * self._keep) * self._wander
         self._drift = self._keep * self._drift + push * self._rng.standard_normal(3)
         noise = self._white * self._rng.standard_normal((NOISE_BLOCK, 3))
-        self._values = (noise + self._bias + self._drift).tolist()
+        self._values = (noise + self.bias + self._drift).tolist()
 
 
 class ImuSensor:
@@ -180,6 +182,7 @@ class ImuSensor:
             sensor_from_body, errors.accel_scale, errors.misalignment_rad, rng
         )
         self._gyro_matrix = flawed_rotation(sensor_from_body, errors.gyro_scale, errors.misalignment_rad, rng)
+        self._mounting = sensor_from_body
         self._rotor_rad = float(rng.uniform(0.0, math.tau))
         self._settled = False
         # for faults: a rate and a force (body axes) that are not there, where the element saturates, stronger
@@ -187,9 +190,26 @@ class ImuSensor:
         self.rate_offset_rad_s: Vector3 = ZERO3
         self.force_offset_m_s2: Vector3 = ZERO3
         self.gyro_glitches, self.accel_glitches = (Glitches(own) for own in rng.spawn(2))
+        if not errors.calibrated:
+            self._take_from_the_shop(rng.spawn(1)[0])
         self.accel_limit_m_s2 = math.inf
         self.vibration_factor = 1.0
         self.set_filter(dlpf)
+
+    def _take_from_the_shop(self, rng: np.random.Generator) -> None:
+        accel, gyro = uncalibrated_accelerometer(rng), uncalibrated_gyroscope(rng)
+        self._accel_matrix, self._accel_noise.bias = accel.rows(self._mounting), accel.offset
+        self._gyro_matrix, self._gyro_noise.bias = gyro.rows(self._mounting), gyro.offset
+
+    @property
+    def accel_flaws(self) -> Flaws:
+        """What is truly wrong with the accelerometer, in sensor axes, m/s²."""
+        return Flaws.of(self._accel_matrix, self._mounting, self._accel_noise.bias)
+
+    @property
+    def gyro_flaws(self) -> Flaws:
+        """The same of the gyroscope, rad/s."""
+        return Flaws.of(self._gyro_matrix, self._mounting, self._gyro_noise.bias)
 
     def set_filter(self, dlpf: int) -> None:
         """Choose the low-pass filter by its register value DLPF_CFG (one not in the table: 92 Hz)."""

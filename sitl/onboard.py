@@ -26,6 +26,7 @@ from companion.geometry import (
 )
 from sitl.inertial import ImuErrors, ImuSensor
 from sitl.quadrotor import QuadrotorState
+from sitl.sensor_flaws import BoardTruth
 from sitl.sensors import (
     GpsErrors,
     GpsReading,
@@ -113,6 +114,11 @@ class OnboardSensors:
         self.mag: Field | None = None
         self.gps: Fix | None = None
         self.range: Echo | None = None
+
+    @property
+    def truth(self) -> BoardTruth:
+        """What is truly wrong with IMU and compass; its axes are the body's."""
+        return BoardTruth(self._imu.accel_flaws, self._imu.gyro_flaws, self._mag.flaws, np.eye(3))
 
     def wake(self) -> None:
         """Somebody wants the IMU, the compass or the rangefinder: sense from the next step on."""

@@ -8,11 +8,13 @@ import json
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
+from companion.config import ConfigError
 from companion.messages import Phase
 from sitl.report import SimulationReport, write_report
 
@@ -77,6 +79,20 @@ async def final_phase() -> Phase | None:
 def say(message: dict[str, Any]) -> None:
     """Put one line of JSON on standard output."""
     print(json.dumps(message), flush=True)
+
+
+@contextlib.contextmanager
+def socket_folder(wanted: Path | None) -> Iterator[Path]:
+    """A folder for the sockets: the wanted one, or a temporary one that goes at the end.
+
+    Raises:
+        ConfigError: the wanted one is none, or cannot be written to.
+    """
+    with contextlib.ExitStack() as stack:
+        place = wanted or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
+        if not os.access(place, os.W_OK) or not place.is_dir():
+            raise ConfigError(f"--folder {place}: expected a folder that can be written to")
+        yield place
 
 
 @contextlib.contextmanager

@@ -38,7 +38,7 @@ AIR_DENSITY_KG_M3 = 1.225
 NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
 
 # velocity NED, quaternion w x y z, body rate: what forces depend on
-_Moving = tuple[float, float, float, float, float, float, float, float, float, float]
+Moving = tuple[float, float, float, float, float, float, float, float, float, float]
 # what stays the same within a step: wind, drags, accelerations and coupling, see Quadrotor.step
 _Held = tuple[float, ...]
 
@@ -151,7 +151,7 @@ class Quadrotor:
             *self._coupling,
         )
         x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
-        return _packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
+        return packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
 
     def _spin(self, share: Four, commands: Four, dt_s: float) -> tuple[Four, Four]:
         """Thrust shares after dt, and their means over it, of a first-order lag solved exactly."""
@@ -196,7 +196,7 @@ def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
     return end, (1.0 - end) * time_constant_s / dt_s
 
 
-def _slope(x: _Moving, k: _Moving, h: float, held: _Held) -> _Moving:
+def _slope(x: Moving, k: Moving, h: float, held: _Held) -> Moving:
     """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler, q' = q * (0, w) / 2.
 
     In its plane and along its axis a rotor drags differently: as if along every axis like in the plane, and
@@ -225,7 +225,7 @@ def _slope(x: _Moving, k: _Moving, h: float, held: _Held) -> _Moving:
     )
 
 
-def _rk4(place: Vector3, x: _Moving, held: _Held, dt_s: float) -> tuple[Vector3, _Moving]:
+def _rk4(place: Vector3, x: Moving, held: _Held, dt_s: float) -> tuple[Vector3, Moving]:
     """One classical Runge-Kutta step; nothing depends on the place, whose slope is the velocity."""
     half, h = 0.5 * dt_s, dt_s / 6.0
     a = _slope(x, x, 0.0, held)
@@ -254,8 +254,16 @@ def _rk4(place: Vector3, x: _Moving, held: _Held, dt_s: float) -> tuple[Vector3,
     )
 
 
-def _packed(old: QuadrotorState, place: Vector3, x: _Moving, share: Four, dt_s: float) -> QuadrotorState:
-    """The new state with a unit quaternion, and what its sensors felt on the way."""
+def packed(old: QuadrotorState, place: Vector3, x: Moving, share: Four, dt_s: float) -> QuadrotorState:
+    """The new state with a unit quaternion, and what its sensors felt on the way.
+
+    Args:
+        old: the state dt before.
+        place: position NED (m) now.
+        x: velocity, quaternion (of any length; as near to the old one as it turned) and body rate now.
+        share: the motors' shares of full thrust now.
+        dt_s: the step (s).
+    """
     vn, ve, vd, w, a, b, c, p, q, r = x
     n, rate = 1.0 / sqrt(w * w + a * a + b * b + c * c), 1.0 / dt_s
     w, a, b, c = w * n, a * n, b * n, c * n

@@ -31,6 +31,10 @@ from sitl.wind import WindSettings
 LARGEST_HALF_DIAGONAL_M: Final = 1.0
 
 
+Lean = Annotated[float, Field(ge=-180.0, le=180.0)]
+Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
+
+
 class Airframe(StrictModel):
     """The plant's parameters (configs/airframes), and how the autopilot's rate loops are tuned to it."""
 
@@ -72,6 +76,9 @@ class CameraSettings(StrictModel):
     readout_s: float = Field(default=0.015, ge=0.0, le=0.03)
     noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
     calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
+    mount_error_deg: tuple[Lean, Lean, Lean] = (0.0, 0.0, 0.0)
+    mount_offset_m: tuple[Shift, Shift, Shift] = (0.0, 0.0, 0.0)
+    stamp_error_s: float = Field(default=0.0, ge=-0.04, le=0.1)
     blur: bool = True
     rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] | None = None
     exposure: ExposureSettings = ExposureSettings()
@@ -81,8 +88,9 @@ class CameraSettings(StrictModel):
 
 
 class SensorSettings(StrictModel):
-    """Factors on each sensor's data-sheet noise, GPS delay, and how the sensors are wired."""
+    """Factors on each sensor's data-sheet noise, whether anybody has calibrated it, GPS delay, wiring."""
 
+    calibrated: bool = True
     imu_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
     gps_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)

@@ -1,19 +1,22 @@
 """A camera in a world: it exposes at its rate, and renders when the last row has been read.
 
-Times are the world's (s); a frame is stamped with the mid-exposure of its middle row.
+Times are the world's (s); a frame is stamped with the mid-exposure of its middle row, and with the stamp
+error of the scenario's camera.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
+from companion.geometry import FloatArray, Vector3, add
 from companion.messages import Frame, Truth
 from companion.pad import load_pad
-from sitl import camera as lens
+from sitl import camera as optics
 from sitl.exposure import CameraSettings
 from sitl.scenario import Scenario
 
@@ -24,6 +27,20 @@ class Scene(Protocol):
     def truth_at(self, time_s: float) -> Truth:
         """Vehicle and pad at a time of the last 0.3 s, s of the world."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTruth:
+    """How the simulated camera truly is: for tests and benches, never for the app.
+
+    `lens` are its true intrinsics, `body_from_camera` (3, 3) and `position_body_m` (FRD) how it is mounted;
+    `stamp_error_s` is what its frames' times are too large by.
+    """
+
+    lens: CameraConfig
+    body_from_camera: FloatArray
+    position_body_m: Vector3
+    stamp_error_s: float
 
 
 class SceneCamera:
@@ -52,7 +69,20 @@ class SceneCamera:
             exposure=settings.exposure,
             dirt=settings.dirt,
         )
-        self._model = lens.CameraModel(config, vehicle, load_pad(scenario.pad.name), develop, noise_rng)
+        vehicle = vehicle.model_copy(
+            update={"camera_position_body_m": add(vehicle.camera_position_body_m, settings.mount_offset_m)}
+        )
+        self._model = optics.CameraModel(
+            config,
+            vehicle,
+            load_pad(scenario.pad.name),
+            develop,
+            noise_rng,
+            mount_error_deg=settings.mount_error_deg,
+        )
+        self.truth = CameraTruth(
+            config, self._model.body_from_camera, vehicle.camera_position_body_m, settings.stamp_error_s
+        )
         self._world = world
         self._settings = settings
         self._rng = latency_rng
@@ -81,13 +111,18 @@ class SceneCamera:
         late = self._settings.latency_s + self._settings.latency_jitter_s * float(
             self._rng.uniform(-1.0, 1.0)
         )
-        frame = Frame(time_s=time_s, received_s=time_s, sequence=self._sequence, image=image)
+        frame = Frame(
+            time_s=time_s + self._settings.stamp_error_s,
+            received_s=time_s,
+            sequence=self._sequence,
+            image=image,
+        )
         self._sequence += 1
         return frame, time_s + late
 
-    def _scene_at(self, time_s: float) -> lens.ScenePose:
+    def _scene_at(self, time_s: float) -> optics.ScenePose:
         truth = self._world.truth_at(time_s)
-        return lens.ScenePose(
+        return optics.ScenePose(
             vehicle_position_ned_m=truth.vehicle_position_ned_m,
             vehicle_attitude=truth.vehicle_attitude,
             pad_position_ned_m=truth.pad_position_ned_m,

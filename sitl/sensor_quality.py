@@ -21,8 +21,11 @@ def sensor_errors(settings: SensorSettings) -> SensorErrors:
             accel_noise_m_s2_rthz=imu.accel_noise_m_s2_rthz * k,
             vibration_m_s2=imu.vibration_m_s2 * k,
             vibration_rad_s=imu.vibration_rad_s * k,
+            calibrated=settings.calibrated,
         ),
-        magnetometer=replace(mag, noise_ut=mag.noise_ut * settings.mag_noise_factor),
+        magnetometer=replace(
+            mag, noise_ut=mag.noise_ut * settings.mag_noise_factor, calibrated=settings.calibrated
+        ),
         gps=replace(
             gps,
             wander_horizontal_m=gps.wander_horizontal_m * g,

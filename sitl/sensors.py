@@ -23,6 +23,7 @@ from companion.geometry import (
     geodetic_from_ned,
 )
 from sitl.glitches import Glitches
+from sitl.sensor_flaws import Flaws, uncalibrated_magnetometer
 
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
 
@@ -45,6 +46,7 @@ class MagErrors:
     hard_iron_ut: float = 0.7
     soft_iron: float = 0.01
     current_ut: float = 1.0  # the motors' supply at full throttle, a fixed direction
+    calibrated: bool = True  # else the iron of `sensor_flaws`, instead of what a fit leaves of it
 
 
 NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
@@ -58,12 +60,21 @@ class MagSensor:
         self._rng = rng
         self._matrix = flawed_rotation(sensor_from_body, errors.soft_iron, errors.soft_iron, rng)
         self._offset = (errors.hard_iron_ut * rng.standard_normal(3)).tolist()
+        self._mounting = sensor_from_body
         direction = rng.standard_normal(3)
         self._current = (errors.current_ut * direction / np.linalg.norm(direction)).tolist()
         self._noise: list[list[float]] = []
         # for faults: a field besides the earth's (body axes), and what becomes of readings on their way out
         self.stray_field_ut: Vector3 = ZERO3
         self.glitches = Glitches(rng.spawn(1)[0])
+        if not errors.calibrated:
+            iron = uncalibrated_magnetometer(rng.spawn(1)[0])
+            self._matrix, self._offset = iron.rows(sensor_from_body), iron.offset.tolist()
+
+    @property
+    def flaws(self) -> Flaws:
+        """What is truly wrong with it, in sensor axes, µT."""
+        return Flaws.of(self._matrix, self._mounting, np.array(self._offset))
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
         """Field (µT) in sensor axes from the true field in body axes."""

@@ -24,6 +24,7 @@ from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.frame_server import FrameServer
+from sitl.hand_paths import HandMotion
 from sitl.links import TcpServer, UdpServer
 from sitl.orders import final_phase, fly_until_told, say
 from sitl.scenario import Scenario
@@ -65,8 +66,11 @@ async def serve(
     signing_key: bytes | None = None,
     *,
     serve_truth: bool = False,
+    motion: HandMotion | None = None,
 ) -> None:
     """Serve a vehicle to whoever connects, until Ctrl-C or SIGTERM; `serve_truth`: those may ask for it.
+
+    With a `motion` it is carried by hand.
 
     Raises:
         ConfigError: a port is taken, or a settings file that the scenario names is wrong.
@@ -82,6 +86,7 @@ async def serve(
             unix_at_start_s,
             serve_truth=serve_truth,
             keep_truth=False,
+            motion=motion,
         )
         companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
         ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
@@ -89,18 +94,18 @@ async def serve(
         stack.callback(tcp.close)
         tcp_port = await tcp.open(service.bind, service.tcp_port)
         own = (companion_port, ground_port, tcp_port)
-        print(_greeting(scenario, seed, service, own, devices.settings), flush=True)
+        print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
         await _fly_until_stopped(devices.simulation)
 
 
-async def serve_child(scenario: Scenario, seed: int, folder: Path) -> None:
+async def serve_child(scenario: Scenario, seed: int, folder: Path, motion: HandMotion | None = None) -> None:
     """Run a simulation for a parent process until standard input says so; see the module's docstring.
 
     Raises:
         ConfigError: a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
-        devices = await _plug_in(stack, scenario, seed, folder)
+        devices = await _plug_in(stack, scenario, seed, folder, motion=motion)
         udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
         say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
         await fly_until_told(devices.simulation, folder / REPORT_NAME, final_phase())
@@ -116,6 +121,7 @@ async def _plug_in(
     *,
     serve_truth: bool = False,
     keep_truth: bool = True,
+    motion: HandMotion | None = None,
 ) -> _Devices:
     """A simulation with everything but MAVLink connected; the stack takes it all down."""
     gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
@@ -135,6 +141,7 @@ async def _plug_in(
         unix_at_start_s=unix_at_start_s,
         serve_truth=serve_truth,
         keep_truth=keep_truth,
+        motion=motion,
     )
     registers = await serve_registers(simulation.imu_bus, folder / "registers")
     stack.callback(registers.close)
@@ -162,7 +169,12 @@ async def _open_udp(
 
 
 def _greeting(
-    scenario: Scenario, seed: int, service: Service, own: tuple[int, int, int], settings: dict[str, Any]
+    scenario: Scenario,
+    seed: int,
+    service: Service,
+    own: tuple[int, int, int],
+    settings: dict[str, Any],
+    motion: HandMotion | None,
 ) -> str:
     """What a person has to know to use it."""
     name = {"px4": "PX4", "ardupilot": "ArduPilot"}[scenario.autopilot]
@@ -170,7 +182,8 @@ def _greeting(
     companion, ground, tcp = own
     sense = settings["sense"]
     lines = [
-        f"companion-sitl: a quadrotor with {name}'s manners, scenario {scenario.name}, seed {seed}",
+        f"companion-sitl: a quadrotor with {name}'s manners, scenario {scenario.name}, seed {seed}"
+        + ("" if motion is None else f", carried by hand: {motion}"),
         *_udp_lines("companions", "MAVSDK udpin://0.0.0.0:{}", host, service.companion_port, companion),
         *_udp_lines("ground stations", "QGroundControl, mavproxy.py --master udp:127.0.0.1:{}", host,
                     service.ground_port, ground),

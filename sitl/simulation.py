@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -31,12 +31,15 @@ from sitl.devices.rack import SensorRack, Wiring
 from sitl.faulty_link import LinkWay
 from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
+from sitl.hand_held import HandHeldWorld
+from sitl.hand_paths import HandMotion
 from sitl.network import Network, Port, Write
 from sitl.onboard import OnboardSensors
 from sitl.report import SimulationReport
 from sitl.scenario import Scenario, SensorSettings
-from sitl.scene_camera import SceneCamera
+from sitl.scene_camera import CameraTruth, SceneCamera
 from sitl.score import judge
+from sitl.sensor_flaws import BoardTruth
 from sitl.sensor_quality import sensor_errors
 from sitl.sensors import RangeErrors
 from sitl.signing import Signing
@@ -50,7 +53,7 @@ TICK_S: Final = PHYSICS_STEP_S * STEPS_PER_TICK
 LONGEST_CATCH_UP_S: Final = 0.03
 TRUTH_EVERY_TICKS: Final = 4
 RANGE_EVERY_TICKS: Final = 2
-# the world and the sensors draw from (seed, 0..13)
+# the world and the sensors draw from (seed, 0..14)
 SIMULATION_STREAM: Final = 20
 FAULT_STREAM: Final = 21
 # latitude (deg), longitude (deg), altitude (m) of the world's origin, and the field there (WMM 2025, rounded)
@@ -70,6 +73,15 @@ class ByteLink(Protocol):
     def write(self, data: bytes) -> None:
         """Send without waiting."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTruth:
+    """Of the companion's boards, the autopilot's own sensors and the camera."""
+
+    boards: BoardTruth
+    autopilot: BoardTruth
+    camera: CameraTruth
 
 
 class MemoryFrames:
@@ -107,12 +119,14 @@ class Simulation:
         signing_key: bytes | None = None,
         serve_truth: bool = False,
         keep_truth: bool = True,
+        motion: HandMotion | None = None,
     ) -> None:
         """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
         `link` is the MAVLink line of an app in this process, others come by `connect`. `unix_at_start_s` is
         UTC (s since 1970) when the world begins; `serve_truth` lets clients ask for the truth; `keep_truth`
-        keeps all of it for `report`, which a vehicle that is served for days has no memory for.
+        keeps all of it for `report`, which a vehicle that is served for days has no memory for. With a
+        `motion` it is carried by hand and cannot fly.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -123,7 +137,7 @@ class Simulation:
         self._link = link
         self._camera_wanted = camera_wanted
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
-        self._world = World(scenario, seed)
+        self._world = World(scenario, seed) if motion is None else HandHeldWorld(scenario, seed, motion)
         body = self._world.airframe.body
         self._autopilot = Autopilot(
             scenario.autopilot,
@@ -160,6 +174,16 @@ class Simulation:
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
+
+    @property
+    def sensor_truth(self) -> SensorTruth:
+        """How the sensors truly are: for tests and benches."""
+        return SensorTruth(self._rack.truth, self._onboard.truth, self._camera.truth)
+
+    @property
+    def world(self) -> World:
+        """The truth now: for tests and benches."""
+        return self._world
 
     async def run(self) -> None:
         """Go on until cancelled."""

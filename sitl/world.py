@@ -130,7 +130,7 @@ class World:
         self.wind_ned_m_s = self._blow()
         thrust_ratio = self._feel_surfaces(dt_s)
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
-        self._state = self._quadrotor.step(
+        state = self._quadrotor.step(
             self._state,
             self.motors.given(motor_commands),
             dt_s,
@@ -139,6 +139,11 @@ class World:
             force_ned_n=self._load.force_ned_n,
             torque_body_n_m=self._load.torque_body_n_m,
         )
+        self._advance(state, dt_s)
+
+    def _advance(self, state: QuadrotorState, dt_s: float) -> None:
+        """Let time pass: the vehicle is where it has come to, and the pad goes its way."""
+        self._state = state
         self.time_s += dt_s
         self.pad_state = self._pad_motion.at(self.time_s)
         if not self._watch.flying:

@@ -28,6 +28,7 @@ from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.inertial import ImuErrors, ImuSensor
 from sitl.quadrotor import QuadrotorState
+from sitl.sensor_flaws import BoardTruth
 from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 
 OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
@@ -102,6 +103,12 @@ class SensorRack:
         self._antenna_body_m = gps_config.antenna_position_body_m
         self._gps_port = gps_port
         self._range_port = range_port
+
+    @property
+    def truth(self) -> BoardTruth:
+        """What is truly wrong with IMU and magnetometer."""
+        imu = self.inertial
+        return BoardTruth(imu.accel_flaws, imu.gyro_flaws, self.magnetometer.flaws, SENSOR_FROM_BODY)
 
     def step(
         self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]

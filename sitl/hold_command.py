@@ -1,0 +1,64 @@
+"""`companion-sitl hold`: a simulated vehicle that is carried by hand, for calibrations, in real time."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from sitl.hand_paths import HandMotion
+from sitl.orders import socket_folder, terminated_as_interrupted
+from sitl.scenario import load_scenario
+from sitl.server import COMPANION_PORT, GROUND_PORT, TCP_PORT, Service, serve, serve_child
+
+HELP: Final = """Serve a vehicle that is carried by hand over its scenario's pad: the same sensors, camera and
+MAVLink as in flight, motors off. It begins at once and repeats with the seed.
+
+\b
+  still     stands on the pad
+  tumble    turned about until every side has been everywhere: for the magnetometer
+  faces     laid down on each of its six sides: for the accelerometer
+  sway      swung about over the pad, which stays in view: for the camera's mounting
+  over-pad  what `companion check --pad` asks for, one after another
+
+\b
+Examples:
+  companion-sitl hold --motion tumble
+  companion-sitl hold --motion sway --scenario workshop.yaml --seed 3 --folder sockets
+"""
+
+
+def hold_command(
+    *,
+    motion: Annotated[HandMotion, typer.Option(help="How it is carried.")],
+    scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "static",
+    seed: Annotated[int, typer.Option(min=0, help="Repeats it.")] = 0,
+    folder: Annotated[
+        Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
+    ] = None,
+    port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, help="UDP port where companions listen; 0: they call a free one."),
+    ] = COMPANION_PORT,
+    gcs_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="UDP port where ground stations listen; 0: likewise.")
+    ] = GROUND_PORT,
+    tcp_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port for several clients; 0 takes a free one.")
+    ] = TCP_PORT,
+    child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
+) -> None:
+    """Serve until Ctrl-C; as a child until standard input ends.
+
+    Raises:
+        ConfigError: the scenario is wrong, a port is taken, or the folder is none.
+    """
+    loaded = load_scenario(scenario)
+    with terminated_as_interrupted(), socket_folder(folder) as place:
+        if child:
+            asyncio.run(serve_child(loaded, seed, place, motion))
+        else:
+            service = Service(companion_port=port, ground_port=gcs_port, tcp_port=tcp_port)
+            asyncio.run(serve(loaded, seed, place, service, motion=motion))
