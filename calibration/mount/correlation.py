@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from calibration.mount.rotations import log, nearest_rotation, transposed
-from calibration.mount.samples import Inertial, Sightings
+from calibration.mount.samples import Indices, Inertial, Sightings
 from companion.geometry import FloatArray
 
 PAIR_S: Final = 0.25  # long enough to turn by more than a pose's noise, short enough for coning not to count
@@ -60,7 +60,7 @@ def correlate(inertial: Inertial, sightings: Sightings) -> Coarse:
     return Coarse(fits[best][0], _refined(grid, misfit, best), fits[best][1], grid, misfit)
 
 
-def _pairs(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _pairs(times_s: FloatArray) -> tuple[Indices, Indices]:
     """Of each sighting the first one that is PAIR_S later, if it is not much later."""
     second = np.searchsorted(times_s, times_s + PAIR_S)
     first = np.arange(len(times_s))

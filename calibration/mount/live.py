@@ -42,7 +42,7 @@ TakeImu = Callable[[ImuSample], None]
 ShowImage = Callable[[NDArray[np.uint8]], None]
 
 
-async def read_imu(bus_driver: Mpu9250, config: ImuConfig, take: TakeImu, tell: Callable[[str], None]) -> None:
+async def read_imu(driver: Mpu9250, config: ImuConfig, take: TakeImu, tell: Callable[[str], None]) -> None:
     """Poll the inertial sensor until cancelled; gaps are told.
 
     Raises:
@@ -53,7 +53,7 @@ async def read_imu(bus_driver: Mpu9250, config: ImuConfig, take: TakeImu, tell: 
     while True:
         problem = "no sample"
         try:
-            samples, _ = await clock.run(bus_driver.poll, clock.now_s, modelled_s=0.0)
+            samples, _ = await clock.run(driver.poll, clock.now_s, modelled_s=0.0)
             for sample in samples:
                 heard_s = clock.now_s()
                 take(sample)
@@ -62,7 +62,9 @@ async def read_imu(bus_driver: Mpu9250, config: ImuConfig, take: TakeImu, tell: 
         except SensorError as error:
             problem = str(error)
         if clock.now_s() - heard_s > SILENCE_S:
-            raise ConfigError(f"sense.imu.bus {config.bus}: {problem}; expected samples within {SILENCE_S:g} s")
+            raise ConfigError(
+                f"sense.imu.bus {config.bus}: {problem}; expected samples within {SILENCE_S:g} s"
+            )
         next_s = max(next_s + 1.0 / config.poll_hz, clock.now_s())
         await clock.sleep_until(next_s)
 

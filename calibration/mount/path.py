@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from calibration.mount.rotations import exp
-from calibration.mount.samples import Inertial
+from calibration.mount.samples import Indices, Inertial
 from companion.geometry import FloatArray
 
 STRETCH_S: Final = 2.0
@@ -37,6 +37,16 @@ class Turning:
     """Rotation from the stretch's beginning, in its body axes then: at each grid point (s, n + 1, 3, 3)."""
 
     at: FloatArray
+    rate: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Moments:
+    """The motion at some times (k,): rotation, position and velocity in the stretch's first axes, rate."""
+
+    rotation: FloatArray
+    position: FloatArray
+    velocity: FloatArray
     rate: FloatArray
 
 
@@ -90,15 +100,16 @@ def move(stretches: Stretches, turning: Turning, force: FloatArray) -> Moving:
 
 
 def at_times(
-    stretches: Stretches, turning: Turning, moving: Moving, which: FloatArray, since_s: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Rotation (k, 3, 3) and position (k, 3) of stretches `which` (k,), `since_s` (k,) after their beginning."""
+    stretches: Stretches, turning: Turning, moving: Moving, which: Indices, since_s: FloatArray
+) -> Moments:
+    """The motion of stretches `which` (k,), `since_s` (k,) after their beginning."""
     index = np.clip((since_s / stretches.step_s).astype(int), 0, turning.rate.shape[1] - 1)
     rest = (since_s - index * stretches.step_s)[:, None]
-    rotation = turning.at[which, index] @ exp(turning.rate[which, index] * rest)
-    position = (
-        moving.position[which, index]
-        + moving.velocity[which, index] * rest
-        + 0.5 * moving.acceleration[which, index] * rest**2
+    rate, acceleration = turning.rate[which, index], moving.acceleration[which, index]
+    velocity = moving.velocity[which, index]
+    return Moments(
+        rotation=turning.at[which, index] @ exp(rate * rest),
+        position=moving.position[which, index] + velocity * rest + 0.5 * acceleration * rest**2,
+        velocity=velocity + acceleration * rest,
+        rate=rate,
     )
-    return rotation, position

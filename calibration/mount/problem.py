@@ -2,7 +2,7 @@
 
 A sighting is predicted from its stretch's beginning, the path since then and how the camera sits; what it
 differs by, in its own standard deviations, are six residuals. The beginnings (nine unknowns a stretch) are
-eliminated stretch by stretch (Schur's complement), so what is solved is 33 x 33 however long the recording.
+eliminated stretch by stretch (Schur's complement), so what is solved is 35 x 35 however long the recording.
 Derivatives are differences: a few milliseconds each, and no sign to get wrong.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.mount.path import Moving, Stretches, Turning, at_times, move, turn
 from calibration.mount.rotations import log, transposed
-from calibration.mount.samples import Sightings
+from calibration.mount.samples import Indices, Sightings
 from calibration.mount.unknowns import (
     COUNT,
     FIRST_OF_PATH,
@@ -34,7 +34,7 @@ WEAK_INFORMATION: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """The problem about a point: residuals (k, 6), and how they change with all (k, 6, 33), with a beginning."""
+    """The problem about a point: residuals (k, 6), and how they change with all (k, 6, 35), with a beginning."""
 
     residuals: FloatArray
     by_unknowns: FloatArray
@@ -45,13 +45,13 @@ class Linear:
 class Reduced:
     """The normal equations of the unknowns alone, and what gives the beginnings back.
 
-    `scores` (s, 33) are the gradient's parts by stretch.
+    `scores` (s, 35) are the gradient's parts by stretch.
     """
 
     information: FloatArray
     scores: FloatArray
     own: FloatArray  # (s, 9, 9)
-    mixed: FloatArray  # (s, 9, 33)
+    mixed: FloatArray  # (s, 9, 35)
     own_gradient: FloatArray  # (s, 9)
 
     def beginnings(self, step: FloatArray) -> FloatArray:
@@ -63,7 +63,7 @@ class Reduced:
 class Problem:
     """Sightings in stretches. `which` (k,) is each sighting's stretch, in rising order."""
 
-    def __init__(self, stretches: Stretches, sightings: Sightings, which: FloatArray) -> None:
+    def __init__(self, stretches: Stretches, sightings: Sightings, which: Indices) -> None:
         self.stretches, self.sightings, self.which = stretches, sightings, which
         self._first = np.searchsorted(which, np.arange(len(stretches.start_s)))
         self._whiten = np.linalg.inv(np.linalg.cholesky(sightings.covariance))
@@ -83,24 +83,23 @@ class Problem:
     ) -> FloatArray:
         """What sightings differ by from the prediction (k, 6): position, rotation; whitened."""
         since = self.since_s(unknowns)
-        rotation, moved = at_times(self.stretches, turning, moving, self.which, since)
+        moment = at_times(self.stretches, turning, moving, self.which, since)
         start, t = begin.pad_from_body[self.which], since[:, None]
         place = (
             begin.position_m[self.which]
             + begin.velocity_m_s[self.which] * t
             + 0.5 * unknowns.gravity_pad * t**2
-            + (start @ moved[..., None])[..., 0]
+            + (start @ moment.position[..., None])[..., 0]
         )
-        pad_from_camera = start @ rotation @ unknowns.body_from_camera
+        speed = begin.velocity_m_s[self.which] + unknowns.gravity_pad * t
+        speed = speed + (start @ moment.velocity[..., None])[..., 0]
+        pad_from_camera = start @ moment.rotation @ unknowns.body_from_camera
         lever = unknowns.body_from_camera.T @ unknowns.values[POSITION]
         predicted = -(transposed(pad_from_camera) @ place[..., None])[..., 0] - lever
-        misses = np.concatenate(
-            (
-                self.sightings.position_m - predicted,
-                log(self.sightings.camera_from_pad @ pad_from_camera),
-            ),
-            axis=1,
-        )
+        closing = np.einsum("ki,ki->k", pad_from_camera[..., 2], speed) / self.sightings.position_m[:, 2]
+        roll = moment.rate @ unknowns.body_from_camera[:, 2]
+        turned = log(self.sightings.camera_from_pad @ pad_from_camera) - unknowns.shutter_turn(closing, roll)
+        misses = np.concatenate((self.sightings.position_m - predicted, turned), axis=1)
         return np.asarray((self._whiten @ misses[..., None])[..., 0])
 
     def linear(self, unknowns: Unknowns, begin: Beginnings) -> Linear:
@@ -130,7 +129,7 @@ class Problem:
         weighted_all = to_all * weight[:, None, None]
         information = np.einsum("kri,krj->ij", weighted_all, to_all, optimize=True)
         gradient = -self._by_stretch(np.einsum("kri,kr->ki", weighted_all, r))
-        back = np.linalg.solve(own, mixed)  # (s, 9, 33)
+        back = np.linalg.solve(own, mixed)  # (s, 9, 35)
         return Reduced(
             information=information - np.einsum("sai,saj->ij", mixed, back),
             scores=gradient - np.einsum("sai,sa->si", back, own_gradient),

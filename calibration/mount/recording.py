@@ -13,7 +13,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -32,6 +32,9 @@ from companion.replay.flight_record import FlightRecord, Rig
 from companion.replay.mcap_log import read_mcap, records
 from companion.sense.vision import body_from_camera, turn_covariance
 
+# the chip's accelerometer is filtered a millisecond less than its gyroscope, whose delay both are stamped by
+# (register map RM-MPU-9250A-00 rev. 1.6, tables of CONFIG and ACCEL_CONFIG 2)
+FORCE_AHEAD_S: Final = 0.001
 MAGIC: Final = b"\x89MCAP0\r\n"
 # the settings record of `calibrate-mount record`, beside those of a flight
 MARK: Final = "recording"
@@ -74,8 +77,11 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> Recording:
     sightings, how = _sightings(file, record, rig, used)
     if how:
         notes.append(how)
+    inertial = inertial_of(record, file)
+    if rig.config.sense.source == "boards":
+        inertial = with_forces_in_time(inertial)
     return Recording(
-        inertial_of(record, file),
+        inertial,
         in_camera_axes(sightings, rig.vehicle),
         rig.config,
         rig.vehicle,
@@ -120,6 +126,13 @@ def inertial_of(record: FlightRecord, file: Path) -> Inertial:
     rows = rows[np.isfinite(rows[:, :7]).all(axis=1)]
     rows = rows[np.concatenate(([True], np.diff(rows[:, 0]) > 0.0))]
     return Inertial(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7])
+
+
+def with_forces_in_time(inertial: Inertial) -> Inertial:
+    """The same with the MPU9250's forces brought to the times of its rates."""
+    early_s = inertial.time_s - FORCE_AHEAD_S
+    forces = [np.interp(early_s, inertial.time_s, column) for column in inertial.force.T]
+    return replace(inertial, force=np.stack(forces, axis=1))
 
 
 def in_camera_axes(sightings: list[PadSighting], vehicle: VehicleConfig) -> Sightings:

@@ -10,10 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.geometry import FloatArray
 
 LONGEST_IMU_GAP_S = 0.05
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +54,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def taken(self, which: FloatArray) -> Sightings:
+    def taken(self, which: Indices | Mask) -> Sightings:
         """Some of them: a mask or indices."""
         return replace(
             self,

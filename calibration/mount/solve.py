@@ -20,13 +20,14 @@ from calibration.mount.correlation import Coarse, correlate
 from calibration.mount.path import MARGIN_S, STRETCH_S, Stretches, at_times, cut
 from calibration.mount.problem import Problem, Reduced
 from calibration.mount.rotations import log, transposed
-from calibration.mount.samples import Inertial, Sightings
+from calibration.mount.samples import Inertial, Mask, Sightings
 from calibration.mount.unknowns import (
     COUNT,
     GYRO_BIAS,
     OFFSET,
     POSITION,
     ROTATION,
+    SHUTTER,
     Beginnings,
     Trust,
     Unknowns,
@@ -51,7 +52,7 @@ class NoSolutionError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A fit. `covariance` (33, 33) is that of the unknowns (see `unknowns`), without the lens's share.
+    """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without what the fit cannot see (lens, stamps).
 
     `kept` (k,) says which sightings were used; `misses` (k, 6) are all sightings' residuals in their own
     standard deviations; `scatter` is how large those are against what was expected; `correlated` by how much
@@ -62,13 +63,13 @@ class Solution:
     covariance: FloatArray
     coarse: Coarse
     sightings: Sightings
-    kept: FloatArray
+    kept: Mask
     misses: FloatArray
     scatter: float
     correlated: float
     stretches: int
     converged: bool
-    lens_rad: float
+    trust: Trust
 
     @property
     def time_offset_s(self) -> float:
@@ -84,19 +85,29 @@ class Solution:
     def rotation_covariance(self) -> FloatArray:
         """Of the rotation about the body's axes (3, 3), rad²; what the lens's centre may be off included."""
         across = self.unknowns.body_from_camera @ np.diag((1.0, 1.0, 0.0)) @ self.unknowns.body_from_camera.T
-        return np.asarray(self.covariance[ROTATION, ROTATION] + self.lens_rad**2 * across)
+        return np.asarray(self.covariance[ROTATION, ROTATION] + self.trust.lens_rad**2 * across)
+
+    @property
+    def time_offset_std_s(self) -> float:
+        """Of the offset; what the inertial samples' own stamps may be off included."""
+        return float(np.hypot(self.std(OFFSET)[0], self.trust.stamp_s))
 
     def std(self, which: slice) -> FloatArray:
-        """Standard deviations of some unknowns."""
-        return np.sqrt(np.diag(self.covariance)[which])
+        """Standard deviations of some unknowns, by the fit alone."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[which]))
 
 
 def solve(
-    inertial: Inertial, sightings: Sightings, position_m: FloatArray, trust: Trust | None = None
+    inertial: Inertial,
+    sightings: Sightings,
+    position_m: FloatArray,
+    shutter_s: float = 0.0,
+    trust: Trust | None = None,
 ) -> Solution:
     """Find the mount.
 
     Args:
+        shutter_s: the time in which a rolling shutter passes one focal length of the image, by its file.
         position_m: the camera (3,) by the vehicle's file: where the search for it begins, and what it is
             held to by `trust.position_m`.
 
@@ -109,17 +120,18 @@ def solve(
     except ValueError as error:
         raise NoSolutionError(str(error)) from error
     problem = _problem(inertial, sightings, coarse.time_offset_s)
-    unknowns = Unknowns(coarse.body_from_camera, np.zeros(COUNT))
-    unknowns.values[POSITION], unknowns.values[OFFSET] = position_m, coarse.time_offset_s
-    unknowns.values[GYRO_BIAS] = coarse.gyro_bias
-    fit = _Fit(problem, unknowns, _begin(problem, unknowns), position_m, trust)
+    believed = np.zeros(COUNT)
+    believed[POSITION], believed[SHUTTER] = position_m, (shutter_s, 0.5 * shutter_s)
+    unknowns = Unknowns(coarse.body_from_camera, believed.copy())
+    unknowns.values[OFFSET], unknowns.values[GYRO_BIAS] = coarse.time_offset_s, coarse.gyro_bias
+    fit = _Fit(problem, unknowns, _begin(problem, unknowns), believed, trust.standard_deviations(shutter_s))
     fit.run_robust()
     for _ in range(ROUNDS):
         fit.drop_outliers()
         fit.run()
         fit.weigh()
     fit.run()
-    return fit.solution(coarse)
+    return fit.solution(coarse, trust)
 
 
 def _problem(inertial: Inertial, sightings: Sightings, offset_s: float) -> Problem:
@@ -148,10 +160,10 @@ def _begin(problem: Problem, unknowns: Unknowns) -> Beginnings:
     count = len(problem.stretches.start_s)
     turning, moving = problem.path(unknowns)
     since = problem.since_s(unknowns)
-    rotation, moved = at_times(problem.stretches, turning, moving, problem.which, since)
+    moment = at_times(problem.stretches, turning, moving, problem.which, since)
     seen = problem.sightings
     pad_from_body = transposed(seen.camera_from_pad) @ unknowns.body_from_camera.T
-    first = pad_from_body @ transposed(rotation)
+    first = pad_from_body @ transposed(moment.rotation)
     lever = unknowns.values[POSITION]
     in_body = seen.position_m @ unknowns.body_from_camera.T + lever
     place = -(pad_from_body @ in_body[..., None])[..., 0]
@@ -164,7 +176,7 @@ def _begin(problem: Problem, unknowns: Unknowns) -> Beginnings:
         start = first[own][middle]
         begin.pad_from_body[k] = start
         t = since[own][agree][:, None]
-        known = 0.5 * unknowns.gravity_pad * t**2 + moved[own][agree] @ start.T
+        known = 0.5 * unknowns.gravity_pad * t**2 + moment.position[own][agree] @ start.T
         line = np.column_stack((np.ones(len(t)), t[:, 0]))
         found = np.linalg.lstsq(line, place[own][agree] - known, rcond=None)[0]
         begin.position_m[k], begin.velocity_m_s[k] = found
@@ -179,14 +191,13 @@ class _Fit:
         problem: Problem,
         unknowns: Unknowns,
         begin: Beginnings,
-        position_m: FloatArray,
-        trust: Trust,
+        believed: FloatArray,
+        std: FloatArray,
     ) -> None:
+        """`believed` (35,) to `std` (35,) is what is known beforehand."""
         self._problem, self._unknowns, self._begin = problem, unknowns, begin
-        self._trust = trust
-        self._believed = np.zeros(COUNT)
-        self._believed[POSITION] = position_m
-        self._prior = np.diag(trust.standard_deviations() ** -2)
+        self._believed = believed
+        self._prior = np.diag(std**-2)
         self._kept = np.ones(len(problem.sightings), dtype=bool)
         self._scatter2 = self._correlated = 1.0
         self._converged = False
@@ -253,13 +264,13 @@ class _Fit:
         found, expected = (np.diag(gain @ m @ gain)[[0, 1, 2, 6]] for m in (between, reduced.information))
         return float(np.mean(found / expected))
 
-    def solution(self, coarse: Coarse) -> Solution:
+    def solution(self, coarse: Coarse, trust: Trust) -> Solution:
         """What has come of it."""
         linear = self._problem.linear(self._unknowns, self._begin)
         reduced = self._problem.reduced(linear, self._weight())
         return Solution(
             unknowns=self._unknowns,
-            covariance=np.linalg.inv(reduced.information + self._prior),
+            covariance=np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float),
             coarse=coarse,
             sightings=self._problem.sightings,
             kept=self._kept,
@@ -268,5 +279,5 @@ class _Fit:
             correlated=self._correlated,
             stretches=len(self._begin.position_m),
             converged=self._converged,
-            lens_rad=self._trust.lens_rad,
+            trust=trust,
         )

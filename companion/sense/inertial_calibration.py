@@ -37,7 +37,7 @@ def load_inertial(config: ImuConfig) -> InertialCalibration | None:
 def calibrated(
     gyro: Rows, accel: Rows, body_from_sensor_deg: Vector3, inertial: InertialCalibration
 ) -> tuple[Rows, Rows, Offsets]:
-    """The driver's matrices (counts to body axes) with the calibration in them, and what is to be taken off."""
+    """The driver's matrices (counts to body axes) with the calibration in them, and what to take off."""
     mounting = _matrix(mounting_rows(body_from_sensor_deg, 1.0))
     rate = vector3(mounting @ inertial.gyro.bias_rad_s)
     found = inertial.accelerometer

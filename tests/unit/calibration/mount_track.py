@@ -1,4 +1,4 @@
-"""A made-up recording for `calibrate-mount`: a vehicle swayed over a pad, what its IMU and camera give, the truth.
+"""A made-up recording for `calibrate-mount`: a vehicle swayed over a pad, its IMU, its camera, the truth.
 
 Everything follows from smooth functions of time; rates and accelerations are their differences over a tenth
 of a millisecond.
@@ -38,7 +38,7 @@ class Flaws:
 
 @dataclass
 class Track:
-    """One recording. `body_from_camera` and `axes` (what the seed has made of the IMU's axes) are the truth."""
+    """One recording; `body_from_camera` is the truth."""
 
     seed: int
     flaws: Flaws = field(default_factory=Flaws)
