@@ -105,7 +105,7 @@ calibrate-mount camera swayed -o mount.yaml
 calibrate-mount camera flights/hover -o mount.yaml --plots pictures
 calibrate-mount camera swayed -o mount.yaml --camera my_camera.yaml
 """
-ACCELEROMETER_HELP: Final = """Accelerometer offset, scale and skew from rests on six faces, and gyroscope bias.
+ACCELEROMETER_HELP: Final = """Accelerometer offset, scale and skew from rests on six faces; gyroscope bias.
 
 Live without LOG: it says which face to lay down, and notices by itself when the vehicle lies still. LOG
 may be a flight.mcap, or a table (CSV or .npz) of t, ax, ay, az, gx, gy, gz in the chip's own axes.
@@ -114,7 +114,7 @@ may be a flight.mcap, or a table (CSV or .npz) of t, ax, ay, az, gx, gy, gz in t
 calibrate-mount accelerometer -o inertial.yaml
 calibrate-mount accelerometer rests.csv -o inertial.yaml --gyro-unit deg/s
 """
-GYRO_HELP: Final = """The gyroscope's bias alone, from a rest. An accelerometer's calibration in the file stays.
+GYRO_HELP: Final = """The gyroscope's bias alone, from a rest. The accelerometer's part of the file stays.
 
 \b
 calibrate-mount gyro -o inertial.yaml

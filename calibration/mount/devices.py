@@ -1,4 +1,4 @@
-"""The boards that a calibration needs, without an autopilot: the inertial sensor, and the camera if wanted."""
+"""The boards that a calibration needs, without an autopilot: inertial sensor, and camera if wanted."""
 
 from __future__ import annotations
 

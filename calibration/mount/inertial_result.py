@@ -39,7 +39,8 @@ def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str
     skew = np.abs(fit.matrix - np.diag(np.diag(fit.matrix))).max()
     return [
         f"rests         {len(fit.misses)}, faces down: {', '.join(faces)}",
-        f"offset        {_list(fit.offset, '+.3f')} m/s² (standard deviations {_list(fit.offset_std, '.3f')})",
+        f"offset        {_list(fit.offset, '+.3f')} m/s² "
+        f"(standard deviations {_list(fit.offset_std, '.3f')})",
         f"scale         {_list(np.diag(fit.matrix), '.4f')} (standard deviations "
         f"{_list(fit.scale_std, '.4f')}), skew up to {skew:.4f}",
         f"|a| - g       {before:.3f} m/s² rms as measured, {after:.4f} calibrated",

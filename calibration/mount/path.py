@@ -24,7 +24,7 @@ MARGIN_S: Final = 0.35  # what the stamps may be off
 
 @dataclass(frozen=True, slots=True)
 class Stretches:
-    """Inertial samples (s, n, 3) at the middles of the grid's steps; stretch k's grid begins at start_s[k]."""
+    """Inertial samples (s, n, 3) at the middles of the grid's steps; k's begins at start_s[k]."""
 
     start_s: FloatArray
     step_s: float
@@ -52,7 +52,7 @@ class Moments:
 
 @dataclass(frozen=True, slots=True)
 class Moving:
-    """Acceleration (s, n, 3) in each step, velocity and position (s, n + 1, 3), of the specific force alone."""
+    """Acceleration (s, n, 3) in each step, velocity and position (s, n + 1, 3), by the force alone."""
 
     acceleration: FloatArray
     velocity: FloatArray

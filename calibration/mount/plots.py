@@ -1,4 +1,4 @@
-"""Pictures of a mount calibration, for people: turning rates before and after, misses, search of the offset."""
+"""Pictures of a mount calibration, for people: rates before and after, misses, the offset's search."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from calibration.mount.rotations import log, transposed
 from calibration.mount.samples import Inertial, Sightings
 from calibration.mount.solve import Solution
+from calibration.mount.unknowns import GYRO_BIAS
 from companion.config import ConfigError
 from companion.geometry import FloatArray
 
@@ -60,13 +61,14 @@ def _draw_rates(figure: Any, solution: Solution, inertial: Inertial, configured:
         ("as the settings have it", configured, 0.0),
         ("calibrated", solution.unknowns.body_from_camera, solution.time_offset_s),
     )
+    bias = solution.unknowns.values[GYRO_BIAS]
     axes = figure.subplots(3, 2, sharex=True, sharey="row")
     shown = (inertial.time_s > begin) & (inertial.time_s < end)
     for column, (title, rotation, offset_s) in enumerate(cases):
         times, rates = camera_rates(seen, rotation)
         inside = (times + offset_s > begin) & (times + offset_s < end)
         for row, axis in enumerate(axes[:, column]):
-            gyro = inertial.rate[shown, row] - solution.unknowns.values[11 + row]
+            gyro = inertial.rate[shown, row] - bias[row]
             axis.plot(
                 inertial.time_s[shown] - begin, np.degrees(gyro), color="0.4", lw=1.0, label="gyroscope"
             )

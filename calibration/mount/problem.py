@@ -34,7 +34,7 @@ WEAK_INFORMATION: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """The problem about a point: residuals (k, 6), and how they change with all (k, 6, 35), with a beginning."""
+    """The problem about a point: residuals (k, 6), and changes by all (k, 6, 35), by a beginning."""
 
     residuals: FloatArray
     by_unknowns: FloatArray

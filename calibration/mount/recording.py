@@ -49,7 +49,7 @@ class RecordingMark(StrictModel):
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Samples, and the settings that they were taken under; `looked_again`: the sightings are of the frames."""
+    """Samples, and the settings that they were taken under; `notes` for people."""
 
     inertial: Inertial
     sightings: Sightings

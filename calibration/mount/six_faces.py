@@ -1,4 +1,4 @@
-"""The accelerometer by the six-position method, and the gyroscope's bias from the same rests. Pure, sensor axes.
+"""The accelerometer by the six-position method, and the gyroscope's bias. Pure, sensor axes.
 
 At rest an accelerometer feels g whichever way it lies: |M (a - o)| = g for every rest, with an offset o and
 a matrix M of scales and skew. |.| does not see a rotation, so M comes out symmetric and turns nothing: the
@@ -210,7 +210,7 @@ def gyro_reasons(fit: GyroFit, rests: Sequence[Rest]) -> tuple[str, ...]:
     warmth = [rest.temperature_c for rest in rests]
     if max(warmth) - min(warmth) > MOST_WARMING_C:
         found.append(
-            f"it warmed by {max(warmth) - min(warmth):.0f} °C meanwhile; expected {MOST_WARMING_C:g} at most: "
-            "let it warm up first"
+            f"it warmed by {max(warmth) - min(warmth):.0f} °C meanwhile; expected {MOST_WARMING_C:g} at most "
+            "(let it warm up first)"
         )
     return tuple(found)

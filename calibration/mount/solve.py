@@ -52,7 +52,8 @@ class NoSolutionError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without what the fit cannot see (lens, stamps).
+    """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without what
+    the fit cannot see (lens, stamps).
 
     `kept` (k,) says which sightings were used; `misses` (k, 6) are all sightings' residuals in their own
     standard deviations; `scatter` is how large those are against what was expected; `correlated` by how much

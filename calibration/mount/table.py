@@ -64,7 +64,7 @@ def _inertial(path: Path, found: dict[str, FloatArray], gyro_unit: str | None) -
     unit = min(ACCEL_UNITS, key=lambda name: abs(np.log(felt * ACCEL_UNITS[name] / GRAVITY_M_S2)))
     if abs(np.log(felt * ACCEL_UNITS[unit] / GRAVITY_M_S2)) > 0.4:
         raise ConfigError(
-            f"{path}: the accelerometer feels {felt:.3g} at rest; expected about 1 (g), 1000 (mg) or 9.8 (m/s²)"
+            f"{path}: the accelerometer feels {felt:.3g} at rest; expected 1 (g), 1000 (mg) or 9.8 (m/s²)"
         )
     degrees = gyro_unit == "deg/s" if gyro_unit is not None else "degrees" in found
     rate = np.radians(rows[:, 4:7]) if degrees else rows[:, 4:7]

@@ -1,9 +1,10 @@
 """What a mount calibration solves for, and what is believed of it before the first sample.
 
 The same for every stretch: the camera's rotation and place, its time offset, the pad's lean, what a rolling
-shutter does to a pose, and what is wrong with the inertial sensors. Of each stretch: where it begins. A measured rate is (I + E) w + b, and so
-is a force; E and b are known to a standard deviation only, which is what bounds how well "the body's axes"
-are known at all: a chip whose axes are askew by 0.3° cannot say where forward is any better.
+shutter does to a pose, and what is wrong with the inertial sensors. Of each stretch: where it begins. A
+measured rate is (I + E) w + b, and so is a force; E and b are known to a standard deviation only, which is
+what bounds how well "the body's axes" are known at all: a chip whose axes are askew by 0.3° cannot say where
+forward is any better.
 """
 
 from __future__ import annotations
