@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final
@@ -280,7 +280,7 @@ def camera_command(
 
 
 @dataclass(frozen=True, slots=True)
-class _Rested:
+class Rested:
     """Rests in sensor axes, where from, and for a live run what was asked for."""
 
     rests: list[Rest]
@@ -288,6 +288,10 @@ class _Rested:
     imu: ImuConfig
     asked: tuple[str, ...] = ()
     answers: tuple[Rest, ...] = ()
+
+    def unasked(self) -> Rested:
+        """The same, whatever was asked for: the mounting is not judged."""
+        return replace(self, asked=(), answers=())
 
 
 @cli.command("accelerometer", help=ACCELEROMETER_HELP, short_help="Accelerometer on six faces, gyro bias.")
@@ -321,7 +325,7 @@ def accelerometer_command(
     calibrate_accelerometer(rested, output, force=force)
 
 
-def calibrate_accelerometer(rested: _Rested, output: Path, *, force: bool) -> None:
+def calibrate_accelerometer(rested: Rested, output: Path, *, force: bool) -> None:
     """Fit, judge and write.
 
     Raises:
@@ -392,24 +396,24 @@ def gyro_command(
 
 async def faces_from(
     config: CompanionConfig, keep: Path | None, boards_of: OpenBoards, *, virtual: bool
-) -> _Rested:
+) -> Rested:
     """Rests on six faces, live."""
     imu = config.sense.imu
     async with boards_of(config, False) as boards:
         with _Kept(config, keep, virtual=virtual) as kept:
             samples, guide = await six_faces_live(imu, boards, typer.echo, LONGEST_FACES_S, kept.take)
-    return _Rested(find_rests(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests))
+    return Rested(find_rests(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests))
 
 
 async def stillness_from(
     config: CompanionConfig, keep: Path | None, boards_of: OpenBoards, *, virtual: bool
-) -> _Rested:
+) -> Rested:
     """One rest, live."""
     imu = config.sense.imu
     async with boards_of(config, False) as boards:
         with _Kept(config, keep, virtual=virtual) as kept:
             samples = await still_live(imu, boards, typer.echo, GYRO_STILL_S, LONGEST_STILL_S, kept.take)
-    return _Rested(find_rests(samples), imu.bus, imu)
+    return Rested(find_rests(samples), imu.bus, imu)
 
 
 class _Kept:
@@ -437,13 +441,13 @@ class _Kept:
 
 def _rested(
     log: Path, imu: ImuConfig, columns: str | None, rate_hz: float | None, gyro_unit: str | None
-) -> _Rested:
+) -> Rested:
     """The rests of a file."""
     if gyro_unit not in {None, "rad/s", "deg/s"}:
         raise ConfigError(f"--gyro-unit {gyro_unit}: expected rad/s or deg/s")
     if not log.is_dir() and log.suffix != ".mcap":
         samples = read_table(log, columns, rate_hz, gyro_unit)
-        return _Rested(find_rests(samples), str(log), imu)
+        return Rested(find_rests(samples), str(log), imu)
     file = log / LOG_NAMES[0] if log.is_dir() else log
     record = read_log(file)
     imu = imu if record.rig is None else record.rig.config.sense.imu
@@ -455,10 +459,10 @@ def _rested(
     body = inertial_of(record, file)
     turn = mounting_matrix(imu.body_from_sensor_deg)
     samples = Inertial(body.time_s, body.rate @ turn, body.force @ turn, body.temperature_c)
-    return _Rested(find_rests(samples), str(log), imu)
+    return Rested(find_rests(samples), str(log), imu)
 
 
-def _ordered(rested: _Rested, order: str) -> _Rested:
+def _ordered(rested: Rested, order: str) -> Rested:
     """With what was asked, as the user says it was.
 
     Raises:
@@ -471,7 +475,7 @@ def _ordered(rested: _Rested, order: str) -> _Rested:
         raise ConfigError(
             f"--order: {len(names)} faces, but it lay still {len(rested.rests)} times; expected one for each"
         )
-    return _Rested(rested.rests, rested.source, rested.imu, names, tuple(rested.rests))
+    return Rested(rested.rests, rested.source, rested.imu, names, tuple(rested.rests))
 
 
 # ---------------------------------------------------------------- what all have in common

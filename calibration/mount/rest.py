@@ -45,14 +45,17 @@ def find_rests(inertial: Inertial) -> list[Rest]:
     rests, begin = [], 0
     for k in range(len(edges)):
         goes_on = k < len(edges) - 1 and _still(inertial, edges[k], edges[k + 1])
-        same = goes_on and np.linalg.norm(forces[k] - forces[begin:k].mean(axis=0)) < SAME_FORCE_M_S2
-        if k > begin and not same:
+        if k > begin and not (goes_on and _same(forces, begin, k)):
             rests += _rest(inertial, edges, begin, k)
+            begin = k
         if not goes_on:
             begin = k + 1
-        elif k > begin and not same:
-            begin = k
     return rests
+
+
+def _same(forces: FloatArray, begin: int, k: int) -> bool:
+    """Whether block k feels what the blocks before it felt, from `begin` on."""
+    return float(np.linalg.norm(forces[k] - forces[begin:k].mean(axis=0))) < SAME_FORCE_M_S2
 
 
 def _still(inertial: Inertial, a: int, b: int) -> bool:

@@ -19,11 +19,12 @@ from scipy.stats import chi2
 from calibration.mount.correlation import Coarse, correlate
 from calibration.mount.path import MARGIN_S, STRETCH_S, Stretches, at_times, cut
 from calibration.mount.problem import Problem, Reduced
-from calibration.mount.rotations import log, transposed
+from calibration.mount.rotations import log, nearest_rotation, transposed
 from calibration.mount.samples import Inertial, Mask, Sightings
 from calibration.mount.unknowns import (
     COUNT,
     GYRO_BIAS,
+    GYRO_MATRIX,
     OFFSET,
     POSITION,
     ROTATION,
@@ -81,6 +82,12 @@ class Solution:
     def position_m(self) -> FloatArray:
         """The camera (3,) from the inertial sensor, body axes."""
         return self.unknowns.values[POSITION]
+
+    @property
+    def gyro_from_camera(self) -> FloatArray:
+        """The camera's rotation (3, 3) into the axes about which the gyroscope, as it is, feels turns."""
+        flaw = self.unknowns.values[GYRO_MATRIX].reshape(3, 3)
+        return nearest_rotation(np.eye(3) + flaw) @ self.unknowns.body_from_camera
 
     @property
     def rotation_covariance(self) -> FloatArray:
