@@ -62,6 +62,7 @@ from companion.config import (
     ImuConfig,
     InertialCalibration,
     StrictModel,
+    VehicleConfig,
     find_file,
     load_config,
     load_model,
@@ -69,6 +70,7 @@ from companion.config import (
 from companion.files import write_atomically
 from companion.messages import ImuSample
 from companion.mjpeg import MjpegServer
+from companion.pad import load_pad
 from companion.record import LOG_NAMES, FlightLog
 
 NAME: Final = "calibrate-mount"
@@ -424,7 +426,11 @@ class _Kept:
         if self._log is not None:
             imu = config.sense.imu.model_copy(update={"inertial_calibration": None})
             sense = config.sense.model_copy(update={"imu": imu})
-            self._log.write_settings(config=config.model_copy(update={"sense": sense}))
+            self._log.write_settings(
+                config=config.model_copy(update={"sense": sense}),
+                vehicle=load_model(VehicleConfig, find_file("vehicles", config.vehicle)),
+                pad=load_pad(config.pad),
+            )
 
     def __enter__(self) -> _Kept:
         return self

@@ -17,6 +17,7 @@ from calibration.mount.path import Moving, Stretches, Turning, at_times, move, t
 from calibration.mount.rotations import log, transposed
 from calibration.mount.samples import Indices, Sightings
 from calibration.mount.unknowns import (
+    ACCEL_BIAS,
     COUNT,
     FIRST_OF_PATH,
     OFFSET,
@@ -68,9 +69,10 @@ class Problem:
         self._first = np.searchsorted(which, np.arange(len(stretches.start_s)))
         self._whiten = np.linalg.inv(np.linalg.cholesky(sightings.covariance))
 
-    def path(self, unknowns: Unknowns) -> tuple[Turning, Moving]:
-        """The motion within the stretches."""
-        turning = turn(self.stretches, unknowns.true_rate(self.stretches.rate))
+    def path(self, unknowns: Unknowns, turning: Turning | None = None) -> tuple[Turning, Moving]:
+        """The motion within the stretches; with a `turning` that is known already, if only forces changed."""
+        if turning is None:
+            turning = turn(self.stretches, unknowns.true_rate(self.stretches.rate))
         return turning, move(self.stretches, turning, unknowns.true_force(self.stretches.force))
 
     def since_s(self, unknowns: Unknowns) -> FloatArray:
@@ -109,7 +111,9 @@ class Problem:
         by_unknowns = np.empty((*here.shape, COUNT))
         for k, step in enumerate(np.eye(COUNT) * DIFFERENCE):
             there = unknowns.moved(step)
-            own_path = path if k < FIRST_OF_PATH else self.path(there)
+            own_path = path
+            if k >= FIRST_OF_PATH:
+                own_path = self.path(there, path[0] if k >= ACCEL_BIAS.start else None)
             by_unknowns[..., k] = (self.residuals(there, begin, *own_path) - here) / DIFFERENCE
         by_beginning = np.empty((*here.shape, STRETCH_COUNT))
         everywhere = np.ones((len(self.stretches.start_s), 1))

@@ -76,7 +76,7 @@ def _rest(inertial: Inertial, edges: Indices, begin: int, end: int) -> list[Rest
         Rest(
             inertial.force[inside].mean(axis=0),
             inertial.rate[inside].mean(axis=0),
-            float(np.nanmean(inertial.temperature_c[inside])),
+            float(np.mean(inertial.temperature_c[inside])),
             len(times),
             float(times[0]),
             float(times[-1]),

@@ -216,16 +216,16 @@ class _Fit:
         misses = self._problem.residuals(self._unknowns, self._begin, *path)
         return np.asarray(np.sum(misses**2, axis=1))
 
-    def _step(self, weight: FloatArray) -> float:
-        """One step of Gauss-Newton; returns its length in standard deviations."""
+    def _step(self, weight: FloatArray, share: float = 1.0) -> float:
+        """A share of one step of Gauss-Newton; returns the whole step's length in standard deviations."""
         reduced = self._problem.reduced(self._problem.linear(self._unknowns, self._begin), weight)
         full = reduced.information + self._prior
         gradient = reduced.scores.sum(axis=0) - self._prior @ (self._unknowns.values - self._believed)
         step = np.linalg.solve(full, gradient)
         if not np.isfinite(step).all():
             raise NoSolutionError("the fit does not converge")
-        self._unknowns = self._unknowns.moved(step)
-        self._begin = self._begin.moved(reduced.beginnings(step))
+        self._unknowns = self._unknowns.moved(share * step)
+        self._begin = self._begin.moved(share * reduced.beginnings(step))
         return float(np.sqrt(step @ full @ step))
 
     def run_robust(self) -> None:
@@ -244,12 +244,20 @@ class _Fit:
         self._kept = squares < OUTLIER * self._scatter2
 
     def run(self) -> None:
-        """Least squares over what is kept."""
-        self._converged = False
+        """Least squares over what is kept.
+
+        Rates are constant between samples, so the misfit has small kinks over the offset; a step that only
+        goes to and fro about one is shortened.
+        """
+        self._converged, share, last = False, 1.0, np.inf
         for _ in range(ITERATIONS):
-            if self._step(self._weight()) < CONVERGED:
+            length = self._step(self._weight(), share)
+            if share * length < CONVERGED:
                 self._converged = True
                 return
+            if 0.5 * last < length < 1.0:
+                share *= 0.5
+            last = length
 
     def _weight(self) -> FloatArray:
         return np.asarray(self._kept / (self._scatter2 * self._correlated))

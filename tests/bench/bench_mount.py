@@ -217,7 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     offset_high = band(1, len(rows))[1]
     print(
-        f"NEES of the rotation {nees:.2f} ({low:.2f}..{high:.2f}), of the offset {offset_nees:.2f} (<= {offset_high:.2f})"
+        f"NEES of the rotation {nees:.2f} ({low:.2f}..{high:.2f}), of the offset {offset_nees:.2f} "
+        f"(<= {offset_high:.2f})"
     )
     worst = faces.max(axis=0)
     print(

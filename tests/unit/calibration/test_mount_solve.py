@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from calibration.mount.correlation import correlate
 from calibration.mount.rotations import exp, log, nearest_rotation
@@ -94,9 +95,9 @@ def refused(solution: Solution, track: Track, most_deg: float = 10.0) -> str:
     return "; ".join(reasons(solution, track.body_from_camera, PLACE, most_deg))
 
 
-def with_value(solution: Solution, which: slice, values: object) -> Solution:
+def with_value(solution: Solution, which: slice, values: ArrayLike) -> Solution:
     changed = solution.unknowns.values.copy()
-    changed[which] = values
+    changed[which] = np.asarray(values, dtype=float)
     return replace(solution, unknowns=replace(solution.unknowns, values=changed))
 
 
@@ -127,7 +128,7 @@ def test_each_reason_is_told(track: Track, solution: Solution) -> None:
     assert "off by 20°/s" in refused(with_value(solution, GYRO_BIAS, (0.35, 0.0, 0.0)), track)
     assert "no time offset" in refused(with_value(solution, OFFSET, 0.3), track)
     assert "the camera is 20 cm from" in refused(
-        with_value(solution, POSITION, PLACE + (0.2, 0.0, 0.0)), track
+        with_value(solution, POSITION, PLACE + 0.2 * np.eye(3)[0]), track
     )
 
 

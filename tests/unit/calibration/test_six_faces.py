@@ -1,4 +1,4 @@
-"""Accelerometer and gyroscope by rests: the fit, the faces, the mounting, tables, and the driver's use of it."""
+"""Accelerometer and gyroscope by rests: the fit, the faces, the mounting, tables, and the driver's use."""
 
 from __future__ import annotations
 
@@ -157,10 +157,8 @@ def test_the_guide_asks_for_all_six_and_tells_what_it_feels() -> None:
     samples = lying(
         faces=("level", "nose-down", "upside-down", "nose-up", "right-down", "left-down"), seconds=5.0
     )
-    told = []
     assert guide.advice.startswith("1 of 6: lay it down level")
-    for _ in range(8):
-        told.append(guide.take(cut(samples, guide.after_s)))
+    told = [guide.take(cut(samples, guide.after_s)) for _ in range(8)]
     assert guide.done
     assert told[0] == "level: taken"
     assert told[1] == "taken, but the sensor feels nose-down where upside-down was asked"
