@@ -34,9 +34,10 @@ class Stretches:
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """Rotation from the stretch's beginning, in its body axes then: at each grid point (s, n + 1, 3, 3)."""
+    """Rotation from the stretch's beginning: at each grid point (s, n + 1, 3, 3), at middles (s, n, 3, 3)."""
 
     at: FloatArray
+    middle: FloatArray
     rate: FloatArray
 
 
@@ -80,19 +81,19 @@ def cut(inertial: Inertial, first_s: float, last_s: float) -> Stretches:
 
 def turn(stretches: Stretches, rate: FloatArray) -> Turning:
     """Integrate rates (s, n, 3), right but for their change within a step."""
-    steps = exp(rate * stretches.step_s)
+    half = exp(rate * (0.5 * stretches.step_s))
+    steps = half @ half
     at = np.empty((rate.shape[0], rate.shape[1] + 1, 3, 3))
     at[:, 0] = np.eye(3)
     for k in range(rate.shape[1]):
         at[:, k + 1] = at[:, k] @ steps[:, k]
-    return Turning(at, rate)
+    return Turning(at, at[:, :-1] @ half, rate)
 
 
 def move(stretches: Stretches, turning: Turning, force: FloatArray) -> Moving:
     """Integrate specific forces (s, n, 3) twice in the stretch's first body axes."""
     h = stretches.step_s
-    half = exp(turning.rate * (0.5 * h))
-    acceleration = (turning.at[:, :-1] @ half @ force[..., None])[..., 0]
+    acceleration = (turning.middle @ force[..., None])[..., 0]
     start = np.zeros((force.shape[0], 1, 3))
     velocity = np.concatenate((start, np.cumsum(acceleration * h, axis=1)), axis=1)
     steps = velocity[:, :-1] * h + (0.5 * h * h) * acceleration

@@ -39,7 +39,8 @@ FEWEST_OF_STRETCH: Final = 8
 STUDENT_FREEDOM: Final = 5.0
 ROBUST_ITERATIONS: Final = 12
 ITERATIONS: Final = 12
-CONVERGED: Final = 0.01  # of a standard deviation
+CONVERGED: Final = 0.03  # of a standard deviation
+NEARLY_CONVERGED: Final = 1.0
 ROUNDS: Final = 2
 OUTLIER: Final = float(chi2.ppf(0.9995, 6))
 MIDDLE: Final = float(chi2.ppf(0.5, 6))
@@ -234,7 +235,7 @@ class _Fit:
             squares = self._squares()
             self._scatter2 = float(np.median(squares)) / MIDDLE
             weight = (STUDENT_FREEDOM + 6.0) / (STUDENT_FREEDOM + squares / self._scatter2)
-            if self._step(weight / self._scatter2) < CONVERGED * 10.0:
+            if self._step(weight / self._scatter2) < NEARLY_CONVERGED:
                 break
 
     def drop_outliers(self) -> None:
