@@ -32,6 +32,8 @@ def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> None
     """
     try:
         code = app(args=words, standalone_mode=False) or 0
+        if code == INTERRUPTED:  # typer has caught it
+            raise KeyboardInterrupt
     except TyperException as error:
         code = _fail(name, f"{error.format_message().rstrip('.')}; see {name} --help", USER_ERROR)
     except ConfigError as error:

@@ -27,7 +27,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from calibration.mount.command import calibrate_accelerometer, faces_from
+from calibration.mount.inertial_command import calibrate_accelerometer, faces_from
 from calibration.mount.recording import read_recording
 from calibration.mount.result import configured_rotation, mount_calibration, shutter_s, trust_in
 from calibration.mount.solve import Solution, solve
@@ -175,6 +175,21 @@ def flights(folder: Path, seeds: int) -> list[tuple[str, list[dict[str, Any]]]]:
     return rows
 
 
+def hovered(folder: Path) -> str:
+    """What a flight's own log gives: over the pad, before it lands or gives up."""
+    camera = {"mount_error_deg": FLIGHT_MOUNT_DEG, "stamp_error_s": FLIGHT_STAMP_S}
+    fly(scenario_file(folder, "static", {"camera": camera}), 0, folder, "--record", folder / "hover")
+    found, against, file = solved(folder / "hover")
+    angles = (file.camera_roll_deg, file.camera_tilt_deg, file.camera_yaw_deg)
+    off_deg = np.abs(np.subtract(angles, FLIGHT_MOUNT_DEG)).max()
+    offset_ms = 1e3 * (found.time_offset_s + FLIGHT_STAMP_S)
+    verdict = "; ".join(against) or "good"
+    return (
+        f"a flight's own log over a pad at rest ({found.kept.sum()} frames): every angle within "
+        f"{off_deg:.2f}°, offset {offset_ms:+.2f} ms off, verdict {verdict}"
+    )
+
+
 def flight_table(rows: list[tuple[str, list[dict[str, Any]]]]) -> Table:
     """The landings."""
     grid = Table(
@@ -211,6 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         console.print(table(rows))
         faces = np.array([six_faces(seed, folder) for seed in range(chosen.seeds)])
         flown = flights(folder, chosen.flights) if chosen.flights else []
+        hover = hovered(folder) if chosen.flights else ""
     low, high = band(3, len(rows))
     nees, offset_nees = (
         float(np.mean([getattr(row, what) for row in rows])) for what in ("nees", "offset_nees")
@@ -234,6 +250,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     if flown:
         console.print(flight_table(flown))
+        print(hover)
         away = [
             np.mean([r["touchdown"]["lateral_error_m"] if r.get("touchdown") else 9.0 for r in results])
             for _, results in flown

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from calibration.mount.command import OpenBoards, record
+from calibration.mount.command import record
 from calibration.mount.devices import Boards
 from calibration.mount.rotations import log, nearest_rotation
+from calibration.mount.shared import OpenBoards
 from calibration.mount.solve import Solution
 from companion.clock import run_in_virtual_time
 from companion.config import CompanionConfig, find_file, merge, validate

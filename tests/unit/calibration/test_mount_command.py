@@ -13,10 +13,12 @@ import yaml
 
 from calibration.command_line import run
 from calibration.mount import command
-from calibration.mount.command import NAME, calibrate_accelerometer, cli, faces_from
+from calibration.mount.command import cli
 from calibration.mount.coverage import MotionCoverage
+from calibration.mount.inertial_command import calibrate_accelerometer, faces_from
 from calibration.mount.recording import read_recording
 from calibration.mount.result import camera_angles_deg
+from calibration.mount.shared import NAME
 from companion.clock import run_in_virtual_time
 from companion.config import (
     CameraConfig,
