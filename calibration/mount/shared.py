@@ -34,7 +34,16 @@ OpenBoards = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[Board
 
 
 def plugged(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[Boards]:
-    """The vehicle's own boards."""
+    """The vehicle's own boards.
+
+    Raises:
+        ConfigError: the settings take the inertial samples from the autopilot.
+    """
+    if config.sense.source != "boards":
+        raise ConfigError(
+            f"sense.source: '{config.sense.source}'; live it takes boards, expected those or the log of a "
+            "flight over the pad"
+        )
     return open_boards(config, camera=camera)
 
 

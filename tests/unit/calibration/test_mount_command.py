@@ -169,6 +169,15 @@ def test_what_a_user_can_mend_is_one_line(
     assert told.count("\n") == 1
 
 
+def test_an_autopilot_s_samples_come_by_a_flight_s_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings = tmp_path / "mine.yaml"
+    settings.write_text("sense: {source: autopilot}\n")
+    assert calibrate("record", tmp_path / "new", "--config", settings) == 2
+    assert "expected those or the log of a flight over the pad" in capsys.readouterr().err
+
+
 def test_an_interrupted_recording_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
