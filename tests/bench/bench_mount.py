@@ -112,7 +112,7 @@ def solved(folder: Path) -> tuple[Solution, tuple[str, ...], MountCalibration]:
 def table(rows: Sequence[Row]) -> Table:
     """The recordings."""
     grid = Table(
-        title=f"At most 60 s of sway: mount off by up to 4° an axis, stamps by up to 30 ms, lens by {LENS_ERROR:g}"
+        title=f"60 s of sway at most: mount off by up to 4°, stamps by up to 30 ms, lens by {LENS_ERROR:g}"
     )
     headings = (
         *("seed", f"rotation ° (<= {ROTATION_DEG:g})", "against the airframe °", "stated °"),
