@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from companion.clock import Clock
-from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
+from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_model, load_vehicle
 from companion.control.controller import Controller
 from companion.errands import Errands
 from companion.estimate.estimator import Estimator
@@ -95,7 +95,7 @@ class App:
         self._config, self._hardware, self._log = config, hardware, log
         self._on_status = on_status
         self._clock = Clock()
-        vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
+        vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         pad = load_pad(config.pad)
         log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad)
@@ -112,6 +112,7 @@ class App:
             clock=self._clock,
             log=log,
             tell=self._notice,
+            frame_time_offset_s=vehicle.camera_time_offset_s,
         )
         self._planner = Planner(
             config.plan,

@@ -21,7 +21,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from companion.clock import Clock
-from companion.config import CompanionConfig, SenseConfig
+from companion.config import CompanionConfig, SenseConfig, load_inertial
 from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.geometry import vector3
 from companion.hardware import BytePort, Hardware
@@ -40,6 +40,7 @@ from companion.messages import (
     RangeSample,
 )
 from companion.record import FlightLog
+from companion.sense.camera import at_exposure
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
@@ -109,8 +110,12 @@ class Sensing:
         clock: Clock,
         log: FlightLog,
         tell: Tell,
+        frame_time_offset_s: float = 0.0,
     ) -> None:
-        """Make the drivers; nothing is read yet. `onboard` are the autopilot's sensors, if they are used.
+        """Make the drivers; nothing is read yet.
+
+        `onboard` are the autopilot's sensors, if they are used; `frame_time_offset_s` is added to the frames'
+        stamps.
 
         Raises:
             ConfigError: a calibration that the settings name is missing, or another sensor's.
@@ -118,6 +123,7 @@ class Sensing:
         self._config, self._hardware = config, hardware
         self._onboard = onboard
         self._magnetometer = load_used_magnetometer(config.sense)
+        self._inertial = load_inertial(config.sense.imu)
         self._gps = Neo6m(config.sense.gps)
         self._range: RangeFinder | None = None
         if hardware.range_port is not None:
@@ -125,6 +131,7 @@ class Sensing:
         self._vision = vision
         self._estimator = estimator
         self._clock, self._log, self._tell = clock, log, tell
+        self._frame_time_offset_s = frame_time_offset_s
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
@@ -134,7 +141,7 @@ class Sensing:
         """What is to run, by the device's name."""
         hardware, tasks = self._hardware, dict[str, Callable[[], Awaitable[None]]]()
         if hardware.imu_bus is not None:
-            driver = Mpu9250(hardware.imu_bus, self._config.sense.imu, self._magnetometer)
+            driver = Mpu9250(hardware.imu_bus, self._config.sense.imu, self._magnetometer, self._inertial)
             tasks["mpu9250"] = partial(self._imu_task, driver)
         if hardware.gps_port is not None:
             tasks["gps"] = partial(self._gps_task, hardware.gps_port)
@@ -269,7 +276,7 @@ class Sensing:
     async def _vision_task(self) -> None:
         """Look at the newest frame; what it shows enters the estimator at its exposure time."""
         while True:
-            frame = await self._hardware.frames.next()
+            frame = at_exposure(await self._hardware.frames.next(), self._frame_time_offset_s)
             self._log.write_frame(frame, self._clock.now_s())
             prior = self._estimator.pad_prior(frame.time_s)
             try:

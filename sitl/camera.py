@@ -88,7 +88,9 @@ class CameraModel:
         self._rng = rng
         self.position_body_m = vehicle.camera_position_body_m
         self.body_from_camera = body_from_camera(
-            math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
+            math.radians(vehicle.camera_yaw_deg),
+            math.radians(vehicle.camera_tilt_deg),
+            math.radians(vehicle.camera_roll_deg),
         )
         if mount_error_deg != ZERO3:
             roll, pitch, yaw = (math.radians(angle) for angle in mount_error_deg)
@@ -291,14 +293,14 @@ class CameraModel:
         return ((mu * dv - du * mv) * share, (ru * mv - mu * rv) * share)
 
 
-def body_from_camera(yaw_rad: float, tilt_rad: float) -> FloatArray:
+def body_from_camera(yaw_rad: float, tilt_rad: float, roll_rad: float = 0.0) -> FloatArray:
     """How the camera sits on the airframe: rotation (3, 3) of camera axes into body axes (FRD).
 
     The columns are what the camera's axes are on the vehicle: the image's right, the image's down, and
     where the lens looks. Untilted and unturned, the lens looks down and the image's top edge is forward:
     right is right, the image's down is back. Tilted, the lens rises from down towards forward and the
     image's down from back towards down. Turned, forward becomes (cos, sin, 0) and right (-sin, cos, 0):
-    clockwise seen from above.
+    clockwise seen from above. Rolled, before all that, the lens swings from down towards the left.
     """
     st, ct = math.sin(tilt_rad), math.cos(tilt_rad)
     sy, cy = math.sin(yaw_rad), math.cos(yaw_rad)
@@ -310,6 +312,10 @@ def body_from_camera(yaw_rad: float, tilt_rad: float) -> FloatArray:
             [0.0, st, ct],  # down
         ]
     )
+    if roll_rad != 0.0:
+        sr, cr = math.sin(roll_rad), math.cos(roll_rad)
+        rolled = np.array([[0.0, -1.0, 0.0], [cr, 0.0, -sr], [sr, 0.0, cr]])
+        tilted = np.array([[ct, 0.0, st], [0.0, 1.0, 0.0], [-st, 0.0, ct]]) @ rolled
     turned = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(turned @ tilted)
 

@@ -22,7 +22,15 @@ from companion.check.samples import Samples
 from companion.check.steps import Say
 from companion.check.wizard import Report, Wizard
 from companion.clock import Clock
-from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    VehicleConfig,
+    find_file,
+    load_model,
+    load_vehicle,
+)
 from companion.hardware import Hardware
 from companion.link.codec import Severity
 from companion.link.session import Session
@@ -66,7 +74,7 @@ class PadCheck:
         """
         self._config, self._outlets, self._linked = config, outlets, linked
         self._clock = Clock()
-        vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
+        vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         self._pad = load_pad(config.pad)
         self._vision = Vision(self._pad, camera, vehicle, config.sense.vision)
@@ -85,6 +93,7 @@ class PadCheck:
             clock=self._clock,
             log=FlightLog(None, start_unix_s=0.0),
             tell=self._tell,
+            frame_time_offset_s=vehicle.camera_time_offset_s,
         )
         self._mounting = _mounting(config, vehicle)
         self._wizard: Wizard | None = None

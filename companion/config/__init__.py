@@ -20,6 +20,15 @@ from companion.config.estimate import (
     PadFilterConfig,
 )
 from companion.config.link import CONNECTION_FORM, LinkConfig
+from companion.config.mounting import (
+    AccelerometerCalibration,
+    GyroCalibration,
+    InertialCalibration,
+    MountCalibration,
+    MountStd,
+    load_inertial,
+    load_vehicle,
+)
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -54,6 +63,7 @@ from companion.config.vehicle import CameraConfig, VehicleConfig
 __all__ = [
     "CONFIG_FOLDER",
     "CONNECTION_FORM",
+    "AccelerometerCalibration",
     "AlignmentConfig",
     "AutopilotSensorsConfig",
     "CameraConfig",
@@ -65,12 +75,16 @@ __all__ = [
     "EstimateConfig",
     "GpsConfig",
     "GuidanceConfig",
+    "GyroCalibration",
     "ImuConfig",
+    "InertialCalibration",
     "LandingConfig",
     "LimitsConfig",
     "LinkConfig",
     "MissionConfig",
     "Model",
+    "MountCalibration",
+    "MountStd",
     "OrientationConfig",
     "PadFilterConfig",
     "PhaseTimesConfig",
@@ -86,7 +100,9 @@ __all__ = [
     "VisionConfig",
     "find_file",
     "load_config",
+    "load_inertial",
     "load_model",
+    "load_vehicle",
     "merge",
     "read_yaml",
     "validate",
@@ -106,6 +122,7 @@ class CompanionConfig(StrictModel):
     pad: str = "moving_1300"
     camera: str = "sitl_640x480"
     vehicle: str = "x500"
+    mount: str | None = None
     sense: SenseConfig = SenseConfig()
     estimate: EstimateConfig = EstimateConfig()
     plan: PlanConfig = PlanConfig()

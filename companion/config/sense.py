@@ -33,6 +33,7 @@ class ImuConfig(StrictModel):
     mag_rate_hz: Literal[8, 100] = 100
     body_from_sensor_deg: Vector = (180.0, 0.0, 0.0)
     magnetometer_calibration: str | None = None
+    inertial_calibration: str | None = None
 
     @property
     def over_spi(self) -> bool:

@@ -32,6 +32,12 @@ class VehicleConfig(StrictModel):
     camera_position_body_m: Vector
     camera_yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
     camera_tilt_deg: float = Field(default=0.0, ge=-45.0, le=45.0)
+    camera_roll_deg: float = Field(
+        default=0.0, ge=-180.0, le=180.0
+    )  # about forward, before tilt and yaw; positive: it looks to the left
+    camera_time_offset_s: float = Field(
+        default=0.0, ge=-0.5, le=0.5
+    )  # added to every frame's stamp: negative when stamps are late
     range_position_body_m: Vector
     leg_height_m: float = Field(ge=0.02, le=1.0)
     acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)

@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from companion.config import CompanionConfig, VehicleConfig
+from companion.config import CameraConfig, CompanionConfig, VehicleConfig
 from companion.geometry import FloatArray, Vector3
 from companion.messages import (
     AutopilotAttitude,
@@ -112,11 +112,12 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """What the app's estimators are made from."""
+    """What the app's estimators are made from, and the camera whose sightings they took."""
 
     config: CompanionConfig
     vehicle: VehicleConfig
     pad: Pad
+    camera: CameraConfig | None = None
 
 
 @dataclass(frozen=True, slots=True)

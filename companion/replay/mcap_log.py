@@ -19,7 +19,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Chunk, DataEnd, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from companion.config import CompanionConfig, ConfigError, VehicleConfig, validate
+from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate
 from companion.geometry import subtract
 from companion.message_json import decode
 from companion.messages import (
@@ -67,12 +67,12 @@ def read_mcap(path: Path) -> FlightRecord:
     """
     reading = _Reading(path)
     with path.open("rb") as stream:
-        for record in _records(stream, reading.end_early):
+        for record in records(stream, reading.end_early):
             reading.take(record)
     return reading.finish()
 
 
-def _records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
+def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
     """The records up to the end of the data; `end_early` is called when the file stops before that."""
     try:
         for record in StreamReader(stream, emit_chunks=True).records:
@@ -184,6 +184,9 @@ class _Reading:
             validate(CompanionConfig, json.loads(settings["config"]), f"{source}: config"),
             validate(VehicleConfig, json.loads(settings["vehicle"]), f"{source}: vehicle"),
             validate(Pad, json.loads(settings["pad"]), f"{source}: pad"),
+            validate(CameraConfig, json.loads(settings["camera"]), f"{source}: camera")
+            if "camera" in settings
+            else None,
         )
 
 

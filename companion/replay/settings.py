@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_config, load_model
+from companion.config import CONFIG_FOLDER, CompanionConfig, load_config, load_vehicle
 from companion.geometry import ZERO3, Vector3, dot, norm
 from companion.magnetic_field import field_ned_ut
 from companion.messages import ImuSample, MagSample
@@ -52,7 +52,7 @@ def choose(record: FlightRecord, config_path: Path | None) -> Choice:
     else:
         field = _field(record, config)
         config = _fitted(config, record, field.ned_ut)
-    vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
+    vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
     return Choice(Rig(config, vehicle, load_pad(config.pad)), field, str(path), repeats=False)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from dataclasses import replace
 from typing import Any, Final, Protocol
 
 import cv2
@@ -218,6 +219,11 @@ class V4l2Camera:
             if not self._stop.is_set():
                 self._loop.call_soon_threadsafe(self._newest.put, frame)
             sequence += 1
+
+
+def at_exposure(frame: Frame, time_offset_s: float) -> Frame:
+    """The frame with its stamp set right by the mount's calibration (`camera_time_offset_s`)."""
+    return frame if time_offset_s == 0.0 else replace(frame, time_s=frame.time_s + time_offset_s)
 
 
 def exposure_time_s(stamp_s: float, received_s: float, camera: CameraConfig) -> float:

@@ -20,13 +20,14 @@ from typing import Final
 
 from companion.config import ImuConfig
 from companion.config.magnetometer import MagnetometerCalibration
-from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, subtract
+from companion.config.mounting import InertialCalibration
+from companion.geometry import GRAVITY_M_S2, Vector3
 from companion.messages import ImuSample, MagSample
 from companion.sense.ak8963 import Ak8963, BringUp
 from companion.sense.ak8963_path import BypassPath, MasterPath, Waits
 from companion.sense.fifo import FRAME_BYTES, Fifo, SamplesLostError
 from companion.sense.i2c import RegisterBus, SensorError
-from companion.sense.mounting import calibrated_rows, mounting_rows, turn
+from companion.sense.mounting import BodyAxes, body_axes
 from companion.sense.output_registers import OutputRegisters
 from companion.sense.sample_clock import SampleClock
 
@@ -65,11 +66,15 @@ _MAG_MEASUREMENT_S: Final = 0.0036
 class Mpu9250:
     """One MPU9250 on a register bus. Poll it at `config.poll_hz`.
 
-    `magnetometer` is applied in the sensor's own axes; None leaves its readings as they come.
+    Calibrations are in the chip's own axes; None leaves its readings as they come.
     """
 
     def __init__(
-        self, bus: RegisterBus, config: ImuConfig, magnetometer: MagnetometerCalibration | None = None
+        self,
+        bus: RegisterBus,
+        config: ImuConfig,
+        magnetometer: MagnetometerCalibration | None = None,
+        inertial: InertialCalibration | None = None,
     ) -> None:
         self._bus = bus
         self._address = config.address
@@ -83,14 +88,7 @@ class Mpu9250:
             self._samples = OutputRegisters(bus, config.address, self._user_control, self._settings)
         self._clock = SampleClock(1.0 / config.rate_hz)
         self._delay_s = _FILTER[config.filter_hz][1]
-        mounting = config.body_from_sensor_deg
-        self._accel = mounting_rows(mounting, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
-        self._gyro = mounting_rows(mounting, math.radians(config.gyro_range_deg_s) / 32768.0)
-        self._field = mounting_rows(mounting, 1.0)
-        self._hard_iron_ut = ZERO3
-        if magnetometer is not None:
-            self._field = calibrated_rows(self._field, magnetometer.soft_iron)
-            self._hard_iron_ut = magnetometer.hard_iron
+        self._gyro, self._accel, self._field = _to_body(config, magnetometer, inertial)
         self._bring_up: BringUp | None = None
         self._ready = False
         self._failed_polls = 0
@@ -255,8 +253,8 @@ class Mpu9250:
         ax, ay, az, temperature, gx, gy, gz = words[at : at + 7]
         return ImuSample(
             time_s - self._delay_s,
-            turn(self._gyro, gx, gy, gz),
-            turn(self._accel, ax, ay, az),
+            self._gyro.of(gx, gy, gz),
+            self._accel.of(ax, ay, az),
             temperature / 333.87 + 21.0,
         )
 
@@ -268,7 +266,7 @@ class Mpu9250:
             # copied at the newest sample, or at the one before; measured up to one sample earlier than that
             age_s = (1.0 if newest else 2.0) * self._clock.period_s
         time_s = now_s - age_s - _MAG_MEASUREMENT_S
-        return MagSample(time_s, turn(self._field, *subtract(field_ut, self._hard_iron_ut)))
+        return MagSample(time_s, self._field.of(*field_ut))
 
     # ------------------------------------------------------------ bus
 
@@ -277,6 +275,23 @@ class Mpu9250:
 
     def _write(self, register: int, value: int) -> None:
         self._bus.write(self._address, register, value)
+
+
+def _to_body(
+    config: ImuConfig, magnetometer: MagnetometerCalibration | None, inertial: InertialCalibration | None
+) -> tuple[BodyAxes, BodyAxes, BodyAxes]:
+    """From counts of gyroscope and accelerometer, and from the magnetometer's µT, to the body's axes."""
+    mounting = config.body_from_sensor_deg
+    gyro = body_axes(mounting, math.radians(config.gyro_range_deg_s) / 32768.0)
+    accel = body_axes(mounting, config.accel_range_g * GRAVITY_M_S2 / 32768.0)
+    field = body_axes(mounting, 1.0)
+    if magnetometer is not None:
+        field = field.corrected(magnetometer.soft_iron, magnetometer.hard_iron)
+    if inertial is not None:
+        gyro = gyro.corrected(None, inertial.gyro.bias_rad_s)
+        if (found := inertial.accelerometer) is not None:
+            accel = accel.corrected(found.matrix, found.offset_m_s2)
+    return gyro, accel, field
 
 
 def _user_control(config: ImuConfig) -> int:

@@ -2,7 +2,7 @@
 
 The camera sits on the airframe at `camera_position_body_m`, turned by `camera_yaw_deg` (clockwise seen
 from above; 0: the image's top edge is forward) after being tilted by `camera_tilt_deg` (positive: it
-looks towards the image's top edge).
+looks towards the image's top edge) after being rolled by `camera_roll_deg` (positive: it looks to the left).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     FloatArray,
+    Quaternion,
     Vector3,
     matrix_from_quat,
     quat_conjugate,
@@ -54,8 +55,7 @@ class Vision:
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
         self._detector = PadDetector(pad, config)
-        yaw, tilt = math.radians(vehicle.camera_yaw_deg), math.radians(vehicle.camera_tilt_deg)
-        self._body_from_camera = quat_multiply(quat_from_euler(0.0, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
+        self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)
         self._mount = np.array(vehicle.camera_position_body_m)
         self._turn = 0
@@ -80,8 +80,9 @@ class Vision:
             found = self._detector.detect(frame.image, look)
             pose = estimate_pose(found, self._lens, self._config, down) if found else None
             if pose is not None:
-                return VisionResult(self._sighting(frame, pose), _count(pose.used), number >= len(looks))
-        return VisionResult(None, _count(tuple(found)), bool(wide))
+                sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+                return VisionResult(sighting, count_groups(pose.used), number >= len(looks))
+        return VisionResult(None, count_groups(tuple(found)), bool(wide))
 
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
@@ -101,29 +102,43 @@ class Vision:
         camera_from_pad = self._rotation.T @ matrix_from_quat(prior.body_from_pad)
         return self._planner.expected(camera_from_pad, position, prior.position_std_m)
 
-    def _sighting(self, frame: Frame, pose: PadPose) -> PadSighting:
-        """Into body axes, at the time at which the rows that show the markers were exposed."""
-        row_time_s = ((pose.row_px + 0.5) / self._camera.height_px - 0.5) * self._camera.readout_s
-        count = _count(pose.used)
-        return PadSighting(
-            time_s=frame.time_s + row_time_s,
-            sequence=frame.sequence,
-            pad_position_body_m=vector3(self._rotation @ pose.position_camera_m + self._mount),
-            body_from_pad=quat_from_matrix(self._rotation @ pose.camera_from_pad),
-            covariance=_turn_covariance(pose.covariance, self._rotation),
-            group=max(GROUPS, key=lambda group: count[group]),
-            marker_ids=tuple(d.marker.id for d in pose.used),
-            marker_count=count,
-            reprojection_error_px=pose.reprojection_error_px,
-        )
+
+def sighting_of(
+    frame: Frame, pose: PadPose, camera: CameraConfig, body_from_camera: FloatArray, mount_m: FloatArray
+) -> PadSighting:
+    """A pose in body axes, at the time at which the rows that show the markers were exposed.
+
+    The camera sits at `mount_m` (3,), turned by `body_from_camera` (3, 3).
+    """
+    row_time_s = ((pose.row_px + 0.5) / camera.height_px - 0.5) * camera.readout_s
+    count = count_groups(pose.used)
+    return PadSighting(
+        time_s=frame.time_s + row_time_s,
+        sequence=frame.sequence,
+        pad_position_body_m=vector3(body_from_camera @ pose.position_camera_m + mount_m),
+        body_from_pad=quat_from_matrix(body_from_camera @ pose.camera_from_pad),
+        covariance=turn_covariance(pose.covariance, body_from_camera),
+        group=max(GROUPS, key=lambda group: count[group]),
+        marker_ids=tuple(d.marker.id for d in pose.used),
+        marker_count=count,
+        reprojection_error_px=pose.reprojection_error_px,
+    )
 
 
-def _turn_covariance(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+def body_from_camera(vehicle: VehicleConfig) -> Quaternion:
+    """The rotation of camera axes (OpenCV's) into body axes by the vehicle's settings."""
+    angles = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)
+    roll, tilt, yaw = (math.radians(angle) for angle in angles)
+    return quat_multiply(quat_from_euler(roll, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
+
+
+def turn_covariance(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
     """A 6x6 covariance of position and small rotation in other axes."""
     both = np.zeros((6, 6))
     both[:3, :3] = both[3:, 3:] = rotation
     return both @ covariance @ both.T
 
 
-def _count(detections: tuple[Detection, ...]) -> dict[MarkerGroup, int]:
+def count_groups(detections: tuple[Detection, ...]) -> dict[MarkerGroup, int]:
+    """How many markers of each group."""
     return {group: sum(d.marker.group == group for d in detections) for group in GROUPS}

@@ -23,6 +23,7 @@ from mcap.reader import make_reader
 from pydantic import BaseModel
 
 from calibration.magnetometer.command import cli as magnetometer_cli
+from calibration.mount.command import cli as mount_cli
 from companion.cli import EXIT_CODES, cli
 from companion.config import (
     CONFIG_FOLDER,
@@ -47,7 +48,12 @@ EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULT
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND_TIMEOUT_S = 300.0
-PROGRAMS = {"companion": cli, "companion-sitl": sitl_cli, "calibrate-magnetometer": magnetometer_cli}
+PROGRAMS = {
+    "companion": cli,
+    "companion-sitl": sitl_cli,
+    "calibrate-magnetometer": magnetometer_cli,
+    "calibrate-mount": mount_cli,
+}
 FOLDERS = ("companion/", "sitl/", "configs/", "docs/", "tests/", "systemd/")
 
 
@@ -76,6 +82,7 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "companion": "companion.cli",
         "companion-sitl": "sitl.cli",
         "calibrate-magnetometer": "calibration.magnetometer.command",
+        "calibrate-mount": "calibration.mount.command",
     }
     module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
@@ -93,10 +100,10 @@ def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
-    if words[0] == "companion-sitl":
-        return words[1:2] in (["scenarios"], ["schema"])
     if words[0].startswith("calibrate-"):
         return "--help" in words
+    if words[0] == "companion-sitl":
+        return words[1:2] in (["scenarios"], ["schema"])
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 

@@ -1,0 +1,214 @@
+"""`calibrate-mount`: how the camera and the inertial sensor sit, and when frames were exposed.
+
+Thin: options in, files and lines out; what is reckoned is in the modules beside it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Annotated, Final
+
+import cv2
+import numpy as np
+import typer
+
+from calibration.command_line import RefusedError, run
+from calibration.mount.inertial_command import (
+    ACCELEROMETER_HELP,
+    GYRO_HELP,
+    accelerometer_command,
+    gyro_command,
+)
+from calibration.mount.live import MountRecorder, ShowImage
+from calibration.mount.plots import write_mount_plots
+from calibration.mount.recording import read_recording
+from calibration.mount.result import (
+    configured_rotation,
+    mount_calibration,
+    mount_lines,
+    shutter_s,
+    trust_in,
+)
+from calibration.mount.shared import (
+    NAME,
+    SETTINGS,
+    ConfigOption,
+    ForceOption,
+    OpenBoards,
+    OutputOption,
+    inertial_file,
+    judge,
+    new_log,
+    now,
+    plugged,
+    write_file,
+)
+from calibration.mount.solve import NoSolutionError, solve
+from calibration.mount.verdict import reasons
+from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_config, load_model
+from companion.mjpeg import MjpegServer
+
+HELP: Final = """How camera and inertial sensor sit on the vehicle, found in the field.
+
+First the inertial sensor (once, on a table), then the camera: record while you move the vehicle over
+the pad, and solve. Every step works without a screen; a flight's own log of a hover will do, too.
+
+\b
+calibrate-mount accelerometer -o inertial.yaml
+calibrate-mount record swayed
+calibrate-mount camera swayed -o mount.yaml --plots pictures
+calibrate-mount gyro -o inertial.yaml
+
+The settings then say: mount: mount.yaml, and sense.imu.inertial_calibration: inertial.yaml.
+
+Exit codes: 0 calibrated, 1 refused (the line says why), 2 something to mend, 130 interrupted.
+"""
+RECORD_HELP: Final = """Record inertial samples and the pad's sightings into DIR/flight.mcap.
+
+Hold the vehicle over the pad, camera towards it, and move it as the lines say; it stops by itself.
+No autopilot is needed.
+
+\b
+calibrate-mount record swayed
+calibrate-mount record swayed --config mine.yaml --serve 8080
+"""
+CAMERA_HELP: Final = """The camera's rotation, place and time offset from a recording.
+
+LOG is the folder or flight.mcap of 'calibrate-mount record', or of a flight that hovered over the pad.
+
+\b
+calibrate-mount camera swayed -o mount.yaml
+calibrate-mount camera flights/hover -o mount.yaml --plots pictures
+calibrate-mount camera swayed -o mount.yaml --camera my_camera.yaml
+"""
+cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None, help=HELP)
+cli.command("accelerometer", help=ACCELEROMETER_HELP, short_help="Accelerometer on six faces, gyro bias.")(
+    accelerometer_command
+)
+cli.command("gyro", help=GYRO_HELP, short_help="Gyroscope's bias alone.")(gyro_command)
+
+# ---------------------------------------------------------------- record
+
+
+@cli.command("record", help=RECORD_HELP, short_help="Record motion over the pad.")
+def record_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.", show_default=False)],
+    *,
+    config: ConfigOption = SETTINGS,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=5.0, max=1800.0, help="Stop after this time at the latest.")
+    ] = 180.0,
+    serve: Annotated[
+        int | None, typer.Option("--serve", min=0, max=65535, help="Show the picture at this local port.")
+    ] = None,
+) -> None:
+    """Record until the motion is enough."""
+    settings = load_config(config)
+    cv2.setNumThreads(1)
+    asyncio.run(record(settings, folder, seconds, serve, plugged, virtual=False))
+    typer.echo(f"recorded in {folder}; next: {NAME} camera {folder} -o mount.yaml")
+
+
+async def record(
+    config: CompanionConfig,
+    folder: Path,
+    longest_s: float,
+    serve: int | None,
+    boards_of: OpenBoards,
+    *,
+    virtual: bool,
+) -> None:
+    """Record from boards into a folder.
+
+    Raises:
+        ConfigError: the folder holds a recording, or a device does not answer.
+    """
+    async with boards_of(config, True) as boards, _served(serve) as show:
+        log = new_log(folder, virtual=virtual)
+        try:
+            progress = await MountRecorder(config, boards, log, typer.echo, show).run(longest_s)
+        except BaseException:  # Ctrl-C as well: half a recording is none
+            log.discard()
+            raise
+        log.close()
+    if not progress.complete:
+        typer.echo(f"time is up, and it lacks: {progress.advice}")
+
+
+@asynccontextmanager
+async def _served(port: int | None) -> AsyncIterator[ShowImage | None]:
+    """What shows a picture in browsers, if a port was given."""
+    if port is None:
+        yield None
+        return
+    server = MjpegServer()
+    try:
+        taken = await server.start(port)
+    except OSError as error:
+        raise ConfigError(f"--serve {port}: {error.strerror}; expected a free port") from error
+    typer.echo(f"picture at http://127.0.0.1:{taken}/")
+    try:
+        yield server.show
+    finally:
+        await server.close()
+
+
+# ---------------------------------------------------------------- camera
+
+
+@cli.command("camera", help=CAMERA_HELP, short_help="Camera's rotation, place and time offset.")
+def camera_command(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The recording.", show_default=False)],
+    *,
+    output: OutputOption = Path("mount.yaml"),
+    camera: Annotated[
+        str | None, typer.Option("--camera", help="Another calibration than the recording's.", metavar="FILE")
+    ] = None,
+    plots: Annotated[Path | None, typer.Option("--plots", help="Leave pictures here.", metavar="DIR")] = None,
+    position_std: Annotated[
+        float, typer.Option("--position-std", min=0.001, max=1.0, help="How well its place is measured, m.")
+    ] = 0.02,
+    max_rotation_deg: Annotated[
+        float,
+        typer.Option("--max-rotation-deg", min=0.1, max=180.0, help="From the settings', or it is refused."),
+    ] = 10.0,
+    force: ForceOption = False,
+) -> None:
+    """Solve, show, judge and write.
+
+    Raises:
+        ConfigError: the recording is none, or the file cannot be written.
+        RefusedError: it is not good enough.
+    """
+    lens = None if camera is None else load_model(CameraConfig, find_file("cameras", camera))
+    recording = read_recording(log, lens)
+    named = recording.config.sense.imu.inertial_calibration
+    known = None if named is None else inertial_file(Path(named))
+    place = np.array(recording.vehicle.camera_position_body_m)
+    trust = trust_in(recording, known, position_std)
+    try:
+        found = solve(recording.inertial, recording.sightings, place, shutter_s(recording), trust)
+    except NoSolutionError as error:
+        raise RefusedError(f"{log}: {error}") from error
+    configured = configured_rotation(recording)
+    against = reasons(found, configured, place, max_rotation_deg)
+    calibration = mount_calibration(found, recording, against, now())
+    for line in mount_lines(calibration, found, recording):
+        typer.echo(line)
+    if plots is not None:
+        pictures = write_mount_plots(plots, found, recording.inertial, configured)
+        typer.echo(f"pictures      {', '.join(str(path) for path in pictures)}")
+    judge(against, force=force)
+    write_file(output, calibration, "mount: {}")
+
+
+def main() -> None:
+    """Entry point."""
+    run(cli, NAME)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""The eyes of the mount's calibration: the app's detector and pose, but nothing that knows of gravity.
+
+In flight the gravity direction takes part in a pose, through the very mounting that is to be found here: its
+error would come back as an agreement. So a pose here follows from the corners alone. It may then be the
+square's other pose, and what the solver makes of sightings leaves those out.
+
+The last sighting, and not an estimate, says where to look; without one the whole frame is searched for all
+markers, which takes longer.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from companion.config import CameraConfig, VehicleConfig, VisionConfig
+from companion.geometry import FloatArray, matrix_from_quat
+from companion.messages import Frame, PadSighting
+from companion.pad import Pad
+from companion.sense.aruco import PadDetector, SearchPass
+from companion.sense.lens import Lens
+from companion.sense.pose import PadPose, estimate_pose
+from companion.sense.search import SearchPlanner
+from companion.sense.vision import body_from_camera, sighting_of
+
+# how far the pad may have moved since the last sighting, of its distance
+STRAYED: Final = 0.06
+
+
+class GravityFreeEye:
+    """One frame in, one sighting out, in body axes by the vehicle's settings (time offset not applied)."""
+
+    def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:
+        self._camera, self._config = camera, config
+        self._lens = Lens(camera)
+        self._planner = SearchPlanner(pad, self._lens, config)
+        self._detector = PadDetector(pad, config)
+        self._rotation = matrix_from_quat(body_from_camera(vehicle))
+        self._mount = np.array(vehicle.camera_position_body_m)
+        self._last: PadPose | None = None
+
+    def look(self, frame: Frame) -> PadSighting | None:
+        """Find the pad.
+
+        Raises:
+            ValueError: the image is not of the calibrated camera's size.
+        """
+        height, width = frame.image.shape
+        if (width, height) != self._lens.size_px:
+            expected = "x".join(str(n) for n in self._lens.size_px)
+            raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
+        for looks in (self._expected(), self._everywhere()):
+            for look in looks:
+                found = self._detector.detect(frame.image, look)
+                pose = estimate_pose(found, self._lens, self._config, None) if found else None
+                if pose is not None:
+                    self._last = pose
+                    return sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+        self._last = None
+        return None
+
+    def _expected(self) -> tuple[SearchPass, ...]:
+        if self._last is None:
+            return ()
+        position: FloatArray = self._last.position_camera_m
+        strayed_m = STRAYED * float(np.linalg.norm(position))
+        return self._planner.expected(self._last.camera_from_pad, position, strayed_m)
+
+    def _everywhere(self) -> tuple[SearchPass, ...]:
+        return (*self._planner.whole_frame(1), *self._planner.whole_frame(0))

@@ -1,0 +1,99 @@
+"""What the subcommands of `calibrate-mount` have in common: options, boards, the verdict, the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+import yaml
+
+from calibration.command_line import RefusedError
+from calibration.mount.devices import Boards, open_boards
+from companion.clock import start_unix_s
+from companion.config import (
+    CONFIG_FOLDER,
+    CompanionConfig,
+    ConfigError,
+    InertialCalibration,
+    StrictModel,
+    load_model,
+)
+from companion.files import write_atomically
+from companion.record import LOG_NAMES, FlightLog
+
+NAME: Final = "calibrate-mount"
+ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]
+OutputOption = Annotated[Path, typer.Option("--output", "-o", help="The file to write.", metavar="FILE")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Write it even when refused; the file says so.")]
+SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
+OpenBoards = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[Boards]]
+
+
+def plugged(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[Boards]:
+    """The vehicle's own boards.
+
+    Raises:
+        ConfigError: the settings take the inertial samples from the autopilot.
+    """
+    if config.sense.source != "boards":
+        raise ConfigError(
+            f"sense.source: '{config.sense.source}'; live it takes boards, expected those or the log of a "
+            "flight over the pad"
+        )
+    return open_boards(config, camera=camera)
+
+
+def new_log(folder: Path, *, virtual: bool) -> FlightLog:
+    """A log in a folder that has none yet.
+
+    Raises:
+        ConfigError: it holds one, or cannot be written.
+    """
+    if (folder / LOG_NAMES[0]).exists():
+        raise ConfigError(f"{folder}: holds a recording already; expected a new or empty folder")
+    return FlightLog(folder, start_unix_s(virtual=virtual))
+
+
+def inertial_file(path: Path) -> InertialCalibration:
+    """Read what an earlier run wrote.
+
+    Raises:
+        ConfigError: it is missing or wrong.
+    """
+    return load_model(InertialCalibration, path)
+
+
+def judge(against: tuple[str, ...], *, force: bool) -> None:
+    """Say the verdict.
+
+    Raises:
+        RefusedError: something speaks against it, and it is not forced.
+    """
+    if against and not force:
+        raise RefusedError("; ".join(against))
+    for reason in against:
+        typer.echo(f"forced, though: {reason}")
+    if not against:
+        typer.echo("verdict       good")
+
+
+def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
+    """Write a calibration; `setting` is a format of what the settings say then, for people.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    text = yaml.safe_dump(calibration.model_dump(mode="json"), sort_keys=False, allow_unicode=True, width=110)
+    write_atomically(
+        path, f"# Written by {NAME}; the app reads it by the setting {setting.format(path)}\n{text}"
+    )
+    typer.echo(f"written       {path}")
+
+
+def now() -> str:
+    """Today, UTC."""
+    return datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")

@@ -1,0 +1,112 @@
+"""What `calibrate-mount` writes and the app reads: how the camera and the inertial sensor really sit.
+
+Body axes are FRD, sensor axes the chip's own, camera axes OpenCV's. SI units.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from companion.config.calibration import Provenance
+from companion.config.reading import ConfigError, StrictModel, Vector, find_file, load_model
+from companion.config.sense import ImuConfig
+from companion.config.vehicle import CameraConfig, VehicleConfig
+
+Matrix = tuple[Vector, Vector, Vector]
+
+
+class MountStd(StrictModel):
+    """Standard deviations of a mount calibration; the rotation's are about the body's axes."""
+
+    rotation_deg: Vector
+    position_m: Vector
+    time_offset_s: float = Field(gt=0.0)
+
+
+class MountCalibration(StrictModel):
+    """Where the camera sits, and when its frames were really exposed; goes before the vehicle's file.
+
+    The angles are those of the vehicle's file (see `VehicleConfig`). `time_offset_s` is added to every
+    frame's stamp, which gives the exposure on the inertial samples' time scale: stamps that are 20 ms late
+    have -0.02.
+    """
+
+    kind: Literal["mount"] = "mount"
+    camera: str  # its name, in its file
+    camera_roll_deg: float = Field(ge=-180.0, le=180.0)
+    camera_tilt_deg: float = Field(ge=-90.0, le=90.0)
+    camera_yaw_deg: float = Field(ge=-180.0, le=180.0)
+    camera_position_body_m: Vector
+    time_offset_s: float = Field(ge=-0.5, le=0.5)
+    std: MountStd
+    residual: float = Field(ge=0.0)  # of the sightings, in their own standard deviations
+    forced: tuple[str, ...] = ()  # what it would have been refused for
+    provenance: Provenance
+
+    def applied_to(self, vehicle: VehicleConfig) -> VehicleConfig:
+        """The vehicle with the camera as it was found to be."""
+        return vehicle.model_copy(
+            update={
+                "camera_roll_deg": self.camera_roll_deg,
+                "camera_tilt_deg": self.camera_tilt_deg,
+                "camera_yaw_deg": self.camera_yaw_deg,
+                "camera_position_body_m": self.camera_position_body_m,
+                "camera_time_offset_s": self.time_offset_s,
+            }
+        )
+
+
+class AccelerometerCalibration(StrictModel):
+    """True specific force = `matrix` (measured - `offset_m_s2`), in sensor axes."""
+
+    offset_m_s2: Vector
+    matrix: Matrix
+    residual_m_s2: float = Field(ge=0.0)  # root mean square of |a| - g over the rests
+    faces: int = Field(ge=0, le=6)  # of the six, that were down
+
+
+class GyroCalibration(StrictModel):
+    """True rate = measured - `bias_rad_s`, in sensor axes, at the temperature at which it was at rest."""
+
+    bias_rad_s: Vector
+    std_rad_s: float = Field(ge=0.0)  # of the bias: what it changed from one rest to the next
+    temperature_c: float
+
+
+class InertialCalibration(StrictModel):
+    """The MPU9250's accelerometer and gyroscope, in the chip's own axes (before `body_from_sensor_deg`)."""
+
+    kind: Literal["inertial"] = "inertial"
+    accelerometer: AccelerometerCalibration | None = None
+    gyro: GyroCalibration
+    forced: tuple[str, ...] = ()  # what it would have been refused for
+    provenance: Provenance
+
+
+def load_inertial(imu: ImuConfig) -> InertialCalibration | None:
+    """The calibration that the settings name, if they name one.
+
+    Raises:
+        ConfigError: the file is missing or wrong.
+    """
+    name = imu.inertial_calibration
+    return None if name is None else load_model(InertialCalibration, Path(name))
+
+
+def load_vehicle(vehicle: str, mount: str | None, camera: str) -> VehicleConfig:
+    """The vehicle of the settings, with the camera's mount calibration laid over it if there is one.
+
+    Raises:
+        ConfigError: a file is missing or wrong, or the calibration is another camera's.
+    """
+    body = load_model(VehicleConfig, find_file("vehicles", vehicle))
+    if mount is None:
+        return body
+    calibration = load_model(MountCalibration, Path(mount))
+    name = load_model(CameraConfig, find_file("cameras", camera)).name
+    if calibration.camera != name:
+        raise ConfigError(f"{mount}: is for the camera '{calibration.camera}', expected '{name}'")
+    return calibration.applied_to(body)

@@ -1,0 +1,80 @@
+"""The hand-held world for `calibrate-mount`, in virtual time: its boards for the program, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calibration.mount.command import record
+from calibration.mount.devices import Boards
+from calibration.mount.rotations import log, nearest_rotation
+from calibration.mount.shared import OpenBoards
+from calibration.mount.solve import Solution
+from companion.clock import run_in_virtual_time
+from companion.config import CompanionConfig, find_file, merge, validate
+from companion.geometry import FloatArray
+from sitl.hand_paths import HandMotion
+from sitl.in_process import InProcess, carried
+from sitl.scenario import Scenario, load_scenario
+
+
+@dataclass
+class Held:
+    """A vehicle carried by hand, and the process's own handle on it once it runs."""
+
+    scenario: Scenario
+    seed: int
+    motion: HandMotion
+    vehicle: InProcess | None = None
+
+    def boards(self, config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[Boards]:
+        """What the program opens instead of a vehicle's ports."""
+        return self._boards(camera=camera)
+
+    @asynccontextmanager
+    async def _boards(self, *, camera: bool) -> AsyncIterator[Boards]:
+        async with carried(self.scenario, self.seed, self.motion, camera=camera) as vehicle:
+            self.vehicle = vehicle
+            yield Boards(vehicle.imu_bus, vehicle.frames)
+
+    @property
+    def body_from_camera(self) -> FloatArray:
+        """The true rotation (3, 3)."""
+        assert self.vehicle is not None
+        return self.vehicle.simulation.sensor_truth.camera.body_from_camera
+
+    @property
+    def gyro_axes(self) -> FloatArray:
+        """The rotation (3, 3) by which the gyroscope, as it is, sees the body turned; its skew left out."""
+        assert self.vehicle is not None
+        board = self.vehicle.simulation.sensor_truth.boards
+        return nearest_rotation(board.sensor_from_body.T @ board.gyroscope.matrix @ board.sensor_from_body)
+
+    def rotation_errors(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
+        """Errors (3,) rad of a solution's rotations: against the airframe, and against the gyroscope."""
+        to_gyro = self.gyro_axes @ self.body_from_camera
+        to_body = solution.unknowns.body_from_camera @ self.body_from_camera.T
+        return log(to_body), log(solution.gyro_from_camera @ to_gyro.T)
+
+
+def scenario_of(changes: dict[str, Any], base: str = "static") -> Scenario:
+    """A shipped scenario with changes."""
+    shipped = load_scenario(find_file("scenarios", base)).model_dump()
+    return validate(Scenario, merge(shipped, changes), base)
+
+
+def mount_errors(seed: int, largest_deg: float = 4.0) -> tuple[list[float], float]:
+    """A mount's error (roll, pitch, yaw; deg) and a stamp's (s), by a seed of their own."""
+    rng = np.random.default_rng((seed, 77))
+    return rng.uniform(-largest_deg, largest_deg, 3).round(3).tolist(), float(rng.uniform(-0.03, 0.03))
+
+
+def record_sway(held: Held, config: CompanionConfig, folder: Path, seconds: float) -> None:
+    """Record a held vehicle into a folder, as the program does it."""
+    boards_of: OpenBoards = held.boards
+    run_in_virtual_time(record(config, folder, seconds, None, boards_of, virtual=True))
