@@ -185,7 +185,9 @@ def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
     scale = np.sqrt(np.diag(information))
     scaled = information / np.outer(scale, scale) if (scale > 0.0).all() else None
     if scaled is None or not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1e13:
-        raise UnsolvableError("the views leave some of the camera's numbers open; expected more, and tilted ones")
+        raise UnsolvableError(
+            "the views leave some of the camera's numbers open; expected more, and tilted ones"
+        )
     solved = np.linalg.solve(scaled, (right.T / scale).T)
     return np.asarray((solved.T / scale).T)
 

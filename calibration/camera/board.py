@@ -123,9 +123,7 @@ class Board(StrictModel):
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
         """As OpenCV has it."""
-        made = cv2.aruco.CharucoBoard(
-            (self.columns, self.rows), self.square_m, self.marker_m, self._codes
-        )
+        made = cv2.aruco.CharucoBoard((self.columns, self.rows), self.square_m, self.marker_m, self._codes)
         made.setLegacyPattern(self.legacy_pattern)
         return made
 

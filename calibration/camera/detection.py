@@ -89,7 +89,9 @@ class BoardFinder:
             found = found if there else None
         if found is None or identities is None:
             return np.empty(0, dtype=np.int64), np.empty((0, 2))
-        return np.asarray(identities, dtype=np.int64).ravel(), np.asarray(found, dtype=np.float64).reshape(-1, 2)
+        return np.asarray(identities, dtype=np.int64).ravel(), np.asarray(found, dtype=np.float64).reshape(
+            -1, 2
+        )
 
     def _window_px(self, points_m: FloatArray, corners_px: FloatArray) -> int:
         """Half the side of the window in which a corner is refined."""

@@ -92,7 +92,9 @@ def fit(
             points, corners, size_px, matrix, distortion, flags=flags, criteria=CRITERIA
         )
     except cv2.error as error:
-        raise UnsolvableError("the views fix no camera; expected the board tilted to several sides") from error
+        raise UnsolvableError(
+            "the views fix no camera; expected the board tilted to several sides"
+        ) from error
     count = 8 if model == "rational" else 5
     numbers = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:count]])
     if not np.isfinite(numbers).all() or not (numbers[:2] > 0.0).all():

@@ -26,6 +26,9 @@ class CameraCalibration(StrictModel):
 
     provenance: Provenance
     board: str  # what was shown
+    board_bow_m: float = Field(ge=0.0)  # how far from flat it was found to be
+    corners: int = Field(ge=0)  # used
+    corners_dropped: int = Field(default=0, ge=0)  # left out as outliers, of the views used
     rms_px: float = Field(ge=0.0)  # reprojection error of the corners used
     rms_all_px: float = Field(ge=0.0)  # of all corners that were found, outliers too
     held_out_rms_px: float | None = Field(ge=0.0)  # of views that the calibration had not seen

@@ -44,9 +44,7 @@ class CameraConfig(CaptureConfig):
     @classmethod
     def _of_a_known_model(cls, numbers: tuple[float, ...]) -> tuple[float, ...]:
         if len(numbers) not in {5, 8}:
-            raise ValueError(
-                f"expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {len(numbers)}"
-            )
+            raise ValueError(f"expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {len(numbers)}")
         return numbers
 
 

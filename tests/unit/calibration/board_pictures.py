@@ -91,7 +91,9 @@ class BoardPainter:
         assert (np.array(edge) @ rotation.T + pose.position_m)[:, 2].min() > 0.0
         pixels = self.project(np.array(edge), pose)
         low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 8, 0)
-        high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 9, (self.camera.width_px, self.camera.height_px))
+        high = np.minimum(
+            np.ceil(pixels.max(axis=0)).astype(int) + 9, (self.camera.width_px, self.camera.height_px)
+        )
         return None if (high <= low).any() else (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
 
     def _sample(self, pose: Pose, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
@@ -108,8 +110,12 @@ class BoardPainter:
         places = (places + self._margin_m()) * texels_per_m - 0.5
         return np.asarray(
             cv2.remap(
-                texture, places.astype(np.float32), None,  # type: ignore[call-overload]
-                cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(AROUND,),
+                texture,
+                places.astype(np.float32),
+                None,  # type: ignore[call-overload]
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_CONSTANT,
+                borderValue=(AROUND,),
             ),
             dtype=np.float32,
         )
@@ -211,10 +217,16 @@ def hand_held_poses(
         share = rng.uniform(0.35, 0.75)
         distance_m = camera.fx_px * width_m / (share * camera.width_px)
         x, y = (places[(5 * k) % len(places)] + rng.uniform(-0.08, 0.08, 2)) * (
-            camera.width_px, camera.height_px,
+            camera.width_px,
+            camera.height_px,
         )
-        at = distance_m * np.array(((x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1.0))
-        axis, tilt = rng.uniform(0.0, 2.0 * math.pi), math.radians(tilt_deg) * math.sqrt(rng.uniform(0.02, 1.0))
+        at = distance_m * np.array(
+            ((x - camera.cx_px) / camera.fx_px, (y - camera.cy_px) / camera.fy_px, 1.0)
+        )
+        axis, tilt = (
+            rng.uniform(0.0, 2.0 * math.pi),
+            math.radians(tilt_deg) * math.sqrt(rng.uniform(0.02, 1.0)),
+        )
         lean, _ = cv2.Rodrigues(tilt * np.array((math.cos(axis), math.sin(axis), 0.0)))
         roll, _ = cv2.Rodrigues(np.array((0.0, 0.0, rng.normal(0.0, 0.3))))
         turn = np.asarray(lean @ roll)
