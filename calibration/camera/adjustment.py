@@ -25,6 +25,8 @@ BEND_COUNT: Final = 3
 STEPS: Final = 12
 SMALLEST_STEP: Final = 1e-7  # of what a number's own uncertainty is
 HALVINGS: Final = 6
+# eight numbers of distortion are hard to tell apart; beyond this, arithmetic cannot
+LARGEST_CONDITION: Final = 1e15
 
 
 class UnsolvableError(ValueError):
@@ -184,7 +186,7 @@ def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
     """
     scale = np.sqrt(np.diag(information))
     scaled = information / np.outer(scale, scale) if (scale > 0.0).all() else None
-    if scaled is None or not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1e13:
+    if scaled is None or not np.isfinite(scaled).all() or np.linalg.cond(scaled) > LARGEST_CONDITION:
         raise UnsolvableError(
             "the views leave some of the camera's numbers open; expected more, and tilted ones"
         )

@@ -76,8 +76,8 @@ def calibrate_camera(
         str | None,
         typer.Option(
             "--board",
-            help="Its YAML, a name in configs/boards, or COLUMNSxROWS: squares of ChArUco, markers of a grid, "
-            f"inner corners of a chessboard. Else board.yaml beside the photos, else {DEFAULT_BOARD}.",
+            help="Its YAML, a name in configs/boards, or COLUMNSxROWS: squares of ChArUco, markers of "
+            f"a grid, inner corners of a chessboard. Else board.yaml by the photos, else {DEFAULT_BOARD}.",
         ),
     ] = None,
     pattern: Annotated[
@@ -250,10 +250,8 @@ def choose_board(words: str | None, given: dict[str, Any], sources: Sequence[str
                 raise ConfigError(f"--board {words}: needs {option}, as measured on the print")
         return validate(Board, {"columns": columns, "rows": rows, **given}, f"--board {words}")
     beside = [Path(s) / BOARD_FILE for s in sources if (Path(s) / BOARD_FILE).is_file()]
-    if words is None and len(beside) == 1:
-        path = beside[0]
-    else:
-        path = find_file("boards", words or DEFAULT_BOARD)
+    alone = words is None and len(beside) == 1
+    path = beside[0] if alone else find_file("boards", words or DEFAULT_BOARD)
     board = load_model(Board, path)
     return validate(Board, {**board.model_dump(), **given}, str(path)) if given else board
 
@@ -291,14 +289,14 @@ def _from_photos(board: Board, sources: Sequence[Path], keep: Path | None) -> Fo
     sessions: dict[tuple[int, int], CaptureSession] = {}
     found: list[tuple[View, tuple[int, int]]] = []
     samples: list[Photo] = []
+    without: list[str] = []
     count = 0
     for photo in read_photos(paths):
         count += 1
         view = finder.find(photo.image, photo.name)
         if photo.time_s is None:
             samples += [photo] if len(samples) < SAMPLES else []
-            if view is None:
-                typer.echo(f"{photo.name}: no board in it, or too little of it")
+            without += [photo.name] if view is None else []
         else:
             session = sessions.setdefault(photo.size_px, CaptureSession(photo.size_px))
             view = view if session.step(photo.time_s, view).kept else None
@@ -313,6 +311,8 @@ def _from_photos(board: Board, sources: Sequence[Path], keep: Path | None) -> Fo
     source = ", ".join(map(str, sources))
     if not found:
         raise ConfigError(f"{source}: {_why_nothing(board, samples, count, moving=bool(sessions))}")
+    if without:
+        typer.echo(f"no board, or too little of it, in {len(without)} of {count}: {', '.join(without)}")
     return _of_one_size(found, source)
 
 

@@ -39,7 +39,7 @@ CORNERS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Tilt:
-    """A board's tilt: degrees off square, and how much of it (degrees) has its right and its lower edge away."""
+    """A board's tilt: how far off square, and how much of that has its right and its lower edge away."""
 
     angle_deg: float
     right_away_deg: float

@@ -10,7 +10,7 @@ why ChArUco and chessboards calibrate better.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -75,6 +75,8 @@ class BoardFinder:
     def _coarse(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.int64], FloatArray]:
         """Ids (n,) and corners (n, 2) as they are found, each id once."""
         board = self.board
+        found: Any
+        identities: Any
         if board.pattern == "charuco":
             found, identities, _, _ = self._charuco.detectBoard(image)
         elif board.pattern == "grid":
@@ -129,9 +131,9 @@ def _refine(image: NDArray[np.uint8], corners: FloatArray, window: int) -> Float
 
 
 def edge_width_px(image: NDArray[np.uint8], corners: FloatArray) -> float:
-    """How wide edges are at the corners: their contrast over their steepest slope, median; 2 is a sharp image.
+    """How wide edges are at the corners: their contrast over their steepest slope, median.
 
-    A step that falls between two pixels is 2 px wide by this measure, because of the filter that takes the slope.
+    A step between two pixels is 2 px wide by this measure, because of the filter that takes the slope.
     """
     height, width = image.shape
     half = EDGE_PATCH_PX

@@ -1,4 +1,4 @@
-"""Captures views from a live camera: looks at each newest frame, keeps what is of use, stops when all is seen.
+"""Captures views from a live camera: looks at the newest frame, keeps what is of use, stops by itself.
 
 The only part of camera calibration with a loop in it; what is kept is decided in `capture`.
 """

@@ -133,12 +133,13 @@ def _sure(found: Assessment) -> list[str]:
     for name, deviation in zip(("cx", "cy"), std[2:4], strict=True):
         if deviation > LARGEST_CENTRE_STD * width:
             reasons.append(
-                f"{name} is uncertain by {deviation:.1f} px; expected {LARGEST_CENTRE_STD * width:.1f} or less"
+                f"{name} is uncertain by {deviation:.1f} px; "
+                f"expected {LARGEST_CENTRE_STD * width:.1f} or less"
             )
-    worst = float(found.projection_std_px.max())
+    worst, place = float(found.projection_std_px.max()), _place(found.projection_std_px)
     if worst > LARGEST_PROJECTION_STD * width:
         reasons.append(
-            f"what is seen at the {_place(found.projection_std_px)} of the image is uncertain by {worst:.1f} px; "
+            f"what is seen at the {place} of the image is uncertain by {worst:.1f} px; "
             f"expected {LARGEST_PROJECTION_STD * width:.1f} or less"
         )
     return reasons
@@ -155,7 +156,7 @@ def _fits(found: Assessment) -> list[str]:
     held_out = found.held_out_rms_px
     if held_out is not None and held_out > max(OVERFIT_RATIO * found.rms_px, found.rms_px + 0.02):
         reasons.append(
-            f"views that were held out are {held_out:.2f} px off, the others {found.rms_px:.2f}: "
+            f"views that were held out are {held_out:.3f} px off, the others {found.rms_px:.3f}: "
             "the model overfits; expected more views"
         )
     brown = found.brown_held_out_rms_px

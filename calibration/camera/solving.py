@@ -1,10 +1,10 @@
-"""From views of the board to the camera: outliers left out, and judged by views that it has not seen. Pure."""
+"""From views of the board to the camera: outliers left out, judged by views held out. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -81,7 +81,8 @@ def fit(
     if len(views) < FEWEST_VIEWS:
         raise UnsolvableError(f"{len(views)} views of the board are of use; expected {FEWEST_VIEWS} or more")
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational" else 0
-    matrix, distortion = np.eye(3), np.zeros(8 if model == "rational" else 5)
+    matrix: Any = np.eye(3)
+    distortion: Any = np.zeros(8 if model == "rational" else 5)
     if guess is not None:
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
         matrix, distortion = guess.matrix, guess.distortion.copy()

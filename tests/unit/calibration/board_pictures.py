@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.board import Board
+from calibration.camera.detection import View
 from companion.config import CameraConfig
 from companion.geometry import FloatArray
 
@@ -69,7 +70,7 @@ class BoardPainter:
         image = np.full((height, width), AROUND, np.float32)
         if box is not None:
             left, top, right, bottom = box
-            fine = self._sample(pose, box)
+            fine: Any = self._sample(pose, box)
             if defocus_px > 0.0:
                 fine = cv2.GaussianBlur(fine, (0, 0), FINER * defocus_px)
             if max(map(abs, motion_px)) > 0.0:
@@ -99,9 +100,9 @@ class BoardPainter:
     def _sample(self, pose: Pose, box: tuple[int, int, int, int]) -> NDArray[np.float32]:
         left, top, right, bottom = (FINER * edge for edge in box)
         rays = self._rays[top:bottom, left:right]
-        rotation, _ = cv2.Rodrigues(pose.turn)
+        rotation = np.asarray(cv2.Rodrigues(pose.turn)[0], dtype=np.float64)
         board_from_ray = np.linalg.inv(np.column_stack((rotation[:, 0], rotation[:, 1], pose.position_m)))
-        places = cv2.perspectiveTransform(rays, board_from_ray)
+        places: Any = cv2.perspectiveTransform(rays, board_from_ray)
         if self.bow_m:
             places = self._bent(rays, places, rotation, pose.position_m)
         texels_per_m = FINER * self.camera.fx_px / float(pose.position_m[2])
@@ -121,7 +122,7 @@ class BoardPainter:
         )
 
     def _bent(
-        self, rays: FloatArray, places: FloatArray, rotation: FloatArray, position: FloatArray
+        self, rays: NDArray[np.float32], places: FloatArray, rotation: FloatArray, position: FloatArray
     ) -> FloatArray:
         """Where rays meet a board that is bowed: from the flat one's places, by repetition."""
         flat = rays.reshape(-1, 2).astype(np.float64)
@@ -185,10 +186,12 @@ def board_texture(board: Board, texels_per_m: float, margin_m: float) -> NDArray
     return _texture(board.model_dump_json(), texels_per_m, margin_m)
 
 
-def covered(low_m: float, high_m: float, texels_per_m: float, count: int) -> tuple[FloatArray, FloatArray]:
+def covered(
+    low_m: float, high_m: float, texels_per_m: float, count: int
+) -> tuple[NDArray[np.int64], FloatArray]:
     """Which texels of a row a stretch covers, and how much of each."""
     low, high = low_m * texels_per_m, high_m * texels_per_m
-    which = np.arange(max(math.floor(low), 0), min(math.ceil(high), count))
+    which = np.arange(max(math.floor(low), 0), min(math.ceil(high), count), dtype=np.int64)
     share = np.minimum(which + 1, high) - np.maximum(which, low)
     return which, share.clip(0.0, 1.0)
 
@@ -202,7 +205,7 @@ def stroke(right: float, down: float) -> NDArray[np.float32]:
         j, i = int(x), int(y)
         for dj, di in ((0, 0), (1, 0), (0, 1), (1, 1)):
             kernel[i + di, j + dj] += (1 - abs(x - j - dj)) * (1 - abs(y - i - di))
-    return (kernel / kernel.sum()).astype(np.float32)
+    return np.asarray(kernel / kernel.sum(), dtype=np.float32)
 
 
 def hand_held_poses(
@@ -230,5 +233,39 @@ def hand_held_poses(
         lean, _ = cv2.Rodrigues(tilt * np.array((math.cos(axis), math.sin(axis), 0.0)))
         roll, _ = cv2.Rodrigues(np.array((0.0, 0.0, rng.normal(0.0, 0.3))))
         turn = np.asarray(lean @ roll)
-        poses.append(Pose(np.asarray(cv2.Rodrigues(turn)[0]).ravel(), at - turn @ middle))
+        poses.append(Pose(np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64).ravel(), at - turn @ middle))
     return poses
+
+
+def tour_poses(
+    board: Board, camera: CameraConfig, tilt_deg: float = 28.0, width_share: float = 0.5
+) -> list[Pose]:
+    """A board that is led all over the image, each time with another edge away: what the hints ask for."""
+    leans = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (0.0, 0.0)]
+    places = [(x, y) for x in (0.14, 0.32, 0.5, 0.68, 0.86) for y in (0.16, 0.5, 0.84)]
+    width_m, height_m = board.size_m
+    middle = np.array((0.5 * width_m, 0.5 * height_m, 0.0))
+    poses = []
+    for k, (x, y) in enumerate(places):
+        distance_m = camera.fx_px * width_m / (width_share * camera.width_px) * (1.0 + 0.25 * (k % 3))
+        ray = (
+            (x * camera.width_px - camera.cx_px) / camera.fx_px,
+            (y * camera.height_px - camera.cy_px) / camera.fy_px,
+        )
+        lean = math.radians(tilt_deg) * np.array((*leans[k % 5], 0.0))
+        turn = np.asarray(cv2.Rodrigues(lean)[0])
+        poses.append(Pose(lean, distance_m * np.array((*ray, 1.0)) - turn @ middle))
+    return poses
+
+
+def ideal_view(
+    painter: BoardPainter, pose: Pose, rng: np.random.Generator, noise_px: float, name: str
+) -> View:
+    """A view without a picture: where the board's points are, and noise; only what is inside the image."""
+    points = painter.board.points_m
+    pixels = painter.project(points, pose)
+    inside = ((pixels > 2.0) & (pixels < (painter.camera.width_px - 3, painter.camera.height_px - 3))).all(
+        axis=1
+    )
+    ids = np.flatnonzero(inside)
+    return View(name, ids, points[ids], pixels[ids] + rng.normal(0.0, noise_px, (len(ids), 2)), 2.2)
