@@ -32,12 +32,12 @@ class CameraCalibration(StrictModel):
     rms_px: float = Field(ge=0.0)  # reprojection error of the corners used
     rms_all_px: float = Field(ge=0.0)  # of all corners that were found, outliers too
     held_out_rms_px: float | None = Field(ge=0.0)  # of views that the calibration had not seen
-    fx_std_px: float = Field(ge=0.0)
-    fy_std_px: float = Field(ge=0.0)
-    cx_std_px: float = Field(ge=0.0)
-    cy_std_px: float = Field(ge=0.0)
-    distortion_std: tuple[float, ...]
+    fx_std_px: float = Field(ge=0.0)  # standard deviation of fx_px
+    fy_std_px: float = Field(ge=0.0)  # of fy_px
+    cx_std_px: float = Field(ge=0.0)  # of cx_px
+    cy_std_px: float = Field(ge=0.0)  # of cy_px
+    distortion_std: tuple[float, ...]  # of each of its numbers
     projection_std_px: float = Field(ge=0.0)  # where the calibration is least certain in the image
     coverage: float = Field(ge=0.0, le=1.0)  # share of the image where corners were seen
-    largest_tilt_deg: float = Field(ge=0.0, le=90.0)
+    largest_tilt_deg: float = Field(ge=0.0, le=90.0)  # of the board, off square
     verdict: tuple[str, ...] = ()  # what speaks against it; it was written by force

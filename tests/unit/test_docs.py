@@ -22,6 +22,7 @@ import yaml
 from mcap.reader import make_reader
 from pydantic import BaseModel
 
+from calibration.camera.command import app as calibrate_camera
 from companion.cli import EXIT_CODES, cli
 from companion.config import (
     CONFIG_FOLDER,
@@ -46,8 +47,8 @@ EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULT
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND_TIMEOUT_S = 300.0
-PROGRAMS = {"companion": cli, "companion-sitl": sitl_cli}
-FOLDERS = ("companion/", "sitl/", "configs/", "docs/", "tests/", "systemd/")
+PROGRAMS = {"companion": cli, "companion-sitl": sitl_cli, "calibrate-camera": calibrate_camera}
+FOLDERS = ("companion/", "sitl/", "calibration/", "configs/", "docs/", "tests/", "systemd/")
 
 
 def commands(text: str) -> list[list[str]]:
@@ -71,7 +72,11 @@ def code_words(text: str) -> list[str]:
 
 def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Run a command of ours with this interpreter and this tree."""
-    ours = {"companion": "companion.cli", "companion-sitl": "sitl.cli"}
+    ours = {
+        "companion": "companion.cli",
+        "companion-sitl": "sitl.cli",
+        "calibrate-camera": "calibration.camera.command",
+    }
     module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
         [sys.executable, "-m", *module],
@@ -90,6 +95,8 @@ def is_run(words: list[str]) -> bool:
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
     if words[0] == "companion-sitl":
         return words[1:2] in (["scenarios"], ["schema"])
+    if words[0] == "calibrate-camera":
+        return "--help" in words or "--make-board" in words
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
@@ -100,7 +107,7 @@ def check_without_running(words: list[str]) -> None:
         context = command.make_context(words[0], words[1:])
         if (other := getattr(command, "commands", {}).get("".join(words[1:2]))) is not None:
             other.make_context(words[1], words[2:])
-        if context.params["scenario"] is not None:
+        if context.params.get("scenario") is not None:
             load_scenario(context.params["scenario"])
     elif words[:2] == ["python", "-m"]:
         assert importlib.util.find_spec(words[2]) is not None
