@@ -123,7 +123,7 @@ def test_the_projection_is_least_certain_where_no_board_was() -> None:
     left = [v.only(v.corners_px[:, 0] < 640.0) for v in views]
     solution = solve([v for v in left if len(v.ids) >= 8], SIZE, BOARD.size_m)
     grid = projection_std_px(solution.camera, uncertainty(solution).covariance)
-    assert grid[6, -1] > 1.5 * grid[6, 0]
+    assert grid[6, -1] > 1.2 * grid[6, 0]
 
 
 # ---------------------------------------------------------------- verdict
@@ -153,11 +153,11 @@ def test_no_tilt_leaves_the_focal_length_open() -> None:
 
 
 def test_the_middle_of_the_image_alone() -> None:
-    views = [
-        v.only(np.asarray((np.abs(v.corners_px - (640, 360)) < (300, 170)).all(axis=1)))
-        for v in views_of(10, count=40)
-    ]
-    told = reasons([v for v in views if len(v.ids) >= 8])
+    middle = []
+    for view in views_of(10, count=40):
+        inside = (np.abs(view.corners_px - (640, 360)) < (300, 170)).all(axis=1)
+        middle.append(view.only(np.asarray(inside)))
+    told = reasons([view for view in middle if len(view.ids) >= 8])
     assert "% of the image; expected 55 %" in told
     assert "corners of the image without the board: upper left" in told
 
