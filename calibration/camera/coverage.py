@@ -124,8 +124,13 @@ class Coverage:
 
     @property
     def missing_corners(self) -> list[str]:
-        """The corners of the image where no board has been."""
+        """The corners of the image where the board has not been enough."""
         return [name for name, cell in CORNERS.items() if not self.covered[cell]]
+
+    @property
+    def unseen_corners(self) -> list[str]:
+        """The corners of the image where not one corner of a board has been."""
+        return [name for name, cell in CORNERS.items() if not self.corner_count[cell]]
 
     @property
     def missing_tilts(self) -> list[str]:

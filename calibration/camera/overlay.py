@@ -66,17 +66,11 @@ def _tilt_marks(picture: Any, session: CaptureSession, unit: float) -> None:
         words = f"{name} away {min(session.coverage.tilt_count(name), VIEWS_A_TILT)}/{VIEWS_A_TILT}"
         x, y = places[name]
         at = (round(x * width), round(y * height))
-        colour = DONE if done else MISSING
-        cv2.putText(
-            picture,
-            words,
-            at,
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.55 * unit,
-            (0, 0, 0),
-            max(3, round(3 * unit)),
-            cv2.LINE_AA,
-        )
+        size, _ = cv2.getTextSize(words, cv2.FONT_HERSHEY_SIMPLEX, 0.55 * unit, max(1, round(unit)))
+        pad = round(4 * unit)
+        box = (at[0] - pad, at[1] - size[1] - pad), (at[0] + size[0] + pad, at[1] + pad)
+        cv2.rectangle(picture, *box, (0, 0, 0), -1)
+        colour = DONE if done else SEEN
         cv2.putText(
             picture,
             words,

@@ -106,7 +106,7 @@ def _seen(found: Assessment) -> list[str]:
             f"the board was seen in {100 * coverage.share:.0f} % of the image; "
             f"expected {100 * SMALLEST_COVERAGE:.0f} % or more"
         )
-    missing = coverage.missing_corners
+    missing = coverage.unseen_corners
     if len(missing) > MOST_CORNERS_MISSING:
         reasons.append(
             f"corners of the image without the board: {', '.join(missing)}; "
