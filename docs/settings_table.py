@@ -15,7 +15,7 @@ import io
 import re
 import sys
 import tokenize
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
@@ -171,15 +171,21 @@ def _choices(kind: Any) -> tuple[Any, ...]:
 def field_comments(model: type[BaseModel]) -> dict[str, str]:
     """The comment that stands beside each field in the source, by the field's name."""
     comments: dict[str, str] = {}
-    source = inspect.getsource(model)
+    kinds = [
+        kind for kind in reversed(model.__mro__) if issubclass(kind, BaseModel) and kind is not BaseModel
+    ]
     name = ""
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+    for token in (t for kind in kinds for t in tokenize.generate_tokens(_lines_of(kind))):
         starts_line = token.line.startswith("    ") and token.start[1] == 4
         if token.type == tokenize.NAME and starts_line and token.string in model.model_fields:
             name = token.string
         elif token.type == tokenize.COMMENT and name and token.line.strip() != token.string:
             comments[name] = f"{comments.get(name, '')} {token.string.lstrip('# ')}".strip()
     return comments
+
+
+def _lines_of(model: type[BaseModel]) -> Callable[[], str]:
+    return io.StringIO(inspect.getsource(model)).readline
 
 
 # ---------------------------------------------------------------- settings to tables

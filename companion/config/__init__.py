@@ -58,7 +58,7 @@ from companion.config.sense import (
     SenseConfig,
     VisionConfig,
 )
-from companion.config.vehicle import CameraConfig, VehicleConfig
+from companion.config.vehicle import CameraConfig, CaptureConfig, VehicleConfig
 
 __all__ = [
     "CONFIG_FOLDER",
@@ -67,6 +67,7 @@ __all__ = [
     "AlignmentConfig",
     "AutopilotSensorsConfig",
     "CameraConfig",
+    "CaptureConfig",
     "CompanionConfig",
     "ComputeConfig",
     "ConfigError",

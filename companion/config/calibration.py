@@ -15,3 +15,29 @@ class Provenance(StrictModel):
     date: str  # ISO 8601, UTC, of the calibration
     samples: int = Field(ge=0)  # used
     dropped: int = Field(default=0, ge=0)  # left out as outliers
+
+
+class CameraCalibration(StrictModel):
+    """How good a camera's calibration is, and where it comes from; nothing is reckoned with it.
+
+    Reprojection errors are root mean squares of the distances in the image; standard deviations are those
+    of the camera's own numbers, in their order.
+    """
+
+    provenance: Provenance
+    board: str  # what was shown
+    board_bow_m: float = Field(ge=0.0)  # how far from flat it was found to be
+    corners: int = Field(ge=0)  # used
+    corners_dropped: int = Field(default=0, ge=0)  # left out as outliers, of the views used
+    rms_px: float = Field(ge=0.0)  # reprojection error of the corners used
+    rms_all_px: float = Field(ge=0.0)  # of all corners that were found, outliers too
+    held_out_rms_px: float | None = Field(ge=0.0)  # of views that the calibration had not seen
+    fx_std_px: float = Field(ge=0.0)  # standard deviation of fx_px
+    fy_std_px: float = Field(ge=0.0)  # of fy_px
+    cx_std_px: float = Field(ge=0.0)  # of cx_px
+    cy_std_px: float = Field(ge=0.0)  # of cy_px
+    distortion_std: tuple[float, ...]  # of each of its numbers
+    projection_std_px: float = Field(ge=0.0)  # where the calibration is least certain in the image
+    coverage: float = Field(ge=0.0, le=1.0)  # share of the image where corners were seen
+    largest_tilt_deg: float = Field(ge=0.0, le=90.0)  # of the board, off square
+    verdict: tuple[str, ...] = ()  # what speaks against it; it was written by force

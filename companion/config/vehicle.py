@@ -2,27 +2,50 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import ClassVar
 
+from pydantic import Field, field_validator
+
+from companion.config.calibration import CameraCalibration
 from companion.config.reading import StrictModel, Vector
 
 
-class CameraConfig(StrictModel):
-    """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3)."""
+class CaptureConfig(StrictModel):
+    """How a camera takes pictures; all that is known of one before it is calibrated."""
+
+    size_is: ClassVar[str] = "the size asked for,"
 
     name: str
-    width_px: int = Field(ge=160, le=4096)
-    height_px: int = Field(ge=120, le=3072)
-    fx_px: float = Field(gt=50.0, lt=20000.0)
-    fy_px: float = Field(gt=50.0, lt=20000.0)
-    cx_px: float = Field(gt=0.0, lt=4096.0)
-    cy_px: float = Field(gt=0.0, lt=3072.0)
-    distortion: tuple[float, float, float, float, float]
+    width_px: int = Field(ge=160, le=8192)
+    height_px: int = Field(ge=120, le=8192)
     rate_hz: float = Field(ge=5.0, le=240.0)
     exposure_s: float = Field(default=0.004, ge=0.00002, le=0.05)  # short and fixed: see what moves sharply
     readout_s: float = Field(
         default=0.0, ge=0.0, le=0.05
     )  # first to last row of a rolling shutter; 0: global
+
+
+class CameraConfig(CaptureConfig):
+    """A calibrated camera, as `calibrate-camera` writes it (eqs. 2 and 3).
+
+    `distortion` has OpenCV's order: k1 k2 p1 p2 k3, and for the rational model k4 k5 k6 after them.
+    """
+
+    size_is: ClassVar[str] = "the calibration's"
+
+    fx_px: float = Field(gt=50.0, lt=20000.0)
+    fy_px: float = Field(gt=50.0, lt=20000.0)
+    cx_px: float = Field(gt=0.0, lt=8192.0)
+    cy_px: float = Field(gt=0.0, lt=8192.0)
+    distortion: tuple[float, ...]
+    calibration: CameraCalibration | None = None
+
+    @field_validator("distortion")
+    @classmethod
+    def _of_a_known_model(cls, numbers: tuple[float, ...]) -> tuple[float, ...]:
+        if len(numbers) not in {5, 8}:
+            raise ValueError(f"expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {len(numbers)}")
+        return numbers
 
 
 class VehicleConfig(StrictModel):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from companion.clock import Clock
-from companion.config import CameraConfig, ConfigError
+from companion.config import CaptureConfig, ConfigError
 from companion.frame_format import FrameHeader
 from companion.frame_stream import ADDRESS_FORM, FrameStream
 from companion.messages import Frame
@@ -59,7 +59,7 @@ class Capture(Protocol):
     def release(self) -> None: ...
 
 
-async def open_camera(spec: str, camera: CameraConfig, unstamped_latency_s: float = 0.0) -> FrameSource:
+async def open_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: float = 0.0) -> FrameSource:
     """Open the source named by `spec`.
 
     `unstamped_latency_s` is how old a socket's frame without a time is when it has come.
@@ -107,7 +107,7 @@ class SocketCamera:
     """Frames from another process, grey or in colour."""
 
     def __init__(
-        self, stream: FrameStream, camera: CameraConfig, unstamped_latency_s: float, clock: Clock
+        self, stream: FrameStream, camera: CaptureConfig, unstamped_latency_s: float, clock: Clock
     ) -> None:
         self._stream = stream
         self._camera = camera
@@ -117,7 +117,7 @@ class SocketCamera:
         self._task = asyncio.create_task(self._receive(), name="frames from the socket")
 
     @classmethod
-    async def connect(cls, address: str, camera: CameraConfig, unstamped_latency_s: float) -> SocketCamera:
+    async def connect(cls, address: str, camera: CaptureConfig, unstamped_latency_s: float) -> SocketCamera:
         """Connect to whoever serves frames there.
 
         Raises:
@@ -182,7 +182,7 @@ class SocketCamera:
 class V4l2Camera:
     """A camera of the kernel's, read by a thread of its own because reading blocks."""
 
-    def __init__(self, capture: Capture, camera: CameraConfig, clock: Clock) -> None:
+    def __init__(self, capture: Capture, camera: CaptureConfig, clock: Clock) -> None:
         self._capture = capture
         self._camera = camera
         self._clock = clock
@@ -213,6 +213,11 @@ class V4l2Camera:
                 )
                 return
             received_s = self._clock.now_s()
+            try:
+                _check_size(image.shape[1], image.shape[0], self._camera)
+            except ConfigError as error:  # a driver may promise one size and send another
+                self._loop.call_soon_threadsafe(self._newest.fail, error)
+                return
             stamp_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
             time_s = exposure_time_s(stamp_s, received_s, self._camera)
             frame = Frame(time_s, received_s, sequence, _grey(image))
@@ -226,7 +231,7 @@ def at_exposure(frame: Frame, time_offset_s: float) -> Frame:
     return frame if time_offset_s == 0.0 else replace(frame, time_s=frame.time_s + time_offset_s)
 
 
-def exposure_time_s(stamp_s: float, received_s: float, camera: CameraConfig) -> float:
+def exposure_time_s(stamp_s: float, received_s: float, camera: CaptureConfig) -> float:
     """Mid-exposure of the middle row.
 
     V4L2 stamps a frame when its last row has been read out, which ends the last row's exposure; the middle
@@ -236,7 +241,7 @@ def exposure_time_s(stamp_s: float, received_s: float, camera: CameraConfig) -> 
     return end_s - 0.5 * camera.readout_s - 0.5 * camera.exposure_s
 
 
-def _open_v4l2(number: int, camera: CameraConfig) -> cv2.VideoCapture:
+def _open_v4l2(number: int, camera: CaptureConfig) -> cv2.VideoCapture:
     """Open and set up a camera: short fixed exposure, so that light changes gain and never blur.
 
     Raises:
@@ -264,11 +269,11 @@ def _open_v4l2(number: int, camera: CameraConfig) -> cv2.VideoCapture:
     return capture
 
 
-def _check_size(width_px: int, height_px: int, camera: CameraConfig) -> None:
+def _check_size(width_px: int, height_px: int, camera: CaptureConfig) -> None:
     if (width_px, height_px) != (camera.width_px, camera.height_px):
         raise ConfigError(
             f"camera '{camera.name}': images of {width_px}x{height_px}, "
-            f"expected the calibration's {camera.width_px}x{camera.height_px}"
+            f"expected {camera.size_is} {camera.width_px}x{camera.height_px}"
         )
 
 

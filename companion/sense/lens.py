@@ -52,10 +52,13 @@ class Lens:
         return np.where(seen[:, None], pixels, np.nan), depth
 
     def _distort(self, ideal: FloatArray) -> FloatArray:
-        k1, k2, p1, p2, k3 = (float(k) for k in self._distortion)
+        k1, k2, p1, p2, k3, *denominator = (float(k) for k in self._distortion)
         x, y = ideal[:, 0], ideal[:, 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        if denominator:  # the rational model's
+            k4, k5, k6 = denominator
+            radial = radial / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
         return np.column_stack(
             (
                 x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),

@@ -22,6 +22,7 @@ import yaml
 from mcap.reader import make_reader
 from pydantic import BaseModel
 
+from calibration.camera.command import app as camera_cli
 from calibration.magnetometer.command import cli as magnetometer_cli
 from calibration.mount.command import cli as mount_cli
 from companion.cli import EXIT_CODES, cli
@@ -53,8 +54,9 @@ PROGRAMS = {
     "companion-sitl": sitl_cli,
     "calibrate-magnetometer": magnetometer_cli,
     "calibrate-mount": mount_cli,
+    "calibrate-camera": camera_cli,
 }
-FOLDERS = ("companion/", "sitl/", "configs/", "docs/", "tests/", "systemd/")
+FOLDERS = ("companion/", "sitl/", "calibration/", "configs/", "docs/", "tests/", "systemd/")
 
 
 def commands(text: str) -> list[list[str]]:
@@ -83,6 +85,7 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "companion-sitl": "sitl.cli",
         "calibrate-magnetometer": "calibration.magnetometer.command",
         "calibrate-mount": "calibration.mount.command",
+        "calibrate-camera": "calibration.camera.command",
     }
     module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
@@ -101,7 +104,7 @@ def is_run(words: list[str]) -> bool:
     if words[0] == "companion":
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
     if words[0].startswith("calibrate-"):
-        return "--help" in words
+        return "--help" in words or "--make-board" in words
     if words[0] == "companion-sitl":
         return words[1:2] in (["scenarios"], ["schema"])
     return words[:3] == ["python", "-m", "docs.pictures"]

@@ -80,6 +80,15 @@ async def test_a_camera_that_stops_is_an_error_and_not_silence(camera: CameraCon
     source.close()
 
 
+async def test_a_driver_that_sends_another_size_than_it_promised_is_told(camera: CameraConfig) -> None:
+    capture = FakeCapture()
+    source = V4l2Camera(capture, camera, Clock())
+    capture.give(np.zeros((720, 1280, 3), np.uint8))
+    with pytest.raises(ConfigError, match="images of 1280x720, expected the calibration's 640x480"):
+        await asyncio.wait_for(source.next(), 5.0)
+    source.close()
+
+
 @pytest.mark.parametrize("stamp_s", [0.0, 99.0, 100.5])
 def test_a_stamp_that_cannot_be_true_is_replaced_by_the_time_of_receipt(
     camera: CameraConfig, stamp_s: float

@@ -6,11 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.config import CameraConfig
+from companion.config import CameraConfig, ConfigError, validate
 from companion.sense.lens import Lens
 
+RATIONAL = (0.9, 0.2, 3e-4, -2e-4, 0.01, 1.25, 0.42, 0.04)
 
-def test_projection_is_opencvs_and_undistortion_is_its_inverse(camera: CameraConfig) -> None:
+
+@pytest.mark.parametrize("distortion", [None, RATIONAL], ids=["five numbers", "eight"])
+def test_projection_is_opencvs_and_undistortion_is_its_inverse(
+    camera: CameraConfig, distortion: tuple[float, ...] | None
+) -> None:
+    if distortion is not None:
+        camera = camera.model_copy(update={"distortion": distortion})
     rng = np.random.default_rng(2)
     points = np.column_stack(
         (rng.uniform(-1.5, 1.5, 50), rng.uniform(-1.0, 1.0, 50), rng.uniform(2.5, 6.0, 50))
@@ -22,6 +29,11 @@ def test_projection_is_opencvs_and_undistortion_is_its_inverse(camera: CameraCon
     assert np.abs(pixels - np.asarray(expected).reshape(-1, 2)).max() < 1e-9
     assert depth == pytest.approx(points[:, 2])
     assert np.abs(lens.undistort(pixels) - points[:, :2] / points[:, 2:]).max() < 1e-7
+
+
+def test_a_distortion_of_a_length_that_no_model_has_is_refused(camera: CameraConfig) -> None:
+    with pytest.raises(ConfigError, match=r"distortion: expected 5 numbers .* or 8 .* found 6"):
+        validate(CameraConfig, {**camera.model_dump(), "distortion": (0.0,) * 6}, "camera.yaml")
 
 
 def test_what_the_lens_cannot_see_is_nowhere(camera: CameraConfig) -> None:

@@ -1,0 +1,212 @@
+"""Least squares over a camera, the poses of the board before it, and the board's own bend. Pure.
+
+The model is eqs. 2 and 3: pixel = K distort(x/z, y/z), with distortion k1 k2 p1 p2 k3, or with the rational
+model's k4 k5 k6 after them (radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)). The
+vector of a camera's numbers is everywhere fx fy cx cy and then the distortion.
+
+No board is flat. One of A4 that is bowed by half a millimetre makes the focal length wrong by 0.5 %, in the
+same way in every view, so that nothing in the residuals tells. Its bend is therefore solved for: depth
+z = b0 (1 - u²) + b1 (1 - v²) + b2 u v with u, v from -1 to 1 across the board, b in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+
+from calibration.camera.detection import View
+from companion.geometry import FloatArray
+
+Model = Literal["brown", "rational"]
+BEND_COUNT: Final = 3
+STEPS: Final = 12
+SMALLEST_STEP: Final = 1e-7  # of what a number's own uncertainty is
+HALVINGS: Final = 6
+# eight numbers of distortion are hard to tell apart; beyond this, arithmetic cannot
+LARGEST_CONDITION: Final = 1e15
+
+
+class UnsolvableError(ValueError):
+    """The views fix no camera; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A camera's numbers: fx fy cx cy (px) and the distortion (5 or 8), for images of one size."""
+
+    numbers: FloatArray
+    size_px: tuple[int, int]
+
+    @property
+    def matrix(self) -> FloatArray:
+        """K (3, 3)."""
+        fx, fy, cx, cy = self.numbers[:4]
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def distortion(self) -> FloatArray:
+        """(5,) or (8,)."""
+        return self.numbers[4:]
+
+    @property
+    def model(self) -> Model:
+        """Which one it is."""
+        return "brown" if len(self.distortion) == 5 else "rational"
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The board's shape: its pattern's size, and its bend (3,), all in m."""
+
+    size_m: tuple[float, float]
+    bend_m: FloatArray
+
+    def of(self, points_m: FloatArray) -> FloatArray:
+        """Points (n, 3) of a flat board on the bent one."""
+        bent = np.array(points_m, dtype=np.float64)
+        bent[:, 2] += self.shapes(points_m) @ self.bend_m
+        return bent
+
+    def shapes(self, points_m: FloatArray) -> FloatArray:
+        """Depth of the points (n, 3) for each of the bend's numbers being one: (n, 3)."""
+        u, v = (2.0 * points_m[:, k] / self.size_m[k] - 1.0 for k in (0, 1))
+        return np.column_stack((1.0 - u * u, 1.0 - v * v, u * v))
+
+    @property
+    def bow_m(self) -> float:
+        """How far the surface is from its mean plane at most."""
+        line = np.linspace(-1.0, 1.0, 9)
+        u, v = (grid.ravel() for grid in np.meshgrid(line, line))
+        depth = np.column_stack((1.0 - u * u, 1.0 - v * v, u * v)) @ self.bend_m
+        plane = np.column_stack((u, v, np.ones_like(u)))
+        return float(np.abs(depth - plane @ np.linalg.lstsq(plane, depth, rcond=None)[0]).max())
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A view with the board's pose in it: rotation vector (3,), and position in camera axes (3,) in m."""
+
+    view: View
+    turn: FloatArray
+    position_m: FloatArray
+    errors_px: FloatArray  # (n, 2), measured minus projected
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the errors' lengths."""
+        return rms(self.errors_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A calibrated camera, the board as it is, the views it rests on, and what was left out."""
+
+    camera: Intrinsics
+    surface: Surface
+    seen: tuple[Seen, ...]
+    dropped_views: tuple[str, ...] = ()
+    dropped_corners: int = 0
+
+    @property
+    def errors_px(self) -> FloatArray:
+        """Of all corners used (n, 2)."""
+        return np.concatenate([s.errors_px for s in self.seen])
+
+
+def rms(errors: FloatArray) -> float:
+    """Root mean square length of vectors (n, 2)."""
+    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def seen_at(
+    camera: Intrinsics, surface: Surface, view: View, turn: FloatArray, position_m: FloatArray
+) -> Seen:
+    """A view with the errors that a pose leaves in it."""
+    points = surface.of(view.points_m)
+    pixels, _ = cv2.projectPoints(points, turn, position_m, camera.matrix, camera.distortion)
+    return Seen(view, turn, position_m, view.corners_px - np.asarray(pixels).reshape(-1, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What one view says of the shared numbers (camera, then bend) once its own pose is solved for.
+
+    `information` (n, n) and `score` (n,) are its share of the normal equations; `pose_step` (6,) and
+    `pose_change` (6, n) give the step of its pose for a step of the shared numbers.
+    """
+
+    information: FloatArray
+    score: FloatArray
+    pose_step: FloatArray
+    pose_change: FloatArray
+
+
+def normal_equations(camera: Intrinsics, surface: Surface, seen: Seen) -> Part:
+    """A view's part of the least squares, its pose eliminated."""
+    points = surface.of(seen.view.points_m)
+    _, jacobian = cv2.projectPoints(points, seen.turn, seen.position_m, camera.matrix, camera.distortion)
+    of_pose, of_camera = jacobian[:, :6], jacobian[:, 6 : 6 + len(camera.numbers)]
+    # a point that moves by z of the board moves in the camera by the board's third axis
+    rotation, _ = cv2.Rodrigues(seen.turn)
+    of_depth = jacobian[:, 3:6] @ rotation[:, 2]
+    of_bend = of_depth[:, None] * np.repeat(surface.shapes(seen.view.points_m), 2, axis=0)
+    shared = np.hstack((of_camera, of_bend))
+    errors = seen.errors_px.reshape(-1)
+    basis, triangle = np.linalg.qr(of_pose)
+    free = shared - basis @ (basis.T @ shared)
+    back = np.linalg.pinv(triangle)
+    return Part(free.T @ free, free.T @ errors, back @ (basis.T @ errors), back @ (basis.T @ shared))
+
+
+def refine(solution: Solution) -> Solution:
+    """Gauss-Newton from a good start, until the steps are nothing; each is halved until it is downhill.
+
+    Raises:
+        UnsolvableError: the views leave some of the numbers open.
+    """
+    for _ in range(STEPS):
+        parts = [normal_equations(solution.camera, solution.surface, seen) for seen in solution.seen]
+        information = np.sum([part.information for part in parts], axis=0)
+        score = np.sum([part.score for part in parts], axis=0)
+        step = solve_scaled(information, score)
+        solution, moved = _stepped(solution, parts, step)
+        if not moved or float(step @ information @ step) < SMALLEST_STEP * np.sum(solution.errors_px**2):
+            break
+    return solution
+
+
+def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve with a normal matrix whose numbers have units of different size.
+
+    Raises:
+        UnsolvableError: it is singular.
+    """
+    scale = np.sqrt(np.diag(information))
+    scaled = information / np.outer(scale, scale) if (scale > 0.0).all() else None
+    if scaled is None or not np.isfinite(scaled).all() or np.linalg.cond(scaled) > LARGEST_CONDITION:
+        raise UnsolvableError(
+            "the views leave some of the camera's numbers open; expected more, and tilted ones"
+        )
+    solved = np.linalg.solve(scaled, (right.T / scale).T)
+    return np.asarray((solved.T / scale).T)
+
+
+def _stepped(solution: Solution, parts: list[Part], step: FloatArray) -> tuple[Solution, bool]:
+    """The solution after a step, or as it was when no share of the step is downhill."""
+    count = len(solution.camera.numbers)
+    before = float(np.sum(solution.errors_px**2))
+    for halving in range(HALVINGS):
+        share = 0.5**halving
+        camera = Intrinsics(solution.camera.numbers + share * step[:count], solution.camera.size_px)
+        surface = Surface(solution.surface.size_m, solution.surface.bend_m + share * step[count:])
+        seen = []
+        for old, part in zip(solution.seen, parts, strict=True):
+            pose = share * (part.pose_step - part.pose_change @ step)
+            seen.append(seen_at(camera, surface, old.view, old.turn + pose[:3], old.position_m + pose[3:]))
+        new = Solution(camera, surface, tuple(seen))
+        if float(np.sum(new.errors_px**2)) <= before:
+            return new, True
+    return solution, False

@@ -1,0 +1,175 @@
+"""From views of the board to the camera: outliers left out, judged by views held out. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from calibration.camera.adjustment import (
+    BEND_COUNT,
+    Intrinsics,
+    Model,
+    Seen,
+    Solution,
+    Surface,
+    UnsolvableError,
+    refine,
+    rms,
+    seen_at,
+)
+from calibration.camera.detection import FEWEST_POINTS, View
+from companion.geometry import FloatArray
+
+FEWEST_VIEWS: Final = 2
+# with fewer, the board's bend and the camera cannot be told apart
+FEWEST_VIEWS_FOR_BEND: Final = 6
+CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+# the median of a Rayleigh distribution over its σ: from a typical distance to the noise of a coordinate
+RAYLEIGH_MEDIAN: Final = 1.1774
+# of pure noise, one corner in 25,000 is farther off than this many σ
+CORNER_SIGMAS: Final = 4.5
+VIEW_RATIO: Final = 3.0
+# a corner that no plane can explain to this share of the board's image is one that was misread
+MISREAD_SHARE: Final = 0.03
+ROUNDS: Final = 8
+FOLDS: Final = 5
+
+
+def solve(
+    views: Sequence[View], size_px: tuple[int, int], board_m: tuple[float, float], model: Model = "brown"
+) -> Solution:
+    """Calibrate, leaving out corners and whole views that do not fit the rest.
+
+    Args:
+        views: the board in several images, each of another name.
+        size_px: width and height of the images.
+        board_m: width and height of the board's pattern.
+        model: of the distortion.
+
+    Raises:
+        UnsolvableError: too few views, or views that fix no camera.
+    """
+    kept = [v for v in map(_without_misread, views) if v is not None]
+    solution = fit(kept, size_px, board_m, model)
+    for _ in range(ROUNDS):
+        kept = _without_outliers(solution)
+        if sum(len(v.ids) for v in kept) == len(solution.errors_px):
+            break
+        solution = fit(kept, size_px, board_m, model, solution.camera)
+    names = {s.view.name for s in solution.seen}
+    corners = sum(len(v.ids) for v in views if v.name in names) - len(solution.errors_px)
+    dropped = tuple(v.name for v in views if v.name not in names)
+    return replace(solution, dropped_views=dropped, dropped_corners=corners)
+
+
+def fit(
+    views: Sequence[View],
+    size_px: tuple[int, int],
+    board_m: tuple[float, float],
+    model: Model,
+    guess: Intrinsics | None = None,
+) -> Solution:
+    """Least squares over all corners of the views: the library's with a flat board, then with its bend.
+
+    Raises:
+        UnsolvableError: as `solve`.
+    """
+    if len(views) < FEWEST_VIEWS:
+        raise UnsolvableError(f"{len(views)} views of the board are of use; expected {FEWEST_VIEWS} or more")
+    flags = cv2.CALIB_RATIONAL_MODEL if model == "rational" else 0
+    matrix: Any = np.eye(3)
+    distortion: Any = np.zeros(8 if model == "rational" else 5)
+    if guess is not None:
+        flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+        matrix, distortion = guess.matrix, guess.distortion.copy()
+    points = [v.points_m.astype(np.float32) for v in views]
+    corners = [v.corners_px.astype(np.float32).reshape(-1, 1, 2) for v in views]
+    try:
+        _, matrix, distortion, turns, positions = cv2.calibrateCamera(
+            points, corners, size_px, matrix, distortion, flags=flags, criteria=CRITERIA
+        )
+    except cv2.error as error:
+        raise UnsolvableError(
+            "the views fix no camera; expected the board tilted to several sides"
+        ) from error
+    count = 8 if model == "rational" else 5
+    numbers = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:count]])
+    if not np.isfinite(numbers).all() or not (numbers[:2] > 0.0).all():
+        raise UnsolvableError("the views fix no camera: its focal length came out as no number")
+    camera, surface = Intrinsics(numbers, size_px), Surface(board_m, np.zeros(BEND_COUNT))
+    posed = zip(views, turns, positions, strict=True)
+    seen = tuple(seen_at(camera, surface, v, np.ravel(t), np.ravel(p)) for v, t, p in posed)
+    flat = Solution(camera, surface, seen)
+    return refine(flat) if len(views) >= FEWEST_VIEWS_FOR_BEND else flat
+
+
+def place(camera: Intrinsics, surface: Surface, view: View) -> Seen:
+    """Find the board's pose in a view with a camera and a board that are known."""
+    corners = view.corners_px.reshape(-1, 1, 2)
+    _, turn, position = cv2.solvePnP(
+        view.points_m, corners, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
+    )
+    points = surface.of(view.points_m)
+    turn, position = cv2.solvePnPRefineLM(points, corners, camera.matrix, camera.distortion, turn, position)
+    return seen_at(camera, surface, view, np.ravel(turn), np.ravel(position))
+
+
+def rms_of_all(solution: Solution, views: Sequence[View]) -> float:
+    """Reprojection error of every corner that was found, the outliers too (px)."""
+    poses = {s.view.name: s for s in solution.seen}
+    errors = []
+    for view in views:
+        known = poses.get(view.name) or place(solution.camera, solution.surface, view)
+        whole = seen_at(solution.camera, solution.surface, view, known.turn, known.position_m)
+        errors.append(whole.errors_px)
+    return rms(np.concatenate(errors))
+
+
+def held_out_rms_px(solution: Solution) -> float | None:
+    """Reprojection error of views that a calibration from the others has not seen; None with too few.
+
+    Every fifth view is held out in turn. Only the board's pose is fitted to it.
+    """
+    views = [s.view for s in solution.seen]
+    camera = solution.camera
+    if len(views) < FOLDS:
+        return None
+    errors: list[FloatArray] = []
+    for k in range(FOLDS):
+        rest = [v for i, v in enumerate(views) if i % FOLDS != k]
+        try:
+            other = fit(rest, camera.size_px, solution.surface.size_m, camera.model, camera)
+        except UnsolvableError:
+            return None
+        errors += [place(other.camera, other.surface, v).errors_px for v in views[k::FOLDS]]
+    return rms(np.concatenate(errors))
+
+
+# ---------------------------------------------------------------- outliers
+
+
+def _without_misread(view: View) -> View | None:
+    """The view without corners that lie where no plane could have them."""
+    limit = MISREAD_SHARE * float(np.linalg.norm(np.ptp(view.corners_px, axis=0)))
+    _, fits = cv2.findHomography(view.points_m[:, :2], view.corners_px, cv2.RANSAC, limit)
+    if fits is None or np.count_nonzero(fits) < FEWEST_POINTS:
+        return None
+    return view.only(np.asarray(fits, dtype=bool).ravel())
+
+
+def _without_outliers(solution: Solution) -> list[View]:
+    """The views without those, and without the corners, that are much farther off than is usual."""
+    usual = float(np.median([s.rms_px for s in solution.seen]))
+    kept = []
+    for seen in solution.seen:
+        lengths = np.linalg.norm(seen.errors_px, axis=1)
+        # the view's own noise counts where it is larger: a blurred view has no outliers by that alone
+        noise = float(max(np.median(lengths), 0.5 * usual)) / RAYLEIGH_MEDIAN
+        fits = lengths < CORNER_SIGMAS * noise
+        if np.count_nonzero(fits) >= FEWEST_POINTS and rms(seen.errors_px[fits]) <= VIEW_RATIO * usual:
+            kept.append(seen.view.only(fits))
+    return kept
