@@ -9,6 +9,9 @@ readonly SETTINGS=/etc/companion
 readonly UNIT=/etc/systemd/system/companion.service
 readonly SOURCE="$(cd "$(dirname "$0")/.." && pwd)"
 
+# for the calibrations and the check, by hand
+readonly PROGRAMS=(companion calibrate-camera calibrate-magnetometer calibrate-mount)
+
 fail() { echo "install.sh: $*" >&2; exit 2; }
 
 [ "$(id -u)" -eq 0 ] || fail "needs root; run: sudo $0"
@@ -18,6 +21,9 @@ if [ "${1:-}" = "--remove" ]; then
     systemctl disable --now companion.service 2>/dev/null || true
     rm -f "$UNIT"
     rm -rf "$PREFIX"
+    for program in "${PROGRAMS[@]}"; do
+        rm -f "/usr/local/bin/$program"
+    done
     systemctl daemon-reload
     echo "removed; settings stay in $SETTINGS, flight logs in /var/lib/companion"
     exit 0
@@ -46,6 +52,10 @@ python3 -m venv --system-site-packages "$PREFIX/.venv"
 "$PREFIX/.venv/bin/python" -m pip install --quiet -c "$PREFIX/constraints.txt" -e "$PREFIX"
 [ -e "$SETTINGS/companion.yaml" ] || install -m 0644 "$SOURCE/configs/companion.yaml" "$SETTINGS/companion.yaml"
 chown -R root:companion "$SETTINGS"
+
+for program in "${PROGRAMS[@]}"; do
+    ln -sf "$PREFIX/.venv/bin/$program" "/usr/local/bin/$program"
+done
 
 install -m 0644 "$SOURCE/systemd/companion.service" "$UNIT"
 systemctl daemon-reload

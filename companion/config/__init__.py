@@ -7,7 +7,7 @@ the key and what was expected.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import Field, model_validator
 
@@ -40,6 +40,7 @@ from companion.config.plan import (
 )
 from companion.config.reading import (
     CONFIG_FOLDER,
+    YAML_SUFFIXES,
     ConfigError,
     Model,
     StrictModel,
@@ -110,6 +111,19 @@ __all__ = [
 ]
 
 
+# settings that may be paths
+NAMED_FILES: Final = (
+    ("pad",),
+    ("camera",),
+    ("vehicle",),
+    ("mount",),
+    ("sense", "imu", "magnetometer_calibration"),
+    ("sense", "imu", "inertial_calibration"),
+    ("sense", "autopilot", "magnetometer_calibration"),
+    ("plan", "fuzzy"),
+)
+
+
 class ComputeConfig(StrictModel):
     """How long things take on a Raspberry Pi; virtual time holds results back for as long."""
 
@@ -142,7 +156,25 @@ class CompanionConfig(StrictModel):
 def load_config(path: Path, overrides: dict[str, Any] | None = None) -> CompanionConfig:
     """Read the app's settings file, with `overrides` laid over it.
 
+    A file that it names by a relative path is looked for beside it first, then in the current folder.
+
     Raises:
         ConfigError: one line that says what, where and what was expected.
     """
-    return validate(CompanionConfig, merge(read_yaml(path), overrides or {}), str(path))
+    data = read_yaml(path)
+    for keys in NAMED_FILES:
+        _look_beside(path.parent, data, keys)
+    return validate(CompanionConfig, merge(data, overrides or {}), str(path))
+
+
+def _look_beside(folder: Path, data: dict[str, Any], keys: tuple[str, ...]) -> None:
+    """Make the path at `keys` one that starts from `folder`, if there is such a file."""
+    *above, last = keys
+    for key in above:
+        inner = data.get(key)
+        if not isinstance(inner, dict):
+            return
+        data = inner
+    name = data.get(last)
+    if isinstance(name, str) and Path(name).suffix in YAML_SUFFIXES and (folder / name).is_file():
+        data[last] = str(folder / name)

@@ -16,6 +16,7 @@ _EXPECTED = {
     "model_type": "expected keys with values",
     "tuple_type": "expected a list",
 }
+YAML_SUFFIXES = (".yaml", ".yml")
 CONFIG_FOLDER = Path(__file__).resolve().parent.parent.parent / "configs"
 
 
@@ -54,7 +55,7 @@ def find_file(folder: str, name: str | Path) -> Path:
         ConfigError: no such file; the line lists the names there are.
     """
     path = Path(name)
-    if path.suffix in {".yaml", ".yml"} and path.is_file():
+    if path.suffix in YAML_SUFFIXES and path.is_file():
         return path
     shipped = CONFIG_FOLDER / folder / f"{name}.yaml"
     if path.suffix == "" and shipped.is_file():

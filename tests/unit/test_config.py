@@ -6,6 +6,7 @@ import pytest
 
 from companion.config import (
     CONFIG_FOLDER,
+    NAMED_FILES,
     CameraConfig,
     CompanionConfig,
     ConfigError,
@@ -43,6 +44,35 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, expected: 
     assert expected in line
     assert str(path) in line
     assert "\n" not in line
+
+
+def test_the_files_that_settings_name_are_looked_for_beside_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, beside = tmp_path / "here", tmp_path / "etc"
+    for folder in (here, beside):
+        folder.mkdir()
+        (folder / "both.yaml").touch()
+    (here / "mine.yaml").touch()
+    path = write(
+        beside,
+        "pad: mine.yaml\ncamera: both.yaml\nvehicle: x500\nmount: none.yaml\n"
+        "sense: {imu: {magnetometer_calibration: both.yaml, inertial_calibration: /else/both.yaml}}\n",
+    )
+    monkeypatch.chdir(here)
+    config = load_config(path)
+    assert config.pad == "mine.yaml"  # of the current folder
+    assert config.camera == config.sense.imu.magnetometer_calibration == str(beside / "both.yaml")
+    assert (config.vehicle, config.mount) == ("x500", "none.yaml")
+    assert config.sense.imu.inertial_calibration == "/else/both.yaml"
+
+
+@pytest.mark.parametrize("keys", NAMED_FILES)
+def test_every_such_setting_exists(keys: tuple[str, ...]) -> None:
+    tree = CompanionConfig().model_dump()
+    for key in keys:
+        tree = tree[key]
+    assert tree is None or isinstance(tree, str)
 
 
 def test_a_missing_file_names_what_there_is() -> None:
