@@ -1,6 +1,7 @@
 """Settings: what is wrong is said in one line with the file, the key and what was expected."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,7 +70,7 @@ def test_the_files_that_settings_name_are_looked_for_beside_them(
 
 @pytest.mark.parametrize("keys", NAMED_FILES)
 def test_every_such_setting_exists(keys: tuple[str, ...]) -> None:
-    tree = CompanionConfig().model_dump()
+    tree: Any = CompanionConfig().model_dump()
     for key in keys:
         tree = tree[key]
     assert tree is None or isinstance(tree, str)
