@@ -170,18 +170,22 @@ def judge_compass_turn(before: Rest, after: Rest, imu: Move) -> Finding:
     return Finding(name, told, () if good else ("compass",), values)
 
 
-def judge_lean(step: str, before: Rest, after: Rest, imu: Move) -> list[Finding]:
+def judge_lean(
+    step: str, before: Rest, after: Rest, imu: Move, *, compass_is_good: bool = True
+) -> list[Finding]:
     """Gravity and the field lean against the body as the gyroscope says it leaned.
 
     A turn about the vertical shows the compass's level part alone, and that in its own axes: one that sits
-    turned on its axis turns along all the same, and has every heading wrong. It leans otherwise.
+    turned on its axis turns along all the same, and has every heading wrong. It leans otherwise; so does one
+    that has been found disturbed (not `compass_is_good`), of whose axes nothing can be said.
     """
     leaned = norm(imu.rotation_rad)
     off = angle_between(carried_along(down_by_force(before), imu.rotation_rad), down_by_force(after))
     findings = [_leant("accelerometer", step, off, leaned, HORIZON_LEAN, "imu")]
     if before.field_ut is not None and after.field_ut is not None:
         off = angle_between(carried_along(before.field_ut, imu.rotation_rad), after.field_ut)
-        findings.append(_leant("compass", step, off, leaned, COMPASS_LEAN, "compass axes"))
+        part: Part = "compass axes" if compass_is_good else "compass"
+        findings.append(_leant("compass", step, off, leaned, COMPASS_LEAN, part))
     return findings
 
 

@@ -226,7 +226,8 @@ class Wizard:
         if step.axis[2] != 0.0:
             self._found(judge_compass_turn(before, after, imu))
         else:
-            for finding in judge_lean(step.name, before, after, imu):
+            good = not any("compass" in finding.blamed for finding in self._findings)
+            for finding in judge_lean(step.name, before, after, imu, compass_is_good=good):
                 self._found(finding)
 
     def _finding(self, step: Step, moves: tuple[Move, Move], gap_s: float) -> Finding:

@@ -229,6 +229,20 @@ def test_the_pad_stays_in_view(motion: HandMotion, length_s: float, share: float
     run_in_virtual_time(main())
 
 
+def test_a_world_that_fails_is_told() -> None:
+    async def main() -> None:
+        async with carried(STATIC, 0, "still", camera=False) as vehicle:
+            vehicle.simulation.world.step = broken  # type: ignore[method-assign,assignment]
+            await asyncio.sleep(1.0)
+
+    def broken(*_: object) -> None:
+        raise ArithmeticError("the world has ended")
+
+    with pytest.raises(ExceptionGroup, match="TaskGroup") as caught:
+        run_in_virtual_time(main())
+    assert [str(each) for each in caught.value.exceptions] == ["the world has ended"]
+
+
 # ---------------------------------------------------------------- waiting for somebody to look on
 
 
