@@ -6,6 +6,7 @@ A client that has not taken its last frame yet misses this one: the camera never
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 
 from companion.frame_format import pack_frame
@@ -19,6 +20,7 @@ class FrameServer:
     def __init__(self, where: Path | int) -> None:
         """Serve on a unix socket's path, or on a TCP port of the loopback (0: a free one)."""
         self._where = where
+        self._on_client: Callable[[], None] = lambda: None
         self._server: asyncio.Server | UnixServer | None = None
         self._clients: set[asyncio.StreamWriter] = set()
         self._gone: set[asyncio.Event] = set()
@@ -36,13 +38,14 @@ class FrameServer:
         assert isinstance(self._server, asyncio.Server)
         return f"tcp:127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
 
-    async def start(self) -> None:
-        """Listen. A socket file left behind is replaced.
+    async def start(self, on_client: Callable[[], None] = lambda: None) -> None:
+        """Listen, and call `on_client` for each that comes. A socket file left behind is replaced.
 
         Raises:
             ConfigError: the path cannot be used.
             OSError: the port cannot be used.
         """
+        self._on_client = on_client
         if isinstance(self._where, int):
             self._server = await asyncio.start_server(self._serve, "127.0.0.1", self._where)
         else:
@@ -71,6 +74,7 @@ class FrameServer:
         gone = asyncio.Event()
         self._clients.add(writer)
         self._gone.add(gone)
+        self._on_client()
         try:
             while await reader.read(4096):
                 pass

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from companion.geometry import Vector3, add, quat_from_euler, rotate_yaw
-from sitl.hand_paths import HandMotion, HandPath, hand_path
+from sitl.hand_paths import Carrying, HandMotion, Held, added, carrying
 from sitl.quadrotor import Four, QuadrotorState, packed
 from sitl.scenario import Scenario
 from sitl.world import World
@@ -28,10 +28,10 @@ class HandHeldWorld(World):
     """A scenario's world under one seed, with the vehicle in somebody's hands from time 0 on.
 
     The person stays where the pad is at that time, and looks anywhere. What is asked of the motors moves
-    nothing.
+    nothing. A person who `waits` holds the vehicle where moves that end begin, until `begin`.
     """
 
-    def __init__(self, scenario: Scenario, seed: int, motion: HandMotion) -> None:
+    def __init__(self, scenario: Scenario, seed: int, motion: HandMotion, *, waits: bool = False) -> None:
         """Build it.
 
         Raises:
@@ -39,10 +39,16 @@ class HandHeldWorld(World):
         """
         super().__init__(scenario, seed)
         rng = np.random.default_rng((seed, HAND_STREAM))
-        self._path: HandPath = hand_path(motion, self.landed_reference_height_m, rng)
+        self._carrying: Carrying = carrying(motion, self.landed_reference_height_m, rng)
+        self._begun_s = math.inf if waits and math.isfinite(self._carrying.round_s) else 0.0
         self._origin_ned_m = self.pad_state.position_ned_m
         self._heading_rad = float(rng.uniform(-math.pi, math.pi))
         self.place(self._felt(self._carried(-FIRST_STEP_S), 0.0, FIRST_STEP_S))
+
+    def begin(self) -> None:
+        """Somebody looks on: do the moves that are waited with, and once more if they have all been done."""
+        if self._begun_s == math.inf or self.time_s > self._begun_s + self._carrying.round_s:
+            self._begun_s = self.time_s
 
     def step(self, motor_commands: Four, dt_s: float) -> None:
         """Carry everything on by dt (s)."""
@@ -57,7 +63,7 @@ class HandHeldWorld(World):
 
     def _carried(self, time_s: float) -> QuadrotorState:
         """Where the hand has it, and how it moves."""
-        (forward, right, down, roll, pitch, yaw), rate = self._path(time_s)
+        (forward, right, down, roll, pitch, yaw), rate = self._held(time_s)
         offset = rotate_yaw((forward, right, down), self._heading_rad)
         return QuadrotorState(
             position_ned_m=add(self._origin_ned_m, offset),
@@ -65,6 +71,11 @@ class HandHeldWorld(World):
             attitude=quat_from_euler(roll, pitch, self._heading_rad + yaw),
             rate_body_rad_s=body_rate(roll, pitch, rate[3:]),
         )
+
+    def _held(self, time_s: float) -> Held:
+        """Where the hand has it against the middle of the pad; hands that wait tremble too."""
+        moves = self._carrying.moves(time_s - self._begun_s)
+        return added(moves, self._carrying.shake(time_s))
 
 
 def body_rate(roll_rad: float, pitch_rad: float, euler_rate_rad_s: Vector3) -> Vector3:

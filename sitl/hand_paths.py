@@ -39,6 +39,17 @@ class Held(NamedTuple):
 HandPath = Callable[[float], Held]
 
 
+class Carrying(NamedTuple):
+    """What a hand means to do, and what it adds to that.
+
+    `round_s` is how long the moves take that end where they begin, at rest; infinite for those that go on.
+    """
+
+    moves: HandPath
+    shake: HandPath
+    round_s: float = math.inf
+
+
 class Rest(NamedTuple):
     """A pose that is held for a while, after a move to it."""
 
@@ -47,14 +58,20 @@ class Rest(NamedTuple):
     move_s: float = 2.0
 
 
+def arrivals_s(stations: Sequence[Rest]) -> list[float]:
+    """When each rest begins."""
+    begins = [0.0]
+    for before, after in pairwise(stations):
+        begins.append(begins[-1] + before.hold_s + after.move_s)
+    return begins
+
+
 def rests(stations: Sequence[Rest]) -> HandPath:
     """Minimum-jerk moves from rest to rest; the first move is none, the last rest has no end.
 
     Minimum jerk is how a human arm reaches (T. Flash and N. Hogan, 1985): 10 τ³ - 15 τ⁴ + 6 τ⁵.
     """
-    begins = [0.0]
-    for before, after in pairwise(stations):
-        begins.append(begins[-1] + before.hold_s + after.move_s)
+    begins = arrivals_s(stations)
 
     def at(time_s: float) -> Held:
         # the first station that is still to be reached, if there is one
@@ -92,17 +109,12 @@ def swung(middle: Six, waves: Sequence[Waves]) -> HandPath:
     return at
 
 
-def together(*paths: HandPath) -> HandPath:
-    """The sum of paths."""
-
-    def at(time_s: float) -> Held:
-        helds = [path(time_s) for path in paths]
-        return Held(
-            _six(map(sum, zip(*(held.place for held in helds), strict=True))),
-            _six(map(sum, zip(*(held.rate for held in helds), strict=True))),
-        )
-
-    return at
+def added(*helds: Held) -> Held:
+    """The sum of places and of rates."""
+    return Held(
+        _six(map(sum, zip(*(held.place for held in helds), strict=True))),
+        _six(map(sum, zip(*(held.rate for held in helds), strict=True))),
+    )
 
 
 def _six(values: Iterable[float]) -> Six:
@@ -138,8 +150,8 @@ def _wave(
 # ---------------------------------------------------------------- the motions
 
 
-def hand_path(motion: HandMotion, standing_m: float, rng: np.random.Generator) -> HandPath:
-    """The path of a motion, with what the dice vary.
+def carrying(motion: HandMotion, standing_m: float, rng: np.random.Generator) -> Carrying:
+    """The paths of a motion, with what the dice vary.
 
     Args:
         motion: which.
@@ -149,18 +161,18 @@ def hand_path(motion: HandMotion, standing_m: float, rng: np.random.Generator) -
     return _MOTIONS[motion](standing_m, rng)
 
 
-def _still(standing_m: float, rng: np.random.Generator) -> HandPath:
+def _still(standing_m: float, rng: np.random.Generator) -> Carrying:
     """Standing on the pad, which does not tremble."""
-    return rests([Rest((0.0, 0.0, -standing_m, 0.0, 0.0, 0.0), math.inf)])
+    return Carrying(rests([Rest((0.0, 0.0, -standing_m, 0.0, 0.0, 0.0), math.inf)]), swung(_NOWHERE, ()))
 
 
-def _tumble(standing_m: float, rng: np.random.Generator) -> HandPath:
+def _tumble(standing_m: float, rng: np.random.Generator) -> Carrying:
     """Turned about slowly until every side has been everywhere: no two of the three periods go together."""
     waves: list[Waves] = [()] * 3
     for turn_deg, period_s in ((200.0, 13.0), (105.0, 31.0), (190.0, 21.0)):
         frequency_hz = 1.0 / period_s
         waves.append((_wave(rng, math.radians(turn_deg), 0.9 * frequency_hz, 1.1 * frequency_hz),))
-    return together(swung((0.0, 0.0, -1.1, 0.0, 0.0, 0.0), waves), tremor(rng))
+    return Carrying(swung((0.0, 0.0, -1.1, 0.0, 0.0, 0.0), waves), tremor(rng))
 
 
 # roll and pitch (deg) with each of the six sides down
@@ -174,7 +186,7 @@ FACES: Final[tuple[tuple[float, float], ...]] = (
 )
 
 
-def _faces(standing_m: float, rng: np.random.Generator) -> HandPath:
+def _faces(standing_m: float, rng: np.random.Generator) -> Carrying:
     """Laid down on each of its six sides, level first, the others in any order, none quite straight."""
     order = [0, *(int(k) + 1 for k in rng.permutation(len(FACES) - 1))]
     stations = []
@@ -184,10 +196,10 @@ def _faces(standing_m: float, rng: np.random.Generator) -> HandPath:
         stations.append(
             Rest((0.0, 0.0, -0.8, float(roll), float(pitch), yaw), 5.0, float(rng.uniform(2.0, 3.0)))
         )
-    return rests(stations)
+    return Carrying(rests(stations), swung(_NOWHERE, ()))
 
 
-def _sway(standing_m: float, rng: np.random.Generator) -> HandPath:
+def _sway(standing_m: float, rng: np.random.Generator) -> Carrying:
     """Swung about over the pad, quickly and slowly, with all six coordinates, the pad mostly in view."""
     waves = []
     for axis, (slow, quick) in enumerate(
@@ -196,13 +208,13 @@ def _sway(standing_m: float, rng: np.random.Generator) -> HandPath:
         top_hz = 1.1 if axis in _ANGLE else 0.8
         waves.append((_wave(rng, slow, 0.10, 0.25), _wave(rng, quick, 0.5, top_hz)))
     height_m = float(rng.uniform(1.1, 1.4))
-    return together(swung((0.0, 0.0, -height_m, 0.0, 0.0, 0.0), waves), tremor(rng))
+    return Carrying(swung((0.0, 0.0, -height_m, 0.0, 0.0, 0.0), waves), tremor(rng))
 
 
 HOLD_S: Final = 4.0
 
 
-def _over_pad(standing_m: float, rng: np.random.Generator) -> HandPath:
+def _over_pad(standing_m: float, rng: np.random.Generator) -> Carrying:
     """What `companion check --pad` asks for, one after another, each from the middle and back to it."""
     low, high = -float(rng.uniform(0.5, 0.6)), -float(rng.uniform(0.95, 1.1))
     turn, lean = (math.radians(float(rng.uniform(*span))) for span in ((35.0, 55.0), (14.0, 20.0)))
@@ -215,15 +227,15 @@ def _over_pad(standing_m: float, rng: np.random.Generator) -> HandPath:
         (0.0, 0.0, high, lean, 0.0, 0.0),
         (0.0, 0.0, high, 0.0, lean, 0.0),
     ]
-    # long enough at first to start what is to look on
+    # long enough at first for what looks on to find an autopilot, and to ask for the first move
     stations = [Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), 10.0), Rest(middle, HOLD_S)]
     for place in moved:
         stations += [Rest(place, HOLD_S, 1.5), Rest(middle, HOLD_S, 1.5)]
     stations.append(Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), math.inf))
-    return together(rests(stations), tremor(rng))
+    return Carrying(rests(stations), tremor(rng), arrivals_s(stations)[-1])
 
 
-_MOTIONS: Final[dict[HandMotion, Callable[[float, np.random.Generator], HandPath]]] = {
+_MOTIONS: Final[dict[HandMotion, Callable[[float, np.random.Generator], Carrying]]] = {
     "still": _still,
     "tumble": _tumble,
     "faces": _faces,

@@ -13,19 +13,23 @@ from sitl.orders import socket_folder, terminated_as_interrupted
 from sitl.scenario import load_scenario
 from sitl.server import COMPANION_PORT, GROUND_PORT, TCP_PORT, Service, serve, serve_child
 
+SETTINGS_NAME: Final = "companion.yaml"
 HELP: Final = """Serve a vehicle that is carried by hand over its scenario's pad: the same sensors, camera and
-MAVLink as in flight, motors off. It begins at once and repeats with the seed.
+MAVLink as in flight, motors off. The same seed has the same hands. The app's settings that lead to it are
+written to a file for `--config`, and where that is is said.
 
 \b
   still     stands on the pad
   tumble    turned about until every side has been everywhere: for the magnetometer
   faces     laid down on each of its six sides: for the accelerometer
   sway      swung about over the pad, which stays in view: for the camera's mounting
-  over-pad  what `companion check --pad` asks for, one after another
+  over-pad  what `companion check --pad` asks for, one after another, ten seconds after a program has come for
+            the camera's frames or the IMU's registers, and again for the next one
 
 \b
 Examples:
   companion-sitl hold --motion tumble
+  companion-sitl hold --motion over-pad --settings hold.yaml
   companion-sitl hold --motion sway --scenario workshop.yaml --seed 3 --folder sockets
 """
 
@@ -37,6 +41,10 @@ def hold_command(
     seed: Annotated[int, typer.Option(min=0, help="Repeats it.")] = 0,
     folder: Annotated[
         Path | None, typer.Option(help="Where the sockets go; else a temporary folder.", metavar="DIR")
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="Write the app's settings here; else among the sockets.", metavar="FILE"),
     ] = None,
     port: Annotated[
         int,
@@ -61,4 +69,5 @@ def hold_command(
             asyncio.run(serve_child(loaded, seed, place, motion))
         else:
             service = Service(companion_port=port, ground_port=gcs_port, tcp_port=tcp_port)
-            asyncio.run(serve(loaded, seed, place, service, motion=motion))
+            path = settings or place / SETTINGS_NAME
+            asyncio.run(serve(loaded, seed, place, service, motion=motion, settings_path=path))

@@ -93,6 +93,7 @@ async def carried(
 
     Raises:
         ConfigError: the scenario, or a file that it names, is missing or wrong.
+        Exception: whatever ended the world while inside, on leaving.
     """
     loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     vehicle = InProcess(loaded, seed, motion=motion, link=link)
@@ -102,4 +103,6 @@ async def carried(
         yield vehicle
     finally:
         world.cancel()
-        await asyncio.gather(world, return_exceptions=True)
+        await asyncio.wait([world])
+    if not world.cancelled():
+        world.result()  # it has failed, and stood still since

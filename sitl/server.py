@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.clock import Clock, start_unix_s
+from companion.files import write_atomically
+from sitl.app_settings import settings_text
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
@@ -67,10 +69,11 @@ async def serve(
     *,
     serve_truth: bool = False,
     motion: HandMotion | None = None,
+    settings_path: Path | None = None,
 ) -> None:
     """Serve a vehicle to whoever connects, until Ctrl-C or SIGTERM; `serve_truth`: those may ask for it.
 
-    With a `motion` it is carried by hand.
+    With a `motion` it is carried by hand. The app's settings that lead to it go to `settings_path`.
 
     Raises:
         ConfigError: a port is taken, or a settings file that the scenario names is wrong.
@@ -94,7 +97,12 @@ async def serve(
         stack.callback(tcp.close)
         tcp_port = await tcp.open(service.bind, service.tcp_port)
         own = (companion_port, ground_port, tcp_port)
+        if settings_path is not None:
+            connection = f"udp:{LOOPBACK}:{companion_port}"
+            write_atomically(settings_path, settings_text(scenario, connection, devices.settings))
         print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
+        if settings_path is not None:
+            print(f"The app's settings for it are in {settings_path}", flush=True)
         await _fly_until_stopped(devices.simulation)
 
 
@@ -128,8 +136,6 @@ async def _plug_in(
     stack.callback(gps_port.close)
     stack.callback(range_port.close)
     frames = FrameServer(folder / "camera")
-    await frames.start()
-    stack.push_async_callback(frames.close)
     simulation = Simulation(
         scenario,
         seed,
@@ -142,8 +148,11 @@ async def _plug_in(
         serve_truth=serve_truth,
         keep_truth=keep_truth,
         motion=motion,
+        hands_wait=True,
     )
-    registers = await serve_registers(simulation.imu_bus, folder / "registers")
+    await frames.start(simulation.begin_motion)
+    stack.push_async_callback(frames.close)
+    registers = await serve_registers(simulation.imu_bus, folder / "registers", simulation.begin_motion)
     stack.callback(registers.close)
     bus = "spi-socket" if scenario.sensors.imu_interface == "spi" else "socket"
     settings = {

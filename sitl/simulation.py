@@ -120,13 +120,14 @@ class Simulation:
         serve_truth: bool = False,
         keep_truth: bool = True,
         motion: HandMotion | None = None,
+        hands_wait: bool = False,
     ) -> None:
         """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
         `link` is the MAVLink line of an app in this process, others come by `connect`. `unix_at_start_s` is
         UTC (s since 1970) when the world begins; `serve_truth` lets clients ask for the truth; `keep_truth`
         keeps all of it for `report`, which a vehicle that is served for days has no memory for. With a
-        `motion` it is carried by hand and cannot fly.
+        `motion` it is carried by hand and cannot fly; `hands_wait`: until `begin_motion`.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -137,7 +138,11 @@ class Simulation:
         self._link = link
         self._camera_wanted = camera_wanted
         streams = iter(np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6))
-        self._world = World(scenario, seed) if motion is None else HandHeldWorld(scenario, seed, motion)
+        self._world = (
+            World(scenario, seed)
+            if motion is None
+            else HandHeldWorld(scenario, seed, motion, waits=hands_wait)
+        )
         body = self._world.airframe.body
         self.autopilot = Autopilot(
             scenario.autopilot,
@@ -182,6 +187,11 @@ class Simulation:
     def world(self) -> World:
         """The truth now: for tests and benches."""
         return self._world
+
+    def begin_motion(self) -> None:
+        """Have hands that wait begin, if it is carried by hand."""
+        if isinstance(self._world, HandHeldWorld):
+            self._world.begin()
 
     async def run(self) -> None:
         """Go on until cancelled."""

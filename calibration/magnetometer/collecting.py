@@ -10,7 +10,6 @@ from typing import Final, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
@@ -44,7 +43,7 @@ async def collect(source: LiveSource, limits: Limits, console: Console) -> Recor
     """Collect until the sphere is covered or the time is up.
 
     Raises:
-        ConfigError: no samples come, or the port or the picture's file cannot be had.
+        ConfigError: no samples come, or the port cannot be had.
     """
     clock = Clock()
     start_s = looked_s = clock.now_s()
@@ -63,8 +62,10 @@ async def collect(source: LiveSource, limits: Limits, console: Console) -> Recor
                 if now.share >= ENOUGH and now.samples >= LEAST_SAMPLES:
                     break
     if limits.picture is not None and now.samples:
-        _save(limits.picture, picture(now))
-        console.print(f"coverage in {limits.picture}", highlight=False, markup=False)
+        # samples that took minutes are not given up for a picture
+        saved = cv2.imwrite(str(limits.picture), picture(now))
+        told = f"coverage in {limits.picture}" if saved else f"{limits.picture}: cannot be written"
+        console.print(told, highlight=False, markup=False)
     return source.recording()
 
 
@@ -82,11 +83,6 @@ async def _browser(port: int | None) -> AsyncIterator[MjpegServer | None]:
         yield server
     finally:
         await server.close()
-
-
-def _save(path: Path, image: NDArray[np.uint8]) -> None:
-    if not cv2.imwrite(str(path), image):
-        raise ConfigError(f"{path}: cannot be written")
 
 
 # ---------------------------------------------------------------- on the terminal

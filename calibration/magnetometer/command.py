@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -43,9 +44,10 @@ calibrate-magnetometer --connect udpin:0.0.0.0:14550 --position 47.40,8.55
 calibrate-magnetometer turns.csv --unit mG --position 47.40,8.55,430 --date 2026-05-01
 calibrate-magnetometer 00000042.BIN
 
-Exit codes: 0 calibrated, 1 refused as not good enough (nothing is written but with --force), 2 something that
-you can mend, 130 interrupted.
+Exit codes: 0 calibrated, 1 refused as not good enough (the picture shows why; a calibration is written with
+--force alone), 2 something that you can mend, 130 interrupted.
 """
+PICTURE_KINDS: Final = (".png", ".pdf", ".svg")
 _PLAIN_WIDTH: Final = 140
 _SEED: Final = 0  # of the robust start's random subsets: the same samples give the same file
 
@@ -152,7 +154,12 @@ def calibrate_command(
     objective = _choice("--fit", fit, ("auto", "likelihood", "residual"))
     year = year_of(date)
     field = field_by(position, year, settings, config)
-    _check_writable(output)
+    picture = None if no_plot else plot or output.with_suffix(".png")
+    _check_writable("--output", output)
+    if picture is not None:
+        _check_writable("--plot", picture)
+        if picture.suffix.lower() not in PICTURE_KINDS:
+            raise ConfigError(f"--plot {picture}: expected a name that ends in {', '.join(PICTURE_KINDS)}")
     taken: Recording
     if recording is not None:
         if bus is not None or connect is not None or serve is not None:
@@ -172,7 +179,6 @@ def calibrate_command(
     console.print(result_table(done, field))
     for line in lines(done):
         console.print(line, highlight=False, markup=False)
-    picture = None if no_plot else plot or output.with_suffix(".png")
     _write(done, _Output(output, picture, force), console)
     return 0
 
@@ -198,15 +204,27 @@ def _calibrated(
 def _write(done: Calibrated, output: _Output, console: Console) -> None:
     file = done.file
     refused = file.quality.verdict == "refused"
-    if output.picture is not None:
-        write_picture(output.picture, done)
-        console.print(f"picture in {output.picture}", highlight=False, markup=False)
+    problem = _draw(done, output.picture, console)
     if refused and not output.force:
         raise RefusedError(f"{done.recording.source}: {file.quality.reasons[0]}")
     if refused:
         file = file.model_copy(update={"quality": file.quality.model_copy(update={"forced": True})})
     write_atomically(output.file, yaml_text(file))
     console.print(f"calibration in {output.file}", highlight=False, markup=False)
+    if problem is not None:
+        raise problem
+
+
+def _draw(done: Calibrated, picture: Path | None, console: Console) -> ConfigError | None:
+    """Write the picture, if one is wanted; what kept it from being written must not cost the calibration."""
+    if picture is None:
+        return None
+    try:
+        write_picture(picture, done)
+    except ConfigError as error:
+        return error
+    console.print(f"picture in {picture}", highlight=False, markup=False)
+    return None
 
 
 async def _live(
@@ -249,10 +267,11 @@ def _version() -> str:
         return "(not installed)"
 
 
-def _check_writable(path: Path) -> None:
+def _check_writable(option: str, path: Path) -> None:
     """Before anybody turns a vehicle about for minutes."""
-    if path.is_dir() or not path.resolve().parent.is_dir():
-        raise ConfigError(f"--output {path}: cannot be written; expected a file in an existing folder")
+    folder = path.resolve().parent
+    if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise ConfigError(f"{option} {path}: cannot be written; expected a file in a folder of yours")
 
 
 def main() -> None:

@@ -100,10 +100,17 @@ def robust_start(raw: FloatArray, rng: np.random.Generator) -> Ellipsoid:
         NoEllipsoidError: they determine none.
     """
     scored = raw[rng.permutation(len(raw))[:_SCORED]]
-    candidates = [algebraic_fit(raw)]
+    candidates, problem = [], None
+    try:
+        candidates.append(algebraic_fit(raw))
+    except NoEllipsoidError as error:
+        # a wild reading may be all there is to see in them
+        problem = error
     for _ in range(_SUBSETS if len(raw) > 2 * _SUBSET else 0):
         with contextlib.suppress(NoEllipsoidError):
             candidates.append(algebraic_fit(scored[rng.choice(len(scored), _SUBSET, replace=False)]))
+    if problem is not None and not candidates:
+        raise problem
     candidates.sort(key=lambda each: _median_distance(each, scored))
     promising = candidates[:_PROMISING]
     concentrated = [_concentrated(each, scored) for each in promising]

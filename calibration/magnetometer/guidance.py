@@ -1,7 +1,7 @@
 """While the vehicle is turned about: how much of the sphere is covered, what is missing, how to turn there.
 
-Directions are the field's in body axes (FRD). A rotation of the vehicle about its own axes is told as a
-person does it: roll, nose up or down, turn.
+Directions are the field's in body axes (FRD), raw fields in µT. A rotation of the vehicle about its own axes
+is told as a person does it: roll, nose up or down, turn.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ _LEAST_SAMPLES: Final = 30
 _HOLE_COSINE: Final = math.cos(math.radians(40.0))
 _WORTH_TELLING_DEG: Final = 15.0
 _WORST_RATIO: Final = 3.0
+# a smaller ellipsoid is not the Earth's field turned about, but a sensor's noise where it is held still
+_LEAST_FIELD_UT: Final = 15.0
 _CENTRES: Final = lattice(CELLS)
 _TURNS: Final = (("roll right", "roll left"), ("nose up", "nose down"), ("turn right", "turn left"))
 _FACES: Final = (("nose", "tail"), ("right side", "left side"), ("belly", "top"))
@@ -66,12 +68,13 @@ def rough_ellipsoid(raw: FloatArray) -> Ellipsoid:
         lengths = np.linalg.eigvalsh(ellipsoid.matrix)
         low, high = raw.min(axis=0), raw.max(axis=0)
         inside = bool(np.all((ellipsoid.centre > low) & (ellipsoid.centre < high)))
-        if inside and lengths[2] / lengths[0] < _WORST_RATIO:
+        large = 1.0 / lengths[2] >= _LEAST_FIELD_UT
+        if inside and large and lengths[2] / lengths[0] < _WORST_RATIO:
             return ellipsoid
     except NoEllipsoidError:
         pass
     low, high = np.percentile(raw, [1.0, 99.0], axis=0)
-    radius = max(0.5 * float(np.max(high - low)), 1e-9)
+    radius = max(0.5 * float(np.max(high - low)), _LEAST_FIELD_UT)
     return Ellipsoid(np.eye(3) / radius, 0.5 * (low + high))
 
 

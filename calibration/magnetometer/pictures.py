@@ -24,7 +24,7 @@ _AXES: Final = "xyz"
 
 
 def write_picture(path: Path, done: Calibrated) -> None:
-    """Write the figure as PNG.
+    """Write the figure, by its suffix as PNG, PDF or SVG.
 
     Raises:
         ConfigError: it cannot be written.

@@ -14,6 +14,7 @@ from companion.geometry import FloatArray
 from companion.messages import ImuSample, MagSample
 from companion.replay.flight_record import Place
 
+MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
 LEAST_SAMPLES: Final = 50  # fewer are no recording of a turn at all
 _PAIRED_S: Final = 0.1  # an accelerometer's sample this near in time is the magnetometer's
 
@@ -52,7 +53,8 @@ class Recording:
         Raises:
             ConfigError: too few are left.
         """
-        finite = np.isfinite(self.raw).all(axis=1)
+        # a comparison with no number is false
+        finite = (np.abs(self.raw) < MOST_FIELD).all(axis=1)
         if self.force is not None and not np.isfinite(self.force).all(axis=1).any():
             self.force = None
         self.raw = self.raw[finite]

@@ -14,9 +14,10 @@ import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibration.magnetometer.units import unit_called
 from companion.config import ConfigError
@@ -25,6 +26,10 @@ from companion.geometry import FloatArray
 _SEPARATORS: Final = (",", ";", "\t", None)  # None: blanks
 _LEAST_ROWS: Final = 3
 _MAGNETOMETER: Final = re.compile(r"^(m|b|h|mf|.*mag.*|.*compass.*)$")
+# beside one that has been through a calibration
+_RAW_MAGNETOMETER: Final = re.compile(r"^(?=.*(mag|compass))(?=.*(raw|uncal)).*$")
+_NAMELESS: Final = re.compile(r"^$")
+_OTHER: Final = re.compile(r"^(a|f|g|w|.*acc.*|.*specificforce.*|.*gyr.*|.*rate.*|.*vel.*|.*pos.*)$")
 _ACCELEROMETER: Final = re.compile(r"^(a|f|.*acc.*|.*specificforce.*)$")
 _WORD: Final = re.compile(r"[a-zµμ]+|\d+")
 _BRACKETS: Final = re.compile(r"[\[({]([^\])}]*)[\])}]")
@@ -124,11 +129,10 @@ def _chosen(path: Path, columns: str, names: list[str], width: int) -> list[int]
 def _found(path: Path, names: list[str], values: FloatArray, notes: list[str]) -> list[int]:
     """The magnetometer's columns by their names, or by their places when there are none."""
     numeric = np.flatnonzero(np.isfinite(values).mean(axis=0) > 0.5).tolist()
-    if (found := _triple(names, _MAGNETOMETER)) is not None:
-        return found
-    if names and (plain := _triple(names, re.compile("^$"))) is not None:
-        return plain
-    if names and len(numeric) != 3:
+    for wanted in (_RAW_MAGNETOMETER, _MAGNETOMETER, _NAMELESS):
+        if (found := _triple(names, wanted)) is not None:
+            return found
+    if names and (len(numeric) != 3 or _triple(names, _OTHER) is not None):
         raise ConfigError(
             f"{path}: no magnetometer's columns among {', '.join(names)}; expected mx, my, mz or alike, "
             "or --columns"
@@ -201,12 +205,18 @@ def read_numpy_table(path: Path) -> SampleTable:
 def _array(arrays: dict[str, Any], names: tuple[str, ...], letter: str) -> FloatArray | None:
     """An (n, 3) array by one of the names, or of three by axis."""
     single = [arrays.get(f"{letter}{axis}") for axis in "xyz"]
-    if all(each is not None and np.ndim(each) == 1 for each in single):
-        return np.stack([np.asarray(each, dtype=float) for each in single], axis=1)
+    columns = [np.asarray(each, dtype=float) for each in single if _is_numbers(each, 1)]
+    if len(columns) == 3 and len({len(column) for column in columns}) == 1:
+        return np.stack(columns, axis=1)
     for name in names:
         array = arrays.get(name)
-        if array is None or np.ndim(array) != 2 or 3 not in np.shape(array):
+        if not _is_numbers(array, 2) or 3 not in np.shape(array):
             continue
         rows: FloatArray = np.asarray(array, dtype=float)
         return rows if rows.shape[1] == 3 else rows.T
     return None
+
+
+def _is_numbers(array: Any, dimensions: int) -> TypeGuard[NDArray[Any]]:
+    """Whether an array is there, of so many dimensions and of real numbers."""
+    return array is not None and np.ndim(array) == dimensions and np.asarray(array).dtype.kind in "iuf"

@@ -12,9 +12,10 @@ from calibration.magnetometer.calibrate import TrueField
 from companion.clock import start_unix_s
 from companion.config import CompanionConfig, ConfigError
 from companion.geometry import Vector3
-from companion.magnetic_field import field_ned_ut
+from companion.magnetic_field import FIRST_YEAR, LAST_YEAR, field_ned_ut
 from companion.replay.flight_record import Place
 
+_CARRIED_ON_YEARS: Final = 10.0  # the model errs by a degree or so as far beyond its years
 _POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")
 
 
@@ -58,15 +59,18 @@ def year_of(date: str | None) -> float | None:
     """A date as a decimal year.
 
     Raises:
-        ConfigError: it is none.
+        ConfigError: it is none, or so far off that the model knows nothing of it.
     """
     if date is None:
         return None
     try:
-        return _decimal(datetime.fromisoformat(date).replace(tzinfo=UTC))
+        year = _decimal(datetime.fromisoformat(date).replace(tzinfo=UTC))
     except ValueError:
-        pass
-    raise ConfigError(f"--date {date}: expected YYYY-MM-DD")
+        year = math.nan
+    if not FIRST_YEAR - _CARRIED_ON_YEARS <= year <= LAST_YEAR + _CARRIED_ON_YEARS:
+        first, last = FIRST_YEAR - _CARRIED_ON_YEARS, LAST_YEAR + _CARRIED_ON_YEARS
+        raise ConfigError(f"--date {date}: expected YYYY-MM-DD, from {first:.0f} to {last:.0f}")
+    return year
 
 
 def _decimal(date: datetime) -> float:

@@ -72,6 +72,8 @@ _ADVICE: Final[dict[Part, str]] = {
     "surface under it",
     "compass": "the compass is disturbed or not calibrated: run calibrate-magnetometer, keep away from iron; "
     "estimate.magnetic_field_ned_ut is the field that is expected",
+    "compass axes": "the compass does not sit as the settings say, or is disturbed: its orientation in the "
+    "autopilot (COMPASS_ORIENT, CAL_MAG0_ROT), or a calibration file of another sensor",
     "pad": "the pad does not lie level, or camera_tilt_deg ({m.camera_tilt_deg:g}) of the vehicle "
     "'{m.vehicle}' is off: calibrate-mount measures it",
     "sight": "the pad '{m.pad}' or the move was not seen: the settings' pad is the printed one, whole in "
@@ -151,7 +153,7 @@ def imu_cause(evidence: Evidence, mounting: Mounting) -> str:
             "axes is wrong, or the moves were not as asked"
         )
     if np.allclose(best, np.eye(3)):
-        return "the IMU's scale or zero: calibrate-mount measures them"
+        return "one of the IMU's axes: its scale, sign or zero; calibrate-mount measures scale and zero"
     configured = mounting.body_from_sensor_deg
     fitting = angles_of(best @ matrix_from_quat(_quaternion(configured)))
     shown, right = (", ".join(f"{angle:g}" for angle in angles) for angles in (configured, fitting))

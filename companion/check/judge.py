@@ -12,9 +12,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from companion.check.moves import Move, down_by_force, down_by_pad
+from companion.check.moves import Move, carried_along, down_by_force, down_by_pad
 from companion.check.rest import Rest
 from companion.geometry import (
+    GRAVITY_M_S2,
     Vector3,
     cross,
     dot,
@@ -24,7 +25,9 @@ from companion.geometry import (
 )
 
 # what may be to blame for a finding
-Part = Literal["camera", "imu", "range", "scale", "compass", "pad", "hand", "sight", "mirror", "loss"]
+Part = Literal[
+    "camera", "imu", "range", "scale", "compass", "compass axes", "pad", "hand", "sight", "mirror", "loss"
+]
 
 ASTRAY_RAD: Final = math.radians(35.0)  # further from what was asked is another direction
 LEVEL_RAD: Final = math.radians(10.0)  # held by hand, on an accelerometer from the shop
@@ -36,6 +39,10 @@ HEIGHT: Final = (0.04, 0.07)  # likewise between two heights (m)
 FIELD_SHARE: Final = 0.35
 DIP_RAD: Final = math.radians(25.0)
 COMPASS_TURN: Final = (math.radians(10.0), 0.3)
+GRAVITY_SHARE: Final = 0.15  # 60 mg and 3 % by the data sheet, and a hand
+# what gravity and field may be off, by sensors that nobody has calibrated, after a turn by the gyroscope
+HORIZON_LEAN: Final = (math.radians(5.0), 0.3)
+COMPASS_LEAN: Final = (math.radians(10.0), 0.5)
 LEAST_IMU_WAY_M: Final = 0.08  # a shorter way has no direction, integrated twice
 
 
@@ -60,20 +67,23 @@ class Finding:
 def angle_between(a: Vector3, b: Vector3) -> float:
     """Angle (rad) between two vectors; a right one where one of them has no length."""
     size = norm(a) * norm(b)
-    return 0.5 * math.pi if size < 1e-9 else math.acos(max(-1.0, min(1.0, dot(a, b) / size)))
+    # no number is no direction either
+    return 0.5 * math.pi if not size >= 1e-9 else math.acos(max(-1.0, min(1.0, dot(a, b) / size)))
 
 
 # ---------------------------------------------------------------- at rest
 
 
 def judge_level(rest: Rest) -> Finding:
-    """Level reads level by the accelerometer."""
+    """Level reads level by the accelerometer, and gravity is as large as it is."""
     x, y, z = down_by_force(rest)
     roll, pitch = math.degrees(math.atan2(y, z)), math.degrees(math.atan2(-x, math.hypot(y, z)))
     tilt = angle_between((x, y, z), (0.0, 0.0, 1.0))
-    told = f"the accelerometer says roll {roll:+.0f}°, pitch {pitch:+.0f}°"
-    values = {"roll_deg": roll, "pitch_deg": pitch}
-    return Finding("level is level", told, () if tilt < LEVEL_RAD else ("imu",), values)
+    size = norm(rest.force_m_s2)
+    told = f"the accelerometer says roll {roll:+.0f}°, pitch {pitch:+.0f}°, gravity {size:.1f} m/s²"
+    values = {"roll_deg": roll, "pitch_deg": pitch, "gravity_m_s2": size}
+    good = tilt < LEVEL_RAD and abs(size - GRAVITY_M_S2) < GRAVITY_SHARE * GRAVITY_M_S2
+    return Finding("level is level", told, () if good else ("imu",), values)
 
 
 def judge_pad_level(rest: Rest, *, imu_is_level: bool = True) -> Finding:
@@ -158,6 +168,38 @@ def judge_compass_turn(before: Rest, after: Rest, imu: Move) -> Finding:
     values = {"compass_deg": math.degrees(turned), "gyro_deg": math.degrees(about_down)}
     good = _alike(turned, about_down, COMPASS_TURN)
     return Finding(name, told, () if good else ("compass",), values)
+
+
+def judge_lean(
+    step: str, before: Rest, after: Rest, imu: Move, *, compass_is_good: bool = True
+) -> list[Finding]:
+    """Gravity and the field lean against the body as the gyroscope says it leaned.
+
+    A turn about the vertical shows the compass's level part alone, and that in its own axes: one that sits
+    turned on its axis turns along all the same, and has every heading wrong. It leans otherwise; so does one
+    that has been found disturbed (not `compass_is_good`), of whose axes nothing can be said.
+    """
+    leaned = norm(imu.rotation_rad)
+    off = angle_between(carried_along(down_by_force(before), imu.rotation_rad), down_by_force(after))
+    findings = [_leant("accelerometer", step, off, leaned, HORIZON_LEAN, "imu")]
+    if before.field_ut is not None and after.field_ut is not None:
+        off = angle_between(carried_along(before.field_ut, imu.rotation_rad), after.field_ut)
+        part: Part = "compass axes" if compass_is_good else "compass"
+        findings.append(_leant("compass", step, off, leaned, COMPASS_LEAN, part))
+    return findings
+
+
+def _leant(
+    sensor: str, step: str, off: float, leaned: float, tolerance: tuple[float, float], blamed: Part
+) -> Finding:
+    least, share = tolerance
+    off_deg, leaned_deg = math.degrees(off), math.degrees(leaned)
+    return Finding(
+        f"{sensor} leans along, {step}",
+        f"{off_deg:.0f}° off what the gyroscope's {leaned_deg:.0f}° make of it",
+        () if off <= max(least, share * leaned) else (blamed,),
+        {"off_deg": off_deg, "leaned_deg": leaned_deg},
+    )
 
 
 def _turned_about_down(before: Rest, after: Rest) -> float:

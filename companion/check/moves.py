@@ -28,6 +28,7 @@ from companion.geometry import (
     dot,
     norm,
     quat_conjugate,
+    quat_from_rotation_vector,
     quat_integrate,
     quat_multiply,
     quat_normalise,
@@ -59,6 +60,11 @@ def down_by_force(rest: Rest) -> Vector3:
 def down_by_pad(rest: Rest) -> Vector3:
     """Where down is in body axes, by a pad that lies level."""
     return quat_rotate(rest.body_from_pad, DOWN)
+
+
+def carried_along(vector_body: Vector3, rotation_rad: Vector3) -> Vector3:
+    """What stands still in the world, in body axes before a rotation, in those after it."""
+    return quat_rotate_inverse(quat_from_rotation_vector(rotation_rad), vector_body)
 
 
 def levelled(down_body: Vector3) -> Quaternion:
@@ -113,9 +119,15 @@ def imu_move(before: Rest, after: Rest, imu: Sequence[ImuSample], rate_bias_rad_
     return Move(rotation_vector_from_quat(turned), vector3(displacement))
 
 
-def longest_gap_s(imu: Sequence[ImuSample]) -> float:
-    """The longest time without a sample: over a long one nothing can be integrated."""
-    return max((new.time_s - old.time_s for old, new in pairwise(imu)), default=0.0)
+def longest_gap_s(imu: Sequence[ImuSample], start_s: float, end_s: float) -> float:
+    """The longest time without a sample that is not all before the start or after the end.
+
+    Over a long one no move can be integrated; over a rest, in which nothing changes, it can.
+    """
+    gaps = (
+        new.time_s - old.time_s for old, new in pairwise(imu) if new.time_s > start_s and old.time_s < end_s
+    )
+    return max(gaps, default=0.0)
 
 
 def _attitudes(imu: Sequence[ImuSample], rate_bias_rad_s: Vector3) -> list[Quaternion]:

@@ -97,6 +97,7 @@ class PadCheck:
         )
         self._mounting = _mounting(config, vehicle)
         self._wizard: Wizard | None = None
+        self._heard_s = self._clock.now_s()
 
     async def run(self) -> Report:
         """Check; ends by itself, after at most a minute a step.
@@ -126,6 +127,7 @@ class PadCheck:
         """Step the wizard until it has asked all."""
         if self._linked:
             await self._await_autopilot()
+        self._heard_s = self._clock.now_s()
         wizard = self._wizard = Wizard(self._mounting, self._clock.now_s())
         while not wizard.finished:
             self._refuse_armed()
@@ -147,9 +149,17 @@ class PadCheck:
             await asyncio.sleep(STEP_PERIOD_S)
 
     def _refuse_armed(self) -> None:
-        state = self._session.state
+        """Nobody is led about an armed vehicle, nor about one of which that is not known any more."""
+        state, now_s = self._session.state, self._clock.now_s()
         if state.connected and state.armed:
             raise ConfigError(ARMED)
+        if state.connected or not self._linked:
+            self._heard_s = now_s
+        elif now_s - self._heard_s > LINK_PATIENCE_S:
+            raise ConfigError(
+                f"link.connection {self._config.link.connection}: the autopilot has fallen silent for "
+                f"{LINK_PATIENCE_S:g} s; expected its heartbeat, or --no-link"
+            )
 
     async def _receive_task(self) -> None:
         while True:

@@ -24,6 +24,7 @@ from companion.check.judge import (
     judge_compass,
     judge_compass_turn,
     judge_height,
+    judge_lean,
     judge_level,
     judge_pad_level,
     judge_shift,
@@ -45,6 +46,8 @@ BACK_SHARE: Final = 0.5
 MOST_REPEATS: Final = 1
 # what a step is asked for again for: another move than asked, a move that the IMU has not seen all of
 REPEATED: Final[tuple[tuple[Part, ...], ...]] = (("hand",), ("loss",))
+# whose answer says nothing of the gyroscope, which the others are held against
+UNUSABLE: Final[frozenset[Part]] = frozenset({"imu", "hand", "loss"})
 LONGEST_GAP_S: Final = 0.1
 # beginning and end of a move pass for rest; so long apart from it nothing of it is left in a mean
 SETTLED_S: Final = 0.6
@@ -188,7 +191,7 @@ class Wizard:
         step = STEPS[self._number]
         imu = within(samples.imu, before.start_s, after.end_s)
         moves = camera_move(before, after), imu_move(before, after, imu, self._rate_bias())
-        finding = self._finding(step, moves, longest_gap_s(imu))
+        finding = self._finding(step, moves, longest_gap_s(imu, before.end_s, after.start_s))
         if finding.blamed in REPEATED and self._repeats < MOST_REPEATS:
             self._repeats += 1
             self._say(f"{step.name}: {finding.told}; once more", "bad")
@@ -198,6 +201,8 @@ class Wizard:
         self._found(finding)
         if finding.blamed not in REPEATED:
             self._keep(step, before, after, moves)
+        if step.kind == "turn" and UNUSABLE.isdisjoint(finding.blamed):
+            self._compare(step, before, after, moves[1])
         if step.kind == "lift":
             # the other steps are made up here
             self._base = after
@@ -215,8 +220,15 @@ class Wizard:
                 self._evidence.shifts.append((step.axis, *moves))
             case "turn":
                 self._evidence.turns.append((step.axis, *moves))
-                if step.axis[2] != 0.0:
-                    self._found(judge_compass_turn(before, after, moves[1]))
+
+    def _compare(self, step: Step, before: Rest, after: Rest, imu: Move) -> None:
+        """A turn that the gyroscope has right, by the compass and the accelerometer."""
+        if step.axis[2] != 0.0:
+            self._found(judge_compass_turn(before, after, imu))
+        else:
+            good = not any("compass" in finding.blamed for finding in self._findings)
+            for finding in judge_lean(step.name, before, after, imu, compass_is_good=good):
+                self._found(finding)
 
     def _finding(self, step: Step, moves: tuple[Move, Move], gap_s: float) -> Finding:
         """The answer to a step, moved so by camera and IMU, the IMU with a gap of so long."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -45,8 +46,12 @@ def answer(device: RegisterDevice, request: bytes) -> bytes:
     return encode_reply(0)
 
 
-async def serve_registers(device: RegisterDevice, path: Path) -> UnixServer:
+async def serve_registers(
+    device: RegisterDevice, path: Path, on_client: Callable[[], None] = lambda: None
+) -> UnixServer:
     """Start serving `device` at the socket `path`, replacing a stale one; close the server to end.
+
+    `on_client` is called for each client, once it asks something.
 
     Raises:
         ConfigError: the path cannot be used.
@@ -54,9 +59,12 @@ async def serve_registers(device: RegisterDevice, path: Path) -> UnixServer:
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
+            request = await reader.readexactly(REQUEST_BYTES)
+            on_client()
             while True:
-                writer.write(answer(device, await reader.readexactly(REQUEST_BYTES)))
+                writer.write(answer(device, request))
                 await writer.drain()
+                request = await reader.readexactly(REQUEST_BYTES)
         except (asyncio.IncompleteReadError, ConnectionError, BusFormatError):
             pass  # the app went away, or speaks something else: either way the conversation is over
         finally:

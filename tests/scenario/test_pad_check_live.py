@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -24,17 +22,24 @@ FORCE = 21196
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[dict[str, Any]]:
-    """A vehicle that stands on its pad, as a process; yields the app's settings that lead there."""
-    words = ("-m", "sitl.cli", "hold", "--child", "--motion", "still", "--folder", str(folder))
+def held(folder: Path) -> Iterator[Path]:
+    """A vehicle that stands on its pad, as a process; yields the settings file that it has written."""
+    settings = folder / "mine.yaml"
+    ports = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
+    words = ("-m", "sitl.cli", "hold", "--motion", "still", "--folder", str(folder), *ports)
     with subprocess.Popen(
-        (sys.executable, *words), cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        (sys.executable, *words, "--settings", str(settings)), cwd=ROOT, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
         try:
-            yield json.loads(process.stdout.readline())
+            for line in process.stdout:
+                if str(settings) in line:
+                    break
+            yield settings
         finally:
+            process.terminate()
             process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
 
 
 def arm(connection: str) -> None:
@@ -51,9 +56,7 @@ def arm(connection: str) -> None:
 
 
 def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: Path) -> None:
-    with held(tmp_path) as endpoints:
-        path = tmp_path / "mine.yaml"
-        path.write_text(yaml.safe_dump(endpoints))
+    with held(tmp_path) as path:
         command = (
             sys.executable,
             "-m",
@@ -76,7 +79,7 @@ def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: P
                 said.append(line.strip())
                 if "Raise it" in line:
                     break
-            arm(endpoints["link"]["connection"])
+            arm(yaml.safe_load(path.read_text())["link"]["connection"])
             _, errors = process.communicate()
             guard.cancel()
     assert said[0].startswith("picture at http://127.0.0.1:")

@@ -10,7 +10,7 @@ import yaml
 
 from calibration.command_line import run
 from calibration.magnetometer import command
-from companion.config import load_model
+from companion.config import ConfigError, load_model
 from companion.config.magnetometer import MagnetometerCalibration
 from companion.geometry import FloatArray
 from companion.magnetic_field import field_ned_ut
@@ -109,6 +109,18 @@ def test_interrupted_it_leaves_nothing(
     assert sorted(path.name for path in Path().iterdir()) == ["a.csv"]
 
 
+def test_a_picture_that_cannot_be_written_does_not_cost_the_calibration(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(path: Path, _: object) -> None:
+        raise ConfigError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr(command, "write_picture", full)
+    assert calibrate(csv("a.csv", CASE.raw)) == 2
+    assert "magnetometer.png: cannot be written" in capsys.readouterr().err
+    assert load_model(MagnetometerCalibration, Path("magnetometer.yaml")).quality.verdict == "usable"
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -124,6 +136,9 @@ def test_interrupted_it_leaves_nothing(
         (("a.csv", "--sensor", "bmm"), "--sensor bmm: expected mpu9250, autopilot or other"),
         (("a.csv", "--fit", "best"), "--fit best: expected auto, likelihood or residual"),
         (("a.csv", "-o", "no/where.yaml"), "--output no/where.yaml: cannot be written"),
+        (("a.csv", "--plot", "no/where.png"), "--plot no/where.png: cannot be written"),
+        (("a.csv", "--plot", "a.xyz"), "--plot a.xyz: expected a name that ends in .png"),
+        (("a.csv", "--date", "0001-01-01"), "--date 0001-01-01: expected YYYY-MM-DD, from 2000 to 2040"),
         (("a.csv", "--colour"), "see calibrate-magnetometer --help"),
     ],
 )

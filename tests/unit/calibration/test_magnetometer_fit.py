@@ -60,6 +60,16 @@ def test_outliers_are_dropped(half: bool, share: float) -> None:
         assert 0.8 * share < 1.0 - fit.kept.mean() < 1.05 * share + 0.02
 
 
+@pytest.mark.parametrize("wild", [1e4, 1e9, 1e30])
+def test_one_reading_however_wild_changes_nothing(wild: float) -> None:
+    case = turned(3, samples=800)
+    raw = case.raw.copy()
+    raw[400] = (wild, -wild, 0.0)
+    fit = fit_ellipsoid(raw, np.random.default_rng(0))
+    assert not fit.kept[400]
+    assert fit.ellipsoid.centre == pytest.approx(fitted(case).ellipsoid.centre, abs=0.1 * FIELD_UT / 100.0)
+
+
 def test_the_unit_does_not_matter() -> None:
     case = turned(2)
     one, other = fitted(case), fit_ellipsoid(case.raw * 327.0, np.random.default_rng(0))

@@ -59,6 +59,15 @@ def test_progress_grows_to_the_whole_and_shows_no_more_than_there_is() -> None:
     assert 0.4 < half.share < 0.75
 
 
+@pytest.mark.parametrize("noise_ut", [0.3, 0.6, 2.0])
+def test_a_sensor_that_is_held_still_covers_nothing(noise_ut: float) -> None:
+    """Its noise is a ball with points on all sides, which is no sphere that it was turned about on."""
+    still = np.random.default_rng(0).normal((20.0, -5.0, 40.0), noise_ut, (1000, 3))
+    assert progress(still, None, np.eye(3)).share < 0.1
+    on_a_grid = 0.15 * np.round(still / 0.15)
+    assert progress(on_a_grid, None, np.eye(3)).share < 0.1
+
+
 def test_a_few_still_samples_cover_next_to_nothing() -> None:
     still = np.random.default_rng(0).normal((20.0, -5.0, 40.0), 0.5, (400, 3))
     moved = still + np.linspace(0.0, 10.0, 400)[:, None] * (1.0, 0.0, 0.0)

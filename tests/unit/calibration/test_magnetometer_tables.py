@@ -66,6 +66,16 @@ def test_an_accelerometer_beside_it_is_taken(tmp_path: Path) -> None:
     assert recording.force == pytest.approx(FORCE, abs=1e-4)
 
 
+def test_of_two_magnetometers_the_raw_one_is_taken(tmp_path: Path) -> None:
+    heading = "mag_cal_x,mag_cal_y,mag_cal_z,mag_raw_x,mag_raw_y,mag_raw_z\n"
+    assert read(tmp_path / "a.csv", table(heading, with_force)).raw == pytest.approx(RAW, abs=1e-4)
+
+
+def test_numbers_that_no_sensor_measures_are_passed_over(tmp_path: Path) -> None:
+    text = table("mx,my,mz\n", RAW) + "1e30,0,0\n0,-1e200,0\nnan,1,2\n0,inf,1\n"
+    assert read(tmp_path / "a.csv", text).raw == pytest.approx(RAW, abs=1e-4)
+
+
 @pytest.mark.parametrize("columns", ["c,d,e", "4,5,6"])
 def test_columns_can_be_named(tmp_path: Path, columns: str) -> None:
     rows = np.hstack([FORCE, RAW, FORCE])
@@ -118,6 +128,8 @@ def test_numpys_arrays_are_read(tmp_path: Path) -> None:
         ("", {}, "no table in it"),
         ("hello\nworld\n", {}, "no table in it"),
         (table("a,b,c,d\n", with_time), {}, "no magnetometer's columns among a, b, c, d"),
+        (table("ax,ay,az\n", FORCE), {}, "no magnetometer's columns among ax, ay, az"),
+        (table("gyro_x;gyro_y;gyro_z\n", FORCE, ";"), {}, "no magnetometer's columns among gyro_x"),
         (table("a,b,c,d\n", with_time), {"columns": "b,c,x"}, "no column 'x'"),
         (table("a,b,c,d\n", with_time), {"columns": "b,c"}, "expected three columns"),
         (table("mx,my,mz\n", RAW), {"unit": "furlong"}, "--unit furlong: expected one of"),
@@ -141,3 +153,18 @@ def test_files_that_are_not_there_or_not_what_they_seem(tmp_path: Path) -> None:
     np.savez(tmp_path / "y.npz", other=RAW)
     with pytest.raises(ConfigError, match="no magnetometer among other"):
         read_numpy_table(tmp_path / "y.npz")
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"mag": RAW.astype(str)},
+        {"mag": RAW * 1j},
+        {"mag": RAW.astype("datetime64[s]")},
+        {"mx": RAW[:, 0], "my": RAW[:, 1], "mz": RAW[1:, 2]},
+    ],
+)
+def test_arrays_that_are_no_fields_are_told(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+    np.savez(tmp_path / "a.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="no magnetometer among m"):
+        read_numpy_table(tmp_path / "a.npz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -104,6 +105,10 @@ class Heard(Samples):
         super().add_sighting(sighting)
 
 
+def _nowhere(data: bytes) -> None:
+    """Where what is written gets lost."""
+
+
 def mirrored(frame: Frame) -> Frame:
     """As a flip in the driver makes it."""
     return replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1]))
@@ -143,9 +148,14 @@ def check(
     linked: bool = False,
     deaf: bool = False,
     arm: bool = False,
+    silent_from_s: float | None = None,
     **scenario: Any,
 ) -> Checked:
-    """Run a whole check; `deaf`: nobody is at the other end of the line, `arm`: the vehicle is armed."""
+    """Run a whole check.
+
+    `deaf`: nobody is at the other end of the line, `silent_from_s`: nobody any more, `arm`: the vehicle is
+    armed.
+    """
     pad = {"motion": {"kind": "static", "meet": {"point_ned_m": [10.0, 0.0]}}}
     # ten frames a second are enough, and quick
     camera = {"rate_hz": 12.0, **scenario.pop("camera", {})}
@@ -160,6 +170,8 @@ def check(
         async with carried(carried_in, seed, motion, link=line) as vehicle:
             if arm:
                 vehicle.simulation.autopilot.arm(force=True)
+            if silent_from_s is not None:
+                asyncio.get_running_loop().call_later(silent_from_s, setattr, vehicle_end, "write", _nowhere)
             frames = vehicle.frames if change is None else ChangedFrames(vehicle.frames, change)
             boards = config is None or config.sense.source == "boards"
             hardware = Hardware(

@@ -40,7 +40,11 @@ QUESTIONS = (
     "turn right",
     "compass turns along",
     "roll right",
+    "accelerometer leans along, roll right",
+    "compass leans along, roll right",
     "nose up",
+    "accelerometer leans along, nose up",
+    "compass leans along, nose up",
 )
 # of the simulated hand: ten seconds, two to rise, four of rest; then it goes to the right
 RIGHT_MOVE_S = 16.5
@@ -107,6 +111,11 @@ def test_without_an_autopilot_it_says_how_to_do_without() -> None:
         ConfigError, match="no autopilot heard within 10 s; expected its heartbeat, or --no-link"
     ):
         check(linked=True, deaf=True, camera={"rate_hz": 1.0})
+
+
+def test_an_autopilot_that_falls_silent_may_be_armed() -> None:
+    with pytest.raises(ConfigError, match="has fallen silent for 10 s; expected its heartbeat"):
+        check(linked=True, silent_from_s=5.0, motion="still", camera={"rate_hz": 1.0})
 
 
 def test_an_armed_vehicle_is_refused() -> None:
@@ -274,7 +283,61 @@ def test_a_strong_magnet_is_noticed() -> None:
         x, y, z = sample.field_body_ut
         return replace(sample, field_body_ut=(x + 60.0, y, z))
 
-    assert "compass" in failed(again(near_a_magnet))
+    report = again(near_a_magnet)
+    assert "compass" in failed(report)
+    # of where a disturbed one points nothing is said
+    assert not any("COMPASS_ORIENT" in cause for cause in report.causes.values())
+
+
+LEANS = {"roll right", "nose up"}
+
+
+@pytest.mark.parametrize("turned_deg", [45.0, 90.0, 180.0])
+def test_a_compass_that_sits_turned_on_its_axis_has_every_heading_wrong(turned_deg: float) -> None:
+    turn = euler(0.0, 0.0, turned_deg)
+
+    def change(sample: Any) -> Any:
+        if not isinstance(sample, MagSample):
+            return sample
+        return replace(sample, field_body_ut=quat_rotate(turn, sample.field_body_ut))
+
+    report = again(change)
+    # strength, dip and turns about the vertical show nothing of it
+    assert failed(report) == {f"compass leans along, {lean}" for lean in LEANS}
+    assert "COMPASS_ORIENT" in report.causes["compass leans along, nose up"]
+
+
+@pytest.mark.parametrize("factors", [(0.5, 1.0, 1.0), (1.0, 2.0, 1.0), (0.5, 0.5, 0.5), (2.0, 2.0, 2.0)])
+def test_an_accelerometer_of_another_range_is_noticed(factors: Vector3) -> None:
+    def change(sample: Any) -> Any:
+        if not isinstance(sample, ImuSample):
+            return sample
+        x, y, z = (f * a for f, a in zip(factors, sample.specific_force_body_m_s2, strict=True))
+        return replace(sample, specific_force_body_m_s2=(x, y, z))
+
+    wrong = {"level is level"} if len(set(factors)) == 1 else {"accelerometer leans along, "}
+    assert any(name.startswith(tuple(wrong)) for name in failed(again(change)))
+
+
+def test_no_number_is_no_right_answer() -> None:
+    def change(sample: Any) -> Any:
+        if not isinstance(sample, ImuSample):
+            return sample
+        return replace(sample, specific_force_body_m_s2=(float("nan"),) * 3)
+
+    assert "level is level" in failed(again(change))
+
+
+def test_samples_that_are_lost_at_rest_cost_nothing() -> None:
+    """The hand rests from 12 to 16 s."""
+    lost_s = RIGHT_MOVE_S - 2.0
+
+    def losing(sample: Any) -> Any | None:
+        return None if isinstance(sample, ImuSample) and lost_s < sample.time_s < lost_s + 0.3 else sample
+
+    said = list[Say]()
+    assert again(losing, said).passed
+    assert not any("missing" in line.text for line in said)
 
 
 def test_a_move_that_the_imu_missed_is_asked_for_again_and_another_move_is_no_answer() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import subprocess
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.bus_format import REPLY_HEADER_BYTES, WriteRequest, encode_request
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import (
     CONFIG_FOLDER,
@@ -26,6 +28,7 @@ from companion.config import (
 )
 from companion.geometry import (
     FloatArray,
+    Vector3,
     add,
     matrix_from_quat,
     quat_conjugate,
@@ -41,6 +44,8 @@ from companion.pad import load_pad
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.vision import Vision
 from sitl.cli import main
+from sitl.devices.register_server import serve_registers
+from sitl.frame_server import FrameServer
 from sitl.hand_held import HandHeldWorld
 from sitl.hand_paths import FACES, HAND_MOTIONS, HandMotion
 from sitl.in_process import InProcess, carried
@@ -222,6 +227,87 @@ def test_the_pad_stays_in_view(motion: HandMotion, length_s: float, share: float
         assert np.mean(seen) >= share
 
     run_in_virtual_time(main())
+
+
+def test_a_world_that_fails_is_told() -> None:
+    async def main() -> None:
+        async with carried(STATIC, 0, "still", camera=False) as vehicle:
+            vehicle.simulation.world.step = broken  # type: ignore[method-assign,assignment]
+            await asyncio.sleep(1.0)
+
+    def broken(*_: object) -> None:
+        raise ArithmeticError("the world has ended")
+
+    with pytest.raises(ExceptionGroup, match="TaskGroup") as caught:
+        run_in_virtual_time(main())
+    assert [str(each) for each in caught.value.exceptions] == ["the world has ended"]
+
+
+# ---------------------------------------------------------------- waiting for somebody to look on
+
+
+def carried_on(world: HandHeldWorld, time_s: float) -> list[Vector3]:
+    """Where it has been, from now on."""
+    places = []
+    while world.time_s < time_s:
+        world.step(STOPPED, STEP_S)
+        places.append(world.state.position_ned_m)
+    return places
+
+
+def test_hands_that_wait_begin_when_they_are_told_to_and_again_once_they_have_done_all() -> None:
+    world = HandHeldWorld(STATIC, 3, "over-pad", waits=True)
+    waited = np.array(carried_on(world, 15.0))
+    assert np.ptp(waited, axis=0).max() < 0.03  # they tremble
+    assert np.ptp(waited, axis=0).max() > 0.002
+    world.begin()
+    risen = np.array(carried_on(world, 30.0))
+    world.begin()  # they do not begin anew half-way
+    done = np.array(carried_on(world, 90.0))
+    assert risen[-1, 2] < waited[-1, 2] - 0.3
+    assert done[-1, 2] == pytest.approx(waited[-1, 2], abs=0.03)
+    world.begin()
+    once_more = np.array(carried_on(world, 105.0))
+    assert once_more[-1, 2] == pytest.approx(risen[-1, 2], abs=0.03)
+    # no jump anywhere
+    steps = np.diff(np.concatenate([waited, risen, done, once_more]), axis=0)
+    assert np.abs(steps).max() < 1.0 * STEP_S
+
+
+def test_what_goes_on_for_ever_does_not_wait() -> None:
+    at_once, waiting = HandHeldWorld(STATIC, 3, "tumble"), HandHeldWorld(STATIC, 3, "tumble", waits=True)
+    assert carried_on(waiting, 0.5) == carried_on(at_once, 0.5)
+
+
+class Taking:
+    """A device that takes what is written."""
+
+    def read(self, address: int, register: int, length: int) -> bytes:
+        """Zeros."""
+        return bytes(length)
+
+    def write(self, address: int, register: int, value: int) -> None:
+        """Nothing comes of it."""
+
+
+def test_a_client_that_comes_for_frames_or_registers_is_told(tmp_path: Path) -> None:
+    async def main() -> list[str]:
+        come: list[str] = []
+        frames = FrameServer(tmp_path / "camera")
+        await frames.start(lambda: come.append("frames"))
+        registers = await serve_registers(Taking(), tmp_path / "registers", lambda: come.append("bus"))
+        _, camera = await asyncio.open_unix_connection(tmp_path / "camera")
+        reader, bus = await asyncio.open_unix_connection(tmp_path / "registers")
+        for _ in range(2):
+            bus.write(encode_request(WriteRequest(0x68, 0x6B, 0)))
+            await reader.readexactly(REPLY_HEADER_BYTES)
+        camera.close()
+        bus.close()
+        await frames.close()
+        registers.close()
+        return come
+
+    assert sorted(asyncio.run(main())) == ["bus", "frames"]
 
 
 # ---------------------------------------------------------------- as a process
