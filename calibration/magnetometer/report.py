@@ -67,7 +67,9 @@ def lines(done: Calibrated) -> list[str]:
     said += [f"note: {note}" for note in done.recording.notes]
     if done.parameters and done.recording.onboard is not None:
         name = {"ardupilot": "ArduPilot", "px4": "PX4"}[done.recording.onboard.manner]
-        said.append(f"{name}: the same as parameters of its own (set these, or use the file: not both):")
+        # its matrix is symmetric: a rotation has no place in it
+        same = "the same but the alignment" if done.file.aligned else "the same"
+        said.append(f"{name}: {same} as parameters of its own (set these, or use the file: not both):")
         said += [f"  {key} {value:.5f}" for key, value in done.parameters.items()]
     return said
 
