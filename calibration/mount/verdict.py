@@ -19,6 +19,7 @@ from companion.geometry import FloatArray
 FEWEST_SIGHTINGS: Final = 120
 FEWEST_STRETCHES: Final = 6
 LEAST_KEPT: Final = 0.5
+MOST_ODD: Final = 0.25
 MOST_ROTATION_STD_DEG: Final = 0.5
 MOST_OFFSET_STD_S: Final = 0.003
 MOST_SCATTER: Final = 4.0
@@ -57,6 +58,11 @@ def _amount(solution: Solution) -> list[str]:
         found.append(
             f"{100 * (1 - share):.0f} % of the sightings contradict the rest; expected less than "
             f"{100 * (1 - LEAST_KEPT):.0f} % (another pad than the settings', or a picture upside down?)"
+        )
+    if solution.odd_stretches > MOST_ODD * solution.stretches:
+        found.append(
+            f"in {solution.odd_stretches} of {solution.stretches} stretches most sightings contradict the "
+            f"rest; expected {100 * MOST_ODD:.0f} % at most (did the camera or the pad slip meanwhile?)"
         )
     if not solution.converged:
         found.append("the fit did not settle; expected a longer recording with more motion")

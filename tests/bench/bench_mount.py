@@ -103,7 +103,7 @@ def solved(folder: Path) -> tuple[Solution, tuple[str, ...], MountCalibration]:
     recording = read_recording(folder)
     place = np.array(recording.vehicle.camera_position_body_m)
     found = solve(
-        recording.inertial, recording.sightings, place, shutter_s(recording), trust_in(recording, None, 0.02)
+        recording.inertial, recording.sightings, place, shutter_s(recording), trust_in(recording, 0.02)
     )
     against = reasons(found, configured_rotation(recording), place, 10.0)
     return found, against, mount_calibration(found, recording, against, "2026-01-01")

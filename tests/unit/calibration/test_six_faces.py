@@ -26,7 +26,7 @@ from calibration.mount.six_faces import (
     mounting_matrix,
 )
 from calibration.mount.table import canonical, read_table
-from companion.config import ConfigError, ImuConfig, InertialCalibration, load_inertial
+from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance
 from companion.geometry import GRAVITY_M_S2, FloatArray
 from companion.sense.mounting import body_axes
@@ -253,5 +253,7 @@ def test_the_driver_takes_the_file_of_the_settings(tmp_path: Path) -> None:
 def test_a_wrong_file_is_told(tmp_path: Path) -> None:
     path = tmp_path / "inertial.yaml"
     path.write_text("kind: mount\n")
+    imu = ImuConfig(inertial_calibration=str(path))
     with pytest.raises(ConfigError, match=r"inertial.yaml: kind: expected 'inertial'"):
-        load_inertial(ImuConfig(inertial_calibration=str(path)))
+        load_inertial(SenseConfig(imu=imu))
+    assert load_inertial(SenseConfig(imu=imu, source="autopilot")) is None  # it is not that one's
