@@ -61,7 +61,8 @@ class Solution:
     `kept` (k,) says which sightings were used, and `odd_stretches` in how many stretches most were not;
     `misses` (k, 6) are all sightings' residuals in their own standard deviations; `scatter` is how large
     those are against what was expected; `correlated` by how much the information was divided because they
-    hang together (both 1 for white noise as stated).
+    hang together (both 1 for white noise as stated). `halves` (4,) is by how much the recording's first half
+    would have it otherwise than the second: rotation about the body's axes (rad) and time offset (s).
     """
 
     unknowns: Unknowns
@@ -72,6 +73,7 @@ class Solution:
     misses: FloatArray
     scatter: float
     correlated: float
+    halves: FloatArray
     stretches: int
     odd_stretches: int
     converged: bool
@@ -305,17 +307,29 @@ class _Fit:
         linear = self._problem.linear(self._unknowns, self._begin)
         reduced = self._problem.reduced(linear, self._weight())
         which = self._problem.which
+        covariance = np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float)
         return Solution(
             unknowns=self._unknowns,
-            covariance=np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float),
+            covariance=covariance,
             coarse=coarse,
             sightings=self._problem.sightings,
             kept=self._kept,
             misses=linear.residuals,
             scatter=float(np.sqrt(self._scatter2)),
             correlated=self._correlated,
+            halves=_halves(reduced, covariance)[[0, 1, 2, OFFSET.start]],
             stretches=len(self._begin.position_m),
             odd_stretches=int(np.sum(np.bincount(which, self._kept) < 0.5 * np.bincount(which))),
             converged=self._converged,
             trust=trust,
         )
+
+
+def _halves(reduced: Reduced, covariance: FloatArray) -> FloatArray:
+    """The unknowns (35,) by the first half of the stretches less those by the second, to first order.
+
+    At the fit the scores of the halves cancel; each half alone, with half of the information, would step by
+    twice the covariance times its own.
+    """
+    scores = reduced.scores - reduced.scores.mean(axis=0)
+    return np.asarray(4.0 * covariance @ scores[: len(scores) // 2].sum(axis=0))

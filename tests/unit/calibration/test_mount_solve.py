@@ -148,10 +148,11 @@ def test_a_camera_turned_far_from_the_settings_is_refused(track: Track, solution
     assert not reasons(solution, elsewhere, PLACE, 20.0)
 
 
-def test_a_camera_that_slipped_meanwhile_is_refused(track: Track) -> None:
+@pytest.mark.parametrize("share", [0.5, 0.65])
+def test_a_camera_that_slipped_meanwhile_is_refused(track: Track, share: float) -> None:
     seen = track.sightings()
-    turn = exp(np.array([0.09, 0.0, 0.0]))
-    later = seen.time_s > 0.6 * SECONDS
+    turn = exp(np.array([0.06, 0.0, 0.0]))
+    later = seen.time_s > share * SECONDS
     slipped = replace(
         seen,
         camera_from_pad=np.where(later[:, None, None], turn @ seen.camera_from_pad, seen.camera_from_pad),
@@ -159,6 +160,13 @@ def test_a_camera_that_slipped_meanwhile_is_refused(track: Track) -> None:
     )
     told = refused(solve(track.inertial(), slipped, PLACE), track)
     assert "did the camera or the pad slip meanwhile?" in told
+
+
+def test_stamps_that_change_meanwhile_are_refused(track: Track) -> None:
+    seen = track.sightings()
+    changed = replace(seen, time_s=seen.time_s + 0.01 * (seen.time_s > 0.5 * SECONDS))
+    told = refused(solve(track.inertial(), changed, PLACE), track)
+    assert "the time offset changed by -8 ms meanwhile" in told
 
 
 def test_a_still_recording_is_refused() -> None:
