@@ -5,11 +5,13 @@
 In the order in which the documentation has it: the six faces first, then, with that inertial file in the
 settings, recordings of the hand-held vehicle (60 s of `sway` at most: it stops when that is enough), with a
 mount that is off by up to 4° about every axis and stamps that are off by up to 30 ms. The bar counts the
-camera's rotation against the gyroscope's axes. Two more are shown beside it. Against the airframe, with what is
-stated of it: a chip whose axes are askew by 0.3° (what the simulator leaves of its ±2 % cross-axis
-sensitivity) knows no better. And tilted against what the accelerometer takes for level, which is what a flight
-feels, since its attitude comes from there: with the six faces, and what it would be without. Prints tables and ends in one line that says
-which bars hold; the exit status matches. There are no recordings of real vehicles: DATA is not looked at.
+camera's rotation against the gyroscope's axes. Two more are shown beside it. Against the airframe, with what
+is stated of it: a chip whose axes are askew by 0.3° (what the simulator leaves of its ±2 % cross-axis
+sensitivity) knows no better. And tilted against what the accelerometer takes for level, which is what a
+flight feels, since its attitude comes from there: with the six faces, and what it would be without.
+
+Prints tables and ends in one line that says which bars hold; the exit status matches. There are no recordings
+of real vehicles: DATA is not looked at.
 """
 
 from __future__ import annotations
@@ -228,9 +230,10 @@ def worst_line(rows: Sequence[Row]) -> str:
     """What to remember of the table."""
     air = np.degrees([np.linalg.norm(row.to_body) for row in rows])
     level = np.array([row.off_level_deg for row in rows])
+    turned = max(row.rotation_deg for row in rows)
     return (
-        f"worst of {len(rows)}: rotation {max(row.rotation_deg for row in rows):.2f}°; against the airframe "
-        f"{air.max():.2f}° (mean {air.mean():.2f}); off what is felt for level {level[:, 0].max():.2f}° (mean "
+        f"worst of {len(rows)}: rotation {turned:.2f}°; against the airframe {air.max():.2f}° (mean "
+        f"{air.mean():.2f}); off what is felt for level {level[:, 0].max():.2f}° (mean "
         f"{level[:, 0].mean():.2f}), without the six faces {level[:, 1].max():.2f}° (mean "
         f"{level[:, 1].mean():.2f})"
     )
