@@ -133,6 +133,9 @@ async def record(
             log.discard()
             raise
         log.close()
+        if log.problem is not None:  # the last of it is written at the end
+            log.discard()
+            raise ConfigError(f"{folder}: {log.problem}; expected room for the recording")
     if not progress.complete:
         typer.echo(f"time is up, and it lacks: {progress.advice}")
 

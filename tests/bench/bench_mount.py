@@ -1,6 +1,6 @@
 """`calibrate-mount` on simulated recordings of known truth, and what its file is worth in flight.
 
-    python -m tests.bench.bench_mount --seeds 6
+    python -m tests.bench.bench_mount --seeds 10
 
 In the order in which the documentation has it: the six faces first, then, with that inertial file in the
 settings, recordings of the hand-held vehicle (60 s of `sway` at most: it stops when that is enough), with a
@@ -46,7 +46,7 @@ from tests.unit.calibration.mount_world import Held, mount_errors, record_sway, 
 
 ROTATION_DEG: Final = 0.3
 OFFSET_S: Final = 0.002
-ACCEL_OFFSET_M_S2: Final = 0.02
+ACCEL_OFFSET_M_S2: Final = 0.03  # 3 mg: 2 % across the axes, felt on faces that lie 3° askew
 RECORDING_S: Final = 61.0
 # what a calibrated camera's lens is off by, in the simulator and by the settings
 LENS_ERROR: Final = 0.001
@@ -265,7 +265,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", nargs="?", help="not looked at: no real recordings of this kind")
-    parser.add_argument("--seeds", type=int, default=6)
+    parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--flights", type=int, default=3)
     chosen = parser.parse_args(arguments)
     console = Console(width=170)

@@ -231,6 +231,22 @@ def test_an_interrupted_recording_leaves_nothing(
     assert not (tmp_path / "new").exists()
 
 
+def test_a_card_that_is_full_at_the_end_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = Held(scenario_of({}), 0, "still")
+    monkeypatch.setattr(command, "plugged", held.boards)
+    monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
+
+    def full(_file: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("companion.record._McapFile.close", full)
+    assert calibrate("record", tmp_path / "new", "--seconds", "5") == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
 def test_the_order_of_faces_must_fit_the_rests(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = np.tile([0.0, 0.0, 9.81, 0.0, 0.0, 0.0], (800, 1))
     rows += 0.001 * np.random.default_rng(0).standard_normal(rows.shape)
