@@ -19,7 +19,15 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from companion.clock import Clock
-from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_model, load_vehicle
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    find_file,
+    load_model,
+    load_mount,
+    load_vehicle,
+)
 from companion.control.controller import Controller
 from companion.errands import Errands
 from companion.estimate.estimator import Estimator
@@ -95,10 +103,10 @@ class App:
         self._config, self._hardware, self._log = config, hardware, log
         self._on_status = on_status
         self._clock = Clock()
+        mount = load_mount(config.mount, config.camera)
         vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         pad = load_pad(config.pad)
-        log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad)
         antenna = config.sense.gps.antenna_position_body_m
         by_telemetry = config.sense.source == "autopilot"
         self.session = Session(config.link, config.sense if by_telemetry else None)
@@ -113,6 +121,14 @@ class App:
             log=log,
             tell=self._notice,
             frame_time_offset_s=vehicle.camera_time_offset_s,
+        )
+        log.write_settings(
+            config=config,
+            vehicle=vehicle,
+            camera=camera,
+            pad=pad,
+            **self._sensing.calibrations,
+            **({} if mount is None else {"mount": mount}),
         )
         self._planner = Planner(
             config.plan,

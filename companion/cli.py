@@ -24,7 +24,15 @@ from companion.check.command import HELP as CHECK_HELP
 from companion.check.command import check_command
 from companion.clock import start_unix_s
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
-from companion.desk import DeskFlight, SimulatorError, Trial, desk_settings, fly, stopping_on_signals
+from companion.desk import (
+    DeskFlight,
+    SimulatorError,
+    Trial,
+    calibrations_left_out,
+    desk_settings,
+    fly,
+    stopping_on_signals,
+)
 from companion.external import External
 from companion.files import write_atomically
 from companion.flights import HELP as FLIGHTS_HELP
@@ -187,6 +195,8 @@ def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bo
         SimulatorError: the simulator's process failed.
     """
     settings = desk_settings(config_path, trial, fast=fast)
+    if left_out := calibrations_left_out(config_path, settings):
+        output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
     writable(output.json_file)
     log = new_log(output.record, virtual=fast)
     title = f"{trial.scenario.name}, seed {trial.seed}"

@@ -51,11 +51,21 @@ EXTERNAL_START_TIMEOUT_S: Final = 60.0
 EXTERNAL_PATIENCE_S: Final = 60.0
 WORDS_PERIOD_S: Final = 0.3
 END_TIMEOUT_S: Final = 10.0
-# what a settings file for a real vehicle may say otherwise, and the simulated one is
+# what a settings file for a real vehicle may say otherwise, and the simulated one is; a real one's
+# calibrations would put wrong what is right here (a scenario of flawed sensors names its own over these)
 SIMULATED_HARDWARE: Final[dict[str, Any]] = {
+    "mount": None,
     "sense": {
-        "imu": ImuConfig().model_dump(include={"address", "body_from_sensor_deg"}),
+        "imu": ImuConfig().model_dump(
+            include={
+                "address",
+                "body_from_sensor_deg",
+                "inertial_calibration",
+                "magnetometer_calibration",
+            }
+        ),
         "gps": GpsConfig().model_dump(include={"antenna_position_body_m"}),
+        "autopilot": {"magnetometer_calibration": None},
     },
 }
 
@@ -127,6 +137,22 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     _check_pad(config, trial)
     _check_camera(config, trial)
     return config
+
+
+def calibrations_left_out(config_path: Path, flown: CompanionConfig) -> list[str]:
+    """Which calibration files the settings name for a real vehicle that the simulated one does not fly by."""
+    named, used = (_files(config) for config in (load_config(config_path), flown))
+    return [key for key, file in named.items() if file is not None and used[key] != file]
+
+
+def _files(config: CompanionConfig) -> dict[str, str | None]:
+    sense = config.sense
+    return {
+        "mount": config.mount,
+        "sense.imu.inertial_calibration": sense.imu.inertial_calibration,
+        "sense.imu.magnetometer_calibration": sense.imu.magnetometer_calibration,
+        "sense.autopilot.magnetometer_calibration": sense.autopilot.magnetometer_calibration,
+    }
 
 
 def _wiring(scenario: Scenario) -> dict[str, Any]:

@@ -69,6 +69,7 @@ class FlightLog:
         self._folder = folder
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
+        self._ended_with: str | None = None
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +81,7 @@ class FlightLog:
     @property
     def problem(self) -> str | None:
         """What has stopped the log on disk, or made it lose messages; None when it is whole."""
-        return None if self._files is None else self._files.disk.problem
+        return self._ended_with if self._files is None else self._files.disk.problem
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.messages) under a topic."""
@@ -115,6 +116,7 @@ class FlightLog:
             files.disk.put(files.mcap.close)
             files.disk.put(files.tlog.close)
             files.disk.finish()
+            self._ended_with = files.disk.problem
 
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""

@@ -21,7 +21,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from companion.clock import Clock
-from companion.config import CompanionConfig, SenseConfig, load_inertial
+from companion.config import CompanionConfig, SenseConfig, StrictModel, load_inertial
 from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.geometry import vector3
 from companion.hardware import BytePort, Hardware
@@ -123,7 +123,7 @@ class Sensing:
         self._config, self._hardware = config, hardware
         self._onboard = onboard
         self._magnetometer = load_used_magnetometer(config.sense)
-        self._inertial = load_inertial(config.sense.imu)
+        self._inertial = load_inertial(config.sense)
         self._gps = Neo6m(config.sense.gps)
         self._range: RangeFinder | None = None
         if hardware.range_port is not None:
@@ -136,6 +136,12 @@ class Sensing:
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
         self._fault_told_s = self._attitude_s = float("-inf")
+
+    @property
+    def calibrations(self) -> dict[str, StrictModel]:
+        """What samples are put right by before anybody sees them, by name: for the log."""
+        named = {"inertial": self._inertial, "magnetometer": self._magnetometer}
+        return {name: model for name, model in named.items() if model is not None}
 
     def tasks(self) -> dict[str, Callable[[], Awaitable[None]]]:
         """What is to run, by the device's name."""

@@ -39,7 +39,6 @@ from calibration.mount.shared import (
     ForceOption,
     OpenBoards,
     OutputOption,
-    inertial_file,
     judge,
     new_log,
     now,
@@ -134,6 +133,9 @@ async def record(
             log.discard()
             raise
         log.close()
+        if log.problem is not None:  # the last of it is written at the end
+            log.discard()
+            raise ConfigError(f"{folder}: {log.problem}; expected room for the recording")
     if not progress.complete:
         typer.echo(f"time is up, and it lacks: {progress.advice}")
 
@@ -185,10 +187,8 @@ def camera_command(
     """
     lens = None if camera is None else load_model(CameraConfig, find_file("cameras", camera))
     recording = read_recording(log, lens)
-    named = recording.config.sense.imu.inertial_calibration
-    known = None if named is None else inertial_file(Path(named))
     place = np.array(recording.vehicle.camera_position_body_m)
-    trust = trust_in(recording, known, position_std)
+    trust = trust_in(recording, position_std)
     try:
         found = solve(recording.inertial, recording.sightings, place, shutter_s(recording), trust)
     except NoSolutionError as error:

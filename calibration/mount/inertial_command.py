@@ -74,6 +74,7 @@ GYRO_HELP: Final = """The gyroscope's bias alone, from a rest. The accelerometer
 calibrate-mount gyro -o inertial.yaml
 calibrate-mount gyro still.csv -o inertial.yaml
 """
+ACCELEROMETER_OF: Final = "accelerometer of "
 LONGEST_FACES_S: Final = 600.0
 GYRO_STILL_S: Final = 10.0
 LONGEST_STILL_S: Final = 120.0
@@ -201,13 +202,22 @@ def gyro_command(
     for line in gyro_lines(fit):
         typer.echo(line)
     judge(against, force=force)
+    # what the accelerometer's part was forced through stays said, and where that part is from
+    kept = None if before is None or before.accelerometer is None else before
+    source = rested.source if kept is None else f"{rested.source}; {_accelerometer_of(kept)}"
     calibration = InertialCalibration(
-        accelerometer=None if before is None else before.accelerometer,
+        accelerometer=None if kept is None else kept.accelerometer,
         gyro=gyro_calibration(fit),
-        forced=against,
-        provenance=provenance(rested.source, now(), sum(rest.samples for rest in rested.rests), 0),
+        forced=tuple(dict.fromkeys((*(() if kept is None else kept.forced), *against))),
+        provenance=provenance(source, now(), sum(rest.samples for rest in rested.rests), 0),
     )
     write_file(output, calibration, "sense: {{imu: {{inertial_calibration: {}}}}}")
+
+
+def _accelerometer_of(before: InertialCalibration) -> str:
+    """Where the accelerometer's part of a file is from, said once however often the bias was renewed."""
+    _, mark, origin = before.provenance.source.partition(ACCELEROMETER_OF)
+    return ACCELEROMETER_OF + (origin if mark else f"{before.provenance.source}, {before.provenance.date}")
 
 
 async def faces_from(
@@ -249,9 +259,13 @@ class _Kept:
     def __enter__(self) -> _Kept:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        if self._log is not None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._log is None:
+            return
+        if kind is None:
             self._log.close()
+        else:  # Ctrl-C as well: half a recording is none
+            self._log.discard()
 
     def take(self, sample: ImuSample, now_s: float) -> None:
         """Log one."""
@@ -270,6 +284,11 @@ def _rested(
         return Rested(find_rests(samples), str(log), imu)
     file = log / LOG_NAMES[0] if log.is_dir() else log
     record = read_log(file)
+    if record.rig is not None and record.rig.config.sense.source != "boards":
+        raise ConfigError(
+            f"{file}: its inertial samples are the autopilot's; expected a recording of the board's "
+            "(sense.source: boards)"
+        )
     imu = imu if record.rig is None else record.rig.config.sense.imu
     if imu.inertial_calibration is not None:
         raise ConfigError(

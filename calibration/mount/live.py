@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calibration.mount.coverage import MotionCoverage, Progress
 from calibration.mount.devices import Boards
 from calibration.mount.eye import GravityFreeEye
-from calibration.mount.recording import MARK, RecordingMark
+from calibration.mount.recording import INERTIAL, MARK, RecordingMark
 from companion.clock import Clock
 from companion.config import (
     CameraConfig,
@@ -111,8 +111,10 @@ class MountRecorder:
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         pad = load_pad(config.pad)
         mark = RecordingMark(gravity_free=True)
-        log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad, **{MARK: mark})
-        self._driver = Mpu9250(boards.imu_bus, config.sense.imu, inertial=load_inertial(config.sense.imu))
+        inertial = load_inertial(config.sense)
+        applied = {} if inertial is None else {INERTIAL: inertial}
+        log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad, **{MARK: mark}, **applied)
+        self._driver = Mpu9250(boards.imu_bus, config.sense.imu, inertial=inertial)
         self._eye = GravityFreeEye(pad, camera, vehicle, config.sense.vision)
         self._coverage = MotionCoverage()
         self._clock = Clock()

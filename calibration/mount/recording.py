@@ -23,7 +23,15 @@ from mcap.records import Channel, Message, Metadata
 
 from calibration.mount.eye import GravityFreeEye
 from calibration.mount.samples import Inertial, Sightings
-from companion.config import CameraConfig, CompanionConfig, ConfigError, StrictModel, VehicleConfig
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    InertialCalibration,
+    StrictModel,
+    VehicleConfig,
+    validate,
+)
 from companion.geometry import FloatArray, matrix_from_quat
 from companion.messages import Frame, ImuSample, PadSighting
 from companion.pad import Pad
@@ -38,6 +46,8 @@ FORCE_AHEAD_S: Final = 0.001
 MAGIC: Final = b"\x89MCAP0\r\n"
 # the settings record of `calibrate-mount record`, beside those of a flight
 MARK: Final = "recording"
+# and that of the inertial samples' calibration, as the app leaves it, too
+INERTIAL: Final = "inertial"
 EXPECTED: Final = "expected the folder or the flight.mcap of 'calibrate-mount record' or of a flight"
 
 
@@ -49,7 +59,10 @@ class RecordingMark(StrictModel):
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Samples, and the settings that they were taken under; `notes` for people."""
+    """Samples, and the settings that they were taken under; `notes` for people.
+
+    `calibrated` is what the inertial samples were put right by as they came.
+    """
 
     inertial: Inertial
     sightings: Sightings
@@ -58,6 +71,7 @@ class Recording:
     camera: CameraConfig
     pad: Pad
     source: str
+    calibrated: InertialCalibration | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -74,7 +88,8 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> Recording:
         raise ConfigError(f"{file}: holds no settings of a camera; {EXPECTED}")
     used = camera or rig.camera
     notes = [*record.notes, *([record.cut] if record.cut else [])]
-    sightings, how = _sightings(file, record, rig, used)
+    settings = _settings(file)
+    sightings, how = _sightings(file, record, rig, used, gravity_free=MARK in settings)
     if how:
         notes.append(how)
     inertial = inertial_of(record, file)
@@ -88,6 +103,7 @@ def read_recording(path: Path, camera: CameraConfig | None = None) -> Recording:
         used,
         rig.pad,
         str(path),
+        _calibrated(settings, file),
         notes,
     )
 
@@ -153,11 +169,11 @@ def in_camera_axes(sightings: list[PadSighting], vehicle: VehicleConfig) -> Sigh
 
 
 def _sightings(
-    file: Path, record: FlightRecord, rig: Rig, camera: CameraConfig
+    file: Path, record: FlightRecord, rig: Rig, camera: CameraConfig, *, gravity_free: bool
 ) -> tuple[list[PadSighting], str | None]:
     """The log's sightings, or those of its frames, and what there is to tell about that."""
     logged = [event.item for event in record.events if isinstance(event.item, PadSighting)]
-    if _gravity_free(file) and camera == rig.camera:
+    if gravity_free and camera == rig.camera:
         return logged, None
     eye = GravityFreeEye(rig.pad, camera, rig.vehicle, rig.config.sense.vision)
     again, count = [], 0
@@ -181,13 +197,19 @@ def _sightings(
     )
 
 
-def _gravity_free(file: Path) -> bool:
+def _settings(file: Path) -> dict[str, str]:
+    """What the log was made under, as JSON by name."""
     with file.open("rb") as stream:
         for record in records(stream, lambda: None):
             if isinstance(record, Metadata) and record.name == SETTINGS_RECORD:
-                mark = record.metadata.get(MARK)
-                return mark is not None and RecordingMark.model_validate_json(mark).gravity_free
-    return False
+                return dict(record.metadata)
+    return {}
+
+
+def _calibrated(settings: dict[str, str], file: Path) -> InertialCalibration | None:
+    if INERTIAL not in settings:
+        return None
+    return validate(InertialCalibration, json.loads(settings[INERTIAL]), f"{file}: settings: {INERTIAL}")
 
 
 def frames_of(file: Path) -> Iterator[Frame]:

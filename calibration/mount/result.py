@@ -10,7 +10,7 @@ from calibration.mount.recording import Recording
 from calibration.mount.solve import Solution
 from calibration.mount.unknowns import POSITION, Trust
 from calibration.mount.verdict import rotation_from
-from companion.config import InertialCalibration, MountCalibration, MountStd
+from companion.config import MountCalibration, MountStd
 from companion.config.calibration import Provenance
 from companion.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
@@ -33,10 +33,10 @@ def shutter_s(recording: Recording) -> float:
     return camera.fy_px * camera.readout_s / camera.height_px
 
 
-def trust_in(recording: Recording, inertial: InertialCalibration | None, position_std_m: float) -> Trust:
+def trust_in(recording: Recording, position_std_m: float) -> Trust:
     """What is believed of this vehicle; an accelerometer that lay on its six faces is believed more."""
     lens_rad = recording.config.sense.vision.scale_error
-    if inertial is None or inertial.accelerometer is None:
+    if recording.calibrated is None or recording.calibrated.accelerometer is None:
         return Trust(position_m=position_std_m, lens_rad=lens_rad)
     return Trust(
         position_m=position_std_m,

@@ -46,6 +46,7 @@ OUTLIER: Final = float(chi2.ppf(0.9995, 6))
 MIDDLE: Final = float(chi2.ppf(0.5, 6))
 # of a stretch's sightings, those whose attitude is within this of its middle one start it
 START_RAD: Final = 0.12
+NO_FIT: Final = "no mount fits what was recorded"
 
 
 class NoSolutionError(Exception):
@@ -57,9 +58,11 @@ class Solution:
     """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without what
     the fit cannot see (lens, stamps).
 
-    `kept` (k,) says which sightings were used; `misses` (k, 6) are all sightings' residuals in their own
-    standard deviations; `scatter` is how large those are against what was expected; `correlated` by how much
-    the information was divided because they hang together (both 1 for white noise as stated).
+    `kept` (k,) says which sightings were used, and `odd_stretches` in how many stretches most were not;
+    `misses` (k, 6) are all sightings' residuals in their own standard deviations; `scatter` is how large
+    those are against what was expected; `correlated` by how much the information was divided because they
+    hang together (both 1 for white noise as stated). `halves` (4,) is by how much the recording's first half
+    would have it otherwise than the second: rotation about the body's axes (rad) and time offset (s).
     """
 
     unknowns: Unknowns
@@ -70,7 +73,9 @@ class Solution:
     misses: FloatArray
     scatter: float
     correlated: float
+    halves: FloatArray
     stretches: int
+    odd_stretches: int
     converged: bool
     trust: Trust
 
@@ -116,6 +121,8 @@ def solve(
     """Find the mount.
 
     Args:
+        inertial: samples in body axes.
+        sightings: the pad in camera axes.
         shutter_s: the time in which a rolling shutter passes one focal length of the image, by its file.
         position_m: the camera (3,) by the vehicle's file: where the search for it begins, and what it is
             held to by `trust.position_m`.
@@ -123,7 +130,15 @@ def solve(
     Raises:
         NoSolutionError: too little was seen, or it contradicts itself.
     """
-    trust = trust or Trust()
+    try:
+        return _solved(inertial, sightings, position_m, shutter_s, trust or Trust())
+    except np.linalg.LinAlgError as error:
+        raise NoSolutionError(NO_FIT) from error
+
+
+def _solved(
+    inertial: Inertial, sightings: Sightings, position_m: FloatArray, shutter_s: float, trust: Trust
+) -> Solution:
     try:
         coarse = correlate(inertial, sightings)
     except ValueError as error:
@@ -224,7 +239,7 @@ class _Fit:
         gradient = reduced.scores.sum(axis=0) - self._prior @ (self._unknowns.values - self._believed)
         step = np.linalg.solve(full, gradient)
         if not np.isfinite(step).all():
-            raise NoSolutionError("the fit does not converge")
+            raise NoSolutionError(NO_FIT)
         self._unknowns = self._unknowns.moved(share * step)
         self._begin = self._begin.moved(share * reduced.beginnings(step))
         return float(np.sqrt(step @ full @ step))
@@ -282,19 +297,39 @@ class _Fit:
         return float(np.mean(found / expected))
 
     def solution(self, coarse: Coarse, trust: Trust) -> Solution:
-        """What has come of it."""
+        """What has come of it.
+
+        Raises:
+            NoSolutionError: a time offset that the search did not reach.
+        """
+        if abs(offset_s := float(self._unknowns.values[OFFSET][0])) > MARGIN_S:
+            raise NoSolutionError(f"{NO_FIT}: the time offset ran off to {offset_s:+.2f} s")
         linear = self._problem.linear(self._unknowns, self._begin)
         reduced = self._problem.reduced(linear, self._weight())
+        which = self._problem.which
+        covariance = np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float)
         return Solution(
             unknowns=self._unknowns,
-            covariance=np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float),
+            covariance=covariance,
             coarse=coarse,
             sightings=self._problem.sightings,
             kept=self._kept,
             misses=linear.residuals,
             scatter=float(np.sqrt(self._scatter2)),
             correlated=self._correlated,
+            halves=_halves(reduced, covariance)[[0, 1, 2, OFFSET.start]],
             stretches=len(self._begin.position_m),
+            odd_stretches=int(np.sum(np.bincount(which, self._kept) < 0.5 * np.bincount(which))),
             converged=self._converged,
             trust=trust,
         )
+
+
+def _halves(reduced: Reduced, covariance: FloatArray) -> FloatArray:
+    """The unknowns (35,) by the first half of the stretches less those by the second, to first order.
+
+    At the fit the scores of the halves cancel; each half alone, with half of the information, would step by
+    twice the covariance times its own.
+    """
+    scores = reduced.scores - reduced.scores.mean(axis=0)
+    return np.asarray(4.0 * covariance @ scores[: len(scores) // 2].sum(axis=0))

@@ -1,7 +1,8 @@
 """Inertial samples from a table: CSV of many dialects, or .npz, in the sensor's own axes.
 
 Columns are found by their names (ax, acc_x, "Accel X (g)", gyr_y, ...), or given in order. A time may be
-missing when a rate is given. The accelerometer's unit is told by what rests in it feel: g, mg or m/s².
+missing when a rate is given. The accelerometer's unit is told by what rests in it feel: g, mg or m/s²; a
+time's that the header leaves open by its steps: s, ms, µs or ns.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from companion.geometry import GRAVITY_M_S2, FloatArray
 NAMES: Final = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 # of a time column, by what its name ends in
 TIME_UNITS: Final = {"us": 1e-6, "ms": 1e-3, "ns": 1e-9}
+USUAL_STEP_S: Final = (2e-4, 0.2)
 ACCEL_UNITS: Final = {"g": GRAVITY_M_S2, "mg": 1e-3 * GRAVITY_M_S2, "m/s2": 1.0}
 DEGREES: Final = re.compile(r"deg|dps|°")
 
@@ -38,7 +41,8 @@ def read_table(path: Path, columns: str | None, rate_hz: float | None, gyro_unit
     """
     try:
         found = _npz(path) if path.suffix == ".npz" else _csv(path, columns)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    # what numpy raises of a file that is no archive, a cut one, and one of other things than numbers
+    except (OSError, EOFError, BadZipFile, ValueError, TypeError) as error:
         raise ConfigError(
             f"{path}: cannot be read: {error}; expected a table of {', '.join(NAMES)}"
         ) from error
@@ -55,11 +59,16 @@ def read_table(path: Path, columns: str | None, rate_hz: float | None, gyro_unit
 
 
 def _inertial(path: Path, found: dict[str, FloatArray], gyro_unit: str | None) -> Inertial:
+    lengths = {name: len(found[name]) for name in NAMES}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{name} {count}" for name, count in lengths.items())
+        raise ConfigError(f"{path}: columns of different lengths ({told}); expected equal ones")
     rows = np.column_stack([found[name] for name in NAMES])
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows[np.concatenate(([True], np.diff(rows[:, 0]) > 0.0))] if len(rows) else rows
     if len(rows) < 100:
         raise ConfigError(f"{path}: {len(rows)} usable rows; expected those of some seconds at least")
+    rows[:, 0] *= _time_unit(float(np.median(np.diff(rows[:, 0]))))
     felt = float(np.median(np.linalg.norm(rows[:, 1:4], axis=1)))
     unit = min(ACCEL_UNITS, key=lambda name: abs(np.log(felt * ACCEL_UNITS[name] / GRAVITY_M_S2)))
     if abs(np.log(felt * ACCEL_UNITS[unit] / GRAVITY_M_S2)) > 0.4:
@@ -72,18 +81,25 @@ def _inertial(path: Path, found: dict[str, FloatArray], gyro_unit: str | None) -
     return Inertial(rows[:, 0], rate, rows[:, 1:4] * ACCEL_UNITS[unit], warmth)
 
 
+def _time_unit(step: float) -> float:
+    """Seconds in the unit of a time with such steps; 1 where none makes a usual one of it."""
+    low, high = USUAL_STEP_S
+    return next((unit for unit in (1.0, 1e-3, 1e-6, 1e-9) if low <= step * unit <= high), 1.0)
+
+
 def _npz(path: Path) -> dict[str, FloatArray]:
     with np.load(path) as archive:
         arrays = {name.lower(): np.asarray(archive[name], dtype=float) for name in archive.files}
-    found: dict[str, FloatArray] = {}
+    found = {canonical(name): a for name, a in arrays.items() if a.ndim == 1 and canonical(name) in NAMES}
     for letter, stem in (("a", "acc"), ("g", "gyr")):
-        whole = next((a for name, a in arrays.items() if name.startswith(stem) and a.ndim == 2), None)
+        wide = (a for name, a in arrays.items() if name.startswith(stem) and a.ndim == 2)
+        whole = next((a if a.shape[1] == 3 else a.T for a in wide if 3 in a.shape), None)
         if whole is not None:
             found |= {f"{letter}{axis}": whole[:, k] for k, axis in enumerate("xyz")}
-    if "fs" in arrays and "ax" in found:
-        found["t"] = np.arange(len(found["ax"])) / float(arrays["fs"])
-    times = next((a for name, a in arrays.items() if name in {"t", "time", "time_s"}), None)
-    return found if times is None else {**found, "t": times}
+    rate_hz = arrays.get("fs", np.zeros(1)).ravel()
+    if "t" not in found and "ax" in found and rate_hz.size == 1 and rate_hz[0] > 0.0:
+        found["t"] = np.arange(len(found["ax"])) / rate_hz[0]
+    return found
 
 
 def _csv(path: Path, columns: str | None) -> dict[str, FloatArray]:

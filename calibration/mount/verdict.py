@@ -19,9 +19,12 @@ from companion.geometry import FloatArray
 FEWEST_SIGHTINGS: Final = 120
 FEWEST_STRETCHES: Final = 6
 LEAST_KEPT: Final = 0.5
+MOST_ODD: Final = 0.25
 MOST_ROTATION_STD_DEG: Final = 0.5
 MOST_OFFSET_STD_S: Final = 0.003
 MOST_SCATTER: Final = 4.0
+MOST_CHANGE_DEG: Final = 0.7
+MOST_CHANGE_S: Final = 0.003
 MOST_SIGMA: Final = 4.5
 LIKELY_BIAS_DEG_S: Final = 10.0
 BODY_AXES: Final = ("forward", "right", "down")
@@ -81,6 +84,31 @@ def _certainty(solution: Solution) -> list[str]:
 
 
 def _agreement(solution: Solution) -> list[str]:
+    return [*_steadiness(solution), *_consistency(solution)]
+
+
+def _steadiness(solution: Solution) -> list[str]:
+    found = []
+    if solution.odd_stretches > MOST_ODD * solution.stretches:
+        found.append(
+            f"in {solution.odd_stretches} of {solution.stretches} stretches most sightings contradict the "
+            f"rest; expected {100 * MOST_ODD:.0f} % at most (did the camera or the pad slip meanwhile?)"
+        )
+    turned_deg = math.degrees(float(np.linalg.norm(solution.halves[:3])))
+    if turned_deg > MOST_CHANGE_DEG:
+        found.append(
+            f"the first half of the recording has the camera turned by {turned_deg:.1f}° from the second; "
+            f"expected {MOST_CHANGE_DEG:g}° at most (did the camera or the pad slip meanwhile?)"
+        )
+    if abs(solution.halves[3]) > MOST_CHANGE_S:
+        found.append(
+            f"the time offset changed by {-1e3 * solution.halves[3]:+.0f} ms meanwhile; expected "
+            f"{1e3 * MOST_CHANGE_S:g} ms at most (are the frames stamped by another clock?)"
+        )
+    return found
+
+
+def _consistency(solution: Solution) -> list[str]:
     found = []
     if solution.scatter > MOST_SCATTER:
         found.append(

@@ -27,6 +27,7 @@ from companion.config.mounting import (
     MountCalibration,
     MountStd,
     load_inertial,
+    load_mount,
     load_vehicle,
 )
 from companion.config.plan import (
@@ -104,6 +105,7 @@ __all__ = [
     "load_config",
     "load_inertial",
     "load_model",
+    "load_mount",
     "load_vehicle",
     "merge",
     "read_yaml",

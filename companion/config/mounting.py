@@ -12,7 +12,7 @@ from pydantic import Field
 
 from companion.config.calibration import Provenance
 from companion.config.reading import ConfigError, StrictModel, Vector, find_file, load_model
-from companion.config.sense import ImuConfig
+from companion.config.sense import SenseConfig
 from companion.config.vehicle import CameraConfig, VehicleConfig
 
 Matrix = tuple[Vector, Vector, Vector]
@@ -86,14 +86,18 @@ class InertialCalibration(StrictModel):
     provenance: Provenance
 
 
-def load_inertial(imu: ImuConfig) -> InertialCalibration | None:
-    """The calibration that the settings name, if they name one.
+def load_inertial(sense: SenseConfig) -> InertialCalibration | None:
+    """The calibration of the inertial sensor in use; None when the settings name none for it.
+
+    The file is the MPU9250's: an autopilot has calibrated its own samples before anybody hears them.
 
     Raises:
         ConfigError: the file is missing or wrong.
     """
-    name = imu.inertial_calibration
-    return None if name is None else load_model(InertialCalibration, Path(name))
+    name = sense.imu.inertial_calibration
+    if name is None or sense.source == "autopilot":
+        return None
+    return load_model(InertialCalibration, Path(name))
 
 
 def load_vehicle(vehicle: str, mount: str | None, camera: str) -> VehicleConfig:
@@ -103,10 +107,20 @@ def load_vehicle(vehicle: str, mount: str | None, camera: str) -> VehicleConfig:
         ConfigError: a file is missing or wrong, or the calibration is another camera's.
     """
     body = load_model(VehicleConfig, find_file("vehicles", vehicle))
+    calibration = load_mount(mount, camera)
+    return body if calibration is None else calibration.applied_to(body)
+
+
+def load_mount(mount: str | None, camera: str) -> MountCalibration | None:
+    """The camera's mount calibration, if the settings name one.
+
+    Raises:
+        ConfigError: a file is missing or wrong, or the calibration is another camera's.
+    """
     if mount is None:
-        return body
+        return None
     calibration = load_model(MountCalibration, Path(mount))
     name = load_model(CameraConfig, find_file("cameras", camera)).name
     if calibration.camera != name:
         raise ConfigError(f"{mount}: is for the camera '{calibration.camera}', expected '{name}'")
-    return calibration.applied_to(body)
+    return calibration

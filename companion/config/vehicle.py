@@ -54,7 +54,7 @@ class VehicleConfig(StrictModel):
     name: str
     camera_position_body_m: Vector
     camera_yaw_deg: float = Field(default=0.0, ge=-180.0, le=180.0)
-    camera_tilt_deg: float = Field(default=0.0, ge=-45.0, le=45.0)
+    camera_tilt_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
     camera_roll_deg: float = Field(
         default=0.0, ge=-180.0, le=180.0
     )  # about forward, before tilt and yaw; positive: it looks to the left

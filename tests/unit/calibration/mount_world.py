@@ -12,12 +12,12 @@ import numpy as np
 
 from calibration.mount.command import record
 from calibration.mount.devices import Boards
-from calibration.mount.rotations import log, nearest_rotation
+from calibration.mount.rotations import exp, log, nearest_rotation
 from calibration.mount.shared import OpenBoards
 from calibration.mount.solve import Solution
 from companion.clock import run_in_virtual_time
-from companion.config import CompanionConfig, find_file, merge, validate
-from companion.geometry import FloatArray
+from companion.config import CompanionConfig, InertialCalibration, find_file, merge, validate
+from companion.geometry import GRAVITY_M_S2, FloatArray
 from sitl.hand_paths import HandMotion
 from sitl.in_process import InProcess, carried
 from sitl.scenario import Scenario, load_scenario
@@ -54,6 +54,17 @@ class Held:
         assert self.vehicle is not None
         board = self.vehicle.simulation.sensor_truth.boards
         return nearest_rotation(board.sensor_from_body.T @ board.gyroscope.matrix @ board.sensor_from_body)
+
+    def felt_level(self, calibrated: InertialCalibration | None) -> FloatArray:
+        """The tilt (3, 3) by which the accelerometer, calibrated so, takes the level body to be turned."""
+        assert self.vehicle is not None
+        board = self.vehicle.simulation.sensor_truth.boards
+        at_rest = board.sensor_from_body @ np.array([0.0, 0.0, -GRAVITY_M_S2])
+        force = board.accelerometer.matrix @ at_rest + board.accelerometer.offset
+        if calibrated is not None and (known := calibrated.accelerometer) is not None:
+            force = np.array(known.matrix) @ (force - known.offset_m_s2)
+        down = -(board.sensor_from_body.T @ force) / np.linalg.norm(force)
+        return exp(np.cross([0.0, 0.0, 1.0], down))
 
     def rotation_errors(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
         """Errors (3,) rad of a solution's rotations: against the airframe, and against the gyroscope."""

@@ -35,6 +35,8 @@ from companion.config import (
 )
 from companion.geometry import IDENTITY, matrix_from_quat
 from companion.messages import Frame, ImuSample, PadSighting
+from companion.pad import load_pad
+from companion.record import FlightLog
 from companion.sense.camera import at_exposure
 from companion.sense.vision import body_from_camera
 from sitl.camera import body_from_camera as simulated_body_from_camera
@@ -133,9 +135,44 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
     again = tmp_path / "again.yaml"
     assert calibrate("accelerometer", kept, "-o", again) == 0
     assert load_model(InertialCalibration, again).accelerometer == found.accelerometer
-    # the bias alone leaves the accelerometer's part
+    # the bias alone leaves the accelerometer's part, and says where that is from
+    for _ in range(2):
+        assert calibrate("gyro", kept, "-o", again) == 0
+    renewed = load_model(InertialCalibration, again)
+    assert renewed.accelerometer == found.accelerometer
+    assert renewed.provenance.source.startswith(f"{kept}; accelerometer of {kept}, 20")
+    assert renewed.provenance.source.count("accelerometer of") == 1
+    # and what that was forced through is not forgotten
+    again.write_text(yaml.safe_dump({**yaml.safe_load(again.read_text()), "forced": ["never lay still"]}))
     assert calibrate("gyro", kept, "-o", again) == 0
-    assert load_model(InertialCalibration, again).accelerometer == found.accelerometer
+    assert load_model(InertialCalibration, again).forced == ("never lay still",)
+
+
+def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = Held(scenario_of({}), 0, "still")
+    monkeypatch.setattr("calibration.mount.inertial_command.plugged", held.boards)
+    monkeypatch.setattr("calibration.mount.inertial_command.asyncio.run", run_in_virtual_time)
+
+    def interrupted(*_: object) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("calibration.mount.rests_live.FaceGuide.take", interrupted)
+    assert calibrate("accelerometer", "--keep", tmp_path / "kept", "-o", tmp_path / "out.yaml") == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_autopilot_s_rests_are_not_the_chip_s(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = FlightLog(tmp_path / "flown", 0.0)
+    log.write_settings(
+        config=validate(CompanionConfig, {"sense": {"source": "autopilot"}}, "test"),
+        vehicle=load_model(VehicleConfig, find_file("vehicles", "x500")),
+        pad=load_pad("moving_1300"),
+    )
+    for k in range(1000):
+        log.write("imu", ImuSample(0.01 * k, (1e-5 * (k % 7), 0.0, 0.0), (0.0, 0.0, -9.8), 20.0), 0.01 * k)
+    log.close()
+    assert calibrate("gyro", tmp_path / "flown", "-o", tmp_path / "out.yaml") == 2
+    assert "its inertial samples are the autopilot's" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -191,6 +228,22 @@ def test_an_interrupted_recording_leaves_nothing(
     monkeypatch.setattr(MotionCoverage, "progress", interrupted)
     assert calibrate("record", tmp_path / "new") == 130
     assert capsys.readouterr().err == "calibrate-mount: interrupted; nothing was written\n"
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_card_that_is_full_at_the_end_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = Held(scenario_of({}), 0, "still")
+    monkeypatch.setattr(command, "plugged", held.boards)
+    monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
+
+    def full(_file: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("companion.record._McapFile.close", full)
+    assert calibrate("record", tmp_path / "new", "--seconds", "5") == 2
+    assert "No space left on device" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
 
 

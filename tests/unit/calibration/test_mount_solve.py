@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -88,6 +89,15 @@ def test_no_sightings_are_told() -> None:
         solve(short.inertial(), late, PLACE)
 
 
+def test_what_no_mount_fits_is_told(track: Track) -> None:
+    backwards = replace(track.inertial(), rate=-track.inertial().rate)
+    with pytest.raises(NoSolutionError, match="the time offset ran off to"):
+        solve(backwards, track.sightings(), PLACE)
+    certain = replace(track.sightings(), covariance=np.zeros_like(track.sightings().covariance))
+    with pytest.raises(NoSolutionError, match="no mount fits what was recorded"):
+        solve(track.inertial(), certain, PLACE)
+
+
 # ---------------------------------------------------------------- the verdict
 
 
@@ -137,6 +147,28 @@ def test_a_camera_turned_far_from_the_settings_is_refused(track: Track, solution
     told = reasons(solution, elsewhere, PLACE, 10.0)
     assert any("turned by 17." in line and "from where the settings have it" in line for line in told)
     assert not reasons(solution, elsewhere, PLACE, 20.0)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.65])
+def test_a_camera_that_slipped_meanwhile_is_refused(track: Track, share: float) -> None:
+    seen = track.sightings()
+    turn = exp(np.array([0.06, 0.0, 0.0]))
+    later = seen.time_s > share * SECONDS
+    slipped = replace(
+        seen,
+        camera_from_pad=np.where(later[:, None, None], turn @ seen.camera_from_pad, seen.camera_from_pad),
+        position_m=np.where(later[:, None], seen.position_m @ turn.T, seen.position_m),
+    )
+    told = refused(solve(track.inertial(), slipped, PLACE), track)
+    assert "did the camera or the pad slip meanwhile?" in told
+
+
+def test_stamps_that_change_meanwhile_are_refused(track: Track) -> None:
+    seen = track.sightings()
+    changed = replace(seen, time_s=seen.time_s + 0.01 * (seen.time_s > 0.5 * SECONDS))
+    told = refused(solve(track.inertial(), changed, PLACE), track)
+    # of the 10 ms, since what no longer fits is left out
+    assert re.search(r"the time offset changed by -(7|8|9|10) ms meanwhile", told)
 
 
 def test_a_still_recording_is_refused() -> None:

@@ -26,7 +26,7 @@ from calibration.mount.six_faces import (
     mounting_matrix,
 )
 from calibration.mount.table import canonical, read_table
-from companion.config import ConfigError, ImuConfig, InertialCalibration, load_inertial
+from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance
 from companion.geometry import GRAVITY_M_S2, FloatArray
 from companion.sense.mounting import body_axes
@@ -216,6 +216,38 @@ def test_a_table_without_names_or_times_needs_options(tmp_path: Path) -> None:
         read_table(tmp_path / "absent.csv", None, None, None)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+def test_a_time_s_unit_shows_in_its_steps(tmp_path: Path, unit: float) -> None:
+    samples = lying(faces=("level",))
+    path = tmp_path / "rests.csv"
+    rows = np.column_stack((samples.time_s * unit, samples.force, samples.rate))
+    np.savetxt(path, rows, delimiter=",", header="timestamp,ax,ay,az,gx,gy,gz", comments="", fmt="%.9f")
+    assert read_table(path, None, None, None).period_s == pytest.approx(0.005, rel=1e-6)
+
+
+def test_archives_are_read_or_told_in_one_line(tmp_path: Path) -> None:
+    samples = lying(faces=("level",))
+    force, rate, t = samples.force, samples.rate, samples.time_s
+    apart = {f"a{axis}": force[:, k] for k, axis in enumerate("xyz")}
+    apart |= {f"g{axis}": rate[:, k] for k, axis in enumerate("xyz")}
+    good: list[dict[str, FloatArray]] = [
+        {"acc": force.T, "gyr": rate.T, "fs": np.array([200.0])},
+        {**apart, "t": t},
+    ]
+    path = tmp_path / "rests.npz"
+    for arrays in good:
+        np.savez(path, allow_pickle=False, **arrays)
+        assert read_table(path, None, None, None).force == pytest.approx(force)
+    for arrays in ({"acc": force, "gyr": rate[:-5], "t": t}, {"acc": force[:, :2], "gyr": rate, "t": t}):
+        np.savez(path, allow_pickle=False, **arrays)
+        with pytest.raises(ConfigError, match=r"columns of different lengths|no column for ax"):
+            read_table(path, None, None, None)
+    for content in (b"", b"PK\x03\x04 and then nothing", b"text"):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=r"rests.npz: cannot be read"):
+            read_table(path, None, None, None)
+
+
 # ---------------------------------------------------------------- in the driver
 
 
@@ -253,5 +285,7 @@ def test_the_driver_takes_the_file_of_the_settings(tmp_path: Path) -> None:
 def test_a_wrong_file_is_told(tmp_path: Path) -> None:
     path = tmp_path / "inertial.yaml"
     path.write_text("kind: mount\n")
+    imu = ImuConfig(inertial_calibration=str(path))
     with pytest.raises(ConfigError, match=r"inertial.yaml: kind: expected 'inertial'"):
-        load_inertial(ImuConfig(inertial_calibration=str(path)))
+        load_inertial(SenseConfig(imu=imu))
+    assert load_inertial(SenseConfig(imu=imu, source="autopilot")) is None  # it is not that one's

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.config import ImuConfig, load_inertial
+from companion.config import ImuConfig, SenseConfig, load_inertial
 from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler
 from companion.messages import ImuSample, MagSample
 from companion.sense.i2c import RegisterBus, SensorError
@@ -56,7 +56,9 @@ class Rig:
             identity=identity,
             interface="spi" if self.config.over_spi else "i2c",
         )
-        self.driver = Mpu9250(wrap(self.device), self.config, inertial=load_inertial(self.config))
+        self.driver = Mpu9250(
+            wrap(self.device), self.config, inertial=load_inertial(SenseConfig(imu=self.config))
+        )
         self.now_s = 0.0
         self.imu: list[ImuSample] = []
         self.mag: list[MagSample] = []
