@@ -12,6 +12,7 @@ from calibration.camera.adjustment import Intrinsics, Model, Solution, Unsolvabl
 from calibration.camera.coverage import CORNERS, Coverage
 from calibration.camera.detection import View
 from calibration.camera.solving import held_out_rms_px, rms_of_all, solve
+from calibration.camera.surface import Surface
 from calibration.camera.uncertainty import Uncertainty, projection_std_px, uncertainty
 from companion.geometry import FloatArray
 
@@ -48,17 +49,17 @@ class Assessment:
 
 
 def assess(
-    views: Sequence[View], size_px: tuple[int, int], board_m: tuple[float, float], model: Model = "brown"
+    views: Sequence[View], size_px: tuple[int, int], board: Surface, model: Model = "brown"
 ) -> Assessment:
     """Calibrate and judge.
 
     Raises:
         UnsolvableError: there is nothing to judge.
     """
-    solution = solve(views, size_px, board_m, model)
+    solution = solve(views, size_px, board, model)
     known = uncertainty(solution)
     coverage = Coverage.of((s.view for s in solution.seen), [s.turn for s in solution.seen], size_px)
-    brown = None if model == "brown" else _held_out_of_brown(views, size_px, board_m)
+    brown = None if model == "brown" else _held_out_of_brown(views, size_px, board)
     found = Assessment(
         solution=solution,
         coverage=coverage,
@@ -74,11 +75,9 @@ def assess(
     return replace(found, reasons=reasons)
 
 
-def _held_out_of_brown(
-    views: Sequence[View], size_px: tuple[int, int], board_m: tuple[float, float]
-) -> float | None:
+def _held_out_of_brown(views: Sequence[View], size_px: tuple[int, int], board: Surface) -> float | None:
     try:
-        return held_out_rms_px(solve(views, size_px, board_m, "brown"))
+        return held_out_rms_px(solve(views, size_px, board, "brown"))
     except UnsolvableError:
         return None
 

@@ -3,10 +3,10 @@
 The usual standard deviations, σ² (JᵀJ)⁻¹ with σ from the residuals, hold when all corners err independently
 and alike. They do not: a view that was moved or blurred errs as a whole. So each view's pull on the camera's
 numbers is compared with what it should be: the views' scores, corrected for how far each has bent the fit
-towards itself (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). Where views disagree more than
-they should, all variances are stretched by that ratio. One ratio, and not the whole cluster-robust matrix,
+towards itself (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). Where views clearly disagree
+more than they should, all variances are stretched by that ratio. One ratio, and not the whole cluster-robust matrix,
 because 25 views do not tell a matrix of 78 numbers. The board's bend is one of the unknowns (see
-`adjustment`): without it the focal length of a bowed board is wrong by many of its own deviations.
+`surface`): without it the focal length of a bowed board is wrong by many of its own deviations.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ import cv2
 import numpy as np
 
 from calibration.camera.adjustment import (
-    BEND_COUNT,
     Intrinsics,
     Solution,
     UnsolvableError,
     normal_equations,
     solve_scaled,
 )
-from calibration.camera.solving import FEWEST_VIEWS_FOR_BEND
+from calibration.camera.solving import FEWEST_VIEWS_FOR_SHAPE
 from companion.geometry import FloatArray
 
 # the mesh on which the projection's uncertainty is worked out: rows, columns
@@ -52,7 +51,7 @@ def uncertainty(solution: Solution) -> Uncertainty:
         UnsolvableError: the views leave one of them open.
     """
     of_camera = len(solution.camera.numbers)
-    count = of_camera + (BEND_COUNT if len(solution.seen) >= FEWEST_VIEWS_FOR_BEND else 0)
+    count = of_camera + (solution.surface.count if len(solution.seen) >= FEWEST_VIEWS_FOR_SHAPE else 0)
     parts = [normal_equations(solution.camera, solution.surface, seen) for seen in solution.seen]
     shares = [(part.information[:count, :count], part.score[:count]) for part in parts]
     inverse = solve_scaled(np.sum([share for share, _ in shares], axis=0), np.eye(count))
@@ -69,17 +68,19 @@ def uncertainty(solution: Solution) -> Uncertainty:
 
 
 def _disagreement(inverse: FloatArray, shares: list[tuple[FloatArray, FloatArray]]) -> float:
-    """The variance (px²) of a coordinate that the views' pulls on the shared numbers speak of."""
+    """The variance (px²) of a coordinate that the views' pulls on the shared numbers clearly speak of."""
     scale = np.sqrt(np.diag(inverse))
     root = np.linalg.cholesky(inverse / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
-    pull = 0.0
+    pulls = []
     for information, score in shares:
         whitened = root.T @ (information * np.outer(scale, scale)) @ root
         share, axes = np.linalg.eigh(whitened)
         along = axes.T @ (root.T @ (score * scale))
         # a view that has a number to itself has no score in it
-        pull += float(np.sum(along**2 / np.maximum(1.0 - share, 1e-3)))
-    return pull / len(scale)
+        pulls.append(float(np.sum(along**2 / np.maximum(1.0 - share, 1e-3))))
+    # never to shrink, the ratio would stretch by chance alone: what the pulls cannot tell is taken off
+    spread = float(np.std(pulls, ddof=1)) * np.sqrt(len(pulls))
+    return (float(np.sum(pulls)) - spread) / len(scale)
 
 
 def projection_std_px(camera: Intrinsics, covariance: FloatArray) -> FloatArray:
