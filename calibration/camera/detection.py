@@ -28,8 +28,8 @@ WINDOW_PX: Final = (2, 12)
 CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
 # a corner that no plane can explain to this share of the board's image is one that was misread
 MISREAD_SHARE: Final = 0.03
-# lenses to see that plane through: by one parameter λ of r_ideal = r / (1 + λ r²), r = 1 at the image's corners.
-# Through none at all, a wide lens has a quarter of its corners, the most telling ones, taken for misread
+# lenses to see that plane through: by one parameter λ of r_ideal = r / (1 + λ r²), r = 1 at the image's
+# corners. Through none at all, the corners that tell most of a wide lens are taken for misread
 LENSES: Final = (0.0, -0.15, -0.3, -0.6, -1.0, -1.5, 0.15)
 MOST_LENS: Final = 0.1  # the least that 1 + λ r² is let be
 # where fewer fit any plane it is another board
@@ -127,7 +127,7 @@ class BoardFinder:
 
 
 def on_a_plane(points_m: FloatArray, corners_px: FloatArray, size_px: Sequence[int]) -> NDArray[np.bool_]:
-    """Which of the corners (n, 2) can be those points (n, 3) of a plane, seen through any usual lens: (n,)."""
+    """Which corners (n, 2) can be those points (n, 3) of a plane, seen through any usual lens: (n,)."""
     middle = 0.5 * np.array(size_px, dtype=np.float64)
     places = (corners_px - middle) / np.linalg.norm(middle)
     squared = np.sum(places**2, axis=1, keepdims=True)

@@ -57,7 +57,7 @@ def _better_board(board: Board, images: Sequence[Image]) -> tuple[str, int] | No
 
 
 def near_misses(board: Board) -> list[tuple[str, Board]]:
-    """Boards with markers that are easily taken for this one, and how to ask for them; the likeliest first."""
+    """Boards with markers that are easily taken for this one, and how to ask for them, likeliest first."""
     c, r = board.columns, board.rows
     sizes = [(c, r), (r, c), (c - 1, r - 1), (c + 1, r + 1), (c - 1, r), (c + 1, r), (c, r - 1), (c, r + 1)]
     legacies = (board.legacy_pattern, not board.legacy_pattern)

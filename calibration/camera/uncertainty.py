@@ -3,8 +3,8 @@
 The usual standard deviations, σ² (JᵀJ)⁻¹ with σ from the residuals, hold when all corners err independently
 and alike. They do not: a view that was moved or blurred errs as a whole. So each view's pull on the camera's
 numbers is compared with what it should be: the views' scores, corrected for how far each has bent the fit
-towards itself (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). Where views clearly disagree
-more than they should, all variances are stretched by that ratio. One ratio, and not the whole cluster-robust matrix,
+towards itself (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). Where views disagree more than
+they should, all variances are stretched by that ratio. One ratio, and not the whole cluster-robust matrix,
 because 25 views do not tell a matrix of 78 numbers. The board's bend is one of the unknowns (see
 `surface`): without it the focal length of a bowed board is wrong by many of its own deviations.
 """
@@ -29,6 +29,8 @@ from companion.geometry import FloatArray
 
 # the mesh on which the projection's uncertainty is worked out: rows, columns
 MAP_SHAPE: Final = (13, 21)
+# the mean of a standard normal number where what is below nought counts as nought
+MEAN_EXCESS: Final = 0.399
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,10 @@ def uncertainty(solution: Solution) -> Uncertainty:
 
 
 def _disagreement(inverse: FloatArray, shares: list[tuple[FloatArray, FloatArray]]) -> float:
-    """The variance (px²) of a coordinate that the views' pulls on the shared numbers clearly speak of."""
+    """The variance (px²) of a coordinate that the views' pulls on the shared numbers speak of.
+
+    Less what chance adds to it on average where, as here, what is below the usual variance counts as that.
+    """
     scale = np.sqrt(np.diag(inverse))
     root = np.linalg.cholesky(inverse / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
     pulls = []
@@ -78,9 +83,8 @@ def _disagreement(inverse: FloatArray, shares: list[tuple[FloatArray, FloatArray
         along = axes.T @ (root.T @ (score * scale))
         # a view that has a number to itself has no score in it
         pulls.append(float(np.sum(along**2 / np.maximum(1.0 - share, 1e-3))))
-    # never to shrink, the ratio would stretch by chance alone: what the pulls cannot tell is taken off
-    spread = float(np.std(pulls, ddof=1)) * np.sqrt(len(pulls))
-    return (float(np.sum(pulls)) - spread) / len(scale)
+    chance = float(np.std(pulls, ddof=1) * np.sqrt(len(pulls)))
+    return (float(np.sum(pulls)) - MEAN_EXCESS * chance) / len(scale)
 
 
 def projection_std_px(camera: Intrinsics, covariance: FloatArray) -> FloatArray:
