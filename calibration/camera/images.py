@@ -72,7 +72,7 @@ def read_photos(paths: Sequence[Path], tell: Callable[[str], None]) -> Iterator[
         ConfigError: the only one that there is, or none of several, can be read.
     """
     read = False
-    wrong: ConfigError | None = None
+    wrong: list[ConfigError] = []
     for path in paths:
         try:
             for photo in _frames(path) if path.suffix.lower() in VIDEOS else [_photo(path)]:
@@ -80,13 +80,11 @@ def read_photos(paths: Sequence[Path], tell: Callable[[str], None]) -> Iterator[
                 yield photo
         except ConfigError as error:
             # one bad file of many is no reason to give up
-            if wrong is not None:
-                tell(f"left out: {wrong}")
-            wrong = error
-    if wrong is not None and not read:
-        raise wrong
-    if wrong is not None:
-        tell(f"left out: {wrong}")
+            wrong.append(error)
+    if wrong and not read:
+        raise wrong[0]
+    for error in wrong:
+        tell(f"left out: {error}")
 
 
 def _photo(path: Path) -> Photo:

@@ -21,6 +21,9 @@ FEWEST_IMAGES: Final = 2
 LIKELIER: Final = 1.15
 # fewer markers than this may be anything
 FEWEST_MARKERS: Final = 3
+# in each image; a dictionary that explains as many is the right one, or of its kind
+PLENTY: Final = 4
+MOST_IMAGES: Final = 4
 # a longer dictionary holds the shorter ones of its kind: it has to explain so much more
 LONGER_DICTIONARY: Final = 1.1
 Image = NDArray[np.uint8]
@@ -101,7 +104,7 @@ def _option(board: Board, change: dict[str, Any]) -> tuple[str, Board] | None:
 
 def what_is_seen(board: Board, images: Sequence[Image]) -> str:
     """What the images show where the board was not found, beside what was expected."""
-    small = [_reduced(image) for image in images]
+    small = [_reduced(image) for image in images[:MOST_IMAGES]]
     name, ids = _markers_seen(board, small)
     if not ids:
         size = _chessboard_seen(small)
@@ -118,19 +121,33 @@ def _own_name(board: Board) -> str:
 
 
 def _markers_seen(board: Board, images: Sequence[Image]) -> tuple[str, set[int]]:
-    """The dictionary that explains most of what looks like markers, and the ids that are seen of it."""
+    """The dictionary that explains most of what looks like markers, and the ids that are seen of it.
+
+    Short dictionaries first: where one of them explains plenty, only longer ones of its kind are tried, since
+    the longest take a hundred times as long.
+    """
     known = {_own_name(board): board.whole_dictionary()}
     known |= {name: cv2.aruco.getPredefinedDictionary(number) for name, number in DICTIONARIES.items()}
     by_length = sorted(known, key=lambda name: (name != _own_name(board), len(known[name].bytesList)))
     best, most, best_ids = "", float(FEWEST_MARKERS), set[int]()
     for name in by_length:
-        found: list[int] = []
-        for image in images:
-            _, ids, _ = cv2.aruco.ArucoDetector(known[name]).detectMarkers(image)
-            found += [] if ids is None else [int(i) for i in np.ravel(ids)]
+        if len(best_ids) and most >= PLENTY * len(images) and _kind(name) != _kind(best):
+            continue
+        detector = cv2.aruco.ArucoDetector(known[name])
+        found = [int(i) for image in images for i in np.ravel(_ids_of(detector, image))]
         if len(found) >= most:
             best, most, best_ids = name, LONGER_DICTIONARY * len(found), set(found)
     return best, best_ids
+
+
+def _ids_of(detector: cv2.aruco.ArucoDetector, image: Image) -> Any:
+    _, ids, _ = detector.detectMarkers(image)
+    return () if ids is None else ids
+
+
+def _kind(dictionary: str) -> str:
+    """4x4_50 and 4x4_1000 are of a kind: the one begins with the other."""
+    return dictionary.rsplit("_", 1)[0]
 
 
 def _reduced(image: Image) -> Image:
