@@ -83,8 +83,8 @@ def read_photos(paths: Sequence[Path], tell: Callable[[str], None]) -> Iterator[
             wrong.append(error)
     if wrong and not read:
         raise wrong[0]
-    for error in wrong:
-        tell(f"left out: {error}")
+    for why in wrong:
+        tell(f"left out: {why}")
 
 
 def _photo(path: Path) -> Photo:
