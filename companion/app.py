@@ -29,6 +29,7 @@ from companion.config import (
     load_vehicle,
 )
 from companion.control.controller import Controller
+from companion.doubts import forced_calibrations
 from companion.errands import Errands
 from companion.estimate.estimator import Estimator
 from companion.hardware import ActionsFactory, Hardware
@@ -186,6 +187,8 @@ class App:
             "actions": self._errands.run,
             "status": self._status_task,
         }
+        for doubt in forced_calibrations(self._config):
+            self._notice("calibration", doubt, "warning")
         async with asyncio.TaskGroup() as group:
             workers = [group.create_task(self._guard(name, work), name=name) for name, work in works.items()]
             phase = await group.create_task(self._controlled(), name="control")

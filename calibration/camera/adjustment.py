@@ -1,12 +1,8 @@
-"""Least squares over a camera, the poses of the board before it, and the board's own bend. Pure.
+"""Least squares over a camera, the poses of the board before it, and the board's own shape. Pure.
 
 The model is eqs. 2 and 3: pixel = K distort(x/z, y/z), with distortion k1 k2 p1 p2 k3, or with the rational
 model's k4 k5 k6 after them (radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)). The
 vector of a camera's numbers is everywhere fx fy cx cy and then the distortion.
-
-No board is flat. One of A4 that is bowed by half a millimetre makes the focal length wrong by 0.5 %, in the
-same way in every view, so that nothing in the residuals tells. Its bend is therefore solved for: depth
-z = b0 (1 - u²) + b1 (1 - v²) + b2 u v with u, v from -1 to 1 across the board, b in metres.
 """
 
 from __future__ import annotations
@@ -18,10 +14,10 @@ import cv2
 import numpy as np
 
 from calibration.camera.detection import View
+from calibration.camera.surface import Surface
 from companion.geometry import FloatArray
 
 Model = Literal["brown", "rational"]
-BEND_COUNT: Final = 3
 STEPS: Final = 12
 SMALLEST_STEP: Final = 1e-7  # of what a number's own uncertainty is
 HALVINGS: Final = 6
@@ -55,34 +51,6 @@ class Intrinsics:
     def model(self) -> Model:
         """Which one it is."""
         return "brown" if len(self.distortion) == 5 else "rational"
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """The board's shape: its pattern's size, and its bend (3,), all in m."""
-
-    size_m: tuple[float, float]
-    bend_m: FloatArray
-
-    def of(self, points_m: FloatArray) -> FloatArray:
-        """Points (n, 3) of a flat board on the bent one."""
-        bent = np.array(points_m, dtype=np.float64)
-        bent[:, 2] += self.shapes(points_m) @ self.bend_m
-        return bent
-
-    def shapes(self, points_m: FloatArray) -> FloatArray:
-        """Depth of the points (n, 3) for each of the bend's numbers being one: (n, 3)."""
-        u, v = (2.0 * points_m[:, k] / self.size_m[k] - 1.0 for k in (0, 1))
-        return np.column_stack((1.0 - u * u, 1.0 - v * v, u * v))
-
-    @property
-    def bow_m(self) -> float:
-        """How far the surface is from its mean plane at most."""
-        line = np.linspace(-1.0, 1.0, 9)
-        u, v = (grid.ravel() for grid in np.meshgrid(line, line))
-        depth = np.column_stack((1.0 - u * u, 1.0 - v * v, u * v)) @ self.bend_m
-        plane = np.column_stack((u, v, np.ones_like(u)))
-        return float(np.abs(depth - plane @ np.linalg.lstsq(plane, depth, rcond=None)[0]).max())
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +100,7 @@ def seen_at(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What one view says of the shared numbers (camera, then bend) once its own pose is solved for.
+    """What one view says of the shared numbers (camera, then surface) once its own pose is solved for.
 
     `information` (n, n) and `score` (n,) are its share of the normal equations; `pose_step` (6,) and
     `pose_change` (6, n) give the step of its pose for a step of the shared numbers.
@@ -149,11 +117,11 @@ def normal_equations(camera: Intrinsics, surface: Surface, seen: Seen) -> Part:
     points = surface.of(seen.view.points_m)
     _, jacobian = cv2.projectPoints(points, seen.turn, seen.position_m, camera.matrix, camera.distortion)
     of_pose, of_camera = jacobian[:, :6], jacobian[:, 6 : 6 + len(camera.numbers)]
-    # a point that moves by z of the board moves in the camera by the board's third axis
+    # a point that moves on the board moves in the camera by the board's axes
     rotation, _ = cv2.Rodrigues(seen.turn)
-    of_depth = jacobian[:, 3:6] @ rotation[:, 2]
-    of_bend = of_depth[:, None] * np.repeat(surface.shapes(seen.view.points_m), 2, axis=0)
-    shared = np.hstack((of_camera, of_bend))
+    of_point = (jacobian[:, 3:6] @ rotation).reshape(-1, 2, 3)
+    of_surface = (of_point @ surface.shapes(seen.view.points_m)).reshape(-1, surface.count)
+    shared = np.hstack((of_camera, of_surface))
     errors = seen.errors_px.reshape(-1)
     basis, triangle = np.linalg.qr(of_pose)
     free = shared - basis @ (basis.T @ shared)
@@ -201,7 +169,7 @@ def _stepped(solution: Solution, parts: list[Part], step: FloatArray) -> tuple[S
     for halving in range(HALVINGS):
         share = 0.5**halving
         camera = Intrinsics(solution.camera.numbers + share * step[:count], solution.camera.size_px)
-        surface = Surface(solution.surface.size_m, solution.surface.bend_m + share * step[count:])
+        surface = solution.surface.stepped(share * step[count:])
         seen = []
         for old, part in zip(solution.seen, parts, strict=True):
             pose = share * (part.pose_step - part.pose_change @ step)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
+from calibration.camera.surface import Surface
 from companion.config import ConfigError, StrictModel
 from companion.geometry import FloatArray
 
@@ -70,7 +71,7 @@ class Board(StrictModel):
             raise ValueError(
                 f"dictionary '{self.dictionary}': expected one of {', '.join(sorted(DICTIONARIES))}"
             )
-        if self.marker_count > (there := len(self._whole_dictionary().bytesList)):
+        if self.marker_count > (there := len(self.whole_dictionary().bytesList)):
             raise ValueError(f"dictionary of {there} codes: expected at least {self.marker_count}")
         return self
 
@@ -100,6 +101,12 @@ class Board(StrictModel):
         return (self.columns + more) * self.square_m, (self.rows + more) * self.square_m
 
     @property
+    def surface(self) -> Surface:
+        """The pattern as it is told to be, for the calibration to start from."""
+        marker = (self.marker_m, self.marker_m + self.gap_m) if self.pattern == "grid" else None
+        return Surface(self.size_m, marker)
+
+    @property
     def text(self) -> str:
         """The board in a few words, as it is printed on the board itself."""
         words = f"{self.pattern} {self.columns}x{self.rows}"
@@ -115,7 +122,7 @@ class Board(StrictModel):
     @cached_property
     def _codes(self) -> cv2.aruco.Dictionary:
         """Cut to the codes that are on the board: a long dictionary is slow to search."""
-        whole = self._whole_dictionary()
+        whole = self.whole_dictionary()
         return cv2.aruco.Dictionary(
             whole.bytesList[: self.marker_count], whole.markerSize, whole.maxCorrectionBits
         )
@@ -183,7 +190,8 @@ class Board(StrictModel):
             ]
         return found
 
-    def _whole_dictionary(self) -> cv2.aruco.Dictionary:
+    def whole_dictionary(self) -> cv2.aruco.Dictionary:
+        """All the codes there are, on the board or not."""
         if isinstance(self.dictionary, str):
             return cv2.aruco.getPredefinedDictionary(DICTIONARIES[self.dictionary])
         side = self.dictionary.bits

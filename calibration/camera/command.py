@@ -185,7 +185,7 @@ def finish(
         ConfigError: a file cannot be written.
     """
     try:
-        result = assess(found.views, found.size_px, board.size_m, model)
+        result = assess(found.views, found.size_px, board.surface, model)
     except UnsolvableError as error:
         raise RefusedError(f"{found.source}: {error}") from error
     for line in summary_lines(result):

@@ -9,6 +9,7 @@ why ChArUco and chessboards calibrate better.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -25,6 +26,14 @@ FEWEST_POINTS: Final = 6
 WINDOW_SHARE: Final = 0.85
 WINDOW_PX: Final = (2, 12)
 CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-4)
+# a corner that no plane can explain to this share of the board's image is one that was misread
+MISREAD_SHARE: Final = 0.03
+# lenses to see that plane through: by one parameter λ of r_ideal = r / (1 + λ r²), r = 1 at the image's
+# corners. Through none at all, the corners that tell most of a wide lens are taken for misread
+LENSES: Final = (0.0, -0.15, -0.3, -0.6, -1.0, -1.5, 0.15)
+MOST_LENS: Final = 0.1  # the least that 1 + λ r² is let be
+# where fewer fit any plane it is another board
+FEWEST_FITTING: Final = 0.8
 # points on a line fix no pose: the smaller spread, of the larger one
 THINNEST: Final = 0.05
 EDGE_PATCH_PX: Final = 5
@@ -69,7 +78,10 @@ class BoardFinder:
         spread = np.linalg.svd(points[:, :2] - points[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < THINNEST * spread[0]:
             return None
-        corners = _refine(image, corners, self._window_px(points, corners))
+        fits = on_a_plane(points, corners, image.shape[::-1])
+        if np.count_nonzero(fits) < max(FEWEST_POINTS, FEWEST_FITTING * len(fits)):
+            return None
+        corners = _refine(image, corners, self._window_px(points[fits], corners[fits]))
         return View(name, ids, points, corners, edge_width_px(image, corners))
 
     def _coarse(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.int64], FloatArray]:
@@ -112,6 +124,24 @@ class BoardFinder:
 
     def _bits(self) -> int:
         return 4 if self.board.pattern == "chessboard" else int(self.board.grid.getDictionary().markerSize)
+
+
+def on_a_plane(points_m: FloatArray, corners_px: FloatArray, size_px: Sequence[int]) -> NDArray[np.bool_]:
+    """Which corners (n, 2) can be those points (n, 3) of a plane, seen through any usual lens: (n,)."""
+    middle = 0.5 * np.array(size_px, dtype=np.float64)
+    places = (corners_px - middle) / np.linalg.norm(middle)
+    squared = np.sum(places**2, axis=1, keepdims=True)
+    most = np.zeros(len(points_m), dtype=bool)
+    for lens in LENSES:
+        ideal = places / np.maximum(1.0 + lens * squared, MOST_LENS)
+        limit = MISREAD_SHARE * float(np.linalg.norm(np.ptp(ideal, axis=0)))
+        # in pixels or not: RANSAC's own arithmetic is at home with hundreds
+        _, fits = cv2.findHomography(points_m[:, :2], 1e3 * ideal, cv2.RANSAC, 1e3 * limit)
+        found = most if fits is None else np.asarray(fits, dtype=bool).ravel()
+        most = found if np.count_nonzero(found) > np.count_nonzero(most) else most
+        if most.all():
+            break
+    return most
 
 
 def _chessboard(image: NDArray[np.uint8], size: tuple[int, int]) -> tuple[bool, FloatArray | None]:

@@ -9,11 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from calibration.camera.board import Board
 from calibration.camera.capture import CaptureSession
 from calibration.camera.detection import BoardFinder, View
 from calibration.camera.images import Photo, photo_paths, read_photos
 from calibration.camera.live import write_image
+from calibration.camera.mismatch import hint, what_is_seen
 from calibration.camera.printing import board_yaml
 from companion.config import ConfigError, find_file, load_model, validate
 from companion.files import write_atomically
@@ -23,7 +27,9 @@ DEFAULT_BOARD: Final = "charuco_a4"
 BOARD_FILE: Final = "board.yaml"
 # more cost time and tell nothing new
 MOST_VIEWS: Final = 120
-SAMPLES: Final = 4
+SAMPLES: Final = 8
+# of the photos; where more show no board, it may be another than described
+USUAL_MISSES: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,22 +65,6 @@ def choose_board(words: str | None, given: dict[str, Any], sources: Sequence[str
     return validate(Board, {**board.model_dump(), **given}, str(path)) if given else board
 
 
-def near_misses(board: Board) -> list[tuple[str, Board]]:
-    """Boards that are easily taken for this one, and how to ask for them."""
-    others: list[tuple[str, dict[str, Any]]] = [
-        (f"--board {board.rows}x{board.columns}", {"columns": board.rows, "rows": board.columns})
-    ]
-    if board.pattern == "charuco":
-        legacy = not board.legacy_pattern
-        words = "--legacy-pattern" if legacy else "no --legacy-pattern"
-        others.append((words, {"legacy_pattern": legacy}))
-        others.append((f"{others[0][0]} and {words}", {**others[0][1], "legacy_pattern": legacy}))
-    if board.pattern == "chessboard" and min(board.columns, board.rows) > 2:
-        less = {"columns": board.columns - 1, "rows": board.rows - 1}
-        others.append((f"--board {less['columns']}x{less['rows']} (inner corners)", less))
-    return [(words, Board.model_validate({**board.model_dump(), **change})) for words, change in others]
-
-
 def two_numbers(words: str, option: str) -> tuple[int, int]:
     """Two whole numbers with an x between.
 
@@ -104,19 +94,19 @@ def views_of_photos(
     finder = BoardFinder(board)
     sessions: dict[tuple[int, int], CaptureSession] = {}
     found: list[tuple[View, tuple[int, int]]] = []
-    samples: list[Photo] = []
-    without: list[str] = []
+    missed = _Samples()
     count = 0
-    for photo in read_photos(paths):
+    without: list[str] = []
+    for photo in read_photos(paths, tell):
         count += 1
         view = finder.find(photo.image, photo.name)
+        if view is None:
+            missed.add(photo)
         if photo.time_s is None:
-            samples += [photo] if len(samples) < SAMPLES else []
-            without += [photo.name] if view is None else []
+            without += [Path(photo.name).name] if view is None else []
         else:
             session = sessions.setdefault(photo.size_px, CaptureSession(photo.size_px))
             view = view if session.step(photo.time_s, view).kept else None
-            samples += [photo] if len(samples) < SAMPLES and count % 30 == 1 else []
         if view is None:
             continue
         found.append((view, photo.size_px))
@@ -126,19 +116,37 @@ def views_of_photos(
         write_atomically(keep / BOARD_FILE, board_yaml(board))
     source = ", ".join(map(str, sources))
     if not found:
-        raise ConfigError(f"{source}: {_why_nothing(board, samples, count, moving=bool(sessions))}")
+        raise ConfigError(f"{source}: {_why_none(board, missed, count, moving=bool(sessions))}")
     if without:
-        tell(f"no board, or too little of it, in {len(without)} of {count}: {', '.join(without)}")
+        little = "not the whole board" if board.pattern == "chessboard" else "no board, or too little of it,"
+        tell(f"{little} in {len(without)} of {count}: {', '.join(without)}")
+    if len(without) > USUAL_MISSES * count and (other := hint(board, missed.images)):
+        tell(f"of those that were looked at again: {other}")
     return _of_one_size(found, source, tell)
 
 
-def _why_nothing(board: Board, samples: Sequence[Photo], count: int, *, moving: bool) -> str:
-    for words, other in near_misses(board):
-        finder = BoardFinder(other)
-        if any(finder.find(photo.image) is not None for photo in samples):
-            return f"no board as described in {count} images; found it with {words}"
+class _Samples:
+    """Some images, evenly from all there are however many come: every so manieth, twice as far each time."""
+
+    def __init__(self) -> None:
+        self.images: list[NDArray[np.uint8]] = []
+        self.met = 0
+        self._stride = 1
+
+    def add(self, photo: Photo) -> None:
+        if self.met % self._stride == 0:
+            self.images.append(photo.image)
+        self.met += 1
+        if len(self.images) > SAMPLES:
+            self.images, self._stride = self.images[::2], 2 * self._stride
+
+
+def _why_none(board: Board, missed: _Samples, count: int, *, moving: bool) -> str:
+    other = None if board.pattern == "chessboard" else hint(board, missed.images)
+    if other is not None:
+        return f"no board as described in {count} images; {other}"
     more = ", sharp and held still for a moment" if moving else ""
-    return f"no board found in {count} images; expected {board.text}{more}"
+    return f"no board found in {count} images; {what_is_seen(board, missed.images)}{more}"
 
 
 def _of_one_size(

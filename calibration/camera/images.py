@@ -7,7 +7,7 @@ app gets its frames unturned too.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -61,20 +61,30 @@ def photo_paths(sources: Sequence[Path]) -> list[Path]:
             raise ConfigError(
                 f"{source}: not there; expected a camera, a folder of photos, a photo or a video"
             )
-    return found
+    # what is named twice, alone and in its folder, is one view all the same
+    return list(dict.fromkeys(found))
 
 
-def read_photos(paths: Sequence[Path]) -> Iterator[Photo]:
-    """Every photo, and every frame of a video, in order.
+def read_photos(paths: Sequence[Path], tell: Callable[[str], None]) -> Iterator[Photo]:
+    """Every photo, and every frame of a video, in order. `tell` gets a line for each that cannot be read.
 
     Raises:
-        ConfigError: one of them cannot be read.
+        ConfigError: the only one that there is, or none of several, can be read.
     """
+    read = False
+    wrong: list[ConfigError] = []
     for path in paths:
-        if path.suffix.lower() in VIDEOS:
-            yield from _frames(path)
-        else:
-            yield _photo(path)
+        try:
+            for photo in _frames(path) if path.suffix.lower() in VIDEOS else [_photo(path)]:
+                read = True
+                yield photo
+        except ConfigError as error:
+            # one bad file of many is no reason to give up
+            wrong.append(error)
+    if wrong and not read:
+        raise wrong[0]
+    for why in wrong:
+        tell(f"left out: {why}")
 
 
 def _photo(path: Path) -> Photo:

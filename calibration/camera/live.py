@@ -107,7 +107,7 @@ class _Capture:
         board, size = self._board, self.session.size_px
         try:
             found = await asyncio.to_thread(
-                assess, list(self.session.views), size, board.size_m, self._options.model
+                assess, list(self.session.views), size, board.surface, self._options.model
             )
         except UnsolvableError as error:
             self._say(f"more views, please: {error}")

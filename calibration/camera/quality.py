@@ -12,8 +12,10 @@ from calibration.camera.adjustment import Intrinsics, Model, Solution, Unsolvabl
 from calibration.camera.coverage import CORNERS, Coverage
 from calibration.camera.detection import View
 from calibration.camera.solving import held_out_rms_px, rms_of_all, solve
+from calibration.camera.surface import Surface
 from calibration.camera.uncertainty import Uncertainty, projection_std_px, uncertainty
 from companion.geometry import FloatArray
+from companion.sense.lens import radial_factor
 
 FEWEST_VIEWS: Final = 8
 SMALLEST_COVERAGE: Final = 0.55
@@ -48,17 +50,17 @@ class Assessment:
 
 
 def assess(
-    views: Sequence[View], size_px: tuple[int, int], board_m: tuple[float, float], model: Model = "brown"
+    views: Sequence[View], size_px: tuple[int, int], board: Surface, model: Model = "brown"
 ) -> Assessment:
     """Calibrate and judge.
 
     Raises:
         UnsolvableError: there is nothing to judge.
     """
-    solution = solve(views, size_px, board_m, model)
+    solution = solve(views, size_px, board, model)
     known = uncertainty(solution)
     coverage = Coverage.of((s.view for s in solution.seen), [s.turn for s in solution.seen], size_px)
-    brown = None if model == "brown" else _held_out_of_brown(views, size_px, board_m)
+    brown = None if model == "brown" else _held_out_of_brown(views, size_px, board)
     found = Assessment(
         solution=solution,
         coverage=coverage,
@@ -74,11 +76,9 @@ def assess(
     return replace(found, reasons=reasons)
 
 
-def _held_out_of_brown(
-    views: Sequence[View], size_px: tuple[int, int], board_m: tuple[float, float]
-) -> float | None:
+def _held_out_of_brown(views: Sequence[View], size_px: tuple[int, int], board: Surface) -> float | None:
     try:
-        return held_out_rms_px(solve(views, size_px, board_m, "brown"))
+        return held_out_rms_px(solve(views, size_px, board, "brown"))
     except UnsolvableError:
         return None
 
@@ -184,14 +184,11 @@ _JUDGES: Final[tuple[Callable[[Assessment], list[str]], ...]] = (_views, _seen, 
 
 def unfolded_share(camera: Intrinsics) -> float:
     """How far from the middle towards its corners (1: all the way) the image grows with the angle."""
-    k1, k2, _, _, k3, *denominator = camera.distortion.tolist()
-    k4, k5, k6 = denominator or (0.0, 0.0, 0.0)
     fx, fy, cx, cy = camera.numbers[:4].tolist()
     width, height = camera.size_px
     farthest = max(np.hypot((u - cx) / fx, (v - cy) / fy) for u in (0, width) for v in (0, height))
     r = np.linspace(0.0, 3.0 * farthest, 3 * FOLD_SAMPLES + 1)
-    s = r * r
-    distorted = r * (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
+    distorted = r * radial_factor(camera.distortion.tolist(), r * r)
     falls = np.flatnonzero(np.diff(distorted) <= 0.0)
     top = float(distorted[falls[0]]) if len(falls) else float(distorted[-1])
     return min(1.0, top / float(farthest))

@@ -10,11 +10,14 @@ import yaml
 
 from calibration.camera.board import Board
 from calibration.camera.quality import Assessment
+from calibration.camera.surface import Surface
 from companion.config import CameraConfig, CaptureConfig, validate
 from companion.config.calibration import CameraCalibration, Provenance
 
 NAMES: Final = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 WORST_VIEWS: Final = 3
+# a grid whose markers are as much larger than told was measured wrongly; less may be ink and light
+WRONG_SPREAD: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +109,22 @@ def summary_lines(found: Assessment) -> list[str]:
         f"seen in {100 * found.coverage.share:.0f} % of the image, tilted by up to "
         f"{found.coverage.largest_tilt_deg:.0f}°; the board is bowed by {1e3 * solution.surface.bow_m:.2f} mm"
     )
+    lines += _marker_lines(solution.surface)
     lines.append(
         f"what is seen is certain to {np.median(found.projection_std_px):.2f} px (median over the image), "
         f"{found.projection_std_px.max():.2f} px at worst"
     )
     return lines
+
+
+def _marker_lines(surface: Surface) -> list[str]:
+    """How large a grid's markers were found to be, for whoever measured the gap: the camera is right."""
+    if surface.spread is None or surface.marker_m is None or not surface.spread:
+        return []
+    side, pitch = surface.marker_m
+    line = f"the markers are {100 * surface.spread:+.1f} % larger than told"
+    if surface.gap_m is not None and abs(surface.spread) > WRONG_SPREAD:
+        line += (
+            f": {1e3 * surface.gap_m:.1f} mm apart, if they are {1e3 * side:g}; told {1e3 * (pitch - side):g}"
+        )
+    return [line]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -10,56 +10,54 @@ import cv2
 import numpy as np
 
 from calibration.camera.adjustment import (
-    BEND_COUNT,
     Intrinsics,
     Model,
     Seen,
     Solution,
-    Surface,
     UnsolvableError,
     refine,
     rms,
     seen_at,
 )
-from calibration.camera.detection import FEWEST_POINTS, View
+from calibration.camera.detection import FEWEST_POINTS, View, on_a_plane
+from calibration.camera.surface import Surface
 from companion.geometry import FloatArray
 
 FEWEST_VIEWS: Final = 2
-# with fewer, the board's bend and the camera cannot be told apart
-FEWEST_VIEWS_FOR_BEND: Final = 6
+# with fewer, the board's shape and the camera cannot be told apart
+FEWEST_VIEWS_FOR_SHAPE: Final = 6
 CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 # the median of a Rayleigh distribution over its σ: from a typical distance to the noise of a coordinate
 RAYLEIGH_MEDIAN: Final = 1.1774
 # of pure noise, one corner in 25,000 is farther off than this many σ
 CORNER_SIGMAS: Final = 4.5
 VIEW_RATIO: Final = 3.0
-# a corner that no plane can explain to this share of the board's image is one that was misread
-MISREAD_SHARE: Final = 0.03
 ROUNDS: Final = 8
 FOLDS: Final = 5
 
 
 def solve(
-    views: Sequence[View], size_px: tuple[int, int], board_m: tuple[float, float], model: Model = "brown"
+    views: Sequence[View], size_px: tuple[int, int], board: Surface, model: Model = "brown"
 ) -> Solution:
     """Calibrate, leaving out corners and whole views that do not fit the rest.
 
     Args:
         views: the board in several images, each of another name.
         size_px: width and height of the images.
-        board_m: width and height of the board's pattern.
+        board: as it was told to be.
         model: of the distortion.
 
     Raises:
         UnsolvableError: too few views, or views that fix no camera.
     """
-    kept = [v for v in map(_without_misread, views) if v is not None]
-    solution = fit(kept, size_px, board_m, model)
+    read = [v for v in (_without_misread(view, size_px) for view in views) if v is not None]
+    kept = read
+    solution = fit(kept, size_px, board, model)
     for _ in range(ROUNDS):
-        kept = _without_outliers(solution)
-        if sum(len(v.ids) for v in kept) == len(solution.errors_px):
+        before, kept = kept, _without_outliers(solution, read)
+        if _same(before, kept):
             break
-        solution = fit(kept, size_px, board_m, model, solution.camera)
+        solution = fit(kept, size_px, board, model, solution.camera)
     names = {s.view.name for s in solution.seen}
     corners = sum(len(v.ids) for v in views if v.name in names) - len(solution.errors_px)
     dropped = tuple(v.name for v in views if v.name not in names)
@@ -69,11 +67,11 @@ def solve(
 def fit(
     views: Sequence[View],
     size_px: tuple[int, int],
-    board_m: tuple[float, float],
+    board: Surface,
     model: Model,
     guess: Intrinsics | None = None,
 ) -> Solution:
-    """Least squares over all corners of the views: the library's with a flat board, then with its bend.
+    """Least squares over all corners of the views: the library's with a flat board, then with its shape.
 
     Raises:
         UnsolvableError: as `solve`.
@@ -100,11 +98,11 @@ def fit(
     numbers = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:count]])
     if not np.isfinite(numbers).all() or not (numbers[:2] > 0.0).all():
         raise UnsolvableError("the views fix no camera: its focal length came out as no number")
-    camera, surface = Intrinsics(numbers, size_px), Surface(board_m, np.zeros(BEND_COUNT))
+    camera, surface = Intrinsics(numbers, size_px), board.flat()
     posed = zip(views, turns, positions, strict=True)
     seen = tuple(seen_at(camera, surface, v, np.ravel(t), np.ravel(p)) for v, t, p in posed)
     flat = Solution(camera, surface, seen)
-    return refine(flat) if len(views) >= FEWEST_VIEWS_FOR_BEND else flat
+    return refine(flat) if len(views) >= FEWEST_VIEWS_FOR_SHAPE else flat
 
 
 def place(camera: Intrinsics, surface: Surface, view: View) -> Seen:
@@ -120,13 +118,7 @@ def place(camera: Intrinsics, surface: Surface, view: View) -> Seen:
 
 def rms_of_all(solution: Solution, views: Sequence[View]) -> float:
     """Reprojection error of every corner that was found, the outliers too (px)."""
-    poses = {s.view.name: s for s in solution.seen}
-    errors = []
-    for view in views:
-        known = poses.get(view.name) or place(solution.camera, solution.surface, view)
-        whole = seen_at(solution.camera, solution.surface, view, known.turn, known.position_m)
-        errors.append(whole.errors_px)
-    return rms(np.concatenate(errors))
+    return rms(np.concatenate([seen.errors_px for seen in _posed(solution, views)]))
 
 
 def held_out_rms_px(solution: Solution) -> float | None:
@@ -142,7 +134,7 @@ def held_out_rms_px(solution: Solution) -> float | None:
     for k in range(FOLDS):
         rest = [v for i, v in enumerate(views) if i % FOLDS != k]
         try:
-            other = fit(rest, camera.size_px, solution.surface.size_m, camera.model, camera)
+            other = fit(rest, camera.size_px, solution.surface, camera.model, camera)
         except UnsolvableError:
             return None
         errors += [place(other.camera, other.surface, v).errors_px for v in views[k::FOLDS]]
@@ -152,20 +144,28 @@ def held_out_rms_px(solution: Solution) -> float | None:
 # ---------------------------------------------------------------- outliers
 
 
-def _without_misread(view: View) -> View | None:
+def _without_misread(view: View, size_px: tuple[int, int]) -> View | None:
     """The view without corners that lie where no plane could have them."""
-    limit = MISREAD_SHARE * float(np.linalg.norm(np.ptp(view.corners_px, axis=0)))
-    _, fits = cv2.findHomography(view.points_m[:, :2], view.corners_px, cv2.RANSAC, limit)
-    if fits is None or np.count_nonzero(fits) < FEWEST_POINTS:
-        return None
-    return view.only(np.asarray(fits, dtype=bool).ravel())
+    fits = on_a_plane(view.points_m, view.corners_px, size_px)
+    return view.only(fits) if np.count_nonzero(fits) >= FEWEST_POINTS else None
 
 
-def _without_outliers(solution: Solution) -> list[View]:
-    """The views without those, and without the corners, that are much farther off than is usual."""
+def _posed(solution: Solution, views: Sequence[View]) -> Iterator[Seen]:
+    """Views, whole, as the solution has them; those that are not part of it are placed with its camera."""
+    poses = {s.view.name: s for s in solution.seen}
+    for view in views:
+        known = poses.get(view.name) or place(solution.camera, solution.surface, view)
+        yield seen_at(solution.camera, solution.surface, view, known.turn, known.position_m)
+
+
+def _without_outliers(solution: Solution, views: Sequence[View]) -> list[View]:
+    """The views without those, and without the corners, that are much farther off than is usual.
+
+    Each is judged anew: what did not fit the first, rough camera may well fit a better one.
+    """
     usual = float(np.median([s.rms_px for s in solution.seen]))
     kept = []
-    for seen in solution.seen:
+    for seen in _posed(solution, views):
         lengths = np.linalg.norm(seen.errors_px, axis=1)
         # the view's own noise counts where it is larger: a blurred view has no outliers by that alone
         noise = float(max(np.median(lengths), 0.5 * usual)) / RAYLEIGH_MEDIAN
@@ -173,3 +173,8 @@ def _without_outliers(solution: Solution) -> list[View]:
         if np.count_nonzero(fits) >= FEWEST_POINTS and rms(seen.errors_px[fits]) <= VIEW_RATIO * usual:
             kept.append(seen.view.only(fits))
     return kept
+
+
+def _same(some: Sequence[View], others: Sequence[View]) -> bool:
+    """Whether two selections of the same views have the same corners."""
+    return [(v.name, v.ids.tolist()) for v in some] == [(v.name, v.ids.tolist()) for v in others]

@@ -6,7 +6,7 @@ numbers is compared with what it should be: the views' scores, corrected for how
 towards itself (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). Where views disagree more than
 they should, all variances are stretched by that ratio. One ratio, and not the whole cluster-robust matrix,
 because 25 views do not tell a matrix of 78 numbers. The board's bend is one of the unknowns (see
-`adjustment`): without it the focal length of a bowed board is wrong by many of its own deviations.
+`surface`): without it the focal length of a bowed board is wrong by many of its own deviations.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ import cv2
 import numpy as np
 
 from calibration.camera.adjustment import (
-    BEND_COUNT,
     Intrinsics,
     Solution,
     UnsolvableError,
     normal_equations,
     solve_scaled,
 )
-from calibration.camera.solving import FEWEST_VIEWS_FOR_BEND
+from calibration.camera.solving import FEWEST_VIEWS_FOR_SHAPE
 from companion.geometry import FloatArray
 
 # the mesh on which the projection's uncertainty is worked out: rows, columns
 MAP_SHAPE: Final = (13, 21)
+# the mean of a standard normal number where what is below nought counts as nought
+MEAN_EXCESS: Final = 0.399
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ def uncertainty(solution: Solution) -> Uncertainty:
         UnsolvableError: the views leave one of them open.
     """
     of_camera = len(solution.camera.numbers)
-    count = of_camera + (BEND_COUNT if len(solution.seen) >= FEWEST_VIEWS_FOR_BEND else 0)
+    count = of_camera + (solution.surface.count if len(solution.seen) >= FEWEST_VIEWS_FOR_SHAPE else 0)
     parts = [normal_equations(solution.camera, solution.surface, seen) for seen in solution.seen]
     shares = [(part.information[:count, :count], part.score[:count]) for part in parts]
     inverse = solve_scaled(np.sum([share for share, _ in shares], axis=0), np.eye(count))
@@ -69,17 +70,21 @@ def uncertainty(solution: Solution) -> Uncertainty:
 
 
 def _disagreement(inverse: FloatArray, shares: list[tuple[FloatArray, FloatArray]]) -> float:
-    """The variance (px²) of a coordinate that the views' pulls on the shared numbers speak of."""
+    """The variance (px²) of a coordinate that the views' pulls on the shared numbers speak of.
+
+    Less what chance adds to it on average where, as here, what is below the usual variance counts as that.
+    """
     scale = np.sqrt(np.diag(inverse))
     root = np.linalg.cholesky(inverse / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
-    pull = 0.0
+    pulls = []
     for information, score in shares:
         whitened = root.T @ (information * np.outer(scale, scale)) @ root
         share, axes = np.linalg.eigh(whitened)
         along = axes.T @ (root.T @ (score * scale))
         # a view that has a number to itself has no score in it
-        pull += float(np.sum(along**2 / np.maximum(1.0 - share, 1e-3)))
-    return pull / len(scale)
+        pulls.append(float(np.sum(along**2 / np.maximum(1.0 - share, 1e-3))))
+    chance = float(np.std(pulls, ddof=1) * np.sqrt(len(pulls)))
+    return (float(np.sum(pulls)) - MEAN_EXCESS * chance) / len(scale)
 
 
 def projection_std_px(camera: Intrinsics, covariance: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from companion.check.session import Outlets, PadCheck
 from companion.check.steps import Say
 from companion.check.wizard import Report
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
+from companion.doubts import forced_calibrations
 from companion.files import write_atomically
 from companion.hardware import open_hardware
 from companion.mjpeg import MjpegServer
@@ -77,6 +78,8 @@ def check_command(
     if json_file is not None and not json_file.resolve().parent.is_dir():
         raise ConfigError(f"--json {json_file}: cannot be written; expected a file in an existing folder")
     console = Console()
+    for doubt in forced_calibrations(settings):
+        console.print(f"warning: {doubt}", style="yellow", highlight=False, markup=False, soft_wrap=True)
     report = asyncio.run(_check(settings, console, linked=not no_link, port=serve))
     show(report, console)
     if json_file is not None:

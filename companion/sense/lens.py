@@ -6,6 +6,7 @@ its ideal image coordinates (x/z, y/z), without unit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -14,9 +15,25 @@ import numpy as np
 from companion.config import CameraConfig
 from companion.geometry import FloatArray
 
-# beyond this tangent of the angle to the axis the polynomial of a calibration means nothing
-MAXIMUM_TANGENT: Final = 1.2
+# a lens is believed up to this tangent of the angle to the axis, and farther where its image is wider, but
+# nowhere beyond the angle from which on its polynomial turns back: that would fold the pad into the image
+USUAL_TANGENT: Final = 1.2
+WIDEST_TANGENT: Final = 4.0
+TANGENT_STEP: Final = 0.01
 NEAREST_M: Final = 0.02
+
+
+def radial_factor(distortion: Sequence[float], squared: FloatArray) -> FloatArray:
+    """By how much the lens stretches rays whose ideal image coordinates have these squared lengths (eq. 3).
+
+    `distortion` is k1 k2 p1 p2 k3, and for the rational model k4 k5 k6.
+    """
+    k1, k2, _, _, k3, *denominator = distortion
+    factor = 1.0 + squared * (k1 + squared * (k2 + squared * k3))
+    if denominator:
+        k4, k5, k6 = denominator
+        factor = factor / (1.0 + squared * (k4 + squared * (k5 + squared * k6)))
+    return factor
 
 
 class Lens:
@@ -32,6 +49,7 @@ class Lens:
             [[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]]
         )
         self._distortion = np.array(camera.distortion)
+        self._farthest = self._farthest_tangent()
         self._criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
 
     def undistort(self, pixels: FloatArray) -> FloatArray:
@@ -43,25 +61,32 @@ class Lens:
     def project(self, points_camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (n, 2) of points (n, 3), and depths (n,); pixels are NaN where the lens cannot see.
 
-        That is behind the camera, nearer than 2 cm or far off the axis.
+        That is behind the camera, nearer than 2 cm or farther off the axis than the lens is known.
         """
         depth = points_camera_m[:, 2]
         ideal = points_camera_m[:, :2] / np.maximum(depth, NEAREST_M)[:, None]
-        seen = (depth > NEAREST_M) & (np.einsum("ij,ij->i", ideal, ideal) < MAXIMUM_TANGENT**2)
+        seen = (depth > NEAREST_M) & (np.einsum("ij,ij->i", ideal, ideal) < self._farthest**2)
         pixels = self._distort(ideal) * self._scale + self._centre
         return np.where(seen[:, None], pixels, np.nan), depth
 
     def _distort(self, ideal: FloatArray) -> FloatArray:
-        k1, k2, p1, p2, k3, *denominator = (float(k) for k in self._distortion)
+        _, _, p1, p2, *_ = self._distortion.tolist()
         x, y = ideal[:, 0], ideal[:, 1]
         r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        if denominator:  # the rational model's
-            k4, k5, k6 = denominator
-            radial = radial / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        radial = radial_factor(self._distortion.tolist(), r2)
         return np.column_stack(
             (
                 x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
                 y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
             )
         )
+
+    def _farthest_tangent(self) -> float:
+        """Up to where the calibration means something."""
+        tangents = np.arange(0.0, WIDEST_TANGENT, TANGENT_STEP)
+        images = tangents * radial_factor(self._distortion.tolist(), tangents**2)
+        corners = np.array([(u, v) for u in (0, self.size_px[0]) for v in (0, self.size_px[1])])
+        reach = np.linalg.norm((corners - self._centre) / self._scale, axis=1).max()
+        turns_back = np.append(np.flatnonzero(np.diff(images) <= 0.0), len(tangents) - 1)[0]
+        needed = np.append(np.flatnonzero(images >= reach), len(tangents) - 1)[0]
+        return float(min(tangents[turns_back], max(USUAL_TANGENT, tangents[needed])))

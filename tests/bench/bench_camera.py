@@ -66,7 +66,7 @@ def calibrated(camera: CameraConfig, board: Board, bow_m: float, seed: int) -> R
         )
         view = finder.find(image, f"view {number}")
         views += [] if view is None else [view]
-    found = assess(views, (camera.width_px, camera.height_px), board.size_m)
+    found = assess(views, (camera.width_px, camera.height_px), board.surface)
     truth = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
     errors = found.solution.camera.numbers - truth
     nees = float(errors @ np.linalg.solve(found.uncertainty.covariance, errors))
@@ -136,10 +136,10 @@ def real(folder: Path) -> bool:
     refused = []
     for name, board, paths in real_rows(folder):
         finder = BoardFinder(board)
-        photos = list(read_photos(photo_paths(paths)))
+        photos = list(read_photos(photo_paths(paths), print))
         views = [view for photo in photos if (view := finder.find(photo.image, photo.name)) is not None]
         try:
-            found = assess(views, photos[0].size_px, board.size_m)
+            found = assess(views, photos[0].size_px, board.surface)
         except UnsolvableError as error:
             print(f"real photos, {name}: {len(views)} views: refused: {error}")
             refused.append(True)

@@ -47,11 +47,11 @@ def views_of(
 
 
 def judged(views: Sequence[View], model: str = "brown") -> Assessment:
-    return assess(views, SIZE, BOARD.size_m, "rational" if model == "rational" else "brown")
+    return assess(views, SIZE, BOARD.surface, "rational" if model == "rational" else "brown")
 
 
 def test_without_noise_the_camera_comes_out_exactly() -> None:
-    solution = solve(views_of(1, noise_px=0.0), SIZE, BOARD.size_m)
+    solution = solve(views_of(1, noise_px=0.0), SIZE, BOARD.surface)
     assert solution.camera.numbers == pytest.approx(numbers_of(CAMERA), rel=2e-4, abs=2e-5)
 
 
@@ -69,7 +69,7 @@ def test_a_wide_lens_needs_the_rational_model_and_gets_it() -> None:
 
 
 def test_a_bent_board_is_found_out_and_does_no_harm() -> None:
-    solution = solve(views_of(3, bow_m=0.001), SIZE, BOARD.size_m)
+    solution = solve(views_of(3, bow_m=0.001), SIZE, BOARD.surface)
     # a bow of 1 mm from chord to middle is 2/3 of that, at the ends, from the mean plane
     assert solution.surface.bend_m == pytest.approx((0.001, 0.0, 0.0), abs=5e-5)
     assert solution.surface.bow_m == pytest.approx(0.0006, abs=1e-4)
@@ -79,7 +79,7 @@ def test_a_bent_board_is_found_out_and_does_no_harm() -> None:
 
 def test_wrong_corners_and_a_view_of_another_board_are_left_out() -> None:
     views = views_of(4)
-    clean = solve(views, SIZE, BOARD.size_m)
+    clean = solve(views, SIZE, BOARD.surface)
     spoilt = list(views)
     spoilt[3].corners_px[2] += (1.5, -2.0)
     spoilt[7].corners_px[0] += (40.0, 10.0)
@@ -87,7 +87,7 @@ def test_wrong_corners_and_a_view_of_another_board_are_left_out() -> None:
         spoilt[9].points_m > 0.1
     )
     spoilt[9] = replace(spoilt[9], points_m=shrunk)
-    found = solve(spoilt, SIZE, BOARD.size_m)
+    found = solve(spoilt, SIZE, BOARD.surface)
     assert "view 9" in found.dropped_views
     assert found.dropped_corners >= 2
     assert found.camera.numbers[:4] == pytest.approx(clean.camera.numbers[:4], abs=1.0)
@@ -97,7 +97,7 @@ def test_stated_deviations_are_honest() -> None:
     """NEES of the whole camera over 16 runs: a χ² of 9 x 16 = 144; the band is that of 99.9 %."""
     nees = []
     for seed in range(16):
-        solution = solve(views_of(100 + seed, bow_m=4e-4), SIZE, BOARD.size_m)
+        solution = solve(views_of(100 + seed, bow_m=4e-4), SIZE, BOARD.surface)
         known = uncertainty(solution)
         error = solution.camera.numbers - numbers_of(CAMERA)
         nees.append(float(error @ np.linalg.solve(known.covariance, error)))
@@ -111,7 +111,7 @@ def test_views_that_err_as_a_whole_make_the_deviations_larger() -> None:
     for view in views:  # a rolling shutter in motion: rows are moved by how far down they are
         amount = rng.normal(0.0, 0.5, 2) / CAMERA.height_px
         sheared.append(replace(view, corners_px=view.corners_px + view.corners_px[:, 1:] * amount))
-    plain, known = (uncertainty(solve(some, SIZE, BOARD.size_m)) for some in (views, sheared))
+    plain, known = (uncertainty(solve(some, SIZE, BOARD.surface)) for some in (views, sheared))
     assert plain.stretch < 2.0 < known.stretch
 
 
@@ -121,7 +121,7 @@ def test_the_projection_is_least_certain_where_no_board_was() -> None:
     poses = hand_held_poses(BOARD, CAMERA, 40, rng)
     views = [ideal_view(painter, pose, rng, 0.05, f"view {k}") for k, pose in enumerate(poses)]
     left = [v.only(v.corners_px[:, 0] < 640.0) for v in views]
-    solution = solve([v for v in left if len(v.ids) >= 8], SIZE, BOARD.size_m)
+    solution = solve([v for v in left if len(v.ids) >= 8], SIZE, BOARD.surface)
     grid = projection_std_px(solution.camera, uncertainty(solution).covariance)
     assert grid[6, -1] > 1.2 * grid[6, 0]
 
@@ -177,7 +177,7 @@ def test_more_numbers_than_the_views_can_tell() -> None:
 
 
 def test_distortion_that_folds_back() -> None:
-    solution = solve(views_of(13), SIZE, BOARD.size_m)
+    solution = solve(views_of(13), SIZE, BOARD.surface)
     folded = replace(solution.camera, numbers=np.array([1065, 1065, 640, 360, -0.9, 0.0, 0.0, 0.0, 0.0]))
     assert unfolded_share(folded) < 0.9
     assert unfolded_share(solution.camera) == 1.0

@@ -40,3 +40,26 @@ def test_what_the_lens_cannot_see_is_nowhere(camera: CameraConfig) -> None:
     points = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 0.01], [5.0, 0.0, 1.0], [0.1, 0.1, 1.0]])
     pixels, _ = Lens(camera).project(points)
     assert np.isnan(pixels).any(axis=1).tolist() == [True, True, True, False]
+
+
+def test_a_wide_lens_sees_to_the_edge_of_its_image(camera: CameraConfig) -> None:
+    wide = camera.model_copy(
+        update={
+            "fx_px": 0.5 * camera.width_px,
+            "fy_px": 0.5 * camera.width_px,
+            "distortion": (-0.2, 0.04, 0, 0, 0),
+        }
+    )
+    lens = Lens(wide)
+    edge = np.array([[3.0, 0.5 * camera.height_px]])
+    ray = lens.undistort(edge)
+    pixels, _ = lens.project(np.column_stack((ray, [[1.0]])))
+    assert abs(ray[0, 0]) > 1.1
+    assert pixels == pytest.approx(edge, abs=1e-3)
+
+
+def test_what_a_distortion_folds_into_the_image_is_nowhere(camera: CameraConfig) -> None:
+    """From a tangent of 0.577 on this polynomial brings the picture back to the middle."""
+    folded = Lens(camera.model_copy(update={"distortion": (-1.0, 0.0, 0.0, 0.0, 0.0)}))
+    pixels, _ = folded.project(np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 1.0]]))
+    assert np.isnan(pixels).any(axis=1).tolist() == [False, True]
