@@ -7,10 +7,15 @@ at every start.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
-from companion.config import CameraConfig, CompanionConfig, find_file, load_inertial, load_model
-from companion.config.mounting import MountCalibration
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    find_file,
+    load_inertial,
+    load_model,
+    load_mount,
+)
 from companion.sensing import load_used_magnetometer
 
 
@@ -23,17 +28,15 @@ def forced_calibrations(config: CompanionConfig) -> Iterator[str]:
     camera = load_model(CameraConfig, find_file("cameras", config.camera)).calibration
     if camera is not None and camera.verdict:
         yield _line(config.camera, camera.verdict)
-    if config.mount is not None:
-        mount = load_model(MountCalibration, Path(config.mount))
-        if mount.forced:
-            yield _line(config.mount, mount.forced)
+    mount = load_mount(config.mount, config.camera)
+    if mount is not None and mount.forced:
+        yield _line(str(config.mount), mount.forced)
     magnetometer = load_used_magnetometer(config.sense)
     if magnetometer is not None and magnetometer.quality.verdict == "refused":
         yield _line("the magnetometer", magnetometer.quality.reasons)
-    if config.sense.source == "boards":
-        inertial = load_inertial(config.sense.imu)
-        if inertial is not None and inertial.forced:
-            yield _line(str(config.sense.imu.inertial_calibration), inertial.forced)
+    inertial = load_inertial(config.sense)
+    if inertial is not None and inertial.forced:
+        yield _line(str(config.sense.imu.inertial_calibration), inertial.forced)
 
 
 def _line(name: str, reasons: tuple[str, ...]) -> str:
