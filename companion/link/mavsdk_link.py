@@ -86,7 +86,7 @@ class MavsdkActions:
     async def start(self) -> None:
         """Start MAVSDK; it finds the autopilot by what `receive` hands on."""
         # a connection and its subscriber come one after the other, and MAVSDK warns of what is between
-        log_subscribe(_hush)
+        _log_lines.hush()
         configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
         configuration.system_id = self._session.system_id or 1
         configuration.component_id = self._config.mavsdk_component_id
@@ -101,7 +101,7 @@ class MavsdkActions:
         # the raw bytes are the plain wrapper's business: the asyncio one does not pass them through
         await self._mavsdk.add_any_connection("raw://")
         self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
-        log_subscribe(_pass_log_on)
+        _log_lines.pass_on()
 
     def receive(self, data: bytes) -> None:
         """Hand on what the transport received."""
@@ -264,12 +264,31 @@ def _words(error: MavsdkError) -> str:
     return str(error) if result is None else str(result.name).lower().replace("_", " ")
 
 
-def _hush(level: LogLevel, message: str, file: str | None, line: int) -> bool:
-    """Drops a log line of MAVSDK's."""
-    return True
+class _LogLines:
+    """MAVSDK's log lines, which go to our log instead of the terminal, or nowhere for a while.
+
+    It is subscribed once and never again: another subscription would free the one before, which MAVSDK's
+    threads may be calling just then, and that crashes the process.
+    """
+
+    def __init__(self) -> None:
+        self._hushed = self._subscribed = False
+
+    def hush(self) -> None:
+        """Drop what is said from now on."""
+        self._hushed = True
+        if not self._subscribed:
+            self._subscribed = True
+            log_subscribe(self._take)
+
+    def pass_on(self) -> None:
+        """Let our log have what is said from now on."""
+        self._hushed = False
+
+    def _take(self, level: LogLevel, message: str, file: str | None, line: int) -> bool:
+        if not self._hushed:
+            _log.log(_LOG_LEVELS[level], "mavsdk: %s", message)
+        return True
 
 
-def _pass_log_on(level: LogLevel, message: str, file: str | None, line: int) -> bool:
-    """MAVSDK's log lines go to ours instead of the terminal."""
-    _log.log(_LOG_LEVELS[level], "mavsdk: %s", message)
-    return True
+_log_lines = _LogLines()

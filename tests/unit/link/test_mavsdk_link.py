@@ -7,11 +7,14 @@ import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mavsdk import LogLevel
 
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import ConfigError, LinkConfig
+from companion.link import mavsdk_link
 from companion.link.codec import mavlink
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.performing import Refused
@@ -215,3 +218,19 @@ def test_virtual_time_is_refused_in_one_line() -> None:
 
     with pytest.raises(ConfigError, match="virtual time; expected pymavlink"):
         run_in_virtual_time(main())
+
+
+def test_its_log_is_subscribed_once_since_its_threads_may_be_calling(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    subscribed: list[Any] = []
+    monkeypatch.setattr(mavsdk_link, "log_subscribe", subscribed.append)
+    lines = mavsdk_link._LogLines()
+    lines.hush()
+    (take,) = subscribed
+    assert take(LogLevel.WARN, "unheard", None, 0)
+    lines.pass_on()
+    assert take(LogLevel.WARN, "heard", None, 0)
+    lines.hush()
+    assert len(subscribed) == 1
+    assert [record.getMessage() for record in caplog.records] == ["mavsdk: heard"]
