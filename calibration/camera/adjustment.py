@@ -61,6 +61,7 @@ class Seen:
     turn: FloatArray
     position_m: FloatArray
     errors_px: FloatArray  # (n, 2), measured minus projected
+    weight: float = 1.0  # of its squared errors beside those of other views
 
     @property
     def rms_px(self) -> float:
@@ -83,6 +84,11 @@ class Solution:
         """Of all corners used (n, 2)."""
         return np.concatenate([s.errors_px for s in self.seen])
 
+    @property
+    def squares(self) -> float:
+        """What is made least: the squared errors, each as much as its view counts (px²)."""
+        return sum(s.weight * float(np.sum(s.errors_px**2)) for s in self.seen)
+
 
 def rms(errors: FloatArray) -> float:
     """Root mean square length of vectors (n, 2)."""
@@ -90,12 +96,17 @@ def rms(errors: FloatArray) -> float:
 
 
 def seen_at(
-    camera: Intrinsics, surface: Surface, view: View, turn: FloatArray, position_m: FloatArray
+    camera: Intrinsics,
+    surface: Surface,
+    view: View,
+    turn: FloatArray,
+    position_m: FloatArray,
+    weight: float = 1.0,
 ) -> Seen:
     """A view with the errors that a pose leaves in it."""
     points = surface.of(view.points_m)
     pixels, _ = cv2.projectPoints(points, turn, position_m, camera.matrix, camera.distortion)
-    return Seen(view, turn, position_m, view.corners_px - np.asarray(pixels).reshape(-1, 2))
+    return Seen(view, turn, position_m, view.corners_px - np.asarray(pixels).reshape(-1, 2), weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +137,8 @@ def normal_equations(camera: Intrinsics, surface: Surface, seen: Seen) -> Part:
     basis, triangle = np.linalg.qr(of_pose)
     free = shared - basis @ (basis.T @ shared)
     back = np.linalg.pinv(triangle)
-    return Part(free.T @ free, free.T @ errors, back @ (basis.T @ errors), back @ (basis.T @ shared))
+    information, score = seen.weight * (free.T @ free), seen.weight * (free.T @ errors)
+    return Part(information, score, back @ (basis.T @ errors), back @ (basis.T @ shared))
 
 
 def refine(solution: Solution) -> Solution:
@@ -141,7 +153,7 @@ def refine(solution: Solution) -> Solution:
         score = np.sum([part.score for part in parts], axis=0)
         step = solve_scaled(information, score)
         solution, moved = _stepped(solution, parts, step)
-        if not moved or float(step @ information @ step) < SMALLEST_STEP * np.sum(solution.errors_px**2):
+        if not moved or float(step @ information @ step) < SMALLEST_STEP * solution.squares:
             break
     return solution
 
@@ -165,7 +177,7 @@ def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
 def _stepped(solution: Solution, parts: list[Part], step: FloatArray) -> tuple[Solution, bool]:
     """The solution after a step, or as it was when no share of the step is downhill."""
     count = len(solution.camera.numbers)
-    before = float(np.sum(solution.errors_px**2))
+    before = solution.squares
     for halving in range(HALVINGS):
         share = 0.5**halving
         camera = Intrinsics(solution.camera.numbers + share * step[:count], solution.camera.size_px)
@@ -173,8 +185,9 @@ def _stepped(solution: Solution, parts: list[Part], step: FloatArray) -> tuple[S
         seen = []
         for old, part in zip(solution.seen, parts, strict=True):
             pose = share * (part.pose_step - part.pose_change @ step)
-            seen.append(seen_at(camera, surface, old.view, old.turn + pose[:3], old.position_m + pose[3:]))
+            turn, position = old.turn + pose[:3], old.position_m + pose[3:]
+            seen.append(seen_at(camera, surface, old.view, turn, position, old.weight))
         new = Solution(camera, surface, tuple(seen))
-        if float(np.sum(new.errors_px**2)) <= before:
+        if new.squares <= before:
             return new, True
     return solution, False

@@ -21,6 +21,7 @@ from calibration.camera.adjustment import (
 )
 from calibration.camera.detection import FEWEST_POINTS, View, on_a_plane
 from calibration.camera.surface import Surface
+from calibration.camera.weights import weighted
 from companion.geometry import FloatArray
 
 FEWEST_VIEWS: Final = 2
@@ -58,6 +59,9 @@ def solve(
         if _same(before, kept):
             break
         solution = fit(kept, size_px, board, model, solution.camera)
+    # not before: what does not fit would count for less, fit even less, and in the end be left out
+    if len(kept) >= FEWEST_VIEWS_FOR_SHAPE:
+        solution = weighted(solution)
     names = {s.view.name for s in solution.seen}
     corners = sum(len(v.ids) for v in views if v.name in names) - len(solution.errors_px)
     dropped = tuple(v.name for v in views if v.name not in names)
@@ -135,6 +139,7 @@ def held_out_rms_px(solution: Solution) -> float | None:
         rest = [v for i, v in enumerate(views) if i % FOLDS != k]
         try:
             other = fit(rest, camera.size_px, solution.surface, camera.model, camera)
+            other = weighted(other) if len(rest) >= FEWEST_VIEWS_FOR_SHAPE else other
         except UnsolvableError:
             return None
         errors += [place(other.camera, other.surface, v).errors_px for v in views[k::FOLDS]]

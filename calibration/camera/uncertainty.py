@@ -1,12 +1,13 @@
 """How sure a calibration is: of the camera's numbers, and of what is seen at each place of the image. Pure.
 
 The usual standard deviations, σ² (JᵀJ)⁻¹ with σ from the residuals, hold when all corners err independently
-and alike. They do not: a view that was moved or blurred errs as a whole. So each view's pull on the camera's
-numbers is compared with what it should be: the views' scores, corrected for how far each has bent the fit
-towards itself (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). Where views disagree more than
-they should, all variances are stretched by that ratio. One ratio, and not the whole cluster-robust matrix,
-because 25 views do not tell a matrix of 78 numbers. The board's bend is one of the unknowns (see
-`surface`): without it the focal length of a bowed board is wrong by many of its own deviations.
+and alike. They do not. Some views are sharper than others: that is in their `weights`. And a view that was
+moved errs as a whole: so each view's pull on the camera's numbers is compared with what it should be, the
+views' scores, corrected for how far each has bent the fit towards itself (Bell and McCaffrey's CR2 of
+cluster-robust covariances, 2002). Where views disagree more than they should, all variances are stretched
+by that ratio. One ratio, and not the whole cluster-robust matrix, because 25 views do not tell a matrix of
+78 numbers. The board's bend is one of the unknowns (see `surface`): without it the focal length of a bowed
+board is wrong by many of its own deviations.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def uncertainty(solution: Solution) -> Uncertainty:
         raise UnsolvableError(
             "the views leave some of the camera's numbers open; expected more, and tilted ones"
         )
-    variance = float(np.sum(errors**2)) / freedom
+    variance = solution.squares / freedom
     stretch = max(1.0, _disagreement(inverse, shares) / variance)
     return Uncertainty(stretch * variance * inverse[:of_camera, :of_camera], stretch)
 

@@ -15,6 +15,7 @@ from calibration.camera.detection import View
 from calibration.camera.quality import Assessment, assess, unfolded_share
 from calibration.camera.solving import solve
 from calibration.camera.uncertainty import projection_std_px, uncertainty
+from calibration.camera.weights import usual_variance
 from companion.config import CameraConfig, find_file, load_model
 from companion.geometry import FloatArray
 from tests.unit.calibration.board_pictures import BoardPainter, Pose, hand_held_poses, ideal_view, tour_poses
@@ -102,6 +103,37 @@ def test_stated_deviations_are_honest() -> None:
         error = solution.camera.numbers - numbers_of(CAMERA)
         nees.append(float(error @ np.linalg.solve(known.covariance, error)))
     assert 92.0 < sum(nees) < 204.0
+
+
+def test_sharp_views_count_for_more_and_deviations_stay_honest() -> None:
+    nees, ratios = [], []
+    for seed in range(20):
+        painter, rng = BoardPainter(BOARD, CAMERA), np.random.default_rng(seed)
+        poses = hand_held_poses(BOARD, CAMERA, 25, rng)
+        noises_px = np.where(np.arange(25) % 3 == 0, 0.02, 0.06)
+        drawn = zip(poses, noises_px.tolist(), strict=True)
+        views = [ideal_view(painter, p, rng, noise, f"view {k}") for k, (p, noise) in enumerate(drawn)]
+        solution = solve(views, SIZE, BOARD.surface)
+        errors = solution.camera.numbers - numbers_of(CAMERA)
+        nees.append(errors @ np.linalg.solve(uncertainty(solution).covariance, errors) / 9.0)
+        weights = np.array([seen.weight for seen in solution.seen])
+        sharp = np.array([int(seen.view.name.split()[1]) % 3 == 0 for seen in solution.seen])
+        ratios.append(np.median(weights[sharp]) / np.median(weights[~sharp]))
+    # 180 degrees of freedom: 95 in 100 are within 0.8 .. 1.22
+    assert 0.8 < np.mean(nees) < 1.25
+    assert 5.0 < np.mean(ratios) < 11.0  # of 9
+
+
+def test_views_alike_count_alike() -> None:
+    rng = np.random.default_rng(5)
+    freedom = np.tile((6.0, 20.0, 42.0), 200)
+    usual, worth = usual_variance(2.5 * rng.chisquare(freedom) / freedom, freedom)
+    assert usual == pytest.approx(2.5, rel=0.06)
+    assert worth > 50.0
+    true = 2.5 * 8.0 / rng.chisquare(8.0, len(freedom))
+    usual, worth = usual_variance(true * rng.chisquare(freedom) / freedom, freedom)
+    assert usual == pytest.approx(2.5, rel=0.1)
+    assert worth == pytest.approx(8.0, rel=0.3)
 
 
 def test_views_that_err_as_a_whole_make_the_deviations_larger() -> None:
