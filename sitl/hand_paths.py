@@ -186,11 +186,17 @@ FACES: Final[tuple[tuple[float, float], ...]] = (
 )
 
 
+FACE_ROUNDS: Final = 10
+
+
 def _faces(standing_m: float, rng: np.random.Generator) -> Carrying:
-    """Laid down on each of its six sides, level first, the others in any order, none quite straight."""
+    """Laid down on each of its six sides, level first, the others in any order, none quite straight.
+
+    Round after round, for whoever began to look on in the middle of one.
+    """
     order = [0, *(int(k) + 1 for k in rng.permutation(len(FACES) - 1))]
     stations = []
-    for side in order:
+    for side in order * FACE_ROUNDS:
         roll, pitch = np.radians(FACES[side]) + np.radians(3.0) * rng.uniform(-1.0, 1.0, 2)
         yaw = float(rng.uniform(-0.5, 0.5))
         stations.append(

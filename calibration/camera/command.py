@@ -247,7 +247,8 @@ def _make_folder(folder: Path | None, option: str) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{option} {folder}: cannot be made: {error.strerror}") from error
-    if any(folder.iterdir()):
+    # a try that took no picture has left its board there
+    if any(path.name != BOARD_FILE for path in folder.iterdir()):
         raise ConfigError(f"{option} {folder}: holds files already; expected a new or empty folder")
 
 

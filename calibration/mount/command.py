@@ -16,6 +16,7 @@ import numpy as np
 import typer
 
 from calibration.command_line import RefusedError, run
+from calibration.mount.coverage import Progress
 from calibration.mount.inertial_command import (
     ACCELEROMETER_HELP,
     GYRO_HELP,
@@ -39,6 +40,7 @@ from calibration.mount.shared import (
     ForceOption,
     OpenBoards,
     OutputOption,
+    check_output,
     judge,
     new_log,
     now,
@@ -104,10 +106,17 @@ def record_command(
         int | None, typer.Option("--serve", min=0, max=65535, help="Show the picture at this local port.")
     ] = None,
 ) -> None:
-    """Record until the motion is enough."""
+    """Record until the motion is enough.
+
+    Raises:
+        ConfigError: the folder holds a recording, or a device does not answer.
+        RefusedError: the time was not enough.
+    """
     settings = load_config(config)
     cv2.setNumThreads(1)
-    asyncio.run(record(settings, folder, seconds, serve, plugged, virtual=False))
+    progress = asyncio.run(record(settings, folder, seconds, serve, plugged, virtual=False))
+    if not progress.complete:
+        raise RefusedError(f"time is up, and it lacks: {progress.advice}; what there is of it is in {folder}")
     typer.echo(f"recorded in {folder}; next: {NAME} camera {folder} -o mount.yaml")
 
 
@@ -119,8 +128,8 @@ async def record(
     boards_of: OpenBoards,
     *,
     virtual: bool,
-) -> None:
-    """Record from boards into a folder.
+) -> Progress:
+    """Record from boards into a folder; returns how far it came.
 
     Raises:
         ConfigError: the folder holds a recording, or a device does not answer.
@@ -136,8 +145,7 @@ async def record(
         if log.problem is not None:  # the last of it is written at the end
             log.discard()
             raise ConfigError(f"{folder}: {log.problem}; expected room for the recording")
-    if not progress.complete:
-        typer.echo(f"time is up, and it lacks: {progress.advice}")
+    return progress
 
 
 @asynccontextmanager
@@ -185,6 +193,7 @@ def camera_command(
         ConfigError: the recording is none, or the file cannot be written.
         RefusedError: it is not good enough.
     """
+    check_output(output)
     lens = None if camera is None else load_model(CameraConfig, find_file("cameras", camera))
     recording = read_recording(log, lens)
     place = np.array(recording.vehicle.camera_position_body_m)

@@ -28,6 +28,7 @@ from calibration.mount.shared import (
     ForceOption,
     OpenBoards,
     OutputOption,
+    check_output,
     inertial_file,
     judge,
     new_log,
@@ -41,6 +42,7 @@ from calibration.mount.six_faces import (
     faces_down,
     fit_accelerometer,
     fit_gyro,
+    fitting_mountings,
     gyro_reasons,
     mounting_matrix,
 )
@@ -133,6 +135,7 @@ def accelerometer_command(
         ConfigError: no samples, or the file cannot be written.
         RefusedError: it is not good enough.
     """
+    check_output(output)
     settings = load_config(config)
     if log is None:
         rested = asyncio.run(faces_from(settings, keep, plugged, virtual=False))
@@ -160,6 +163,10 @@ def calibrate_accelerometer(rested: Rested, output: Path, *, force: bool) -> Non
     wrong = mounting_line(rested.asked, rested.answers, rested.imu.body_from_sensor_deg)
     if rested.asked and wrong is not None:
         against = (wrong, *against)
+    if rested.asked and not fitting_mountings(rested.asked, rested.answers):
+        typer.echo(
+            "note: the faces came in another order than asked: the mounting of the chip was not checked"
+        )
     for line in (*accelerometer_lines(fit, faces), *gyro_lines(gyro)):
         typer.echo(line)
     judge(against, force=force)
@@ -189,6 +196,7 @@ def gyro_command(
         ConfigError: no samples, or the file cannot be written.
         RefusedError: it is not good enough.
     """
+    check_output(output)
     settings = load_config(config)
     before = inertial_file(output) if output.exists() else None
     if log is None:

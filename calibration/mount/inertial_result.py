@@ -55,7 +55,10 @@ def gyro_lines(fit: GyroFit) -> list[str]:
 
 
 def mounting_line(asked: Sequence[str], rests: Sequence[Rest], configured_deg: Vector3) -> str | None:
-    """What is wrong with `body_from_sensor_deg`, by what was asked and what was felt; None: nothing is."""
+    """What is wrong with `body_from_sensor_deg`, by what was asked and felt; None: nothing that shows.
+
+    What fits no mounting at all are faces laid down in another order than asked: it tells nothing of that.
+    """
     fitting = fitting_mountings(asked, rests)
     now = mounting_matrix(configured_deg)
     if any(np.abs(mounting_matrix(m) - now).max() < 0.5 for m in fitting):
@@ -65,7 +68,7 @@ def mounting_line(asked: Sequence[str], rests: Sequence[Rest], configured_deg: V
         return f"{is_said}; what was asked and felt fits [{_list(fitting[0], 'g', ', ')}]"
     if fitting:
         return f"{is_said}, which does not fit what was asked and felt"
-    return f"{is_said}; no mounting fits what was asked and felt (was another face laid down than asked?)"
+    return None
 
 
 def _list(values: object, form: str, between: str = " ") -> str:

@@ -91,7 +91,17 @@ def write_file(path: Path, calibration: StrictModel, setting: str) -> None:
     write_atomically(
         path, f"# Written by {NAME}; the app reads it by the setting {setting.format(path)}\n{text}"
     )
-    typer.echo(f"written       {path}")
+    typer.echo(f"written       {path}; the settings then say {setting.format(path)}")
+
+
+def check_output(path: Path) -> None:
+    """Make sure before the work that its result can be written after it.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    if path.is_dir() or not path.parent.is_dir():
+        raise ConfigError(f"-o {path}: expected a file in an existing folder")
 
 
 def now() -> str:

@@ -11,7 +11,16 @@ from typing import Literal
 from pydantic import Field
 
 from companion.config.calibration import Provenance
-from companion.config.reading import ConfigError, StrictModel, Vector, find_file, load_model
+from companion.config.reading import (
+    ConfigError,
+    Model,
+    StrictModel,
+    Vector,
+    find_file,
+    load_model,
+    read_yaml,
+    validate,
+)
 from companion.config.sense import SenseConfig
 from companion.config.vehicle import CameraConfig, VehicleConfig
 
@@ -97,7 +106,21 @@ def load_inertial(sense: SenseConfig) -> InertialCalibration | None:
     name = sense.imu.inertial_calibration
     if name is None or sense.source == "autopilot":
         return None
-    return load_model(InertialCalibration, Path(name))
+    return _written_by_the_tool(InertialCalibration, name, "sense.imu.inertial_calibration", "inertial")
+
+
+def _written_by_the_tool(model: type[Model], name: str, key: str, kind: str) -> Model:
+    """One of our files, of the setting `key`.
+
+    Raises:
+        ConfigError: it is missing, wrong, or of another kind; the line names the setting.
+    """
+    data = read_yaml(Path(name), key)
+    if (found := data.get("kind", kind)) != kind:
+        raise ConfigError(
+            f"{key}: {name} is of kind '{found}'; expected '{kind}', as calibrate-mount writes it"
+        )
+    return validate(model, data, name)
 
 
 def load_vehicle(vehicle: str, mount: str | None, camera: str) -> VehicleConfig:
@@ -119,7 +142,7 @@ def load_mount(mount: str | None, camera: str) -> MountCalibration | None:
     """
     if mount is None:
         return None
-    calibration = load_model(MountCalibration, Path(mount))
+    calibration = _written_by_the_tool(MountCalibration, mount, "mount", "mount")
     name = load_model(CameraConfig, find_file("cameras", camera)).name
     if calibration.camera != name:
         raise ConfigError(f"{mount}: is for the camera '{calibration.camera}', expected '{name}'")

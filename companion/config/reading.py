@@ -64,8 +64,8 @@ def find_file(folder: str, name: str | Path) -> Path:
     raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML mapping.
+def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
+    """Read a YAML mapping; `key` is the setting that names the file, if one does.
 
     Raises:
         ConfigError: unreadable, not YAML (with line and column), or not a mapping.
@@ -73,7 +73,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        named = "" if key is None else f"{key}: "
+        raise ConfigError(f"{named}{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
     except yaml.YAMLError as error:

@@ -332,3 +332,24 @@ def move(
         time_s = from_s + k / 50.0
         coverage.add_sighting(replace(sighting, time_s=time_s))
         coverage.add_imu(ImuSample(time_s, rate, (0.0, 0.0, -9.8), 20.0))
+
+
+def test_a_recording_that_lacks_something_when_time_is_up_ends_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def recorded(*_: object, **__: object) -> Progress:
+        return Progress(9.0, 0, (0.0, 0.0, 0.0), 0.0, "the pad is not seen", complete=False)
+
+    monkeypatch.setattr(command, "record", recorded)
+    assert calibrate("record", tmp_path / "swayed") == 1
+    said = capsys.readouterr()
+    assert "refused: time is up, and it lacks: the pad is not seen" in said.err
+    assert "next:" not in said.out
+
+
+def test_the_output_s_folder_is_looked_for_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words in (("accelerometer",), ("gyro",), ("camera", tmp_path / "none")):
+        assert calibrate(*words, "-o", tmp_path / "none" / "x.yaml") == 2
+        assert "expected a file in an existing folder" in capsys.readouterr().err

@@ -117,8 +117,11 @@ def test_tumbling_shows_the_field_every_side(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_each_face_is_laid_down_once(seed: int) -> None:
-    downs = np.array([rotation.T @ (0.0, 0.0, 1.0) for _, rotation in poses("faces", seed, 46.0)])
+@pytest.mark.parametrize("already_s", [0.0, 60.0])
+def test_each_face_is_laid_down_in_a_round(seed: int, already_s: float) -> None:
+    """Whenever one begins to look on."""
+    seen = poses("faces", seed, already_s + 48.0)[round(already_s / 0.05) :]
+    downs = np.array([rotation.T @ (0.0, 0.0, 1.0) for _, rotation in seen])
     for roll, pitch in FACES:
         own = matrix_from_quat(quat_from_euler(math.radians(roll), math.radians(pitch), 0.0)).T @ (0, 0, 1)
         assert (downs @ own > math.cos(math.radians(5.0))).sum() * 0.05 > 4.0
