@@ -22,6 +22,7 @@ from sitl.external_server import serve_external
 from sitl.hold_command import HELP as HOLD_HELP
 from sitl.hold_command import hold_command
 from sitl.orders import socket_folder, terminated_as_interrupted
+from sitl.port_options import GroundPortOption, PortOption, TcpPortOption
 from sitl.scenario import load_scenario
 from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
 from sitl.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
@@ -53,17 +54,9 @@ def companion_sitl(
     bind: Annotated[
         str, typer.Option(help="Address to serve at; 0.0.0.0 opens it to the network.", metavar="ADDRESS")
     ] = LOOPBACK,
-    port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, help="UDP port where companions listen; 0: they call a free one."),
-    ] = COMPANION_PORT,
-    gcs_port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, help="UDP port where ground stations listen; 0: likewise."),
-    ] = GROUND_PORT,
-    tcp_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="TCP port for several clients; 0 takes a free one.")
-    ] = TCP_PORT,
+    port: PortOption = COMPANION_PORT,
+    gcs_port: GroundPortOption = GROUND_PORT,
+    tcp_port: TcpPortOption = TCP_PORT,
     signing_key: Annotated[
         Path | None,
         typer.Option(help="Believe only what is signed: a file of 32 bytes or a passphrase.", metavar="FILE"),

@@ -10,6 +10,7 @@ import typer
 
 from sitl.hand_paths import HandMotion
 from sitl.orders import socket_folder, terminated_as_interrupted
+from sitl.port_options import GroundPortOption, PortOption, TcpPortOption
 from sitl.scenario import load_scenario
 from sitl.server import COMPANION_PORT, GROUND_PORT, TCP_PORT, Service, serve, serve_child
 
@@ -46,16 +47,9 @@ def hold_command(
         Path | None,
         typer.Option(help="Write the app's settings here; else among the sockets.", metavar="FILE"),
     ] = None,
-    port: Annotated[
-        int,
-        typer.Option(min=0, max=65535, help="UDP port where companions listen; 0: they call a free one."),
-    ] = COMPANION_PORT,
-    gcs_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="UDP port where ground stations listen; 0: likewise.")
-    ] = GROUND_PORT,
-    tcp_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="TCP port for several clients; 0 takes a free one.")
-    ] = TCP_PORT,
+    port: PortOption = COMPANION_PORT,
+    gcs_port: GroundPortOption = GROUND_PORT,
+    tcp_port: TcpPortOption = TCP_PORT,
     child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
     """Serve until Ctrl-C; as a child until standard input ends.
