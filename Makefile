@@ -5,6 +5,7 @@
 # make bench-pad             the pad filter over made-up tracks
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
+# make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
@@ -15,13 +16,15 @@ VENV   ?= .venv
 SEEDS  ?= 10
 # of the campaign that is flown on one job and then on two
 CAMPAIGN_RUNS ?= 100
+# random landings
+RUNS ?= 200
 # the estimators' consistency is judged over twice as many
 STATE_SEEDS ?= 20
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -69,6 +72,10 @@ bench-campaign: $(VENV)/.dev
 
 bench-precision: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_precision_landing
+
+# an hour on two cores; give it again after an interruption, and it goes on
+bench-landing: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_landing --runs $(RUNS)
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_fuzz
