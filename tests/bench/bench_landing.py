@@ -2,9 +2,9 @@
 
     python -m tests.bench.bench_landing --runs 200 --out flights/bench-landing
 
-Flies random landings (rendered, virtual time), then the cases in which ArduCopter's own precision landing was
-measured on the real firmware. Give the same command again after an interruption, and it goes on. The time to land
-is from taking the pad up to disarmed.
+Flies random landings (rendered, virtual time), then the cases in which ArduCopter's own precision landing
+was measured on the real firmware. Give the same command again after an interruption, and it goes on. The time
+to land is from taking the pad up to disarmed.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """The flights of `bench_landing`: random landings, and the cases that the strongest peer was measured in.
 
-A random landing is drawn from its number alone, so that the 17th is the same flight whoever flies it: the pad's
-motion (lines of 0 to 4.2 m/s; circles, figure-8s and random turns of up to 2.5 m/s and 2 m/s2), the mean wind up
-to 8 m/s with Dryden turbulence of moderate intensity (MIL-F-8785C), the mass off by up to 10 % from what the app
-believes, the camera's latency of 40 to 150 ms with jitter. The camera is fixed to the body and sees 62 x 48
-degrees. The app is told where to look for the pad, as in the shipped scenarios, and nothing else.
+A random landing is drawn from its number alone, so that the 17th is the same flight whoever flies it:
+the pad's motion (lines of 0 to 4.2 m/s; circles, figure-8s and random turns of up to 2.5 m/s and 2
+m/s2), the mean wind up to 8 m/s with Dryden turbulence of moderate intensity (MIL-F-8785C), the mass off
+by up to 10 % from what the app believes, the camera's latency of 40 to 150 ms with jitter. The camera is
+fixed to the body and sees 62 x 48 degrees. The app is told where to look for the pad, as in the shipped
+scenarios, and nothing else.
 """
 
 from __future__ import annotations
@@ -67,12 +68,12 @@ def peer_cases(seeds: int) -> tuple[Case, ...]:
 
 def write_flights(case: Case, folder: Path) -> list[Flight]:
     """Write each flight's scenario into a folder, for the command that repeats it; returns the flights."""
-    flights = []
+    flights, code = [], code_digest()
     for content, seed in case.flights:
         scenario = Scenario.model_validate(content)
         path = folder / f"{scenario.name}.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        identity = f"{code_digest()}-{scenario_digest(str(path), None)}"
+        identity = f"{code}-{scenario_digest(str(path), None)}"
         flights.append(Flight(scenario.name, str(path), seed, None, scenario.time_limit_s, identity))
     return flights
 
