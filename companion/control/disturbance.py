@@ -22,8 +22,9 @@ import math
 import numpy as np
 import scipy.linalg
 
+from companion.control.attitude import level_acceleration
 from companion.control.flight_model import advance_axis
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
+from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Quaternion, Vector3, add
 
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
@@ -162,6 +163,54 @@ class DisturbanceObserver:
         self._axes[2].disturbance -= covered_m_s2
 
 
+class GustObserver:
+    """The quick part of the wind's push, from how the vehicle leans and how it accelerates.
+
+    A multirotor's thrust lies along its up axis, so what it accelerates sideways beyond its lean is the wind's
+    doing, and no lag of attitude or motors stands between. Errors of the attitude are slow and the mean wind
+    too: they are left to `DisturbanceObserver`, which takes this part as known. NED, m/s2.
+    """
+
+    SMOOTHING_S = 0.08
+    FORGETTING_S = 1.5
+
+    def __init__(self, sensor_lag_s: float) -> None:
+        """`sensor_lag_s` is how late the measured acceleration is: the lean is made as late."""
+        self._lag_s = sensor_lag_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew, calm."""
+        self._lean: tuple[float, float] | None = None
+        self._quick = self._slow = (0.0, 0.0)
+
+    @property
+    def push_ned_m_s2(self) -> Vector3:
+        """The part of the wind's push (m/s2, NED) that has not lasted; its third part is 0."""
+        return (self._quick[0] - self._slow[0], self._quick[1] - self._slow[1], 0.0)
+
+    def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> Vector3:
+        """Take in attitude and acceleration, the last were `elapsed_s` ago; returns `push_ned_m_s2`."""
+        x, y, z = acceleration_ned_m_s2
+        if not all(map(math.isfinite, (x, y, z, *attitude))):
+            return self.push_ned_m_s2
+        lean = level_acceleration(attitude)
+        carried = 1.0 - z / GRAVITY_M_S2
+        if self._lean is None:
+            self._lean = lean
+            self._quick = self._slow = (x - lean[0] * carried, y - lean[1] * carried)
+        self._lean = _follow(self._lean, lean, elapsed_s / self._lag_s)
+        wind = (x - self._lean[0] * carried, y - self._lean[1] * carried)
+        self._quick = _follow(self._quick, wind, elapsed_s / self.SMOOTHING_S)
+        self._slow = _follow(self._slow, self._quick, elapsed_s / self.FORGETTING_S)
+        return self.push_ned_m_s2
+
+    def added_to(self, disturbance_ned_m_s2: Vector3, maximum_m_s2: float) -> Vector3:
+        """The whole disturbance (m/s2, NED), each axis within the bound."""
+        x, y, z = add(disturbance_ned_m_s2, self.push_ned_m_s2)
+        return (_clamp(x, maximum_m_s2), _clamp(y, maximum_m_s2), z)
+
+
 class ThrustScale:
     """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
 
@@ -184,6 +233,13 @@ class ThrustScale:
         covered = (factor / self.factor - 1.0) * GRAVITY_M_S2
         self.factor = factor
         return covered
+
+
+def _follow(
+    state: tuple[float, float], measured: tuple[float, float], exponent: float
+) -> tuple[float, float]:
+    share = -math.expm1(-exponent)
+    return (state[0] + share * (measured[0] - state[0]), state[1] + share * (measured[1] - state[1]))
 
 
 def _clamp(value: float, bound: float) -> float:

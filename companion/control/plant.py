@@ -10,7 +10,7 @@ import math
 
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.attitude import level_acceleration
-from companion.control.disturbance import DisturbanceObserver, ThrustScale
+from companion.control.disturbance import DisturbanceObserver, GustObserver, ThrustScale
 from companion.control.flight_model import Motion
 from companion.control.history import Command, CommandHistory
 from companion.control.setpoints import velocity_gains
@@ -33,6 +33,8 @@ class Plant:
             config.acceleration_estimate_lag_s,
             config.maximum_disturbance_m_s2,
         )
+        self._maximum_m_s2 = config.maximum_disturbance_m_s2
+        self._gusts = GustObserver(config.acceleration_estimate_lag_s)
         self._thrust_scale = ThrustScale()
         self._lasting_s = config.lasting_disturbance_s
         self._lasting: Vector3 = ZERO3
@@ -41,7 +43,7 @@ class Plant:
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
         """What pushes besides the command (m/s2, NED)."""
-        return self._observer.disturbance_ned_m_s2
+        return self._gusts.added_to(self._observer.disturbance_ned_m_s2, self._maximum_m_s2)
 
     @property
     def lasting_disturbance_ned_m_s2(self) -> Vector3:
@@ -67,13 +69,15 @@ class Plant:
             disturbance = (acceleration[0] - lean[0], acceleration[1] - lean[1], 0.0)
         self._lasting = ZERO3
         self._observer.start(vehicle.velocity_ned_m_s, acceleration, disturbance)
+        self._gusts.reset()
         self._observed_s = vehicle.time_s
         self._history.clear()
 
     def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago."""
+        gust = self._gusts.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, elapsed_s)
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
-            self._observer.predict(self._wanted(command, duration_s), duration_s)
+            self._observer.predict(add(self._wanted(command, duration_s), gust), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
         self._observer.correct(vehicle.velocity_ned_m_s, vehicle.acceleration_ned_m_s2)
         share = -math.expm1(-elapsed_s / self._lasting_s)
@@ -108,6 +112,6 @@ class Plant:
         """What the autopilot wants in a piece of time; before the first command, what the vehicle does."""
         acceleration = self._observer.acceleration_ned_m_s2
         if command is None:
-            return subtract(acceleration, self._observer.disturbance_ned_m_s2)
+            return subtract(acceleration, self.disturbance_ned_m_s2)
         halfway = add(self._observer.velocity_ned_m_s, scale(acceleration, 0.5 * duration_s))
         return self._history.effect(command, halfway)
