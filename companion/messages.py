@@ -354,7 +354,8 @@ class PlanStep:
 class Setpoint:
     """What leaves for the autopilot, in our NED; the link turns it into the autopilot's heading.
 
-    `attitude` and `thrust` (0..1 of the autopilot's scale) are set in attitude mode only.
+    `attitude` and `thrust` (0..1 of the autopilot's scale) are set in attitude mode only. Unless
+    `holds_horizontal_velocity`, the horizontal velocity is for the log alone and is not sent.
     """
 
     time_s: float
@@ -365,6 +366,7 @@ class Setpoint:
     attitude: Quaternion | None = None
     thrust: float | None = None
     exposure_time_s: float | None = None
+    holds_horizontal_velocity: bool = True
 
 
 @dataclass(frozen=True, slots=True)

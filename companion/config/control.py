@@ -37,7 +37,8 @@ class TrackingConfig(StrictModel):
 class ControlConfig(StrictModel):
     """The MPC and what it sends."""
 
-    setpoint: Literal["velocity", "attitude"] = "velocity"
+    # acceleration: sideways alone, with the vertical velocity; auto: that to PX4, velocity to ArduPilot
+    setpoint: Literal["auto", "velocity", "acceleration", "attitude"] = "auto"
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     horizon_steps: int = Field(default=20, ge=5, le=100)
     step_s: float = Field(default=0.1, ge=0.01, le=0.5)

@@ -23,6 +23,7 @@ from companion.control.setpoints import (
     Heading,
     attitude_setpoint,
     ground_setpoint,
+    resolved,
     stop_setpoint,
     velocity_setpoint,
 )
@@ -61,7 +62,7 @@ class Controller:
         manner: Manner = "px4",
     ) -> None:
         """`manner` is that of the autopilot that will obey; `stopwatch` is for measuring the solver."""
-        self._config = config
+        self._config = config = resolved(config, manner)
         self._lags_s = lags(vehicle, config, manner)
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._mpc = Mpc(config, self._lags_s)

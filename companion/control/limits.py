@@ -68,6 +68,7 @@ class LimitsGate:
             attitude=self._attitude(setpoint.attitude, heading, step_s, broken),
             thrust=self._thrust(setpoint.thrust, broken),
             exposure_time_s=setpoint.exposure_time_s,
+            holds_horizontal_velocity=setpoint.holds_horizontal_velocity,
         )
         self._last = limited
         return limited, tuple(broken)

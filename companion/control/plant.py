@@ -24,6 +24,7 @@ class Plant:
     def __init__(self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3) -> None:
         """`lags_s` are `flight_model.lags`."""
         self._by_attitude = config.setpoint == "attitude"
+        self._by_lean = config.setpoint != "velocity"
         self._lags_s = lags_s
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s, velocity_gains(config))
@@ -61,10 +62,13 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, nothing commanded. A leaning vehicle that does not accelerate leans against wind."""
+        """Begin anew, nothing commanded. A leaning vehicle that does not accelerate leans against wind.
+
+        With velocity setpoints the autopilot's own integral goes on to meet that wind.
+        """
         disturbance = ZERO3
         acceleration = vehicle.acceleration_ned_m_s2
-        if self._by_attitude:
+        if self._by_lean:
             lean = level_acceleration(vehicle.attitude)
             disturbance = (acceleration[0] - lean[0], acceleration[1] - lean[1], 0.0)
         self._lasting = ZERO3

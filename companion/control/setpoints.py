@@ -19,7 +19,7 @@ from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration, thrust_from_acceleration
 from companion.control.flight_model import Motion, advance
 from companion.geometry import ZERO3, Vector3, add, subtract
-from companion.messages import PadState, Setpoint
+from companion.messages import Manner, PadState, Setpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +30,21 @@ class Heading:
     rate_rad_s: float = 0.0
 
 
+def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
+    """Settings in which the kind of setpoint is the one that this autopilot gets.
+
+    PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
+    derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
+    ArduPilot takes a whole vector or none, and shapes what it takes.
+    """
+    if config.setpoint != "auto":
+        return config
+    return config.model_copy(update={"setpoint": "acceleration" if manner == "px4" else "velocity"})
+
+
 def velocity_gains(config: ControlConfig) -> Vector3:
-    """The autopilot's velocity gains (1/s) along north, east and down, as assumed."""
-    sideways = config.autopilot_velocity_gain_1_s
+    """The autopilot's velocity gains (1/s) along north, east and down, as assumed; 0 where it has no say."""
+    sideways = 0.0 if config.setpoint == "acceleration" else config.autopilot_velocity_gain_1_s
     return (sideways, sideways, config.autopilot_climb_gain_1_s)
 
 
@@ -52,7 +64,7 @@ def velocity_setpoint(
     ahead = advance(motion, push, config.velocity_lookahead_s, lags_s).velocity_m_s
     (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, velocity_gains(config)
     most = config.maximum_velocity_correction_m_s
-    correction = (_clamp(-x / kx, most), _clamp(-y / ky, most), _clamp(-z / kz, most))
+    correction = (_share(-x, kx, most), _share(-y, ky, most), _share(-z, kz, most))
     gained = (kx * correction[0], ky * correction[1], kz * correction[2])
     return Setpoint(
         time_s=now_s,
@@ -60,6 +72,7 @@ def velocity_setpoint(
         acceleration_ned_m_s2=subtract(input_ned_m_s2, gained),
         heading_rad=heading.heading_rad,
         heading_rate_rad_s=heading.rate_rad_s,
+        holds_horizontal_velocity=config.setpoint != "acceleration",
     )
 
 
@@ -103,6 +116,11 @@ def stop_setpoint(now_s: float, config: ControlConfig, hover_thrust: float, head
     if config.setpoint == "attitude":
         return level
     return Setpoint(time_s=now_s, heading_rad=heading.heading_rad)
+
+
+def _share(acceleration_m_s2: float, gain_1_s: float, most_m_s: float) -> float:
+    """The velocity offset (m/s) that the autopilot's loop turns into an acceleration, within a bound."""
+    return _clamp(acceleration_m_s2 / gain_1_s, most_m_s) if gain_1_s > 0.0 else 0.0
 
 
 def _clamp(value: float, bound: float) -> float:

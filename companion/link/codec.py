@@ -221,9 +221,9 @@ def setpoint_message(
             time_ms, target_system, target_component, ignore_rates,
             list(setpoint.attitude), *ZERO3, setpoint.thrust,
         )  # fmt: skip
-    ignore_position = 0b0000_0000_0111
+    ignore = 0b0000_0000_0111 if setpoint.holds_horizontal_velocity else 0b0000_0001_1111
     return mavlink.MAVLink_set_position_target_local_ned_message(
-        time_ms, target_system, target_component, mavlink.MAV_FRAME_LOCAL_NED, ignore_position, *ZERO3,
+        time_ms, target_system, target_component, mavlink.MAV_FRAME_LOCAL_NED, ignore, *ZERO3,
         *setpoint.velocity_ned_m_s, *setpoint.acceleration_ned_m_s2,
         setpoint.heading_rad, setpoint.heading_rate_rad_s,
     )  # fmt: skip
