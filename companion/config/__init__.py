@@ -60,7 +60,7 @@ from companion.config.sense import (
     SenseConfig,
     VisionConfig,
 )
-from companion.config.vehicle import CameraConfig, CaptureConfig, VehicleConfig
+from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig
 
 __all__ = [
     "CONFIG_FOLDER",
@@ -86,6 +86,7 @@ __all__ = [
     "LinkConfig",
     "MissionConfig",
     "Model",
+    "ModelConfig",
     "MountCalibration",
     "MountStd",
     "OrientationConfig",

@@ -1,4 +1,4 @@
-"""The recursion of eqs. 40-42 against the batch problem it solves, densely and by OSQP without constraints."""
+"""The recursion of eqs. 40-42 against the batch problem it solves: dense, and OSQP without constraints."""
 
 from __future__ import annotations
 
