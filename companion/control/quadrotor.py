@@ -91,7 +91,7 @@ class QuadrotorModel:
         self._coupling = ((iy - iz) / ix, (iz - ix) / iy, (ix - iy) / iz)
         self._gyro = (model.rotor_inertia_kg_m2 / ix, -model.rotor_inertia_kg_m2 / iy)
         self.mixing = mixing_matrix(model)
-        self._unmixing = np.linalg.inv(self.mixing)
+        self._unmixing: FloatArray = np.linalg.inv(self.mixing).astype(np.float64)
         self.hover = np.array([model.mass_kg * GRAVITY_M_S2, 0.0, 0.0, 0.0])
         self.full_rotor_thrust_n = model.thrust_coefficient_n_s2 * model.max_rotor_speed_rad_s**2
         # rotor thrusts (4) = thrusts_from_inputs @ U

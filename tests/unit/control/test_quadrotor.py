@@ -132,7 +132,7 @@ def test_a_linearised_step_is_the_slope_of_a_whole_one() -> None:
     for column in range(4):
         aside = step * np.eye(4)[column]
         after, before = (model.advance(states, inputs + k * aside, h) for k in (1.0, -1.0))
-        assert np.allclose(B[:, :, column], (after - before) / (2 * step), atol=0.02)
+        assert np.allclose(B[:, :, column], (after - before) / (2 * step), atol=0.05)
 
 
 def test_no_entry_stands_outside_the_structure() -> None:
