@@ -30,6 +30,7 @@ from companion.config.mounting import (
     load_mount,
     load_vehicle,
 )
+from companion.config.obstacles import Box, Cylinder, Shape
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -68,12 +69,14 @@ __all__ = [
     "AccelerometerCalibration",
     "AlignmentConfig",
     "AutopilotSensorsConfig",
+    "Box",
     "CameraConfig",
     "CaptureConfig",
     "CompanionConfig",
     "ComputeConfig",
     "ConfigError",
     "ControlConfig",
+    "Cylinder",
     "EkfConfig",
     "EstimateConfig",
     "GpsConfig",
@@ -96,6 +99,7 @@ __all__ = [
     "RangeConfig",
     "SearchConfig",
     "SenseConfig",
+    "Shape",
     "StrictModel",
     "TouchdownConfig",
     "TrackingConfig",
