@@ -12,6 +12,7 @@ Axes: the paper's z-up ones, SI units.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,10 +20,11 @@ import osqp
 import scipy.linalg
 from pydantic import Field
 
-from companion.config import StrictModel
+from companion.config import StrictModel, find_file, load_model
 from companion.control import riccati
 from companion.control.full_qp import BOUNDED, SOFT, ConstraintMatrix, FullLayout, cost_matrix
 from companion.control.nominal import NO_PUSH, Nominal, Reference, along
+from companion.control.push import PushConfig
 from companion.control.quadrotor import ANGLES, INPUTS, POSITION, RATES, STATES, VELOCITY, QuadrotorModel
 from companion.geometry import FloatArray
 
@@ -68,6 +70,16 @@ class FullMpcConfig(StrictModel):
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     weights: FullWeights
     limits: FullLimits
+    push: PushConfig
+
+
+def load_full(name: str | Path) -> FullMpcConfig:
+    """Settings by name (from configs/control) or path.
+
+    Raises:
+        ConfigError: the file is missing, not YAML, or a value is out of range.
+    """
+    return load_model(FullMpcConfig, find_file("control", name))
 
 
 @dataclass(frozen=True)

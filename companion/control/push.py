@@ -1,14 +1,13 @@
 """What pushes the 12-state model besides its inputs: six accelerations, for tracking without lasting offset.
 
 An observer for each of three velocities and three rates y: y' = f(X, U) + push + noise, push a slow random
-walk (eq. 38 with w = push), with a stationary Kalman gain (eq. 17 at its limit). The inputs pass through the
-motors' lag first, or every change of thrust would look like a push. A mass or inertia that is off appears
+walk (eq. 38 with w = push), with a stationary Kalman gain (eq. 17 at its limit). The inputs are those flown,
+after the motors' lag, or every change of thrust would look like a push. A mass or inertia that is off appears
 here too, as the acceleration that it takes or adds now. Axes: the paper's z-up ones.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -36,7 +35,7 @@ class PushConfig(StrictModel):
 
 
 class PushObserver:
-    """Estimates the push (6,) from the measured states and the inputs that were commanded."""
+    """Estimates the push (6,) from the measured states and the inputs that were flown."""
 
     def __init__(self, config: PushConfig, model: QuadrotorModel, period_s: float) -> None:
         self._model = model
@@ -49,27 +48,21 @@ class PushObserver:
         )
         self._gain = np.array([force] * 3 + [torque] * 3)
         self._largest = np.array([config.largest_force_m_s2] * 3 + [config.largest_torque_rad_s2] * 3)
-        tau_s = model.config.motor_time_constant_s
-        self._left = math.exp(-period_s / tau_s)
-        self._mean_left = tau_s / period_s * (1.0 - self._left)
-        self._flown = model.hover.copy()
         self._expected: FloatArray | None = None
         self.push: FloatArray = np.zeros(6)
 
-    def step(self, state: FloatArray, inputs: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, flown: FloatArray) -> FloatArray:
         """The push (6,) now: m/s² along the axes, then rad/s² of the angles.
 
         Args:
             state: measured now (12,).
-            inputs: U (4,) commanded from a period ago until now.
+            flown: U (4,), the mean from a period ago until now (`Mixer.flown`): what is commanded comes later.
         """
-        mean = inputs + self._mean_left * (self._flown - inputs)
-        self._flown = inputs + self._left * (self._flown - inputs)
         measured = state[OBSERVED]
         if self._expected is None:
             self._expected = measured.copy()
         else:
-            slope = self._model.derivative(self._before, mean)[OBSERVED] + self.push
+            slope = self._model.derivative(self._before, flown)[OBSERVED] + self.push
             expected = self._expected + self._period_s * slope
             innovation = measured - expected
             self._expected = expected + self._gain[:, 0] * innovation
