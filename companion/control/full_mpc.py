@@ -86,7 +86,7 @@ def load_full(name: str | Path) -> FullMpcConfig:
 class Surroundings:
     """What is in the way, for the states of rows 1..N.
 
-    `floor_m` (N,) is the least height; half-space j of a row allows positions with normal · position >= offset:
+    `floor_m` (N,) is the least height. A half-space allows positions with normal · position >= offset:
     `normals` (N, planes, 3), `offsets_m` (N, planes).
     """
 
@@ -160,7 +160,9 @@ class FullMpc:
     def _set_up(self, weights: riccati.Weights) -> osqp.OSQP:
         layout = self._layout
         nominal_A, nominal_B = self._model.linearise(
-            np.zeros((layout.steps, STATES)), np.tile(self._model.hover, (layout.steps, 1)), self._config.step_s
+            np.zeros((layout.steps, STATES)),
+            np.tile(self._model.hover, (layout.steps, 1)),
+            self._config.step_s,
         )
         # no entry may be zero at the start, or the structure would lose it in scaling
         normals = np.full((layout.steps, layout.planes, 3), 0.5)

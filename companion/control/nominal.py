@@ -36,9 +36,7 @@ class Nominal:
     remainder: FloatArray
 
 
-def along(
-    reference: Reference, model: QuadrotorModel, step_s: float, push: FloatArray = NO_PUSH
-) -> Nominal:
+def along(reference: Reference, model: QuadrotorModel, step_s: float, push: FloatArray = NO_PUSH) -> Nominal:
     """The flat trajectory of a reference.
 
     Args:

@@ -56,7 +56,7 @@ class PushObserver:
 
         Args:
             state: measured now (12,).
-            flown: U (4,), the mean from a period ago until now (`Mixer.flown`): what is commanded comes later.
+            flown: U (4,), the mean from a period ago until now, after the motors' lag (`Mixer.flown`).
         """
         measured = state[OBSERVED]
         if self._expected is None:

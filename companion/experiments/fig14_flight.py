@@ -76,7 +76,13 @@ class Track:
         return max(0.0, max(self.used(limits).values()) - 1.0)
 
 
-def fly(pilot_name: str, flight: Flight, parameters: QuadrotorParameters, case: Case) -> Track:
+def fly(
+    pilot_name: str,
+    flight: Flight,
+    parameters: QuadrotorParameters,
+    case: Case,
+    flown_s: float = FLOWN_S,
+) -> Track:
     """Fly a case; the same seed has the same wind, errors and noise for every pilot."""
     seed = flight.world.seed
     pilot = PILOTS[pilot_name](flight)
@@ -88,7 +94,7 @@ def fly(pilot_name: str, flight: Flight, parameters: QuadrotorParameters, case: 
     vehicle = QuadrotorState(START_NED_M, thrust_share=(hover, hover, hover, hover))
     rows: list[tuple[float, FloatArray, FloatArray, tuple[float, ...], float]] = []
     lost = False
-    for k in range(round((HOVERS_S + FLOWN_S) / PERIOD_S)):
+    for k in range(round((HOVERS_S + flown_s) / PERIOD_S)):
         time_s = k * PERIOD_S - HOVERS_S
         state = state_from_ned(
             vehicle.position_ned_m, vehicle.velocity_ned_m_s, vehicle.attitude, vehicle.rate_body_rad_s

@@ -1,8 +1,8 @@
 """Who flies Fig. 14: MPC, the paper's recursion, and PID, all from the same measured state and reference.
 
-They get the reference in NED and give U1..U4. MPC and recursion see the plan over their horizon, as the paper
-has it; PID gets its position, velocity and acceleration now. The recursion has the MPC's weights and model and
-no estimate of the push, as in the paper; "riccati + push" has that too.
+They get the reference in NED and give U1..U4. MPC and recursion see the plan over their horizon, as the
+paper has it; PID gets its position, velocity and acceleration now. The recursion has the MPC's weights and
+model and no estimate of the push, as in the paper; "riccati + push" has that too.
 """
 
 from __future__ import annotations
@@ -63,9 +63,7 @@ class PidPilot:
     def step(self, state: FloatArray, time_s: float, flown: FloatArray) -> FloatArray:
         """U (4,)."""
         now = self._reference.at(time_s)
-        target = PidTarget(
-            flipped(now.position_m), flipped(now.velocity_m_s), flipped(now.acceleration_m_s2)
-        )
+        target = PidTarget(flipped(now.position_m), flipped(now.velocity_m_s), flipped(now.acceleration_m_s2))
         return self._pid.step(state, target, 0.0, PERIOD_S)
 
 

@@ -101,9 +101,7 @@ def _again(plan: _Plan, motion: Motion, pad: Motion, now_s: float) -> _Plan:
     return _Plan(via, left, through(motion, via, _met(pad, sum(left)), now_s, left))
 
 
-def _way_round(
-    motion: Motion, pad: Motion, now_s: float, obstacles: tuple[Obstacle, ...]
-) -> _Plan | None:
+def _way_round(motion: Motion, pad: Motion, now_s: float, obstacles: tuple[Obstacle, ...]) -> _Plan | None:
     """The way with the least margin whose rounded course keeps clear; the spline cuts and swings out."""
     for margin_m in PLAN_MARGINS_M:
         meeting = _met(pad, _time_to_go_s(motion, [], pad)).position_m

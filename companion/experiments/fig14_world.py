@@ -146,7 +146,4 @@ def disturbed(parameters: QuadrotorParameters, case: Case, seed: int) -> Quadrot
     if not case.model_error:
         return parameters
     x, y, z = (share * value for share, value in zip(inertia, parameters.inertia_kg_m2, strict=True))
-    return parameters.model_copy(
-        update={"mass_kg": mass * parameters.mass_kg, "inertia_kg_m2": (x, y, z)}
-    )
-
+    return parameters.model_copy(update={"mass_kg": mass * parameters.mass_kg, "inertia_kg_m2": (x, y, z)})
