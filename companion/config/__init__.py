@@ -30,6 +30,7 @@ from companion.config.mounting import (
     load_mount,
     load_vehicle,
 )
+from companion.config.obstacles import Box, Cylinder, Shape
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -60,7 +61,7 @@ from companion.config.sense import (
     SenseConfig,
     VisionConfig,
 )
-from companion.config.vehicle import CameraConfig, CaptureConfig, VehicleConfig
+from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig
 
 __all__ = [
     "CONFIG_FOLDER",
@@ -68,12 +69,14 @@ __all__ = [
     "AccelerometerCalibration",
     "AlignmentConfig",
     "AutopilotSensorsConfig",
+    "Box",
     "CameraConfig",
     "CaptureConfig",
     "CompanionConfig",
     "ComputeConfig",
     "ConfigError",
     "ControlConfig",
+    "Cylinder",
     "EkfConfig",
     "EstimateConfig",
     "GpsConfig",
@@ -86,6 +89,7 @@ __all__ = [
     "LinkConfig",
     "MissionConfig",
     "Model",
+    "ModelConfig",
     "MountCalibration",
     "MountStd",
     "OrientationConfig",
@@ -95,6 +99,7 @@ __all__ = [
     "RangeConfig",
     "SearchConfig",
     "SenseConfig",
+    "Shape",
     "StrictModel",
     "TouchdownConfig",
     "TrackingConfig",

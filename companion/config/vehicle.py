@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -48,6 +48,27 @@ class CameraConfig(CaptureConfig):
         return numbers
 
 
+Inertia = Annotated[float, Field(gt=1e-5, le=10.0)]
+
+
+class ModelConfig(StrictModel):
+    """The airframe in the paper's 12-state dynamics (eqs. 5 and 6), for controllers that command U1..U4.
+
+    Rotors are counted clockwise seen from above, from the front one ("plus") or the front right one ("x");
+    the first and the third turn anticlockwise.
+    """
+
+    layout: Literal["plus", "x"]
+    mass_kg: float = Field(gt=0.1, le=20.0)
+    inertia_kg_m2: tuple[Inertia, Inertia, Inertia]  # about forward, right and down
+    arm_length_m: float = Field(gt=0.03, le=1.0)  # from the centre of mass to a rotor's axis
+    thrust_coefficient_n_s2: float = Field(gt=1e-8, le=1e-2)  # b: thrust over the rotor speed's square
+    torque_coefficient_n_m_s2: float = Field(gt=1e-10, le=1e-3)  # d: reaction torque over the same
+    rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)  # J_TP: of one rotor about its axis
+    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)
+    motor_time_constant_s: float = Field(ge=0.001, le=0.5)  # from commanded to flown thrust
+
+
 class VehicleConfig(StrictModel):
     """Where things sit on the airframe (FRD from the centre of mass) and how it answers."""
 
@@ -66,3 +87,4 @@ class VehicleConfig(StrictModel):
     acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)
     thrust_time_constant_s: float = Field(default=0.04, ge=0.01, le=1.0)
     hover_thrust: float = Field(ge=0.1, le=0.9)
+    model: ModelConfig | None = None  # For comparisons that command U1..U4; a flight needs none

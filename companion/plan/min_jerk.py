@@ -138,3 +138,14 @@ def brake(start: Motion, start_s: float, deceleration_m_s2: float, shortest_s: f
     half = 0.5 * duration_s
     final = Motion((p[0] + half * v[0], p[1] + half * v[1], p[2] + half * v[2]))
     return plan(start, final, start_s, duration_s)
+
+
+def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
+    """A trajectory seen from the frame in which its own is at `by` at a time and moves on at its velocity."""
+    t = trajectory.start_s - at_s
+    p, v = by.position_m, by.velocity_m_s
+    x, y, z = (
+        (c[0] + place + rate * t, c[1] + rate * trajectory.duration_s, *c[2:])
+        for c, place, rate in zip(trajectory.axes, p, v, strict=True)
+    )
+    return Trajectory(trajectory.start_s, trajectory.duration_s, (x, y, z))

@@ -1,0 +1,38 @@
+"""Obstacles as an operator surveys them: upright cylinders and boxes that stand on the ground.
+
+Places are north and east of home (m), heights over home (m); what is under a top is solid down to the ground.
+The app's settings and the simulator's scenarios describe them by the same models, but share no geometry.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from companion.config.reading import StrictModel
+
+Place = Annotated[float, Field(ge=-2000.0, le=2000.0)]
+
+
+class Cylinder(StrictModel):
+    """A pole, a tree, a silo."""
+
+    kind: Literal["cylinder"]
+    centre_ned_m: tuple[Place, Place]  # north, east of home
+    radius_m: float = Field(gt=0.0, le=100.0)
+    height_m: float = Field(gt=0.0, le=500.0)  # of its top over home
+
+
+class Box(StrictModel):
+    """A wall, a house, a parked truck."""
+
+    kind: Literal["box"]
+    centre_ned_m: tuple[Place, Place]  # north, east of home
+    length_m: float = Field(gt=0.0, le=500.0)  # along its heading
+    width_m: float = Field(gt=0.0, le=500.0)  # across it
+    heading_deg: float = Field(default=0.0, ge=-360.0, le=360.0)  # clockwise from north
+    height_m: float = Field(gt=0.0, le=500.0)  # of its top over home
+
+
+Shape = Annotated[Cylinder | Box, Field(discriminator="kind")]
