@@ -39,7 +39,7 @@ class PidGains(StrictModel):
 
     position_gain_1_s2: float = Field(ge=0.0, le=30.0)
     velocity_gain_1_s: float = Field(ge=0.0, le=15.0)
-    integral_gain_1_s3: float = Field(ge=0.0, le=20.0)
+    integral_gain_1_s3: float = Field(ge=0.0, le=40.0)
     integral_limit_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
 
 

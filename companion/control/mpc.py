@@ -65,9 +65,7 @@ class Solution:
     iterations: int
 
 
-def needed_inputs(
-    target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float
-) -> FloatArray:
+def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
     """Inputs (N, 3) under which the model flies the target's acceleration against the disturbance."""
     a = target.acceleration_m_s2
     slope = np.diff(a, axis=0) / step_s

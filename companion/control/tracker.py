@@ -7,11 +7,14 @@ answers passes the same gate of limits. Frame: as the MPC's, NED axes that do no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from companion.config import ControlConfig
 from companion.control.flight_model import Motion
 from companion.control.mpc import Mpc, Solution, Target
+from companion.control.pid_tracker import PidTracker
+from companion.control.riccati_tracker import RiccatiTracker
 from companion.geometry import Vector3
 
 
@@ -29,4 +32,9 @@ class Tracker(Protocol):
 
 def make_tracker(config: ControlConfig, lags_s: Vector3) -> Tracker:
     """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`)."""
-    return Mpc(config, lags_s)
+    kinds: dict[str, Callable[[ControlConfig, Vector3], Tracker]] = {
+        "mpc": Mpc,
+        "riccati": RiccatiTracker,
+        "pid": PidTracker,
+    }
+    return kinds[config.controller](config, lags_s)
