@@ -30,7 +30,8 @@ def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
         OSError: it cannot be written.
     """
     figure = Figure(figsize=(15.0, 8.5), dpi=110, layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=(1.0, 1.7))
+    halves: Any = figure.subfigures(2, 1, height_ratios=(1.0, 1.7))
+    top, bottom = halves
     for axes, name in zip(top.subplots(1, 4), (*INPUTS, OUTPUT), strict=True):
         _draw_terms(axes, getattr(rules, name), LABELS[name])
     axis = table.acceleration_m_s2
