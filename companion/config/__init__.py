@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from pydantic import Field, model_validator
 
-from companion.config.control import ControlConfig, LimitsConfig, TrackingConfig
+from companion.config.control import ControlConfig, LimitsConfig, PidConfig, PidGains, TrackingConfig
 from companion.config.estimate import (
     AlignmentConfig,
     EkfConfig,
@@ -95,6 +95,8 @@ __all__ = [
     "OrientationConfig",
     "PadFilterConfig",
     "PhaseTimesConfig",
+    "PidConfig",
+    "PidGains",
     "PlanConfig",
     "RangeConfig",
     "SearchConfig",

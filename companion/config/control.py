@@ -34,9 +34,26 @@ class TrackingConfig(StrictModel):
     effort_change_m_s2: float = Field(gt=0.0, le=100.0)  # the same, from one step to the next
 
 
-class ControlConfig(StrictModel):
-    """The MPC and what it sends."""
+class PidGains(StrictModel):
+    """Acceleration for each metre, metre per second and metre second of error along one direction."""
 
+    position_gain_1_s2: float = Field(ge=0.0, le=30.0)
+    velocity_gain_1_s: float = Field(ge=0.0, le=15.0)
+    integral_gain_1_s3: float = Field(ge=0.0, le=40.0)
+    integral_limit_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
+
+
+class PidConfig(StrictModel):
+    """The PID's gains; by `companion-experiments tune-pid`."""
+
+    horizontal: PidGains = PidGains(position_gain_1_s2=1.6, velocity_gain_1_s=2.0, integral_gain_1_s3=0.5)
+    vertical: PidGains = PidGains(position_gain_1_s2=1.6, velocity_gain_1_s=2.0, integral_gain_1_s3=0.5)
+
+
+class ControlConfig(StrictModel):
+    """The tracker and what it sends."""
+
+    controller: Literal["mpc", "riccati", "pid"] = "mpc"
     # acceleration: sideways alone, with the vertical velocity; auto: that to PX4, velocity to ArduPilot
     setpoint: Literal["auto", "velocity", "acceleration", "attitude"] = "auto"
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
@@ -66,4 +83,5 @@ class ControlConfig(StrictModel):
     vertical: TrackingConfig = TrackingConfig(
         position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
     )
+    pid: PidConfig = PidConfig()
     limits: LimitsConfig = LimitsConfig()

@@ -1,7 +1,7 @@
 """The control stage's step: the plan and the states to one setpoint (the paper's Algorithm 2).
 
-Everything is brought into one frame for the MPC: NED axes that do not accelerate, with the origin where the
-pad was estimated (the EKF's, for local references). The pad's own motion becomes part of the reference.
+Everything is brought into one frame for the tracker: NED axes that do not accelerate, with the origin where
+the pad was estimated (the EKF's, for local references). The pad's own motion becomes part of the reference.
 SI units.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.flight_model import Motion, lags
 from companion.control.limits import LimitsGate
-from companion.control.mpc import Mpc, Solution
+from companion.control.mpc import Solution
 from companion.control.pad_motion import PadPath, predict_pad, resting_path
 from companion.control.plant import Plant
 from companion.control.setpoints import (
@@ -28,6 +28,7 @@ from companion.control.setpoints import (
     velocity_setpoint,
 )
 from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
+from companion.control.tracker import make_tracker
 from companion.geometry import FloatArray, scale, subtract, vector3, yaw_from_quat
 from companion.messages import ControlReport, Manner, PadState, PlanStep, Reference, Setpoint, VehicleState
 
@@ -41,7 +42,7 @@ FAILURES_TO_STOP = 10
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """Where the MPC begins: the motion when the next command takes effect, and the path of its origin.
+    """Where the tracker begins: the motion when the next command takes effect, and the path of its origin.
 
     `times_s` (N+1,) are the horizon's, of the app's clock.
     """
@@ -65,7 +66,7 @@ class Controller:
         self._config = config = resolved(config, manner)
         self._lags_s = lags(vehicle, config, manner)
         self._stopwatch = stopwatch or (lambda: 0.0)
-        self._mpc = Mpc(config, self._lags_s)
+        self._tracker = make_tracker(config, self._lags_s)
         self._plant = Plant(config, vehicle, self._lags_s)
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
@@ -118,7 +119,7 @@ class Controller:
 
     def _begin(self, vehicle: VehicleState) -> None:
         self._plant.begin(vehicle)
-        self._mpc.reset()
+        self._tracker.reset()
         self._failures = FAILURES_TO_STOP
         self._flying = True
 
@@ -144,7 +145,9 @@ class Controller:
         )
         disturbance = self._plant.disturbance_ned_m_s2
         began_s = self._stopwatch()
-        solution = self._mpc.solve(start.motion, target, disturbance, self._plant.last_input(start.motion))
+        solution = self._tracker.solve(
+            start.motion, target, disturbance, self._plant.last_input(start.motion)
+        )
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved else self._failures + 1
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)

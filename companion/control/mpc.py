@@ -65,6 +65,14 @@ class Solution:
     iterations: int
 
 
+def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
+    """Inputs (N, 3) under which the model flies the target's acceleration against the disturbance."""
+    a = target.acceleration_m_s2
+    slope = np.diff(a, axis=0) / step_s
+    needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + np.array(lags_s) * slope - np.array(disturbance_m_s2)
+    return needed
+
+
 class Mpc:
     """The tracker. Keeps the last solution, for a warm start and for when a solve fails."""
 
@@ -88,22 +96,13 @@ class Mpc:
         self._last = np.zeros(self._layout.variables)
         self._poisoned = True
 
-    def needed_inputs(self, target: Target, disturbance_m_s2: Vector3) -> FloatArray:
-        """Inputs (N, 3) under which the model flies the reference's acceleration against the disturbance."""
-        a = target.acceleration_m_s2
-        slope = np.diff(a, axis=0) / self._dt
-        needed: FloatArray = (
-            0.5 * (a[:-1] + a[1:]) + np.array(self._lags_s) * slope - np.array(disturbance_m_s2)
-        )
-        return needed
-
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
     ) -> Solution:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
         if not _finite(start):
             return self._fall_back()
-        needed = self.needed_inputs(target, disturbance_m_s2)
+        needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         last_input = self.clip_input(np.array(last_input_m_s2))
         q = self._linear_cost(target, needed, last_input)
         self._update_bounds(start, target, np.array(disturbance_m_s2), last_input)

@@ -1,0 +1,40 @@
+"""What flies a reference: the one call that every tracker answers, and the choice among them.
+
+`control.controller` chooses: `mpc` (OSQP, with constraints), `riccati` (the paper's recursion on the same
+model and weights, without constraints) or `pid`. All get the same start, target and period, and what each
+answers passes the same gate of limits. Frame: as the MPC's, NED axes that do not accelerate; SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from companion.config import ControlConfig
+from companion.control.flight_model import Motion
+from companion.control.mpc import Mpc, Solution, Target
+from companion.control.pid_tracker import PidTracker
+from companion.control.riccati_tracker import RiccatiTracker
+from companion.geometry import Vector3
+
+
+class Tracker(Protocol):
+    """The next accelerations to command, from where the vehicle is and should be."""
+
+    def solve(
+        self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
+    ) -> Solution:
+        """Inputs over the horizon from `start`, of which the first is flown."""
+
+    def reset(self) -> None:
+        """Forget everything learnt or kept: the next call begins a flight."""
+
+
+def make_tracker(config: ControlConfig, lags_s: Vector3) -> Tracker:
+    """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`)."""
+    kinds: dict[str, Callable[[ControlConfig, Vector3], Tracker]] = {
+        "mpc": Mpc,
+        "riccati": RiccatiTracker,
+        "pid": PidTracker,
+    }
+    return kinds[config.controller](config, lags_s)
