@@ -24,9 +24,11 @@ def distance_m(place_ned_m: Vector3, shape: Shape) -> float:
     """From a point to an obstacle's surface; 0 inside."""
     north, east = (p - c for p, c in zip(place_ned_m[:2], shape.centre_ned_m, strict=True))
     if isinstance(shape, Box):
-        turn = complex(north, east) * complex(math.cos(h := math.radians(shape.heading_deg)), -math.sin(h))
-        beyond = abs(turn.real) - 0.5 * shape.length_m, abs(turn.imag) - 0.5 * shape.width_m
-        aside = math.hypot(max(0.0, beyond[0]), max(0.0, beyond[1]))
+        heading = math.radians(shape.heading_deg)
+        away, bearing = math.hypot(north, east), math.atan2(east, north) - heading
+        along = max(0.0, abs(away * math.cos(bearing)) - 0.5 * shape.length_m)
+        across = max(0.0, abs(away * math.sin(bearing)) - 0.5 * shape.width_m)
+        aside = math.hypot(along, across)
     else:
         aside = max(0.0, math.hypot(north, east) - shape.radius_m)
     return math.hypot(aside, max(0.0, -place_ned_m[2] - shape.height_m))
