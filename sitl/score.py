@@ -183,10 +183,9 @@ def judge(
     Timeout: none of these, or on the pad but still armed.
     """
     result = None if touchdown is None else TouchdownResult.of(touchdown)
-    if nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0:
-        return Verdict(Outcome.CRASHED, result, ("touched an obstacle",))
-    if crashed:
-        return Verdict(Outcome.CRASHED, result, ("crashed",))
+    struck = nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0
+    if crashed or struck:
+        return Verdict(Outcome.CRASHED, result, ("touched an obstacle" if struck else "crashed",))
     if final_phase is Phase.ABORT:
         return Verdict(Outcome.ABORTED, result, ("the app aborted",))
     if touchdown is None:

@@ -3,9 +3,10 @@
 The guide plans as if there were none. What it planned is taken when it keeps the margin, to its end and for
 as long after as a stop would take. If not, the way leads round or over them, by the shortest route: smoothly
 if that keeps the margin, else with halts at its corners. If there is no way the vehicle brakes and holds, and
-`blocked` says so. Obstacles stand still and a pad moves among them: all is judged in space, the pad's motion
-led on at its velocity, and given back in the guide's own frame. Space is the EKF's NED, m and s; obstacles
-count from home, which is not the EKF's origin, so that what is surveyed does not move with an estimate.
+`blocked` says so; over a pad that is too near to an obstacle it goes along higher up instead (`waiting`).
+Obstacles stand still and a pad moves among them: all is judged in space, the pad's motion led on along its
+arc, and given back in the guide's own frame. Space is the EKF's NED, m and s; obstacles count from home,
+which is not the EKF's origin, so that what is surveyed does not move with an estimate.
 """
 
 from __future__ import annotations
@@ -36,7 +37,12 @@ _SAME_END_M_S: Final = 0.3
 _HARD_STOPS_M_S2: Final = (3.0, 4.5)
 _SLACK_M: Final = 1e-3
 _EXTRA_S: Final = 0.5
-_AT_REST: Final = Motion(ZERO3)
+STILL: Final = Motion(ZERO3)
+# Slower than this a pad has no course to speak of; turning faster than that is noise.
+_COURSE_M_S: Final = 0.3
+_FASTEST_TURN_RAD_S: Final = 1.0
+# Waiting over a pad, so much higher than the margin asks for.
+_ABOVE_M: Final = 0.1
 
 
 class Avoidance:
@@ -50,8 +56,8 @@ class Avoidance:
         self._home_ned_m: Vector3 | None = None
         self._detour: Course | None = None
         self._next_s = -math.inf
-        self._frame = _AT_REST
-        self.blocked = False
+        self._frame = STILL
+        self.blocked = self.waiting = False
 
     @property
     def needed(self) -> bool:
@@ -73,15 +79,25 @@ class Avoidance:
 
     def forget(self) -> None:
         """Another reference begins: no detour of the last one goes on."""
-        self._detour, self.blocked, self._next_s = None, False, -math.inf
+        self._detour, self._next_s = None, -math.inf
+        self.blocked = self.waiting = False
 
-    def way(self, direct: Trajectory, target: Motion, now_s: float, *, level: bool = False) -> Way:
+    def way(
+        self,
+        direct: Trajectory,
+        target: Motion,
+        now_s: float,
+        *,
+        level: bool = False,
+        may_wait: bool = False,
+    ) -> Way:
         """What to fly instead of a direct way to a target that moves on, all in the guide's frame.
 
         Args:
             direct: what was planned, from the reference's state now.
             target: where it leads, now, and its velocity.
             level: only round, at the present height, never over.
+            may_wait: over the target but higher, where it cannot be had itself, is good enough for now.
         """
         if not self.needed:
             return direct
@@ -95,7 +111,11 @@ class Avoidance:
             return kept
         if now_s >= self._next_s or not self.blocked:
             self._next_s = now_s + _THINK_AGAIN_S
-            kept = self._round(start, target, now_s, level) or (kept if _under_way(kept, now_s) else None)
+            found = self._round(start, target, now_s, level)
+            self.waiting = found is None and may_wait
+            if self.waiting:
+                found = self._over(start, target, now_s)
+            kept = found or (kept if _under_way(kept, now_s) else None)
         self._detour, self.blocked = kept, kept is None
         return self._stop(start, now_s) if kept is None else kept
 
@@ -131,8 +151,8 @@ class Avoidance:
         """Whether a place in the guide's frame, going with it, stays clear for so long."""
         if not self.needed:
             return True
-        times = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)[:, None]
-        points = np.array(add(place, self._frame.position_m)) + times * np.array(self._frame.velocity_m_s)
+        times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
+        points = np.array(place) + _led(self._frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
     def still_clear(self, way: Way, now_s: float) -> bool:
@@ -142,14 +162,19 @@ class Avoidance:
     # ------------------------------------------------------------ judging
 
     def _clear(self, way: Way, now_s: float) -> bool:
-        return self._keeps_clear(_moved(way, self._frame, now_s), now_s)
+        return self._keeps_clear(way, now_s, self._frame)
 
-    def _keeps_clear(self, way: Way, now_s: float) -> bool:
-        """Whether a way in space keeps the margin, or what it starts with if that is less, to its stop."""
-        after_s = _EXTRA_S + self._stop_s(norm(way.at(way.end_s).velocity_m_s))
+    def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
+        """Whether a way in a frame keeps the margin, or what it starts with if that is less, to its stop."""
+        last = _seen(way.at(way.end_s), frame)
+        after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         count = min(_MOST_CHECKS, 2 + int(whole_s / _CHECK_STEP_S))
-        clearance = self._clearance_m(way.rows(now_s, count, whole_s / (count - 1))[0])
+        step_s = whole_s / (count - 1)
+        points = way.rows(now_s, count, step_s)[0]
+        if frame is not STILL:
+            points += _led(frame, step_s * np.arange(count, dtype=float))
+        clearance = self._clearance_m(points)
         least_m = min(self._margin_m, float(clearance[0])) - _SLACK_M
         return bool(np.min(clearance) >= least_m)
 
@@ -180,6 +205,20 @@ class Avoidance:
                     return found.carried(_away(self._frame), now_s)
         return None
 
+    def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+        """To over the target: no lower than now, or higher up, where it is clear of all that it passes."""
+        assert self._home_ned_m is not None
+        here, home_down = start.position_m[2] + self._frame.position_m[2], self._home_ned_m[2]
+        tops = {home_down + o.top_down_m - self._margin_m - _ABOVE_M for o in self._obstacles}
+        higher = sorted((t for t in tops if home_down + self._ceiling_down_m <= t < here), reverse=True)
+        for down in (here, *higher):
+            north, east, _ = target.position_m
+            raised = Motion((north, east, down - self._frame.position_m[2]), target.velocity_m_s)
+            found = self._round(start, raised, now_s, level=False)
+            if found is not None:
+                return found
+        return None
+
     def _via(self, places: Sequence[Vector3], spare_m: float, *, level: bool = False) -> list[Vector3] | None:
         """The points between the first place and the last, those on the way round included."""
         if not self.needed:
@@ -203,14 +242,14 @@ class Avoidance:
 
     def _stop(self, start: Motion, now_s: float) -> Trajectory:
         """Come to rest in space, seen from the guide's frame."""
-        stop = self._braked(_seen(start, self._frame), _AT_REST, now_s)
+        stop = self._braked(_seen(start, self._frame), STILL, now_s)
         return carried(stop, _away(self._frame), now_s)
 
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
         """Come to rest in a frame; harder where the gentle stop would come too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
         for deceleration in _HARD_STOPS_M_S2:
-            if not self.needed or self._keeps_clear(carried(stop, frame, now_s), now_s):
+            if not self.needed or self._keeps_clear(stop, now_s, frame):
                 break
             stop = brake(start, now_s, deceleration)
         return stop
@@ -234,8 +273,16 @@ def _away(frame: Motion) -> Motion:
     return Motion(scale(frame.position_m, -1.0), scale(frame.velocity_m_s, -1.0))
 
 
-def _moved(way: Way, by: Motion, at_s: float) -> Way:
-    return way.carried(by, at_s) if isinstance(way, Course) else carried(way, by, at_s)
+def _led(frame: Motion, times_s: FloatArray) -> FloatArray:
+    """Where a frame will be, (n, 3), times (n,) from now: along the arc that its acceleration tells of."""
+    (vn, ve, vd), (an, ae, _) = frame.velocity_m_s, frame.acceleration_m_s2
+    square = vn * vn + ve * ve
+    turn = (vn * ae - ve * an) / square if square > _COURSE_M_S**2 else 0.0
+    angle = max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, turn)) * times_s
+    # sin(a) / a and (1 - cos(a)) / a, which numpy's sinc has for a = 0 too
+    along, across = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi)) * np.sin(0.5 * angle)
+    north, east = times_s * (along * vn - across * ve), times_s * (along * ve + across * vn)
+    return np.array(frame.position_m) + np.stack((north, east, times_s * vd), axis=1)
 
 
 def _leads_to(course: Course, target: Motion, now_s: float) -> bool:

@@ -341,15 +341,26 @@ class Flight:
     def _tell_of_obstacles(self, now_s: float) -> None:
         """Say when the way leads round obstacles, when there is none, and when it is straight again."""
         guide = self._guide
-        way = "blocked" if guide.blocked else "detour" if guide.detouring else ""
+        way = (
+            "blocked"
+            if guide.blocked
+            else "waiting_over"
+            if guide.waiting
+            else "detour"
+            if guide.detouring
+            else ""
+        )
         if way == self._told_of or now_s - self._told_s < _TELL_AGAIN_S:
             return
         words = {
             "blocked": "no way that keeps clear of the obstacles: holding",
+            "waiting_over": "the pad is too near to an obstacle: waiting over it",
             "detour": "an obstacle is in the way: flying round it",
             "": "clear of the obstacles again",
         }
-        self._say(way or "clear", words[way], now_s, "warning" if way == "blocked" else "info")
+        self._say(
+            way or "clear", words[way], now_s, "warning" if way in {"blocked", "waiting_over"} else "info"
+        )
         self._told_of, self._told_s = way, now_s
 
     def _keep_near_pad(self, inputs: PlanInputs, now_s: float) -> None:

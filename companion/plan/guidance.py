@@ -17,9 +17,9 @@ from dataclasses import replace
 from typing import Literal
 
 from companion.config import GuidanceConfig, PlanConfig
-from companion.geometry import ZERO3, Vector3, add, dot, norm, scale, subtract, wrap_angle
+from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
 from companion.messages import Reference
-from companion.plan.avoidance import Avoidance
+from companion.plan.avoidance import STILL, Avoidance
 from companion.plan.course import Course, Way
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
 
@@ -53,7 +53,7 @@ class Guide:
         self.origin: Origin = "local"
         self._trajectory: Way | None = None
         self._along: Course | None = None
-        self._pad = Motion(ZERO3)
+        self._pad = STILL
         self._level: Trajectory | None = None
         self.heading_rad = 0.0
         self._turned_s: float | None = None
@@ -139,6 +139,11 @@ class Guide:
         return self._avoidance.blocked
 
     @property
+    def waiting(self) -> bool:
+        """Whether the pad is too near to an obstacle: the reference goes along higher up."""
+        return self._avoidance.waiting and not self._avoidance.blocked
+
+    @property
     def detouring(self) -> bool:
         """Whether the way leads round an obstacle."""
         return self._avoidance.detouring
@@ -187,7 +192,9 @@ class Guide:
         relative = self._within_limits(moving, max(duration_s, self._left_s(now_s)), now_s)
         direct = carried(relative, target, now_s)
         self._look_from_frame()
-        way = self._avoidance.way(direct, target, now_s, level=level)
+        way = self._avoidance.way(
+            direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
+        )
         self._trajectory, self._level = way, None
         self.speed_m_s = speed
         self.time_to_go_s = relative.duration_s if way is direct else max(0.0, way.end_s - now_s)
@@ -260,7 +267,7 @@ class Guide:
         )
 
     def _look_from_frame(self) -> None:
-        self._avoidance.see_from(self._pad if self.origin == "pad" else Motion(ZERO3))
+        self._avoidance.see_from(self._pad if self.origin == "pad" else STILL)
 
     def _follow(self, trajectory: Way, now_s: float) -> None:
         self._avoidance.forget()
