@@ -1,8 +1,8 @@
 """The scenario's obstacles as they are: whether the vehicle touches one, and how far it is from the nearest.
 
 The vehicle counts as a sphere about its centre that reaches to the farthest rotor's tip, so that no lean
-hides a blade. NED from home, m. Written apart from what the app plans with, so that no mistake is shared. They are
-solid to the ground and touched is crashed; a pad drives through, and pictures and echoes show none of them.
+hides a blade. NED from home, m. Written apart from what the app plans with, so that no mistake is shared.
+They are solid to the ground and touched is crashed; a pad drives through, pictures and echoes show none.
 """
 
 from __future__ import annotations
