@@ -26,6 +26,8 @@ from companion.geometry import FloatArray, Vector3, add, norm, scale
 from companion.plan.min_jerk import Motion, Trajectory, carried, plan
 
 _MOST_STRETCHES: Final = 8
+# So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.
+_NEAR_ENOUGH: Final = 1.05
 _CHECKED_PER_LEG: Final = 8
 _REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
 _REST_PUSH: Final = 5.7735  # and the greatest acceleration so many times distance / time²
@@ -133,7 +135,7 @@ def _at_points(
 def paced(
     start: Motion, via: Sequence[Vector3], target: Motion, start_s: float, limits: GuidanceConfig
 ) -> Course:
-    """Through points to one that moves on at its velocity, within the limits of speed and acceleration.
+    """Through points to one that moves on at its velocity, within the limits of speed and acceleration (to 5 and 10 %).
 
     The speed's limits count relative to the target: its own speed comes on top.
 
@@ -144,7 +146,7 @@ def paced(
     course = through(start, via, _met(target, sum(durations)), start_s, durations)
     for _ in range(_MOST_STRETCHES):
         stretch = _stretch(course, start, target, limits)
-        if stretch <= 1.005:
+        if stretch <= _NEAR_ENOUGH:
             break
         durations = [min(stretch, 1.5) * d for d in durations]
         course = through(start, via, _met(target, sum(durations)), start_s, durations)

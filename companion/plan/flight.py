@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Final, Literal
 
 from companion.config import PlanConfig, VehicleConfig
-from companion.geometry import Vector3, add, ned_from_geodetic, yaw_from_quat
+from companion.geometry import Vector3, add, yaw_from_quat
 from companion.messages import Action, ActionKind, LandedState, Phase
 from companion.plan.departure import Departure
 from companion.plan.ground import Ground
@@ -60,6 +60,8 @@ class Flight:
         self._touchdown = Touchdown(config.touchdown, vehicle, config.landing.wait_height_m, guide)
         self._tries = 0
         self._begun_s = 0.0
+        # where it took off by our own estimate: two GPS disagree by metres, over a flight one by little
+        self._stood_ned_m: Vector3 | None = None
         self._home_ned_m: Vector3 | None = None
         self._told_of: str = ""
         self._told_s = -math.inf
@@ -96,12 +98,11 @@ class Flight:
         self._tell_of_obstacles(now_s)
         return finding
 
-    def see(self, inputs: PlanInputs) -> None:
+    def look_about(self) -> None:
         """Take in where home and the pad are, for what must be kept clear of."""
-        home, vehicle, down_m = inputs.autopilot.home, inputs.vehicle, self._ground.home_down_m
-        if home is not None and vehicle is not None and vehicle.origin is not None and down_m is not None:
-            north, east, _ = ned_from_geodetic(*home, vehicle.origin)
-            self._home_ned_m = (north, east, down_m)
+        down_m = self._ground.home_down_m
+        if self._stood_ned_m is not None and down_m is not None:
+            self._home_ned_m = (*self._stood_ned_m[:2], down_m)
         self._guide.see(self._home_ned_m, self._pad.motion)
 
     def minimum_height_m(self, now_s: float) -> float | None:
@@ -126,6 +127,7 @@ class Flight:
         previous, self._phase = self._phase, phase
         if self._phase is Phase.TAKE_OFF:
             self._ground.stands_here(inputs.vehicle)
+            self._stood_ned_m = None if inputs.vehicle is None else inputs.vehicle.position_ned_m
             self.departure.lift_off()
         elif self._phase is Phase.ROUTE:
             self._enter_route(previous, inputs, now_s)

@@ -87,7 +87,7 @@ class Planner:
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
-        self._flight.see(inputs)
+        self._flight.look_about()
         if inputs.vehicle is None:
             return
         if self._within_fence(inputs):
