@@ -28,6 +28,8 @@ from companion.plan.obstacles import Obstacle, clearance_m, line_clear, route
 _SPARES_M: Final = (0.5, 0.25, 0.05)
 # Looking for a way round takes a while: not in every cycle.
 _THINK_AGAIN_S: Final = 0.2
+# From a way round one goes over to a straight one that is not so much later there.
+_LATER_S: Final = 2.0
 _CHECK_STEP_S: Final = 0.1
 _MOST_CHECKS: Final = 400
 # A way round that was begun is kept while its end is so near to where the target will be.
@@ -35,7 +37,7 @@ _SAME_END_M: Final = 0.3
 _SAME_END_M_S: Final = 0.3
 # Where the gentle stop would come too near, harder ones are tried (m/s²); the last is taken anyway.
 _HARD_STOPS_M_S2: Final = (3.0, 4.5)
-_SLACK_M: Final = 1e-3
+_SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
 STILL: Final = Motion(ZERO3)
 # Slower than this a pad has no course to speak of; turning faster than that is noise.
@@ -101,10 +103,11 @@ class Avoidance:
         """
         if not self.needed:
             return direct
-        if self._clear(direct, now_s):
+        start, kept = direct.at(now_s), self._detour
+        late = kept is not None and direct.end_s > max(now_s, kept.end_s) + _LATER_S
+        if not late and self._clear(direct, now_s):
             self.forget()
             return direct
-        start, kept = direct.at(now_s), self._detour
         if kept is not None and not self._clear(kept, now_s):
             kept = None
         if kept is not None and (now_s < self._next_s or _leads_to(kept, target, now_s)):
@@ -165,7 +168,7 @@ class Avoidance:
         return self._keeps_clear(way, now_s, self._frame)
 
     def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
-        """Whether a way in a frame keeps the margin, or what it starts with if that is less, to its stop."""
+        """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
         last = _seen(way.at(way.end_s), frame)
         after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
@@ -175,8 +178,8 @@ class Avoidance:
         if frame is not STILL:
             points += _led(frame, step_s * np.arange(count, dtype=float))
         clearance = self._clearance_m(points)
-        least_m = min(self._margin_m, float(clearance[0])) - _SLACK_M
-        return bool(np.min(clearance) >= least_m)
+        least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
+        return bool(np.all(clearance >= least_m))
 
     def _stop_s(self, speed_m_s: float) -> float:
         return 1.5 * speed_m_s / self._limits.horizontal_acceleration_m_s2

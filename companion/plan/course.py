@@ -144,12 +144,16 @@ def paced(
     """
     durations = _first_guess(start, via, target, limits)
     course = through(start, via, _met(target, sum(durations)), start_s, durations)
+    stretch = _stretch(course, start, target, limits)
     for _ in range(_MOST_STRETCHES):
-        stretch = _stretch(course, start, target, limits)
         if stretch <= _NEAR_ENOUGH:
             break
         durations = [min(stretch, 1.5) * d for d in durations]
-        course = through(start, via, _met(target, sum(durations)), start_s, durations)
+        longer = through(start, via, _met(target, sum(durations)), start_s, durations)
+        before, stretch = stretch, _stretch(longer, start, target, limits)
+        if stretch >= before:
+            break  # an acceleration at the start lasts longer too, and leads to more speed
+        course = longer
     return course
 
 

@@ -32,6 +32,7 @@ _KEPT_SHARE = 0.9
 # Levelling off is a safety matter, and takes no view of the pad away: quicker than the plan's own limits.
 _LEVEL_OFF_M_S2 = 3.0
 _TOO_LOW_M = 0.15
+_LONGEST_TIMES = 6.0
 _SAME_POINT_M = 0.5
 _PEAK = 1.875  # a quintic's greatest speed over its mean
 
@@ -189,7 +190,8 @@ class Guide:
         speed = self._law(distance, dot(closing, unit), dot(start.acceleration_m_s2, unit))
         moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
         duration_s = distance / speed + self._config.minimum_time_s
-        relative = self._within_limits(moving, max(duration_s, self._left_s(now_s)), now_s)
+        asked_s = max(duration_s, self._left_s(now_s))
+        relative = self._within_limits(moving, asked_s, _LONGEST_TIMES * duration_s, now_s)
         direct = carried(relative, target, now_s)
         self._look_from_frame()
         way = self._avoidance.way(
@@ -281,14 +283,18 @@ class Guide:
         """
         return 0.0 if self._trajectory is None else _KEPT_SHARE * (self._trajectory.end_s - now_s)
 
-    def _within_limits(self, moving: Motion, duration_s: float, now_s: float) -> Trajectory:
-        """The way to the origin at rest, longer than asked where speed or acceleration would be too much."""
+    def _within_limits(self, moving: Motion, duration_s: float, longest_s: float, now_s: float) -> Trajectory:
+        """The way to the origin at rest, longer than asked where speed or acceleration would be too much.
+
+        Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
+        the speed that it leads to worse.
+        """
         trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
         for _ in range(_MOST_STRETCHES):
             stretch = self._stretch(trajectory, moving)
             if stretch <= 1.001:
                 break
-            duration_s *= min(stretch, 1.5)
+            duration_s = min(duration_s * min(stretch, 1.5), longest_s)
             trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
         return trajectory
 
