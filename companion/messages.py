@@ -369,7 +369,12 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True)
 class ControlReport:
-    """How a setpoint came about: for the log and the status line."""
+    """How a setpoint came about: for the log and the status line.
+
+    Not `solved`: the last plan was flown on; `late`: the clock ended the search; `stopped`: for want of a plan
+    the vehicle was told to stand still. `hover_thrust` is the share of full thrust that carries the weight, as
+    learnt by then; while not `obeyed`, the autopilot hears setpoints without following them.
+    """
 
     time_s: float
     solved: bool
@@ -378,6 +383,10 @@ class ControlReport:
     limited: tuple[str, ...] = ()
     disturbance_ned_m_s2: Vector3 = ZERO3
     predicted_position_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    late: bool = False
+    stopped: bool = False
+    hover_thrust: float | None = None
+    obeyed: bool = True
 
 
 # ---------------------------------------------------------------- truth: the simulator's, for scoring alone

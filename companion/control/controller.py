@@ -52,7 +52,11 @@ class _Start:
 
 
 class Controller:
-    """Tracks the plan's reference. `stopwatch`, when given, times the solves for the report (s)."""
+    """Tracks the plan's reference.
+
+    When a solve fails, the last plan is flown on, through the gate of limits as all else; after
+    `FAILURES_TO_STOP` in a row, or when there is no last plan, the vehicle is stopped.
+    """
 
     def __init__(
         self,
@@ -61,11 +65,14 @@ class Controller:
         stopwatch: Callable[[], float] | None = None,
         manner: Manner = "px4",
     ) -> None:
-        """`manner` is that of the autopilot that will obey; `stopwatch` is for measuring the solver."""
+        """`manner` is that of the autopilot that will obey; `stopwatch` tells seconds, to bound the solver's.
+
+        In virtual time it stands still while the solver works: then iterations alone bound it.
+        """
         self._config = config
         self._lags_s = lags(vehicle, config, manner)
         self._stopwatch = stopwatch or (lambda: 0.0)
-        self._tracker = make_tracker(config, self._lags_s)
+        self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s)
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
@@ -104,7 +111,8 @@ class Controller:
             self._plant.observe(vehicle, elapsed_s)
         else:
             self._begin(vehicle)
-        return self._fly(plan.reference, vehicle, pad, now_s)
+        setpoint, report = self._fly(plan.reference, vehicle, pad, now_s)
+        return setpoint, replace(report, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
         """Time (s) since the last step; 0 after a pause, from which all begins anew."""
@@ -142,6 +150,7 @@ class Controller:
             self._config.horizontal_reach_m,
             self._config.vertical_reach_m,
         )
+        target = replace(target, hover_thrust=self._plant.hover_thrust)
         disturbance = self._plant.disturbance_ned_m_s2
         began_s = self._stopwatch()
         solution = self._tracker.solve(start.motion, target, disturbance, self._plant.last_input(start.motion))
@@ -152,8 +161,22 @@ class Controller:
         self._plant.remember(setpoint)
         predicted = solution.states[:, :3] - start.path.displacement_m[1:]
         return setpoint, ControlReport(
-            now_s, solution.solved, solution.iterations, solve_s, limited, disturbance, predicted
+            now_s,
+            solution.solved,
+            solution.iterations,
+            solve_s,
+            limited,
+            disturbance,
+            predicted,
+            late=solution.late,
+            stopped=self._stopped,
+            hover_thrust=self._plant.hover_thrust,
         )
+
+    @property
+    def _stopped(self) -> bool:
+        """Whether no plan is left that is worth flying."""
+        return self._failures >= FAILURES_TO_STOP
 
     def _start(self, vehicle: VehicleState, pad: PadState | None, now_s: float) -> _Start:
         """The motion when the next command takes effect, from the newest estimate and what is under way."""
@@ -172,7 +195,7 @@ class Controller:
 
     def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()
-        if self._failures >= FAILURES_TO_STOP:
+        if self._stopped:
             return stop_setpoint(now_s, self._config, plant.hover_thrust, look)
         u = vector3(solution.inputs_m_s2[0].tolist())
         if self._config.setpoint == "attitude":

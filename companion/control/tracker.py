@@ -7,6 +7,7 @@ answers passes the same gate of limits. Frame: as the MPC's, NED axes that do no
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from companion.config import ControlConfig
@@ -27,6 +28,11 @@ class Tracker(Protocol):
         """Forget everything learnt or kept: the next call begins a flight."""
 
 
-def make_tracker(config: ControlConfig, lags_s: Vector3) -> Tracker:
-    """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`)."""
-    return Mpc(config, lags_s)
+def make_tracker(
+    config: ControlConfig, lags_s: Vector3, stopwatch: Callable[[], float] | None = None
+) -> Tracker:
+    """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`).
+
+    `stopwatch` tells seconds: what searches for long ends at `control.solve_limit_s` by it.
+    """
+    return Mpc(config, lags_s, stopwatch)

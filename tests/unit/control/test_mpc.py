@@ -9,7 +9,8 @@ import pytest
 
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.flight_model import Motion, advance, discretise
-from companion.control.mpc import Mpc, Target
+from companion.control.input_bounds import input_rows
+from companion.control.mpc import Mpc, Target, needed_inputs
 from companion.control.qp import Layout, axis_cost, axis_costs, constraint_matrix, cost_matrix, step_matrices
 from companion.control.target import within_reach
 from companion.geometry import ZERO3, FloatArray, Vector3
@@ -83,7 +84,7 @@ def test_unconstrained_answer_equals_the_batch_solution_over_an_endless_horizon(
     disturbance, last = (0.3, -0.2, 0.1), (0.2, 0.1, -0.1)
     solution = mpc.solve(start, target, disturbance, last)
     assert solution.solved
-    needed = mpc.needed_inputs(target, disturbance)
+    needed = needed_inputs(target, disturbance, LAGS_S, DT)
     first_change = (needed[1] - needed[0]) / (CONFIG.rate_hz * DT)
     for axis in range(3):
         state = np.array([start.position_m[axis], start.velocity_m_s[axis], start.acceleration_m_s2[axis]])
@@ -250,8 +251,10 @@ def test_matrices_have_the_documented_shape_and_a_convex_cost() -> None:
     layout = Layout(N)
     P = cost_matrix(axis_costs(CONFIG, LAGS_S), N)
     assert P.shape == (layout.variables, layout.variables)
-    assert constraint_matrix(*step_matrices(DT, LAGS_S), N).shape == (
-        layout.rows()["floor"].stop,
+    assert constraint_matrix(
+        *step_matrices(DT, LAGS_S), N, inputs=input_rows(CONFIG.limits), cone_slope=0.2
+    ).shape == (
+        layout.rows()["cone"].stop,
         layout.variables,
     )
     full = P.toarray()
