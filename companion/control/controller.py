@@ -1,7 +1,7 @@
 """The control stage's step: the plan and the states to one setpoint (the paper's Algorithm 2).
 
-Everything is brought into one frame for the tracker: NED axes that do not accelerate, with the origin where the
-pad was estimated (the EKF's, for local references). The pad's own motion becomes part of the reference.
+Everything is brought into one frame for the tracker: NED axes that do not accelerate, with the origin where
+the pad was estimated (the EKF's, for local references). The pad's own motion becomes part of the reference.
 SI units.
 """
 
@@ -135,7 +135,7 @@ class Controller:
     ) -> tuple[Setpoint, ControlReport]:
         self._flying = False
         setpoint = ground_setpoint(now_s, self._config, pad, self._look())
-        setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
+        setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s, on_ground=True)
         return setpoint, ControlReport(now_s, solved=True, iterations=0, solve_s=0.0, limited=limited)
 
     def _fly(
@@ -153,7 +153,9 @@ class Controller:
         target = replace(target, hover_thrust=self._plant.hover_thrust)
         disturbance = self._plant.disturbance_ned_m_s2
         began_s = self._stopwatch()
-        solution = self._tracker.solve(start.motion, target, disturbance, self._plant.last_input(start.motion))
+        solution = self._tracker.solve(
+            start.motion, target, disturbance, self._plant.last_input(start.motion)
+        )
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved else self._failures + 1
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)

@@ -24,7 +24,6 @@ from companion.config import ControlConfig
 from companion.control.flight_model import Motion
 from companion.control.free_optimum import FreeOptimum
 from companion.control.input_bounds import (
-    EIGHT,
     OCTAGON_WITHIN_CIRCLE,
     input_bounds,
     input_rows,
@@ -47,9 +46,9 @@ RHO = 3.0
 RHO_BY_ITERATIONS = 1
 RHO_INTERVAL = 50
 SLICE_ITERATIONS = 100
-# OSQP's status values: solved; out of iterations, nearly there or not
-SOLVED = 1
-UNFINISHED = (2, 7)
+# OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
+SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
+UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
 
@@ -98,9 +97,7 @@ class Solution:
     late: bool = False
 
 
-def needed_inputs(
-    target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float
-) -> FloatArray:
+def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
     """Inputs (N, 3) under which the model flies the target's acceleration against the disturbance."""
     a = target.acceleration_m_s2
     slope = np.diff(a, axis=0) / step_s
@@ -308,7 +305,7 @@ class Mpc:
         if not np.isfinite(x).all() or info.status_val not in (SOLVED, *UNFINISHED):
             self._cold = True
             return self._fall_back(iterations)
-        if info.status_val != SOLVED and max(info.prim_res, info.dual_res) > ACCEPTED_RESIDUAL:
+        if info.status_val == UNSOLVED and max(info.prim_res, info.dual_res) > ACCEPTED_RESIDUAL:
             return self._fall_back(iterations, late=late)  # and go on from this iterate next time
         self._last = x
         return self._solution(solved=True, iterations=iterations, late=late)

@@ -18,7 +18,7 @@ from typing import Literal
 
 from companion.config import GuidanceConfig
 from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
-from companion.messages import Reference
+from companion.messages import DescentCone, Reference
 from companion.plan.min_jerk import Motion, Trajectory, brake, plan
 
 Origin = Literal["pad", "local"]
@@ -172,7 +172,9 @@ class Guide:
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
         self._turned_s = now_s
 
-    def reference(self, now_s: float, minimum_height_m: float | None) -> Reference | None:
+    def reference(
+        self, now_s: float, minimum_height_m: float | None, cone: DescentCone | None = None
+    ) -> Reference | None:
         """The rows over the horizon, (horizon_steps + 1, 3) each."""
         if self._trajectory is None:
             return None
@@ -191,6 +193,7 @@ class Guide:
             acceleration,
             self.heading_rad,
             minimum_height_m,
+            cone,
         )
 
     def _follow(self, trajectory: Trajectory, now_s: float) -> None:
