@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import osqp
@@ -40,12 +40,23 @@ from companion.control.qp import (
 from companion.geometry import FloatArray, Vector3
 
 ACCEPTED_RESIDUAL = 1e-2
-# measured: 20 to 30 iterations from a warm start; rho moves only when a far start takes more than 50, and by
+# measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
 # OSQP's count of iterations, since its own choice of interval goes by time
-RHO = 3.0
+RHO = 6.0
 RHO_BY_ITERATIONS = 1
 RHO_INTERVAL = 50
 SLICE_ITERATIONS = 100
+SETTINGS: Final[dict[str, Any]] = {
+    "eps_abs": 2e-4,
+    "eps_rel": 2e-4,
+    "check_termination": 5,
+    "rho": RHO,
+    "adaptive_rho": RHO_BY_ITERATIONS,
+    "adaptive_rho_interval": RHO_INTERVAL,
+    "polishing": False,
+    "warm_starting": True,
+    "verbose": False,
+}
 # OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
 SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
 UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
@@ -105,6 +116,17 @@ def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, st
     return needed
 
 
+@dataclass(frozen=True)
+class Problem:
+    """Least 1/2 z'Pz + q'z with lower <= A z <= upper; P is its upper triangle."""
+
+    P: csc_matrix
+    q: FloatArray
+    A: csc_matrix
+    lower: FloatArray
+    upper: FloatArray
+
+
 class Mpc:
     """The tracker. Keeps the last solution, for a warm start and for when a solve fails."""
 
@@ -119,7 +141,7 @@ class Mpc:
 
         `hover_thrust` is the share of full thrust that carries the weight, until a target tells it.
         """
-        self._limits, self._hover_thrust = config.limits, hover_thrust
+        self._limits = config.limits
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._solve_limit_s = config.solve_limit_s
         self._slices = -(-config.maximum_iterations // SLICE_ITERATIONS)
@@ -132,7 +154,7 @@ class Mpc:
         self._rows = self._layout.rows()
         self._A, self._B = step_matrices(self._dt, lags_s)
         self._stack_weights()
-        self._fixed_bounds(config)
+        self._fixed_bounds(config, hover_thrust)
         self._solver = self._set_up(min(SLICE_ITERATIONS, config.maximum_iterations))
         self.reset()
 
@@ -150,7 +172,7 @@ class Mpc:
         self._bound_inputs(target.hover_thrust)
         needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         last_input = self.clip_input(np.array(last_input_m_s2))
-        q = self._linear_cost(target, needed, last_input)
+        self._q = q = self._linear_cost(target, needed, last_input)
         self._update_bounds(start, target, np.array(disturbance_m_s2), last_input)
         if not self._consistent(q):
             return self._fall_back()
@@ -165,6 +187,11 @@ class Mpc:
         """Whether OSQP may see the data: it goes on with the old data on l > u, and never forgets a NaN."""
         return bool(np.isfinite(q).all() and (self._l <= self._u).all())
 
+    def problem(self) -> Problem:
+        """The last step's quadratic programme, for who wants to solve it in another way."""
+        P, A = cost_matrix(self._costs, self._N), self._constraints(self._cone_slope)
+        return Problem(P, self._q.copy(), A, self._l.copy(), self._u.copy())
+
     def clip_input(self, input_m_s2: FloatArray) -> FloatArray:
         """The input (3,), or as much of it as meets the bounds."""
         return shrunk(input_m_s2, self._input_rows, self._input_lower, self._input_upper)
@@ -177,7 +204,7 @@ class Mpc:
         self._S = np.array([c.S for c in self._costs])
         self._terminal = np.stack([c.terminal for c in self._costs])
 
-    def _fixed_bounds(self, config: ControlConfig) -> None:
+    def _fixed_bounds(self, config: ControlConfig, hover_thrust: float) -> None:
         limits, rows = config.limits, self._rows
         count = rows["cone"].stop
         self._l, self._u = np.full(count, -np.inf), np.full(count, np.inf)
@@ -191,10 +218,12 @@ class Mpc:
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
-        self._bound_inputs(self._hover_thrust)
+        self._hover_thrust = math.nan
+        self._bound_inputs(hover_thrust)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
         P = cost_matrix(self._costs, self._N)
+        self._q = np.zeros(self._layout.variables)
         self._cone_slope = 1.0
         constraints = self._constraints(self._cone_slope)
         self._cone_places = np.flatnonzero(constraints.data != self._constraints(2.0).data)
@@ -202,20 +231,12 @@ class Mpc:
         solver = osqp.OSQP()
         solver.setup(
             P,
-            np.zeros(self._layout.variables),
+            self._q,
             constraints,
             self._l,
             self._u,
-            eps_abs=1e-4,
-            eps_rel=1e-4,
             max_iter=iterations,
-            check_termination=10,
-            rho=RHO,
-            adaptive_rho=RHO_BY_ITERATIONS,
-            adaptive_rho_interval=RHO_INTERVAL,
-            polishing=False,
-            warm_starting=True,
-            verbose=False,
+            **SETTINGS,
         )
         return solver
 
@@ -267,7 +288,9 @@ class Mpc:
 
     def _bound_inputs(self, hover_thrust: float | None) -> None:
         """Bounds of all inputs, by what hovering takes."""
-        self._hover_thrust = hover_thrust or self._hover_thrust
+        if hover_thrust is None or hover_thrust == self._hover_thrust:
+            return
+        self._hover_thrust = hover_thrust
         self._input_lower, self._input_upper = input_bounds(self._limits, self._hover_thrust)
         rows = self._rows["input"]
         self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
