@@ -274,7 +274,9 @@ class App:
     def _control(self) -> Controller:
         if self._controller is None:
             manner = self.session.state.manner or "px4"
-            self._controller = Controller(self._config.control, self._vehicle, manner=manner)
+            self._controller = Controller(
+                self._config.control, self._vehicle, self._clock.now_s, manner=manner
+            )
         return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:

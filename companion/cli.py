@@ -40,6 +40,8 @@ from companion.flights import reason, score, serve_flights
 from companion.fuzzy.command import HELP as FUZZY_HELP
 from companion.fuzzy.command import fuzzy_command
 from companion.hardware import make_actions, open_hardware
+from companion.identify import HELP as IDENTIFY_HELP
+from companion.identify import identify_command
 from companion.messages import Outcome, Phase
 from companion.record import FlightLog
 from companion.replay.command import HELP as REPLAY_HELP
@@ -62,6 +64,9 @@ LATE_S: Final = 0.1
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 cli.command("replay", help=REPLAY_HELP, short_help="Run the estimators again over a log.")(replay_command)
+cli.command("identify", help=IDENTIFY_HELP, short_help="How the vehicle answers, from a flight.")(
+    identify_command
+)
 cli.command("check", help=CHECK_HELP, short_help="Check before a first flight, held by hand.")(check_command)
 cli.command("fuzzy", help=FUZZY_HELP, short_help="Show the fuzzy pilot, its rules and its table.")(
     fuzzy_command

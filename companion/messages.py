@@ -306,12 +306,22 @@ class ActionResult:
 
 
 @dataclass(frozen=True, slots=True)
+class DescentCone:
+    """How far aside of the pad a descent may be: radius_m + slope * (height over the pad - apex_height_m)."""
+
+    slope: float
+    radius_m: float
+    apex_height_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Reference:
     """Where the vehicle should be over the coming horizon, one row a step.
 
     origin "pad": rows are the vehicle minus the pad, NED axes (above the pad z is negative).
     origin "local": rows are in the EKF's NED.
-    Arrays are (n, 3); row k holds at time_s + k * step_s.
+    Arrays are (n, 3); row k holds at time_s + k * step_s. `minimum_height_m` and `cone` bound where the
+    vehicle may be about the pad, with origin "pad" alone.
     """
 
     time_s: float
@@ -322,6 +332,7 @@ class Reference:
     acceleration_m_s2: FloatArray
     heading_rad: float
     minimum_height_m: float | None = None
+    cone: DescentCone | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,7 +383,12 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True)
 class ControlReport:
-    """How a setpoint came about: for the log and the status line."""
+    """How a setpoint came about: for the log and the status line.
+
+    Not `solved`: the last plan was flown on; `late`: the clock ended the search; `stopped`: for want of a
+    plan the vehicle was told to stand still. `hover_thrust` is the share of full thrust that carries the
+    weight, as learnt by then; while not `obeyed`, the autopilot hears setpoints without following them.
+    """
 
     time_s: float
     solved: bool
@@ -381,6 +397,10 @@ class ControlReport:
     limited: tuple[str, ...] = ()
     disturbance_ned_m_s2: Vector3 = ZERO3
     predicted_position_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    late: bool = False
+    stopped: bool = False
+    hover_thrust: float | None = None
+    obeyed: bool = True
 
 
 # ---------------------------------------------------------------- truth: the simulator's, for scoring alone

@@ -75,8 +75,9 @@ class ControlConfig(StrictModel):
     pad_acceleration_decay_s: float = Field(default=1.0, ge=0.05, le=10.0)
     ground_descent_m_s: float = Field(default=1.0, ge=0.1, le=1.5)
     ground_acceleration_m_s2: float = Field(default=2.0, ge=0.0, le=3.0)
-    ground_thrust: float = Field(default=0.1, ge=0.0, le=0.3)
+    ground_thrust: float = Field(default=0.0, ge=0.0, le=0.3)  # ArduPilot has landed at none alone
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
+    solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(
         position_m=0.15, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=0.8
     )

@@ -53,7 +53,11 @@ class _Start:
 
 
 class Controller:
-    """Tracks the plan's reference. `stopwatch`, when given, times the solves for the report (s)."""
+    """Tracks the plan's reference.
+
+    When a solve fails, the last plan is flown on, through the gate of limits as all else; after
+    `FAILURES_TO_STOP` in a row, or when there is no last plan, the vehicle is stopped.
+    """
 
     def __init__(
         self,
@@ -62,11 +66,14 @@ class Controller:
         stopwatch: Callable[[], float] | None = None,
         manner: Manner = "px4",
     ) -> None:
-        """`manner` is that of the autopilot that will obey; `stopwatch` is for measuring the solver."""
+        """`manner` is that of the autopilot that will obey; `stopwatch` tells seconds, to bound the solver's.
+
+        In virtual time it stands still while the solver works: then iterations alone bound it.
+        """
         self._config = config = resolved(config, manner)
         self._lags_s = lags(vehicle, config, manner)
         self._stopwatch = stopwatch or (lambda: 0.0)
-        self._tracker = make_tracker(config, self._lags_s)
+        self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s)
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
@@ -105,7 +112,8 @@ class Controller:
             self._plant.observe(vehicle, elapsed_s)
         else:
             self._begin(vehicle)
-        return self._fly(plan.reference, vehicle, pad, now_s)
+        setpoint, report = self._fly(plan.reference, vehicle, pad, now_s)
+        return setpoint, replace(report, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
         """Time (s) since the last step; 0 after a pause, from which all begins anew."""
@@ -128,7 +136,7 @@ class Controller:
     ) -> tuple[Setpoint, ControlReport]:
         self._flying = False
         setpoint = ground_setpoint(now_s, self._config, pad, self._look())
-        setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
+        setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s, on_ground=True)
         return setpoint, ControlReport(now_s, solved=True, iterations=0, solve_s=0.0, limited=limited)
 
     def _fly(
@@ -143,6 +151,7 @@ class Controller:
             self._config.horizontal_reach_m,
             self._config.vertical_reach_m,
         )
+        target = replace(target, hover_thrust=self._plant.hover_thrust)
         disturbance = self._plant.disturbance_ned_m_s2
         began_s = self._stopwatch()
         solution = self._tracker.solve(
@@ -155,8 +164,22 @@ class Controller:
         self._plant.remember(setpoint)
         predicted = solution.states[:, :3] - start.path.displacement_m[1:]
         return setpoint, ControlReport(
-            now_s, solution.solved, solution.iterations, solve_s, limited, disturbance, predicted
+            now_s,
+            solution.solved,
+            solution.iterations,
+            solve_s,
+            limited,
+            disturbance,
+            predicted,
+            late=solution.late,
+            stopped=self._stopped,
+            hover_thrust=self._plant.hover_thrust,
         )
+
+    @property
+    def _stopped(self) -> bool:
+        """Whether no plan is left that is worth flying."""
+        return self._failures >= FAILURES_TO_STOP
 
     def _start(self, vehicle: VehicleState, pad: PadState | None, now_s: float) -> _Start:
         """The motion when the next command takes effect, from the newest estimate and what is under way."""
@@ -175,7 +198,7 @@ class Controller:
 
     def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()
-        if self._failures >= FAILURES_TO_STOP:
+        if self._stopped:
             return stop_setpoint(now_s, self._config, plant.hover_thrust, look)
         u = vector3(solution.inputs_m_s2[0].tolist())
         if self._config.setpoint == "attitude":

@@ -47,8 +47,12 @@ class LimitsGate:
         self._last: Setpoint | None = None
         self._last_lean: Vector3 | None = None
 
-    def apply(self, setpoint: Setpoint, now_s: float) -> tuple[Setpoint, tuple[str, ...]]:
+    def apply(
+        self, setpoint: Setpoint, now_s: float, *, on_ground: bool = False
+    ) -> tuple[Setpoint, tuple[str, ...]]:
         """The setpoint within all bounds, stamped `now_s`, and the names of the bounds that it broke.
+
+        `on_ground` lifts the least thrust: there none at all is what tells the autopilot that it has landed.
 
         The stamp never runs backwards. After a `reset` nothing is known to have been sent, and the bounds on
         change (jerk, heading rate) do not apply to the first setpoint.
@@ -66,7 +70,7 @@ class LimitsGate:
             heading_rad=heading,
             heading_rate_rad_s=self._heading_rate(setpoint.heading_rate_rad_s, broken),
             attitude=self._attitude(setpoint.attitude, heading, step_s, broken),
-            thrust=self._thrust(setpoint.thrust, broken),
+            thrust=self._thrust(setpoint.thrust, on_ground, broken),
             exposure_time_s=setpoint.exposure_time_s,
             holds_horizontal_velocity=setpoint.holds_horizontal_velocity,
         )
@@ -139,10 +143,11 @@ class LimitsGate:
         most = math.radians(self._config.heading_rate_deg_s)
         return _between(rate_rad_s, -most, most, "heading_rate", broken)
 
-    def _thrust(self, thrust: float | None, broken: list[str]) -> float | None:
+    def _thrust(self, thrust: float | None, on_ground: bool, broken: list[str]) -> float | None:
         if thrust is None:
             return None
-        return _between(thrust, self._config.minimum_thrust, self._config.maximum_thrust, "thrust", broken)
+        least = 0.0 if on_ground else self._config.minimum_thrust
+        return _between(thrust, least, self._config.maximum_thrust, "thrust", broken)
 
 
 def _finite(setpoint: Setpoint) -> bool:

@@ -2,43 +2,78 @@
 
 Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
 the reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a
-step changes vectors only and starts from the last solution. Deterministic: iterations bound the work, never
-time.
+step changes vectors only (and the cone's slope, when that changes) and starts from the last solution; the
+first starts from the optimum without constraints.
+
+Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
+time is up. Past either bound an answer that is not nearly there gives way to the last solution, moved on.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import osqp
+from scipy.sparse import csc_matrix
 
 from companion.config import ControlConfig
 from companion.control.flight_model import Motion
-from companion.control.qp import (
+from companion.control.free_optimum import FreeOptimum
+from companion.control.input_bounds import (
     OCTAGON_WITHIN_CIRCLE,
+    input_bounds,
+    input_rows,
+    shrunk,
+)
+from companion.control.qp import (
     Layout,
     axis_costs,
+    cone_rows,
     constraint_matrix,
     cost_matrix,
     step_matrices,
 )
-from companion.geometry import GRAVITY_M_S2, FloatArray, Vector3
+from companion.geometry import FloatArray, Vector3
 
-FAR = 1e6  # a bound that does not bind; infinity would change the row's kind and cost a factorisation
 ACCEPTED_RESIDUAL = 1e-2
-# measured: 20 to 30 iterations from a warm start; rho moves only when a far start takes more than 50, and by
+# measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
 # OSQP's count of iterations, since its own choice of interval goes by time
-RHO = 3.0
+RHO = 6.0
 RHO_BY_ITERATIONS = 1
 RHO_INTERVAL = 50
-# OSQP's status values: solved; inaccurate and out of iterations
-SOLVED = 1
-NEARLY_SOLVED = (2, 7)
+SLICE_ITERATIONS = 100
+SETTINGS: Final[dict[str, Any]] = {
+    "eps_abs": 2e-4,
+    "eps_rel": 2e-4,
+    "check_termination": 5,
+    "rho": RHO,
+    "adaptive_rho": RHO_BY_ITERATIONS,
+    "adaptive_rho_interval": RHO_INTERVAL,
+    "polishing": False,
+    "warm_starting": True,
+    "verbose": False,
+}
+# OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
+SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
+UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
 # the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
 JERK_SHARE = 0.95 / 3.0**0.5
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Where a descent may be: at most `radius_m` + `slope` * height aside of the axis, upright.
+
+    `apex_m` (N+1, 3) are the points on the axis from which the height counts, at 0, dt, .. N dt.
+    """
+
+    slope: float
+    radius_m: float
+    apex_m: FloatArray
 
 
 @dataclass(frozen=True)
@@ -46,23 +81,31 @@ class Target:
     """What to track: rows 0..N hold at 0, dt, .. N dt from the start.
 
     `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
-    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed and height soft.
+    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone
+    soft. `hover_thrust` is the share of full thrust that carries the weight, as known by now; None: as it
+    was at the start.
     """
 
     position_m: FloatArray
     velocity_m_s: FloatArray
     acceleration_m_s2: FloatArray
     floor_down_m: FloatArray | None = None
+    cone: Cone | None = None
+    hover_thrust: float | None = None
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for a shifted old solution."""
+    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for a shifted old solution.
+
+    `late`: the stopwatch ended the search.
+    """
 
     inputs_m_s2: FloatArray
     states: FloatArray
     solved: bool
     iterations: int
+    late: bool = False
 
 
 def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
@@ -73,10 +116,35 @@ def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, st
     return needed
 
 
+@dataclass(frozen=True)
+class Problem:
+    """Least 1/2 z'Pz + q'z with lower <= A z <= upper; P is its upper triangle."""
+
+    P: csc_matrix
+    q: FloatArray
+    A: csc_matrix
+    lower: FloatArray
+    upper: FloatArray
+
+
 class Mpc:
     """The tracker. Keeps the last solution, for a warm start and for when a solve fails."""
 
-    def __init__(self, config: ControlConfig, lags_s: Vector3) -> None:
+    def __init__(
+        self,
+        config: ControlConfig,
+        lags_s: Vector3,
+        stopwatch: Callable[[], float] | None = None,
+        hover_thrust: float = 0.5,
+    ) -> None:
+        """`lags_s` are `flight_model.lags`; `stopwatch` tells seconds, by which a solve may come to its end.
+
+        `hover_thrust` is the share of full thrust that carries the weight, until a target tells it.
+        """
+        self._limits = config.limits
+        self._stopwatch = stopwatch or (lambda: 0.0)
+        self._solve_limit_s = config.solve_limit_s
+        self._slices = -(-config.maximum_iterations // SLICE_ITERATIONS)
         self._N = config.horizon_steps
         self._dt = config.step_s
         self._lags_s = lags_s
@@ -86,15 +154,14 @@ class Mpc:
         self._rows = self._layout.rows()
         self._A, self._B = step_matrices(self._dt, lags_s)
         self._stack_weights()
-        self._fixed_bounds(config)
-        self._solver = self._set_up(config)
-        self._last = np.zeros(self._layout.variables)
-        self._poisoned = False
+        self._fixed_bounds(config, hover_thrust)
+        self._solver = self._set_up(min(SLICE_ITERATIONS, config.maximum_iterations))
+        self.reset()
 
     def reset(self) -> None:
         """Forget the last solution."""
         self._last = np.zeros(self._layout.variables)
-        self._poisoned = True
+        self._cold = True
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
@@ -102,31 +169,32 @@ class Mpc:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
         if not _finite(start):
             return self._fall_back()
+        self._bound_inputs(target.hover_thrust)
         needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         last_input = self.clip_input(np.array(last_input_m_s2))
-        q = self._linear_cost(target, needed, last_input)
+        self._q = q = self._linear_cost(target, needed, last_input)
         self._update_bounds(start, target, np.array(disturbance_m_s2), last_input)
         if not self._consistent(q):
             return self._fall_back()
         self._solver.update(q=q, l=self._l, u=self._u)
-        if self._poisoned:
-            self._solver.warm_start(x=np.zeros(self._layout.variables), y=np.zeros(self._l.size))
-            self._poisoned = False
-        return self._take(self._solver.solve(raise_error=False))
+        if self._cold:
+            x, y = self._free_optimum.solve(q, self._l[self._rows["dynamics"]])
+            self._solver.warm_start(x=x, y=np.concatenate([y, np.zeros(self._l.size - y.size)]))
+            self._cold = False
+        return self._take(*self._search())
 
     def _consistent(self, q: FloatArray) -> bool:
         """Whether OSQP may see the data: it goes on with the old data on l > u, and never forgets a NaN."""
-        finite = np.isfinite(q).all() and np.isfinite(self._l).all() and np.isfinite(self._u).all()
-        return bool(finite and (self._l <= self._u).all())
+        return bool(np.isfinite(q).all() and (self._l <= self._u).all())
+
+    def problem(self) -> Problem:
+        """The last step's quadratic programme, for who wants to solve it in another way."""
+        P, A = cost_matrix(self._costs, self._N), self._constraints(self._cone_slope)
+        return Problem(P, self._q.copy(), A, self._l.copy(), self._u.copy())
 
     def clip_input(self, input_m_s2: FloatArray) -> FloatArray:
-        """The nearest input (3,) along the same horizontal direction that meets the bounds."""
-        clipped = input_m_s2.copy()
-        horizontal = float(np.hypot(clipped[0], clipped[1]))
-        if horizontal > self._horizontal_input:
-            clipped[:2] *= self._horizontal_input / horizontal
-        clipped[2] = min(max(clipped[2], -self._vertical_input), self._vertical_input)
-        return clipped
+        """The input (3,), or as much of it as meets the bounds."""
+        return shrunk(input_m_s2, self._input_rows, self._input_lower, self._input_upper)
 
     # ------------------------------------------------------------ set-up
 
@@ -136,17 +204,12 @@ class Mpc:
         self._S = np.array([c.S for c in self._costs])
         self._terminal = np.stack([c.terminal for c in self._costs])
 
-    def _fixed_bounds(self, config: ControlConfig) -> None:
+    def _fixed_bounds(self, config: ControlConfig, hover_thrust: float) -> None:
         limits, rows = config.limits, self._rows
-        lean = GRAVITY_M_S2 * float(np.tan(np.radians(limits.tilt_deg)))
-        side = min(lean, limits.horizontal_acceleration_m_s2) * OCTAGON_WITHIN_CIRCLE
-        self._horizontal_input, self._vertical_input = side, limits.vertical_acceleration_m_s2
-        count = rows["floor"].stop
-        self._l, self._u = np.full(count, -FAR), np.full(count, FAR)
+        count = rows["cone"].stop
+        self._l, self._u = np.full(count, -np.inf), np.full(count, np.inf)
         speed = limits.horizontal_speed_m_s * OCTAGON_WITHIN_CIRCLE
         for name, low, high in (
-            ("tilt", -side, side),
-            ("vertical_input", -self._vertical_input, self._vertical_input),
             ("change", -JERK_SHARE * limits.jerk_m_s3 * self._dt, JERK_SHARE * limits.jerk_m_s3 * self._dt),
             ("speed", -speed, speed),
             ("vertical_speed", -limits.climb_speed_m_s, limits.descent_speed_m_s),
@@ -154,27 +217,32 @@ class Mpc:
             self._l[rows[name]], self._u[rows[name]] = low, high
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
+        self._input_rows = input_rows(limits)
+        self._hover_thrust = math.nan
+        self._bound_inputs(hover_thrust)
 
-    def _set_up(self, config: ControlConfig) -> osqp.OSQP:
+    def _set_up(self, iterations: int) -> osqp.OSQP:
+        P = cost_matrix(self._costs, self._N)
+        self._q = np.zeros(self._layout.variables)
+        self._cone_slope = 1.0
+        constraints = self._constraints(self._cone_slope)
+        self._cone_places = np.flatnonzero(constraints.data != self._constraints(2.0).data)
+        self._free_optimum = FreeOptimum(P, constraints[self._rows["dynamics"]])
         solver = osqp.OSQP()
         solver.setup(
-            cost_matrix(self._costs, self._N),
-            np.zeros(self._layout.variables),
-            constraint_matrix(self._A, self._B, self._N),
+            P,
+            self._q,
+            constraints,
             self._l,
             self._u,
-            eps_abs=1e-4,
-            eps_rel=1e-4,
-            max_iter=config.maximum_iterations,
-            check_termination=10,
-            rho=RHO,
-            adaptive_rho=RHO_BY_ITERATIONS,
-            adaptive_rho_interval=RHO_INTERVAL,
-            polishing=False,
-            warm_starting=True,
-            verbose=False,
+            max_iter=iterations,
+            **SETTINGS,
         )
         return solver
+
+    def _constraints(self, cone_slope: float) -> csc_matrix:
+        rows = self._input_rows
+        return constraint_matrix(self._A, self._B, self._N, inputs=rows, cone_slope=cone_slope)
 
     # ------------------------------------------------------------ each step
 
@@ -213,20 +281,59 @@ class Mpc:
         change = rows["change"].start
         lower[change : change + 3] = last_input - self._first_change
         upper[change : change + 3] = last_input + self._first_change
-        upper[rows["floor"]] = FAR if target.floor_down_m is None else target.floor_down_m[1:]
+        upper[rows["floor"]] = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
+        upper[rows["cone"]] = np.inf
+        if target.cone is not None:
+            upper[rows["cone"]] = self._cone(target.cone, start.position_m).ravel()
 
-    def _take(self, result: Any) -> Solution:
+    def _bound_inputs(self, hover_thrust: float | None) -> None:
+        """Bounds of all inputs, by what hovering takes."""
+        if hover_thrust is None or hover_thrust == self._hover_thrust:
+            return
+        self._hover_thrust = hover_thrust
+        self._input_lower, self._input_upper = input_bounds(self._limits, self._hover_thrust)
+        rows = self._rows["input"]
+        self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
+
+    def _cone(self, cone: Cone, position_m: Vector3) -> FloatArray:
+        """Bounds (N, 8) of the cone's rows.
+
+        Outside the cone it is as wide as the way aside: the vehicle comes back in without a climb, and goes
+        down no faster than in.
+        """
+        if cone.slope != self._cone_slope:
+            self._cone_slope = cone.slope
+            new = self._constraints(cone.slope).data[self._cone_places]
+            self._solver.update(Ax=new, Ax_idx=self._cone_places)
+        rows = cone_rows(cone.slope)
+        outside = float(np.max(rows @ (np.array(position_m) - cone.apex_m[0])))
+        radius = max(cone.radius_m * OCTAGON_WITHIN_CIRCLE, outside)
+        bounds: FloatArray = cone.apex_m[1:] @ rows.T + radius
+        return bounds
+
+    def _search(self) -> tuple[Any, int, bool]:
+        """OSQP's last result, how many iterations it took, and whether the stopwatch ended it."""
+        began_s, iterations = self._stopwatch(), 0
+        for _ in range(self._slices):
+            result = self._solver.solve(raise_error=False)
+            iterations += int(result.info.iter)
+            if result.info.status_val not in UNFINISHED:
+                return result, iterations, False
+            if self._stopwatch() - began_s >= self._solve_limit_s:
+                return result, iterations, True
+        return result, iterations, False
+
+    def _take(self, result: Any, iterations: int, late: bool) -> Solution:
         info, x = result.info, np.array(result.x)
-        iterations = int(info.iter)
-        if not np.isfinite(x).all() or info.status_val not in (SOLVED, *NEARLY_SOLVED):
-            self._poisoned = True
+        if not np.isfinite(x).all() or info.status_val not in (SOLVED, *UNFINISHED):
+            self._cold = True
             return self._fall_back(iterations)
-        if info.status_val != SOLVED and max(info.prim_res, info.dual_res) > ACCEPTED_RESIDUAL:
-            return self._fall_back(iterations)  # and go on from this iterate next time
+        if info.status_val == UNSOLVED and max(info.prim_res, info.dual_res) > ACCEPTED_RESIDUAL:
+            return self._fall_back(iterations, late=late)  # and go on from this iterate next time
         self._last = x
-        return self._solution(solved=True, iterations=iterations)
+        return self._solution(solved=True, iterations=iterations, late=late)
 
-    def _fall_back(self, iterations: int = 0) -> Solution:
+    def _fall_back(self, iterations: int = 0, *, late: bool = False) -> Solution:
         """The old plan, one period on; when it runs out, it commands no acceleration."""
         inputs = self._last[self._layout.inputs].reshape(self._N, 3)
         states = self._last[self._layout.states].reshape(self._N, 9)
@@ -234,12 +341,12 @@ class Mpc:
         following = np.vstack([inputs[1:], np.zeros((1, 3))])
         inputs += share * (following - inputs)
         states[:-1] += share * (states[1:] - states[:-1])
-        return self._solution(solved=False, iterations=iterations)
+        return self._solution(solved=False, iterations=iterations, late=late)
 
-    def _solution(self, *, solved: bool, iterations: int) -> Solution:
+    def _solution(self, *, solved: bool, iterations: int, late: bool) -> Solution:
         inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
         states = self._last[self._layout.states].reshape(self._N, 9).copy()
-        return Solution(inputs, states, solved, iterations)
+        return Solution(inputs, states, solved, iterations, late)
 
 
 def _finite(motion: Motion) -> bool:

@@ -1,17 +1,18 @@
 """The MPC as a sparse quadratic programme (eq. 39): its matrices, built once.
 
 Variables, in this order, for N steps: states x_1..x_N (9 each: position, velocity, acceleration, NED),
-inputs u_0..u_{N-1} (3 each), velocity slacks (3 each) and floor slacks (1 each). The slacks are free and
-dear, so that a vehicle that already breaks a bound on its state still has a solution.
+inputs u_0..u_{N-1} (3 each), velocity slacks (3 each), floor slacks and cone slacks (1 each). The slacks are
+free and dear, so that a vehicle that already breaks a bound on its state still has a solution.
 
-Rows, in this order: dynamics (9N, equalities), tilt octagon (4N), vertical input (N), input change (3N),
-speed octagon (4N), vertical speed (N), floor (N).
+Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 21N), input change (3N), speed octagon
+(4N), vertical speed (N), floor (N), descent cone (8N). The flown acceleration needs no rows: behind a lag it
+stays between where it starts and the bounds of the inputs, plus what pushes.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import scipy.linalg
@@ -19,14 +20,22 @@ from scipy import sparse
 
 from companion.config import ControlConfig, TrackingConfig
 from companion.control.flight_model import discretise
+from companion.control.input_bounds import EIGHT, INPUT_ROWS, OCTAGON, OCTAGON_WITHIN_CIRCLE
 from companion.geometry import FloatArray, Vector3
 
-# normals of four directions 45 degrees apart: with both signs, an octagon
-OCTAGON = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(4)])
-# an octagon with this share of a circle's radius to its sides lies within the circle
-OCTAGON_WITHIN_CIRCLE = math.cos(math.pi / 8)
 VELOCITY_SLACK_WEIGHT = 400.0
 FLOOR_SLACK_WEIGHT = 4000.0
+CONE_SLACK_WEIGHT = 2000.0
+# rows of one step, in their order
+ROWS: Final = (
+    ("dynamics", 9),
+    ("input", INPUT_ROWS),
+    ("change", 3),
+    ("speed", 4),
+    ("vertical_speed", 1),
+    ("floor", 1),
+    ("cone", 8),
+)
 
 
 @dataclass(frozen=True)
@@ -63,21 +72,17 @@ class Layout:
         return slice(15 * self.steps, 16 * self.steps)
 
     @property
+    def cone_slacks(self) -> slice:
+        return slice(16 * self.steps, 17 * self.steps)
+
+    @property
     def variables(self) -> int:
-        return 16 * self.steps
+        return 17 * self.steps
 
     def rows(self) -> dict[str, slice]:
         """Slices of the constraint rows by name."""
         slices, start = {}, 0
-        for name, each in (
-            ("dynamics", 9),
-            ("tilt", 4),
-            ("vertical_input", 1),
-            ("change", 3),
-            ("speed", 4),
-            ("vertical_speed", 1),
-            ("floor", 1),
-        ):
+        for name, each in ROWS:
             slices[name] = slice(start, start + each * self.steps)
             start += each * self.steps
         return slices
@@ -137,36 +142,44 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
     for slacks, weight in (
         (layout.velocity_slacks, VELOCITY_SLACK_WEIGHT),
         (layout.floor_slacks, FLOOR_SLACK_WEIGHT),
+        (layout.cone_slacks, CONE_SLACK_WEIGHT),
     ):
         for i in range(slacks.start, slacks.stop):
             P[i, i] = weight
     return sparse.csc_matrix(sparse.triu(P, format="csc"))
 
 
-def constraint_matrix(A: FloatArray, B: FloatArray, steps: int) -> sparse.csc_matrix:
-    """The rows' matrix, in the order of the module's docstring, for one step's `step_matrices`."""
+def cone_rows(slope: float) -> FloatArray:
+    """Rows (8, 3) on a position: within a cone about the down axis whose radius grows by `slope` upwards."""
+    return np.hstack([EIGHT, np.full((8, 1), OCTAGON_WITHIN_CIRCLE * slope)])
+
+
+def constraint_matrix(
+    A: FloatArray, B: FloatArray, steps: int, *, inputs: FloatArray, cone_slope: float
+) -> sparse.csc_matrix:
+    """The rows' matrix, in the order of the module's docstring, for one step's `step_matrices`.
+
+    `inputs` (21, 3) are `input_bounds.input_rows`.
+    """
     eye, previous = sparse.identity(steps), sparse.eye(steps, k=-1)
     three = sparse.identity(3)
     state = sparse.kron(eye, sparse.identity(9)) - sparse.kron(previous, A)
-    drive = -sparse.kron(eye, B)
     octagon = np.hstack([OCTAGON, np.zeros((4, 1))])
     down = np.array([[0.0, 0.0, 1.0]])
 
-    def on_inputs(rows: FloatArray) -> sparse.spmatrix:
+    def each(rows: FloatArray) -> sparse.spmatrix:
         return sparse.kron(eye, rows)
 
     def on_states(rows: FloatArray, offset: int) -> sparse.spmatrix:
-        return sparse.kron(
-            eye, np.hstack([np.zeros((rows.shape[0], offset)), rows, np.zeros((rows.shape[0], 6 - offset))])
-        )
+        return each(np.pad(rows, ((0, 0), (offset, 6 - offset))))
 
     blocks = [
-        [state, drive, None, None],
-        [None, on_inputs(octagon), None, None],
-        [None, on_inputs(down), None, None],
-        [None, sparse.kron(eye - previous, three), None, None],
-        [on_states(octagon, 3), None, on_inputs(octagon), None],
-        [on_states(down, 3), None, on_inputs(down), None],
-        [on_states(down, 0), None, None, eye],
+        [state, -each(B), None, None, None],
+        [None, each(inputs), None, None, None],
+        [None, sparse.kron(eye - previous, three), None, None, None],
+        [on_states(octagon, 3), None, each(octagon), None, None],
+        [on_states(down, 3), None, each(down), None, None],
+        [on_states(down, 0), None, None, eye, None],
+        [on_states(cone_rows(cone_slope), 0), None, None, None, -each(np.ones((8, 1)))],
     ]
     return sparse.csc_matrix(sparse.bmat(blocks, format="csc"))

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.control.mpc import Target
+from companion.control.mpc import Cone, Target
 from companion.control.pad_motion import PadPath
 from companion.geometry import FloatArray, Vector3, wrap_angle
 from companion.messages import Reference
@@ -62,15 +62,19 @@ def make_target(reference: Reference, times_s: FloatArray, path: PadPath) -> Tar
     """The target at `times_s` (N+1,): the reference on top of the path of its origin."""
     position, velocity, acceleration = sample(reference, times_s)
     position += path.displacement_m
-    floor = None
+    floor = cone = None
     if reference.origin == "pad" and reference.minimum_height_m is not None:
         floor = path.displacement_m[:, 2] - reference.minimum_height_m
         position[:, 2] = np.minimum(position[:, 2], floor)
+    if reference.origin == "pad" and reference.cone is not None:
+        apex = path.displacement_m - np.array([0.0, 0.0, reference.cone.apex_height_m])
+        cone = Cone(reference.cone.slope, reference.cone.radius_m, apex)
     return Target(
         position,
         velocity + path.velocity_m_s,
         acceleration + path.acceleration_m_s2,
         floor,
+        cone,
     )
 
 

@@ -30,11 +30,15 @@ class Tracker(Protocol):
         """Forget everything learnt or kept: the next call begins a flight."""
 
 
-def make_tracker(config: ControlConfig, lags_s: Vector3) -> Tracker:
-    """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`)."""
-    kinds: dict[str, Callable[[ControlConfig, Vector3], Tracker]] = {
-        "mpc": Mpc,
-        "riccati": RiccatiTracker,
-        "pid": PidTracker,
-    }
-    return kinds[config.controller](config, lags_s)
+def make_tracker(
+    config: ControlConfig, lags_s: Vector3, stopwatch: Callable[[], float] | None = None
+) -> Tracker:
+    """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`).
+
+    `stopwatch` tells seconds: what searches for long ends at `control.solve_limit_s` by it.
+    """
+    if config.controller == "mpc":
+        return Mpc(config, lags_s, stopwatch)
+    if config.controller == "riccati":
+        return RiccatiTracker(config, lags_s)
+    return PidTracker(config, lags_s)

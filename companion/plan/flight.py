@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 from companion.config import PlanConfig, VehicleConfig
 from companion.geometry import Vector3, add, yaw_from_quat
-from companion.messages import Action, ActionKind, LandedState, Phase
+from companion.messages import Action, ActionKind, DescentCone, LandedState, Phase
 from companion.plan.departure import Departure
 from companion.plan.ground import Ground
 from companion.plan.guidance import Guide
@@ -111,6 +111,11 @@ class Flight:
         if by_pad and self._phase in {Phase.APPROACH, Phase.DESCEND}:
             return self._landing.minimum_height_m(now_s)
         return None
+
+    def cone(self) -> DescentCone | None:
+        """Where the controller is to keep the vehicle over the pad, until that is committed to land."""
+        descending = self._phase is Phase.DESCEND or (self._phase is Phase.TOUCHDOWN and not self.committed)
+        return self._landing.cone if descending and self._guide.origin == "pad" else None
 
     def count_tries(self, event: Event) -> Event:
         """After so many failed attempts the next one is the mission's end."""

@@ -18,7 +18,7 @@ from typing import Literal
 
 from companion.config import GuidanceConfig, PlanConfig
 from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
-from companion.messages import Reference
+from companion.messages import DescentCone, Reference
 from companion.plan.avoidance import STILL, Avoidance
 from companion.plan.course import Course, Way
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
@@ -247,7 +247,9 @@ class Guide:
             self.heading_rad = wrap_angle(self.heading_rad + max(-most, min(most, error)))
         self._turned_s = now_s
 
-    def reference(self, now_s: float, minimum_height_m: float | None) -> Reference | None:
+    def reference(
+        self, now_s: float, minimum_height_m: float | None, cone: DescentCone | None = None
+    ) -> Reference | None:
         """The rows over the horizon, (horizon_steps + 1, 3) each."""
         if self._trajectory is None:
             return None
@@ -266,6 +268,7 @@ class Guide:
             acceleration,
             self.heading_rad,
             minimum_height_m,
+            cone,
         )
 
     def _look_from_frame(self) -> None:

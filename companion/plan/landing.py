@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 from companion.config import LandingConfig, VehicleConfig
+from companion.messages import DescentCone
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 from companion.plan.mission import Event
@@ -98,6 +99,12 @@ class Landing:
     def minimum_height_m(self, now_s: float) -> float:
         """What the controller may not go below; never above where the reference is."""
         return max(0.0, min(self._leg_m + _FLOOR_M, -self._guide.at(now_s).position_m[2] - 0.05))
+
+    @property
+    def cone(self) -> DescentCone:
+        """Where the controller is to keep a descent: a little wider than where the plan stops going down."""
+        c = self._config
+        return DescentCone(c.cone_slope, c.cone_floor_m, self._leg_m)
 
     def _by_sight(self, pad: PadKnowledge, sight: Sight, goal_m: float, unseen: Unseen, now_s: float) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.

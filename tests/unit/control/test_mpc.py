@@ -9,6 +9,7 @@ import pytest
 
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.flight_model import Motion, advance, discretise
+from companion.control.input_bounds import input_rows
 from companion.control.mpc import Mpc, Target, needed_inputs
 from companion.control.qp import Layout, axis_cost, axis_costs, constraint_matrix, cost_matrix, step_matrices
 from companion.control.target import within_reach
@@ -250,8 +251,10 @@ def test_matrices_have_the_documented_shape_and_a_convex_cost() -> None:
     layout = Layout(N)
     P = cost_matrix(axis_costs(CONFIG, LAGS_S), N)
     assert P.shape == (layout.variables, layout.variables)
-    assert constraint_matrix(*step_matrices(DT, LAGS_S), N).shape == (
-        layout.rows()["floor"].stop,
+    assert constraint_matrix(
+        *step_matrices(DT, LAGS_S), N, inputs=input_rows(CONFIG.limits), cone_slope=0.2
+    ).shape == (
+        layout.rows()["cone"].stop,
         layout.variables,
     )
     full = P.toarray()
