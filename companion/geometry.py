@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 
 GRAVITY_M_S2: Final = 9.80665
 IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
+MINIMUM_DOWN_COMPONENT: Final = 0.1  # of a vehicle on its side: no lean says what it gives
 _SEMIMAJOR_M: Final = 6378137.0  # WGS-84
 _SEMIMINOR_M: Final = 6356752.31424518
 _FOCAL2_M2: Final = _SEMIMAJOR_M**2 - _SEMIMINOR_M**2
@@ -270,3 +271,10 @@ def _tangent_plane(origin: Vector3) -> tuple[Vector3, tuple[float, float], tuple
         (math.sin(latitude), math.cos(latitude)),
         (math.sin(longitude), math.cos(longitude)),
     )
+
+
+def level_acceleration(attitude: Quaternion) -> tuple[float, float]:
+    """Horizontal acceleration (m/s2, north and east) that this attitude gives while height is held."""
+    down = quat_rotate(attitude, (0.0, 0.0, 1.0))
+    pull = GRAVITY_M_S2 / max(down[2], MINIMUM_DOWN_COMPONENT)
+    return (-down[0] * pull, -down[1] * pull)

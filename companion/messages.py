@@ -315,6 +315,15 @@ class DescentCone:
 
 
 @dataclass(frozen=True, slots=True)
+class LevelOff:
+    """When, by the app's clock, the vehicle may lean no further than tilt_rad: the feet are about to touch."""
+
+    from_s: float
+    until_s: float
+    tilt_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class Reference:
     """Where the vehicle should be over the coming horizon, one row a step.
 
@@ -333,6 +342,7 @@ class Reference:
     heading_rad: float
     minimum_height_m: float | None = None
     cone: DescentCone | None = None
+    level_off: LevelOff | None = None
 
 
 @dataclass(frozen=True, slots=True)

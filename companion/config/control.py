@@ -15,9 +15,9 @@ class LimitsConfig(StrictModel):
     horizontal_speed_m_s: float = Field(default=6.0, gt=0.0, le=20.0)
     climb_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
     descent_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
-    horizontal_acceleration_m_s2: float = Field(default=4.0, gt=0.0, le=10.0)
+    horizontal_acceleration_m_s2: float = Field(default=5.5, gt=0.0, le=10.0)
     vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
-    tilt_deg: float = Field(default=25.0, gt=0.0, le=45.0)
+    tilt_deg: float = Field(default=30.0, gt=0.0, le=45.0)
     jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
     heading_rate_deg_s: float = Field(default=45.0, gt=0.0, le=180.0)
     minimum_thrust: float = Field(default=0.05, ge=0.0, le=0.5)
@@ -68,7 +68,7 @@ class ControlConfig(StrictModel):
     autopilot_climb_lag_s: float | None = Field(default=None, ge=0.0, le=1.0)
     acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)  # sensor and its filters
     lasting_disturbance_s: float = Field(default=1.0, ge=0.1, le=20.0)  # what lasts so long is for v_sp
-    maximum_disturbance_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
+    maximum_disturbance_m_s2: float = Field(default=5.0, ge=0.0, le=8.0)
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
     horizontal_reach_m: float = Field(default=2.0, gt=0.0, le=20.0)  # a reference farther off is drawn nearer
     vertical_reach_m: float = Field(default=0.7, gt=0.0, le=20.0)

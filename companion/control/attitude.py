@@ -15,13 +15,11 @@ from companion.geometry import (
     Vector3,
     norm,
     quat_from_euler,
-    quat_rotate,
     rotate_yaw,
 )
 
 # below this share of g upwards the force's direction no longer says where up is
 MINIMUM_UPWARD_FORCE_M_S2 = 0.2 * GRAVITY_M_S2
-MINIMUM_DOWN_COMPONENT = 0.1
 
 
 def force_from_acceleration(acceleration_ned_m_s2: Vector3) -> Vector3:
@@ -38,13 +36,6 @@ def attitude_from_acceleration(acceleration_ned_m_s2: Vector3, heading_rad: floa
     # the body's down axis is (sin p cos r, -sin r, cos p cos r) in axes turned by the yaw
     roll = -math.asin(max(-1.0, min(1.0, down[1])))
     return quat_from_euler(roll, math.atan2(down[0], down[2]), heading_rad)
-
-
-def level_acceleration(attitude: Quaternion) -> tuple[float, float]:
-    """Horizontal acceleration (m/s2, north and east) that this attitude gives while height is held."""
-    down = quat_rotate(attitude, (0.0, 0.0, 1.0))
-    pull = GRAVITY_M_S2 / max(down[2], MINIMUM_DOWN_COMPONENT)
-    return (-down[0] * pull, -down[1] * pull)
 
 
 def thrust_from_acceleration(acceleration_ned_m_s2: Vector3, hover_thrust: float) -> float:

@@ -22,9 +22,8 @@ import math
 import numpy as np
 import scipy.linalg
 
-from companion.control.attitude import level_acceleration
 from companion.control.flight_model import advance_axis
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Quaternion, Vector3, add
+from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Quaternion, Vector3, add, level_acceleration
 
 VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4

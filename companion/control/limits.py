@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 
 from companion.config import LimitsConfig
-from companion.control.attitude import attitude_from_acceleration, level_acceleration
+from companion.control.attitude import attitude_from_acceleration
 from companion.geometry import (
     GRAVITY_M_S2,
     ZERO3,
     Quaternion,
     Vector3,
     add,
+    level_acceleration,
     norm,
     quat_normalise,
     scale,

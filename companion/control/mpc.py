@@ -24,6 +24,8 @@ from companion.config import ControlConfig
 from companion.control.flight_model import Motion
 from companion.control.free_optimum import FreeOptimum
 from companion.control.input_bounds import (
+    INPUT_ROWS,
+    OCTAGON,
     OCTAGON_WITHIN_CIRCLE,
     input_bounds,
     input_rows,
@@ -82,7 +84,8 @@ class Target:
 
     `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
     the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone
-    soft. `hover_thrust` is the share of full thrust that carries the weight, as known by now; None: as it
+    soft. `lean_m_s2` (N,) bounds the horizontal input over each step further, or None; as far as the jerk allows.
+    `hover_thrust` is the share of full thrust that carries the weight, as known by now; None: as it
     was at the start.
     """
 
@@ -92,6 +95,7 @@ class Target:
     floor_down_m: FloatArray | None = None
     cone: Cone | None = None
     hover_thrust: float | None = None
+    lean_m_s2: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -218,7 +222,7 @@ class Mpc:
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
-        self._hover_thrust = math.nan
+        self._hover_thrust, self._levelled = math.nan, False
         self._bound_inputs(hover_thrust)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
@@ -283,6 +287,8 @@ class Mpc:
         upper[change : change + 3] = last_input + self._first_change
         upper[rows["floor"]] = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
         upper[rows["cone"]] = np.inf
+        if target.lean_m_s2 is not None or self._levelled:
+            self._level(target.lean_m_s2, last_input)
         if target.cone is not None:
             upper[rows["cone"]] = self._cone(target.cone, start.position_m).ravel()
 
@@ -294,6 +300,19 @@ class Mpc:
         self._input_lower, self._input_upper = input_bounds(self._limits, self._hover_thrust)
         rows = self._rows["input"]
         self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
+
+    def _level(self, lean_m_s2: FloatArray | None, last_input: FloatArray) -> None:
+        """Bound the horizontal input over each step, no faster than it may change; None: as ever."""
+        self._levelled = lean_m_s2 is not None
+        most = np.full(self._N, self._input_upper[0])
+        if lean_m_s2 is not None:
+            change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
+            reach = float(np.max(np.abs(OCTAGON @ last_input[:2])))
+            still = reach - self._first_change - change * np.arange(self._N)
+            most = np.minimum(most, np.maximum(lean_m_s2 * OCTAGON_WITHIN_CIRCLE, still))
+        rows = self._rows["input"]
+        self._u[rows].reshape(self._N, INPUT_ROWS)[:, :4] = most[:, None]
+        self._l[rows].reshape(self._N, INPUT_ROWS)[:, :4] = -most[:, None]
 
     def _cone(self, cone: Cone, position_m: Vector3) -> FloatArray:
         """Bounds (N, 8) of the cone's rows.

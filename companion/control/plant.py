@@ -9,12 +9,20 @@ from __future__ import annotations
 import math
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.attitude import level_acceleration
 from companion.control.disturbance import DisturbanceObserver, GustObserver, ThrustScale
 from companion.control.flight_model import Motion
 from companion.control.history import Command, CommandHistory
 from companion.control.setpoints import velocity_gains
-from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
+from companion.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Vector3,
+    add,
+    level_acceleration,
+    quat_rotate,
+    scale,
+    subtract,
+)
 from companion.messages import Setpoint, VehicleState
 
 

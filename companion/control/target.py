@@ -14,8 +14,8 @@ import numpy as np
 
 from companion.control.mpc import Cone, Target
 from companion.control.pad_motion import PadPath
-from companion.geometry import FloatArray, Vector3, wrap_angle
-from companion.messages import Reference
+from companion.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
+from companion.messages import LevelOff, Reference
 
 HEADING_RATE_SMOOTHING_S = 0.4
 
@@ -75,7 +75,14 @@ def make_target(reference: Reference, times_s: FloatArray, path: PadPath) -> Tar
         acceleration + path.acceleration_m_s2,
         floor,
         cone,
+        lean_m_s2=None if reference.level_off is None else _lean(reference.level_off, times_s),
     )
+
+
+def _lean(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
+    """The greatest horizontal input (N,) over each step that starts at `times_s` (N+1,) but the last."""
+    within = (times_s[1:] > level_off.from_s) & (times_s[:-1] < level_off.until_s)
+    return np.where(within, GRAVITY_M_S2 * math.tan(level_off.tilt_rad), np.inf)
 
 
 def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -> Reference:

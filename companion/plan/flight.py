@@ -13,7 +13,7 @@ from typing import Final, Literal
 
 from companion.config import PlanConfig, VehicleConfig
 from companion.geometry import Vector3, add, yaw_from_quat
-from companion.messages import Action, ActionKind, DescentCone, LandedState, Phase
+from companion.messages import Action, ActionKind, DescentCone, LandedState, LevelOff, Phase
 from companion.plan.departure import Departure
 from companion.plan.ground import Ground
 from companion.plan.guidance import Guide
@@ -116,6 +116,10 @@ class Flight:
         """Where the controller is to keep the vehicle over the pad, until that is committed to land."""
         descending = self._phase is Phase.DESCEND or (self._phase is Phase.TOUCHDOWN and not self.committed)
         return self._landing.cone if descending and self._guide.origin == "pad" else None
+
+    def level_off(self) -> LevelOff | None:
+        """When the vehicle is to be level, on its last way down."""
+        return self._touchdown.level_off() if self.committed else None
 
     def count_tries(self, event: Event) -> Event:
         """After so many failed attempts the next one is the mission's end."""
@@ -306,6 +310,8 @@ class Flight:
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
+        if inputs.vehicle is not None:
+            self._touchdown.feel(inputs.vehicle.attitude, now_s)
         finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
         if self._touchdown.committed and not was_committed:
             self._say("commit", "going down", now_s, "info")

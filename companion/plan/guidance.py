@@ -18,7 +18,7 @@ from typing import Literal
 
 from companion.config import GuidanceConfig, PlanConfig
 from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
-from companion.messages import DescentCone, Reference
+from companion.messages import DescentCone, LevelOff, Reference
 from companion.plan.avoidance import STILL, Avoidance
 from companion.plan.course import Course, Way
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
@@ -248,7 +248,11 @@ class Guide:
         self._turned_s = now_s
 
     def reference(
-        self, now_s: float, minimum_height_m: float | None, cone: DescentCone | None = None
+        self,
+        now_s: float,
+        minimum_height_m: float | None,
+        cone: DescentCone | None = None,
+        level_off: LevelOff | None = None,
     ) -> Reference | None:
         """The rows over the horizon, (horizon_steps + 1, 3) each."""
         if self._trajectory is None:
@@ -269,6 +273,7 @@ class Guide:
             self.heading_rad,
             minimum_height_m,
             cone,
+            level_off,
         )
 
     def _look_from_frame(self) -> None:

@@ -76,7 +76,12 @@ class Planner:
         return PlanStep(
             time_s=now_s,
             phase=self.phase,
-            reference=self._guide.reference(now_s, self._flight.minimum_height_m(now_s), self._flight.cone()),
+            reference=self._guide.reference(
+                now_s,
+                self._flight.minimum_height_m(now_s),
+                self._flight.cone(),
+                self._flight.level_off(),
+            ),
             actions=self._requests.due(now_s),
             notices=tuple(self._notices),
             speed_m_s=self._guide.speed_m_s,

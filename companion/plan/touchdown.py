@@ -15,7 +15,8 @@ import math
 from dataclasses import dataclass
 
 from companion.config import TouchdownConfig, VehicleConfig
-from companion.messages import LandedState, RangeSample
+from companion.geometry import Quaternion, level_acceleration
+from companion.messages import LandedState, LevelOff, RangeSample
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 from companion.plan.mission import Event
@@ -33,6 +34,11 @@ _SIGNS_NEEDED = 2
 _GIVE_WAY_S = 0.3
 _LONGEST_CYCLE_S = 0.1
 _TOO_FAST_S = 0.1
+# The lean is smoothed so; the attitude needs about so long to follow, and the contact comes that much off its
+# time: level from so long before it is due, for so long.
+_LEAN_S = 0.25
+_LEVEL_BEFORE_S = 0.3
+_LEVEL_FOR_S = 0.65
 
 Finding = tuple[Event, str] | None
 
@@ -133,6 +139,10 @@ class Touchdown:
         self.contact_s: float | None = None
         self._settled, self._touching, self._away, self._too_fast = Held(), Held(), Held(), Held()
         self._sunk_s = now_s
+        self._lean_m_s2 = (0.0, 0.0)
+        self._felt_s: float | None = None
+        self._level_due_s: float | None = None
+        self._level_from_s: float | None = None
 
     @property
     def committed(self) -> bool:
@@ -149,6 +159,27 @@ class Touchdown:
         feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
         seen = sight is not None and sight.age_s <= _FRESH_S and sight.height_m <= feet_m
         return seen or _echo_within(echo, feet_m - self._vehicle.range_position_body_m[2], now_s)
+
+    def feel(self, attitude: Quaternion, now_s: float) -> None:
+        """Take in how the vehicle leans: what it takes to go with the pad and against the wind."""
+        x, y = level_acceleration(attitude)
+        share = 1.0 if self._felt_s is None else -math.expm1(-max(0.0, now_s - self._felt_s) / _LEAN_S)
+        self._felt_s = now_s
+        lx, ly = self._lean_m_s2
+        self._lean_m_s2 = (lx + share * (x - lx), ly + share * (y - ly))
+
+    def level_off(self) -> LevelOff | None:
+        """When the vehicle may lean no further than it may at contact; None before it is committed.
+
+        It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
+        for long: what the level vehicle cannot follow becomes speed over the pad.
+        """
+        from_s = self._level_from_s
+        if from_s is None and self._level_due_s is not None:
+            from_s = self._level_due_s - _LEVEL_BEFORE_S
+        if from_s is None:
+            return None
+        return LevelOff(from_s, from_s + _LEVEL_FOR_S, math.radians(self._config.contact_tilt_deg))
 
     def step(
         self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
@@ -170,7 +201,7 @@ class Touchdown:
         slack = self._slack * (1.0 if impatience < 2.0 else 1.5)
         ready = (
             aligned(sight, self._wait_height_m, slack, c)
-            and (impatience >= 1.0 or gentle(sight, c))
+            and (impatience >= 1.0 or (gentle(sight, c) and self._upright()))
             and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if self._settled.for_s(ready, now_s) >= c.settled_s:
@@ -215,14 +246,28 @@ class Touchdown:
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > v.leg_height_m + 2.0 * c.contact_margin_m
         self._give_way(sight if high else None, now_s)
+        self._expect_contact(sight, now_s)
         fast = sight.age_s <= _FRESH_S and sight.velocity_m_s[2] > c.fastest_contact_m_s
         above_m = sight.height_m - v.leg_height_m
         if above_m > c.break_off_above_m and self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S:
-            self._contact_due_s = None  # and `_wait` rises from the reference's own state
+            self._contact_due_s = self._level_due_s = self._level_from_s = None  # and `_wait` rises from the reference's own state
             self._settled, self._too_fast = Held(), Held()
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
         return None
+
+    def _upright(self) -> bool:
+        """Whether going with the pad and against the wind takes no more lean than can be levelled off."""
+        return math.hypot(*self._lean_m_s2) <= self._config.gentle_lean_m_s2
+
+    def _expect_contact(self, sight: Sight, now_s: float) -> None:
+        """When the feet will touch, by the height as seen and the speed as planned."""
+        if self._level_from_s is not None or sight.age_s > _FRESH_S:
+            return
+        left_m = max(0.0, sight.height_m - self._vehicle.leg_height_m)
+        self._level_due_s = now_s + left_m / self._config.contact_speed_m_s
+        if now_s >= self._level_due_s - _LEVEL_BEFORE_S:
+            self._level_from_s = now_s
 
     def _give_way(self, sight: Sight | None, now_s: float) -> None:
         """Let the reference's height drift to the vehicle's; not near the pad, where it may stand."""

@@ -6,9 +6,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from companion.config import LimitsConfig
-from companion.control.attitude import level_acceleration
 from companion.control.limits import LONGEST_STEP_S, LimitsGate
-from companion.geometry import GRAVITY_M_S2, Vector3, norm, subtract, tilt_from_quat
+from companion.geometry import GRAVITY_M_S2, Vector3, norm, subtract, tilt_from_quat, level_acceleration
 from companion.messages import Setpoint
 
 CONFIG = LimitsConfig()

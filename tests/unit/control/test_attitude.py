@@ -7,13 +7,13 @@ import pytest
 from companion.control.attitude import (
     attitude_from_acceleration,
     force_from_acceleration,
-    level_acceleration,
     thrust_from_acceleration,
 )
 from companion.geometry import (
     GRAVITY_M_S2,
     Vector3,
     euler_from_quat,
+    level_acceleration,
     norm,
     quat_rotate,
     tilt_from_quat,
