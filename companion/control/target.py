@@ -80,8 +80,9 @@ def make_target(reference: Reference, times_s: FloatArray, path: PadPath) -> Tar
 
 
 def _lean(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
-    """The greatest horizontal input (N,) over each step that starts at `times_s` (N+1,) but the last."""
-    within = (times_s[1:] > level_off.from_s) & (times_s[:-1] < level_off.until_s)
+    """The greatest horizontal input (N,) over each of the steps between `times_s` (N+1,)."""
+    middle_s = 0.5 * (times_s[1:] + times_s[:-1])
+    within = (middle_s >= level_off.from_s) & (middle_s <= level_off.until_s)
     return np.where(within, GRAVITY_M_S2 * math.tan(level_off.tilt_rad), np.inf)
 
 

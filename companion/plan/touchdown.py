@@ -37,8 +37,10 @@ _TOO_FAST_S = 0.1
 # The lean is smoothed so; the attitude needs about so long to follow, and the contact comes that much off its
 # time: level from so long before it is due, for so long.
 _LEAN_S = 0.25
-_LEVEL_BEFORE_S = 0.3
-_LEVEL_FOR_S = 0.65
+_LEVEL_BEFORE_S = 0.25
+_LEVEL_FOR_S = 0.35
+_TOO_MUCH_LEAN = 1.3
+_PATIENT_TIMES = 2.0
 
 Finding = tuple[Event, str] | None
 
@@ -140,6 +142,7 @@ class Touchdown:
         self._settled, self._touching, self._away, self._too_fast = Held(), Held(), Held(), Held()
         self._sunk_s = now_s
         self._lean_m_s2 = (0.0, 0.0)
+        self.broken_off_by = ""
         self._felt_s: float | None = None
         self._level_due_s: float | None = None
         self._level_from_s: float | None = None
@@ -248,13 +251,25 @@ class Touchdown:
         self._give_way(sight if high else None, now_s)
         self._expect_contact(sight, now_s)
         fast = sight.age_s <= _FRESH_S and sight.velocity_m_s[2] > c.fastest_contact_m_s
+        sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
-        if above_m > c.break_off_above_m and self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S:
-            self._contact_due_s = self._level_due_s = self._level_from_s = None  # and `_wait` rises from the reference's own state
-            self._settled, self._too_fast = Held(), Held()
+        if above_m > c.break_off_above_m and (sinks_fast or self._blown_about(now_s)):
+            self._break_off("sinking too fast" if sinks_fast else "leaning too far")
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
         return None
+
+    def _break_off(self, reason: str) -> None:
+        """Rise and wait again: `_wait` goes on from the reference's own state."""
+        self.broken_off_by = reason
+        self._contact_due_s = self._level_due_s = self._level_from_s = None
+        self._settled, self._too_fast = Held(), Held()
+
+    def _blown_about(self, now_s: float) -> bool:
+        """Whether a gust came up that cannot be levelled off; waiting for it to pass has its end."""
+        lean_m_s2 = math.hypot(*self._lean_m_s2)
+        patient = now_s - self._since_s < _PATIENT_TIMES * self._config.patience_s
+        return patient and lean_m_s2 > _TOO_MUCH_LEAN * self._config.gentle_lean_m_s2
 
     def _upright(self) -> bool:
         """Whether going with the pad and against the wind takes no more lean than can be levelled off."""
