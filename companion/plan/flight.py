@@ -316,7 +316,9 @@ class Flight:
         if self._touchdown.committed and not was_committed:
             self._say("commit", "going down", now_s, "info")
         elif was_committed and not self._touchdown.committed:
-            self._say("break_off", f"{self._touchdown.broken_off_by}: waiting again over the pad", now_s, "warning")
+            self._say(
+                "break_off", f"{self._touchdown.broken_off_by}: waiting again over the pad", now_s, "warning"
+            )
         if self._touchdown.on_pad and finding is None:
             self._shut_down(inputs, now_s)
         return finding

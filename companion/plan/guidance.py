@@ -26,6 +26,8 @@ from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
 Origin = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
 
+_DIPS_AT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
+_MOST_DIP_M = 0.3
 _CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 _MOST_STRETCHES = 4
 _KEPT_SHARE = 0.9
@@ -197,9 +199,24 @@ class Guide:
         way = self._avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
         )
-        self._trajectory, self._level = way, None
+        self._trajectory, self._level = way, self._without_dip(way, start, target, now_s)
         self.speed_m_s = speed
         self.time_to_go_s = relative.duration_s if way is direct else max(0.0, way.end_s - now_s)
+
+    def _without_dip(self, way: Way, start: Motion, target: Motion, now_s: float) -> Trajectory | None:
+        """Levelling off first, where the way would sink below both its ends; None where it does not.
+
+        A long way from a state that sinks, or is about to, ends at rest but goes metres down meanwhile.
+        """
+        lasts_s = way.end_s - now_s
+        lowest_m = max(start.position_m[2], target.position_m[2]) + _MOST_DIP_M
+        drift = target.velocity_m_s[2]
+        if all(
+            way.at(now_s + s * lasts_s).position_m[2] - max(0.0, drift * s * lasts_s) <= lowest_m
+            for s in _DIPS_AT
+        ):
+            return None
+        return brake(_upright(start), now_s, _LEVEL_OFF_M_S2)
 
     def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
         """As `fly_to`, but the height is kept: any climb or sink is stopped, at once and by itself.
@@ -212,8 +229,7 @@ class Guide:
         x, y, _ = target.position_m
         vx, vy, _ = target.velocity_m_s
         self._fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0)), now_s, level=True)
-        z, rate, change = (m[2] for m in (start.position_m, start.velocity_m_s, start.acceleration_m_s2))
-        upright = Motion((0.0, 0.0, z), (0.0, 0.0, rate), (0.0, 0.0, change))
+        z, upright = start.position_m[2], _upright(start)
         if level is None:
             level = brake(upright, now_s, _LEVEL_OFF_M_S2)
         elif now_s >= level.end_s and z - lowest_down_m > _TOO_LOW_M:
@@ -297,14 +313,17 @@ class Guide:
         Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
         the speed that it leads to worse.
         """
-        trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
-        for _ in range(_MOST_STRETCHES):
+        best, least = None, math.inf
+        for _ in range(_MOST_STRETCHES + 1):
+            trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
             stretch = self._stretch(trajectory, moving)
+            if best is None or stretch < least:
+                best, least = trajectory, stretch
             if stretch <= 1.001:
                 break
             duration_s = min(duration_s * min(stretch, 1.5), longest_s)
-            trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
-        return trajectory
+        assert best is not None
+        return best
 
     def _stretch(self, trajectory: Trajectory, start: Motion) -> float:
         """By what factor the duration should grow; what the start already exceeds cannot be mended."""
@@ -326,6 +345,12 @@ class Guide:
                 abs(a[2]) / max(c.vertical_acceleration_m_s2, lift),
             )
         return max(speed, math.sqrt(acceleration))
+
+
+def _upright(motion: Motion) -> Motion:
+    """The vertical part of a motion alone."""
+    z, rate, change = (m[2] for m in (motion.position_m, motion.velocity_m_s, motion.acceleration_m_s2))
+    return Motion((0.0, 0.0, z), (0.0, 0.0, rate), (0.0, 0.0, change))
 
 
 def _with_down(motion: Motion, vertical: Motion) -> Motion:

@@ -221,3 +221,16 @@ def test_level_flight_ends_with_the_next_plan() -> None:
     g.fly_to(Motion((5.0, 1.0, -6.0)), now)
     assert g.at(now).position_m[2] == pytest.approx(way[-1].position_m[2], abs=1e-3)
     assert g.resting_place_m() == pytest.approx((5.0, 1.0, -6.0))
+
+
+def test_an_acceleration_at_the_start_beyond_the_limits_does_not_draw_the_way_out_for_ever() -> None:
+    g = guide()
+    # as after a climb that was broken off: still rising, and pushed down harder than the plan may
+    g.start("local", Motion((0.0, 0.0, -0.5), (-1.3, 0.6, -0.3), (0.3, 0.2, 1.4)), 0.0)
+    lowest_m = -0.5
+    for k in range(1, 200):
+        g.fly_to(Motion((20.0, 5.0, -6.0), (1.0, 0.0, 0.0)), k * CYCLE_S)
+        lowest_m = max(lowest_m, g.at(k * CYCLE_S).position_m[2])
+        assert g.time_to_go_s < 200.0
+    assert lowest_m < 0.3
+    assert g.at(200 * CYCLE_S).velocity_m_s[2] < 0.0

@@ -1,7 +1,9 @@
+import math
+
 import pytest
 
 from companion.config import GuidanceConfig, TouchdownConfig
-from companion.geometry import ZERO3, Vector3
+from companion.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler
 from companion.messages import LandedState, RangeSample
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
@@ -62,8 +64,8 @@ def test_aligned_on_both_sides_of_each_bound(good: Sight, bad: Sight) -> None:
 
 
 def test_gentle_on_both_sides_of_each_bound() -> None:
-    assert gentle(sight(pad_acceleration=(0.0, 0.69, 0.19)), CONFIG)
-    assert not gentle(sight(pad_acceleration=(0.5, 0.51, 0.0)), CONFIG)
+    assert gentle(sight(pad_acceleration=(0.0, 1.19, 0.19)), CONFIG)
+    assert not gentle(sight(pad_acceleration=(0.86, 0.86, 0.0)), CONFIG)
     assert not gentle(sight(pad_acceleration=(0.0, 0.0, -0.21)), CONFIG)
 
 
@@ -277,3 +279,62 @@ def test_one_fast_sample_is_no_reason_to_break_off() -> None:
         seen = sight(height=0.4, velocity=(0.0, 0.0, speed))
         touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
     assert touchdown.committed
+
+
+def leaning(acceleration_m_s2: float) -> Quaternion:
+    return quat_from_euler(math.atan(acceleration_m_s2 / GRAVITY_M_S2), 0.0, 1.0)
+
+
+def waited(touchdown: Touchdown, lean_m_s2: float, from_s: float, until_s: float) -> None:
+    for k in range(round((until_s - from_s) / CYCLE_S)):
+        now_s = from_s + k * CYCLE_S
+        touchdown.feel(leaning(lean_m_s2), now_s)
+        touchdown.step(sight(), None, LandedState.IN_AIR, now_s)
+
+
+@pytest.mark.parametrize(("lean_m_s2", "commits"), [(1.9, True), (2.1, False)])
+def test_it_waits_while_it_leans_further_than_it_can_level_off(lean_m_s2: float, commits: bool) -> None:
+    touchdown = fresh()
+    waited(touchdown, lean_m_s2, 0.0, 2.0)
+    assert touchdown.committed is commits
+
+
+def test_impatience_overrules_the_lean() -> None:
+    touchdown = fresh()
+    waited(touchdown, 2.5, 0.0, CONFIG.patience_s + 1.0)
+    assert touchdown.committed
+
+
+def test_a_gust_on_the_way_down_breaks_it_off() -> None:
+    touchdown = fresh()
+    waited(touchdown, 0.0, 0.0, 0.5)
+    assert touchdown.committed
+    waited(touchdown, 3.0, 0.5, 1.2)
+    assert not touchdown.committed
+    assert touchdown.broken_off_by == "leaning too far"
+    assert touchdown.level_off() is None
+
+
+def test_it_levels_off_shortly_before_the_contact_and_no_longer_than_that_takes() -> None:
+    touchdown = fresh()
+    waited(touchdown, 0.0, 0.0, 0.5)
+    assert touchdown.level_off() is None or touchdown.level_off().from_s > 0.5
+    seen_m, now_s = 0.3, 1.0
+    touchdown.step(sight(height=LEG_M + seen_m), None, LandedState.IN_AIR, now_s)
+    level = touchdown.level_off()
+    assert level is not None
+    due_s = now_s + seen_m / CONFIG.contact_speed_m_s
+    assert level.from_s < due_s < level.until_s
+    assert due_s - level.from_s == pytest.approx(0.25)
+    assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
+
+
+def test_a_contact_that_comes_late_does_not_keep_it_level() -> None:
+    touchdown = fresh()
+    waited(touchdown, 0.0, 0.0, 0.5)
+    near = sight(height=LEG_M + 0.03)
+    for k in range(30):
+        touchdown.step(near, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    level = touchdown.level_off()
+    assert level is not None
+    assert level.until_s < 1.5
