@@ -54,7 +54,7 @@ VELOCITY_BIAS_M_S: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class TrackingCase:
-    """A pad's motion and the wind as scenarios write them, and how far the vehicle is from what is assumed."""
+    """A pad's motion and the wind as scenarios write them, and how far the vehicle is off the assumed one."""
 
     name: str
     motion: dict[str, Any]

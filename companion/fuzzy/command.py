@@ -54,8 +54,8 @@ def fuzzy_command(
         ConfigError: the rules cannot be read or break a rule, or a file cannot be written.
     """
     console = Console()
-    if plot is not None and plot.suffix.lower() != ".png":
-        raise ConfigError(f"--plot {plot}: expected the name of a .png file")
+    if plot is not None and (plot.suffix.lower() != ".png" or not plot.parent.is_dir()):
+        raise ConfigError(f"--plot {plot}: expected a .png file in a folder that exists")
     read = load_rules(rules)
     written = write_table(rules) if rewrite else None
     table, how = load_table(rules)
