@@ -46,10 +46,8 @@ class PidGains(StrictModel):
 class PidConfig(StrictModel):
     """The PID's gains; by `companion-experiments tune-flight-pid`."""
 
-    horizontal: PidGains = PidGains(
-        position_gain_1_s2=19.46, velocity_gain_1_s=7.95, integral_gain_1_s3=30.01
-    )
-    vertical: PidGains = PidGains(position_gain_1_s2=20.25, velocity_gain_1_s=10.18, integral_gain_1_s3=25.7)
+    horizontal: PidGains = PidGains(position_gain_1_s2=12.5, velocity_gain_1_s=5.63, integral_gain_1_s3=11.87)
+    vertical: PidGains = PidGains(position_gain_1_s2=20.25, velocity_gain_1_s=13.99, integral_gain_1_s3=34.28)
 
 
 class ControlConfig(StrictModel):
