@@ -44,10 +44,10 @@ class PidGains(StrictModel):
 
 
 class PidConfig(StrictModel):
-    """The PID's gains; by `companion-experiments tune-pid`."""
+    """The PID's gains; by `companion-experiments tune-flight-pid`."""
 
-    horizontal: PidGains = PidGains(position_gain_1_s2=1.6, velocity_gain_1_s=2.0, integral_gain_1_s3=0.5)
-    vertical: PidGains = PidGains(position_gain_1_s2=1.6, velocity_gain_1_s=2.0, integral_gain_1_s3=0.5)
+    horizontal: PidGains = PidGains(position_gain_1_s2=12.5, velocity_gain_1_s=5.63, integral_gain_1_s3=11.87)
+    vertical: PidGains = PidGains(position_gain_1_s2=20.25, velocity_gain_1_s=13.99, integral_gain_1_s3=34.28)
 
 
 class ControlConfig(StrictModel):

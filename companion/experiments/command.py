@@ -78,7 +78,7 @@ def profiles_command(
 @app.command("tune-flight-pid")
 def tune_command(
     *,
-    draws: Annotated[int, typer.Option(min=1, help="Gains tried in each of three rounds.")] = 30,
+    draws: Annotated[int, typer.Option(min=1, help="Gains tried in each of three rounds.")] = 12,
     seed: Seed = 0,
 ) -> None:
     """Tune the gains of control.pid (a few minutes), and fly them on seeds that tuned nothing."""

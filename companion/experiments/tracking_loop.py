@@ -54,11 +54,13 @@ VELOCITY_BIAS_M_S: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class TrackingCase:
-    """A pad's motion and the wind, as scenarios write them."""
+    """A pad's motion and the wind as scenarios write them, and how far the vehicle is off the assumed one."""
 
     name: str
     motion: dict[str, Any]
     wind: dict[str, Any]
+    link_delay_s: float = LINK_DELAY_S
+    mass_factor: float = 1.0
 
     def scenario(self) -> Scenario:
         """The scenario of this case: the vehicle starts above the pad's meeting point."""
@@ -69,6 +71,7 @@ class TrackingCase:
                 "description": self.name,
                 "pad": {"surface_height_m": 0.3, "motion": {**self.motion, "meet": meet}},
                 "wind": self.wind,
+                "mass_factor": self.mass_factor,
             }
         )
 
@@ -82,6 +85,14 @@ CASES: Final = (
         "circle 1.5 m/s",
         {"kind": "circle", "speed_m_s": 1.5, "radius_m": 5.0},
         {"mean_m_s": 3.0, "turbulence": "light"},
+    ),
+    # an answer later and weaker than assumed: without it a search ends in gains that have no margin
+    TrackingCase(
+        "circle 1.5 m/s, late and heavy",
+        {"kind": "circle", "speed_m_s": 1.5, "radius_m": 5.0},
+        {"mean_m_s": 3.0, "turbulence": "light"},
+        link_delay_s=0.13,
+        mass_factor=1.2,
     ),
 )
 
@@ -111,6 +122,7 @@ class TrackingLoop:
         self._autopilot = Autopilot("px4", self._world.airframe.body, autopilot_rng, HOME)
         vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         self._controller = Controller(config, vehicle)
+        self._link_delay_s = case.link_delay_s
         self._bias = vector3((VELOCITY_BIAS_M_S * self._rng.standard_normal(3)).tolist())
         self._pending: deque[tuple[float, MotionSetpoint]] = deque()
 
@@ -161,7 +173,7 @@ class TrackingLoop:
         vehicle, pad = self._told(now_s)
         answer = self._controller.step(PlanStep(now_s, Phase.DESCEND, reference), vehicle, pad, now_s)
         if answer is not None:
-            self._pending.append((now_s + LINK_DELAY_S, _streamed(answer[0])))
+            self._pending.append((now_s + self._link_delay_s, _streamed(answer[0])))
 
     def _told(self, now_s: float) -> tuple[VehicleState, PadState]:
         """Vehicle and pad as good estimators would have them."""

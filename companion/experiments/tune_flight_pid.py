@@ -24,7 +24,7 @@ from companion.geometry import FloatArray
 
 TRAINING_SEEDS: Final = (100,)
 HELD_OUT_SEEDS: Final = (200, 201, 202)
-FLIGHT_S: Final = 18.0
+FLIGHT_S: Final = 14.0
 LOWEST: Final = np.array([0.8, 0.5, 0.0])  # w (rad/s), z, k
 HIGHEST: Final = np.array([4.5, 1.6, 0.4])
 ROUNDS: Final = 3

@@ -54,6 +54,8 @@ def fuzzy_command(
         ConfigError: the rules cannot be read or break a rule, or a file cannot be written.
     """
     console = Console()
+    if plot is not None and (plot.suffix.lower() != ".png" or not plot.parent.is_dir()):
+        raise ConfigError(f"--plot {plot}: expected a .png file in a folder that exists")
     read = load_rules(rules)
     written = write_table(rules) if rewrite else None
     table, how = load_table(rules)
@@ -63,13 +65,13 @@ def fuzzy_command(
         console.print(f"table written: {written}", highlight=False, soft_wrap=True)
     elif how == "computed":
         console.print("no table belongs to these rules: computed anew, at each start; see --write-table")
+    if plot is not None:
+        _draw(read, table, plot)
+        console.print(f"picture: {plot}", highlight=False, soft_wrap=True, markup=False)
     error = table_error(read, table, points, np.random.default_rng(seed))
     slips = worst_slips_m_s(table)
     for line in (error_line(error), *sense_lines(slips)):
         console.print(line, highlight=False, soft_wrap=True)
-    if plot is not None:
-        _draw(read, table, plot)
-        console.print(f"picture: {plot}", highlight=False, soft_wrap=True, markup=False)
     sensible = all(slip <= MONOTONE_TOLERANCE_M_S for slip in slips.values())
     raise typer.Exit(0 if error.holds and sensible else 1)
 
@@ -109,8 +111,6 @@ def sense_lines(slips_m_s: dict[str, float]) -> list[str]:
 
 
 def _draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
-    if path.suffix.lower() != ".png":
-        raise ConfigError(f"--plot {path}: expected the name of a .png file")
     try:
         draw(rules, table, path)
     except OSError as error:

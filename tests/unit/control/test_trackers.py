@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.config import ControlConfig, LimitsConfig
+from companion.config import ControlConfig, LimitsConfig, PidConfig, PidGains
 from companion.control.flight_model import Motion
 from companion.control.mpc import Mpc, Target, needed_inputs
 from companion.control.pid_tracker import PidTracker
@@ -29,6 +29,10 @@ AT_REST = Motion(ZERO3, ZERO3, ZERO3)
 DISTURBANCE = (0.3, -0.2, 0.1)
 LAST = (0.2, 0.1, -0.1)
 OTHERS = ("riccati", "pid")
+GAINS = PidGains(
+    position_gain_1_s2=2.0, velocity_gain_1_s=2.5, integral_gain_1_s3=1.0, integral_limit_m_s2=0.5
+)
+BY_PID = CONFIG.model_copy(update={"pid": PidConfig(horizontal=GAINS, vertical=GAINS)})
 
 
 def _tracker(name: str) -> Tracker:
@@ -88,17 +92,14 @@ def test_the_recursion_knows_no_bounds() -> None:
 
 
 def test_the_pid_is_its_law() -> None:
-    gains = CONFIG.pid.horizontal
     target = Target(
         np.tile([0.3, 0.0, 0.0], (N + 1, 1)),
         np.tile([0.0, 0.2, 0.0], (N + 1, 1)),
         np.tile([0.0, 0.0, 0.1], (N + 1, 1)),
     )
-    first = PidTracker(CONFIG, LAGS_S).solve(AT_REST, target, DISTURBANCE, LAST).inputs_m_s2[0]
-    grown = gains.integral_gain_1_s3 * 0.3 / CONFIG.rate_hz
-    assert first[0] == pytest.approx(gains.position_gain_1_s2 * 0.3 + grown)
-    assert first[1] == pytest.approx(gains.velocity_gain_1_s * 0.2)
-    assert first[2] == pytest.approx(0.1)
+    first = PidTracker(BY_PID, LAGS_S).solve(AT_REST, target, DISTURBANCE, LAST).inputs_m_s2[0]
+    grown = 1.0 * 0.3 / CONFIG.rate_hz
+    assert first == pytest.approx((2.0 * 0.3 + grown, 2.5 * 0.2, 0.1))
 
 
 def _integral_after(tracker: PidTracker, error_m: float, seconds: float) -> float:
@@ -109,15 +110,19 @@ def _integral_after(tracker: PidTracker, error_m: float, seconds: float) -> floa
 
 
 def test_the_integral_grows_to_its_bound_and_forgets_on_reset() -> None:
-    tracker, gains = PidTracker(CONFIG, LAGS_S), CONFIG.pid.horizontal
-    assert _integral_after(tracker, 0.2, 1.0) == pytest.approx(0.2 * gains.integral_gain_1_s3, rel=1e-6)
-    assert _integral_after(tracker, 0.2, 600.0) == pytest.approx(gains.integral_limit_m_s2)
+    tracker = PidTracker(BY_PID, LAGS_S)
+    assert _integral_after(tracker, 0.2, 1.0) == pytest.approx(0.2, rel=1e-6)
+    assert _integral_after(tracker, 0.2, 3.0) == pytest.approx(0.5)
     tracker.reset()
-    assert _integral_after(tracker, 0.0, 1.0) == 0.0
+    assert _integral_after(tracker, 0.0, 0.2) == 0.0
 
 
 def test_the_integral_waits_while_the_command_is_at_its_bound() -> None:
-    assert _integral_after(PidTracker(CONFIG, LAGS_S), 5.0, 5.0) == 0.0
+    assert _integral_after(PidTracker(BY_PID, LAGS_S), 5.0, 2.0) == 0.0
+    # and comes back from its own bound as soon as the error turns
+    tracker = PidTracker(BY_PID, LAGS_S)
+    assert _integral_after(tracker, 0.2, 4.0) == pytest.approx(0.5)
+    assert _integral_after(tracker, -0.2, 1.0) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("name", OTHERS)
