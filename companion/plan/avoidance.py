@@ -120,6 +120,7 @@ class Avoidance:
                 found = self._over(start, target, now_s)
             kept = found or (kept if _under_way(kept, now_s) else None)
         self._detour, self.blocked = kept, kept is None
+        self.waiting &= not self.blocked
         return self._stop(start, now_s) if kept is None else kept
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:

@@ -1,19 +1,14 @@
-"""Obstacles: how far away they are, and the shortest way round or over them.
-
-An obstacle stands on the ground and is solid up to its top: a rectangle with rounded sides, of which a box
-(radius 0) and a cylinder (no rectangle) are the two ends. Grown by a margin it keeps that form. NED, m; the
-frame is the caller's (the planner's counts from home, so that what is surveyed never moves).
+"""The shortest way round or over obstacles that keeps a margin from all of them.
 
 The way round is the shortest path in the visibility graph (Lozano-Perez and Wesley, 1979) of the octagons
 about the grown shapes; the way over is the same at a height where some are below. Nothing is drawn at random:
-the same question has the same answer.
+the same question has the same answer. NED, m, in the obstacles' frame.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Final
@@ -21,124 +16,17 @@ from typing import Final
 import numpy as np
 from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
 
-from companion.config import Cylinder, Shape
 from companion.geometry import FloatArray, Vector3
+from companion.plan.shapes import Obstacle, Plan, clearance_m, shapes_of
 
-_CORNERS: Final = 8  # of the polygon about a grown shape
-_HALF_TURN: Final = math.pi / _CORNERS
-_OUTSIDE: Final = 1.0 / math.cos(_HALF_TURN)  # so that its sides touch the round
+__all__ = ["Obstacle", "clearance_m", "line_clear", "route"]
+
 _TOLERANCE_M: Final = 1e-6
 _SPACING_M: Final = 0.2  # of the points at which a straight line is looked at
 _STEP_OUT_M: Final = 0.05  # beyond the margin, for who stands within it
 # Climbing is so much slower than flying across: a metre of it counts as so many.
 _CLIMB_COST: Final = 2.5
 _SAME_HEIGHT_M: Final = 0.05
-
-Plan = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Obstacle:
-    """A rectangle rounded by `round_m`, from the ground up to `top_down_m` (down of its top)."""
-
-    north_m: float
-    east_m: float
-    half_length_m: float
-    half_width_m: float
-    heading_rad: float
-    round_m: float
-    top_down_m: float
-
-    @classmethod
-    def of(cls, shape: Shape) -> Obstacle:
-        """As it was surveyed: NED from home."""
-        north, east = shape.centre_ned_m
-        if isinstance(shape, Cylinder):
-            return cls(north, east, 0.0, 0.0, 0.0, shape.radius_m, -shape.height_m)
-        heading = math.radians(shape.heading_deg)
-        return cls(north, east, 0.5 * shape.length_m, 0.5 * shape.width_m, heading, 0.0, -shape.height_m)
-
-    def corners(self, margin_m: float) -> list[Plan]:
-        """North and east of the octagon whose sides touch the shape grown by a margin."""
-        reach = (self.round_m + margin_m) * _OUTSIDE
-        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        points = []
-        for k in range(_CORNERS):
-            angle = (2 * k + 1) * _HALF_TURN
-            along = math.copysign(self.half_length_m, math.cos(angle)) + reach * math.cos(angle)
-            across = math.copysign(self.half_width_m, math.sin(angle)) + reach * math.sin(angle)
-            points.append((self.north_m + c * along - s * across, self.east_m + s * along + c * across))
-        return points
-
-
-class _Shapes:
-    """The same obstacles as columns, (1, m) each."""
-
-    def __init__(self, obstacles: Sequence[Obstacle]) -> None:
-        columns = np.array(
-            [
-                (o.north_m, o.east_m, o.half_length_m, o.half_width_m, o.heading_rad, o.round_m, o.top_down_m)
-                for o in obstacles
-            ]
-        ).reshape(-1, 7)
-        self.north, self.east, self.length, self.width, heading, self.round, self.top = columns.T[:, None, :]
-        self.c, self.s = np.cos(heading), np.sin(heading)
-
-    def local(self, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 2) along and across each shape, (n, m) each."""
-        north, east = plan[:, :1] - self.north, plan[:, 1:2] - self.east
-        return self.c * north + self.s * east, self.c * east - self.s * north
-
-    def beside_m(self, plan: FloatArray) -> FloatArray:
-        """Horizontal distance (n, m) of points (n, 2); negative inside."""
-        along, across = self.local(plan)
-        u, v = np.abs(along) - self.length, np.abs(across) - self.width
-        outside = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0))
-        return np.asarray(outside + np.minimum(np.maximum(u, v), 0.0) - self.round)
-
-    def distance_m(self, points: FloatArray) -> FloatArray:
-        """Distance (n, m) of points (n, 3), over the tops too; negative inside."""
-        beside, over = self.beside_m(points[:, :2]), self.top - points[:, 2:3]
-        outside = np.hypot(np.maximum(beside, 0.0), np.maximum(over, 0.0))
-        return np.asarray(outside + np.minimum(np.maximum(beside, over), 0.0))
-
-    def along_m(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Least horizontal distance (n, m) of the lines from a to b, (n, 2) each; not below -round."""
-        (ax, ay), (bx, by) = self.local(a), self.local(b)
-        dx, dy = bx - ax, by - ay
-        square = np.maximum(dx * dx + dy * dy, 1e-18)
-        u, v = np.maximum(np.abs(ax) - self.length, 0.0), np.maximum(np.abs(ay) - self.width, 0.0)
-        p, q = np.maximum(np.abs(bx) - self.length, 0.0), np.maximum(np.abs(by) - self.width, 0.0)
-        nearest = np.minimum(u * u + v * v, p * p + q * q)
-        for x, y in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
-            ex, ey = x * self.length - ax, y * self.width - ay
-            t = np.clip((ex * dx + ey * dy) / square, 0.0, 1.0)
-            nearest = np.minimum(nearest, (ex - t * dx) ** 2 + (ey - t * dy) ** 2)
-        nearest = np.where(self._crossed(ax, ay, dx, dy), 0.0, nearest)
-        return np.asarray(np.sqrt(nearest) - self.round)
-
-    def _crossed(self, ax: FloatArray, ay: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
-        """Whether a line passes through the rectangle: it does where it is within both pairs of sides."""
-        dx = np.where(np.abs(dx) < 1e-12, 1e-12, dx)
-        dy = np.where(np.abs(dy) < 1e-12, 1e-12, dy)
-        x1, x2 = (-self.length - ax) / dx, (self.length - ax) / dx
-        y1, y2 = (-self.width - ay) / dy, (self.width - ay) / dy
-        enter = np.maximum(np.minimum(x1, x2), np.minimum(y1, y2))
-        leave = np.minimum(np.maximum(x1, x2), np.maximum(y1, y2))
-        return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
-
-
-@lru_cache(maxsize=256)
-def _shapes(obstacles: tuple[Obstacle, ...]) -> _Shapes:
-    return _Shapes(obstacles)
-
-
-def clearance_m(points: FloatArray, obstacles: Iterable[Obstacle]) -> FloatArray:
-    """Distance (n,) of points (n, 3) to the nearest obstacle; negative inside one, inf without any."""
-    shapes = tuple(obstacles)
-    if not shapes:
-        return np.full(len(points), np.inf)
-    return np.asarray(np.min(_shapes(shapes).distance_m(points), axis=1))
 
 
 def route(
@@ -287,7 +175,7 @@ class _Graph:
     """The corners that are free, and the shortest ways between all of them."""
 
     def __init__(self, obstacles: tuple[Obstacle, ...], margin_m: float) -> None:
-        self._shapes, self._grown = _shapes(obstacles), margin_m - _TOLERANCE_M
+        self._shapes, self._grown = shapes_of(obstacles), margin_m - _TOLERANCE_M
         corners = np.array([corner for o in obstacles for corner in o.corners(margin_m)])
         self._corners = corners[np.all(self._shapes.beside_m(corners) >= self._grown, axis=1)]
         i, j = np.triu_indices(len(self._corners), 1)
