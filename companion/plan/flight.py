@@ -207,14 +207,21 @@ class Flight:
         )
         if waiting_for:
             self._say("waiting", waiting_for, now_s, "info")
+        if self._phase is Phase.WAYPOINT and self._waypoints.further:
+            return self._at_first(inputs)
         if finding is None or inputs.vehicle is None:
             return finding
         here_m, first_m = inputs.vehicle.position_ned_m, self._waypoints.first_from_home_m
         if finding[0] is Event.AIRBORNE and not self.surroundings.straight_clear(here_m, first_m):
             return Event.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
-        if finding[0] is Event.ARRIVED and self._waypoints.further:
-            return Event.ONWARD, finding[1]
         return finding
+
+    def _at_first(self, inputs: PlanInputs) -> Finding:
+        """Whether the autopilot has come to the first of several waypoints, which all count alike."""
+        home_ned_m = self.surroundings.home_ned_m
+        if inputs.vehicle is None or home_ned_m is None:
+            return None
+        return self._waypoints.at_first(vehicle_motion(inputs.vehicle, inputs.vehicle.time_s), home_ned_m)
 
     def _fly_route(self, inputs: PlanInputs, now_s: float) -> Finding:
         """Through the waypoints that are ours; the pad in view ends it."""

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
 from companion.geometry import FloatArray, Vector3
 from companion.plan.shapes import Obstacle, Plan, clearance_m, shapes_of
 
-__all__ = ["Obstacle", "clearance_m", "line_clear", "route"]
+__all__ = ["Obstacle", "clearance_m", "line_clear", "nearest_free", "route", "way_cost"]
 
 _TOLERANCE_M: Final = 1e-6
 _SPACING_M: Final = 0.2  # of the points at which a straight line is looked at
@@ -49,7 +49,7 @@ def route(
     if not _free(goal, shapes, margin_m):
         return None
     if not _free(start, shapes, margin_m):
-        out = _way_out(start, shapes, margin_m, ceiling_down_m)
+        out = nearest_free(start, shapes, margin_m, ceiling_down_m=ceiling_down_m)
         onward = None if out is None else route(out, goal, shapes, margin_m, ceiling_down_m=ceiling_down_m)
         return None if out is None or onward is None else (out, *onward)
     return _from_free(start, goal, shapes, margin_m, ceiling_down_m)
@@ -78,17 +78,17 @@ def _from_free(
     """The cheapest: round all that the lower end meets, or over some of it, at each height that pays."""
     sloped = _round(start, goal, _taller(obstacles, max(start[2], goal[2]), margin_m), margin_m)
     best = None if sloped is None else _sloping(start, goal, sloped)
-    cost = math.inf if best is None else _cost((start, *best, goal))
+    cost = math.inf if best is None else way_cost((start, *best, goal))
     for level in _levels(start, goal, obstacles, margin_m, ceiling_down_m):
         straight = ((*start[:2], level), (*goal[:2], level))
-        if _cost((start, *straight, goal)) >= cost:
+        if way_cost((start, *straight, goal)) >= cost:
             continue
         plan = _round(start, goal, _taller(obstacles, level, margin_m), margin_m)
         if plan is None:
             continue
         way = _unbent(start, ((*start[:2], level), *((*p, level) for p in plan), (*goal[:2], level)), goal)
-        if _cost((start, *way, goal)) < cost:
-            best, cost = way, _cost((start, *way, goal))
+        if way_cost((start, *way, goal)) < cost:
+            best, cost = way, way_cost((start, *way, goal))
     return best
 
 
@@ -113,7 +113,8 @@ def _taller(obstacles: tuple[Obstacle, ...], down_m: float, margin_m: float) -> 
     return tuple(o for o in obstacles if o.top_down_m - margin_m < down_m)
 
 
-def _cost(points: Sequence[Vector3]) -> float:
+def way_cost(points: Sequence[Vector3]) -> float:
+    """Length (m) of a way, a metre of climb counting as 2.5."""
     return sum(math.hypot(math.dist(p[:2], q[:2]), _CLIMB_COST * (q[2] - p[2])) for p, q in pairwise(points))
 
 
@@ -134,10 +135,15 @@ def _unbent(start: Vector3, points: Sequence[Vector3], goal: Vector3) -> tuple[V
     return tuple(p for p in points if min(math.dist(p, end) for end in ends) > _SAME_HEIGHT_M)
 
 
-def _way_out(
-    start: Vector3, obstacles: tuple[Obstacle, ...], margin_m: float, ceiling_down_m: float | None
+def nearest_free(
+    start: Vector3, obstacles: Sequence[Obstacle], margin_m: float, *, ceiling_down_m: float | None = None
 ) -> Vector3 | None:
-    """The nearest place outside all margins: straight up, or to a corner or the side of a grown shape."""
+    """The place nearest to one that keeps the margin, or None: a corner or the side of a grown shape.
+
+    With a ceiling (down, m) straight up too.
+    """
+    if not obstacles or _free(start, tuple(obstacles), margin_m):
+        return start
     grown = margin_m + _STEP_OUT_M
     places: list[Vector3] = [(n, e, start[2]) for o in obstacles for n, e in o.corners(grown)]
     places += [_side(start, o, grown) for o in obstacles]
@@ -146,7 +152,7 @@ def _way_out(
         places.append((start[0], start[1], up))
     free = clearance_m(np.array(places), obstacles) >= margin_m - _TOLERANCE_M
     outside = [place for place, is_free in zip(places, free, strict=True) if is_free]
-    return min(outside, key=lambda place: _cost((start, place)), default=None)
+    return min(outside, key=lambda place: way_cost((start, place)), default=None)
 
 
 def _side(start: Vector3, obstacle: Obstacle, grown_m: float) -> Vector3:
