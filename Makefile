@@ -64,10 +64,10 @@ bench-state: $(VENV)/.dev
 bench-pad: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_pad_filter
 
-# needs the machine to itself, for half an hour
 bench-obstacles: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_obstacles
 
+# needs the machine to itself, for half an hour
 bench-campaign: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_campaign --runs $(CAMPAIGN_RUNS)
 
