@@ -138,10 +138,7 @@ class Avoidance:
         if self.blocked and now_s < self._next_s:
             return None
         places = [start.position_m, *points]
-        for spare_m in _SPARES_M:
-            via = self._via(places, spare_m)
-            if via is None:
-                continue
+        for via in self._roomy(places):
             for pace in (paced, halting):
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
                 if not self.needed or self._keeps_clear(course, now_s):
@@ -225,12 +222,10 @@ class Avoidance:
 
     def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
         """The points of the ways worth a try, the roomiest first; one begun is not left for little."""
-        fresh = [self._via((here, there), spare_m, level=level) for spare_m in _SPARES_M]
-        ways = [via for via in fresh if via is not None]
+        ways = self._roomy((here, there), level=level)
         if not ways:
             return []
         shortest = min(way_cost((here, *via, there)) for via in ways)
-        ways = [via for via in ways if way_cost((here, *via, there)) <= _WORTH_ROOM * shortest + _WORTH_M]
         ahead = next(
             (c for when_s, c in self._corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
         )
@@ -238,6 +233,14 @@ class Avoidance:
         if begun is not None and way_cost((here, *begun, there)) <= _WORTH_TURNING * shortest + _WORTH_M:
             return [begun, *ways]
         return ways
+
+    def _roomy(self, places: Sequence[Vector3], *, level: bool = False) -> list[list[Vector3]]:
+        """The points between the first place and the last by as much room as is worth the way, most first."""
+        found = [self._via(places, spare_m, level=level) for spare_m in _SPARES_M]
+        ways = [via for via in found if via is not None]
+        costs = [way_cost((places[0], *via, places[-1])) for via in ways]
+        most = _WORTH_ROOM * min(costs, default=0.0) + _WORTH_M
+        return [via for via, cost in zip(ways, costs, strict=True) if cost <= most]
 
     def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
         """To over the target: no lower than now, or higher up, or else as near as it may."""
