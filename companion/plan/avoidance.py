@@ -19,8 +19,9 @@ from typing import Final
 import numpy as np
 
 from companion.config import GuidanceConfig, PlanConfig
-from companion.geometry import ZERO3, FloatArray, Vector3, add, norm, scale, subtract
+from companion.geometry import FloatArray, Vector3, add, norm, scale, subtract
 from companion.plan.course import Course, Way, halting, paced
+from companion.plan.frames import STILL, away, led, seen
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried
 from companion.plan.obstacles import Obstacle, clearance_m, line_clear, nearest_free, route, way_cost
 
@@ -46,10 +47,6 @@ _SAME_END_M_S: Final = 0.3
 _HARD_STOPS_M_S2: Final = (3.0, 4.5)
 _SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
-STILL: Final = Motion(ZERO3)
-# Slower than this a pad has no course to speak of; turning faster than that is noise.
-_COURSE_M_S: Final = 0.3
-_FASTEST_TURN_RAD_S: Final = 1.0
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
 
@@ -163,7 +160,7 @@ class Avoidance:
         if not self.needed:
             return True
         times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
-        points = np.array(place) + _led(self._frame, times_s)
+        points = np.array(place) + led(self._frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
     def still_clear(self, way: Way, now_s: float) -> bool:
@@ -177,14 +174,14 @@ class Avoidance:
 
     def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
-        last = _seen(way.at(way.end_s), frame)
+        last = seen(way.at(way.end_s), frame)
         after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         count = min(_MOST_CHECKS, 2 + int(whole_s / _CHECK_STEP_S))
         step_s = whole_s / (count - 1)
         points = way.rows(now_s, count, step_s)[0]
         if frame is not STILL:
-            points += _led(frame, step_s * np.arange(count, dtype=float))
+            points += led(frame, step_s * np.arange(count, dtype=float))
         clearance = self._clearance_m(points)
         least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
         return bool(np.all(clearance >= least_m))
@@ -200,7 +197,7 @@ class Avoidance:
 
     def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
         """A way round or over, in the guide's frame."""
-        start, target = _seen(start, self._frame), _seen(target, self._frame)
+        start, target = seen(start, self._frame), seen(target, self._frame)
         met = target.position_m
         for _ in range(2):  # where the target is met depends on the way there
             ways = self._ways(start.position_m, met, now_s, level)
@@ -217,7 +214,7 @@ class Avoidance:
                 found = pace(start, via, target, now_s, self._limits)
                 if self._keeps_clear(found, now_s):
                     self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
-                    return found.carried(_away(self._frame), now_s)
+                    return found.carried(away(self._frame), now_s)
         return None
 
     def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
@@ -259,7 +256,7 @@ class Avoidance:
     def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
         """To the place nearest to over the target that is clear, at the present height: it stays in view."""
         assert self._home_ned_m is not None
-        target = _seen(target, self._frame)
+        target = seen(target, self._frame)
         north, east, _ = add(target.position_m, scale(target.velocity_m_s, _THINK_AGAIN_S))
         down = start.position_m[2] + self._frame.position_m[2]
         over = subtract((north, east, down), self._home_ned_m)
@@ -292,8 +289,8 @@ class Avoidance:
 
     def _stop(self, start: Motion, now_s: float) -> Trajectory:
         """Come to rest in space, seen from the guide's frame."""
-        stop = self._braked(_seen(start, self._frame), STILL, now_s)
-        return carried(stop, _away(self._frame), now_s)
+        stop = self._braked(seen(start, self._frame), STILL, now_s)
+        return carried(stop, away(self._frame), now_s)
 
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
         """Come to rest in a frame; harder where the gentle stop would come too near."""
@@ -307,32 +304,6 @@ class Avoidance:
 
 def _under_way(course: Course | None, now_s: float) -> bool:
     return course is not None and now_s < course.end_s
-
-
-def _seen(motion: Motion, frame: Motion) -> Motion:
-    """A motion in a frame that moves evenly, seen from space."""
-    return Motion(
-        add(motion.position_m, frame.position_m),
-        add(motion.velocity_m_s, frame.velocity_m_s),
-        motion.acceleration_m_s2,
-    )
-
-
-def _away(frame: Motion) -> Motion:
-    """Space as it moves seen from the frame."""
-    return Motion(scale(frame.position_m, -1.0), scale(frame.velocity_m_s, -1.0))
-
-
-def _led(frame: Motion, times_s: FloatArray) -> FloatArray:
-    """Where a frame will be, (n, 3), times (n,) from now: along the arc that its acceleration tells of."""
-    (vn, ve, vd), (an, ae, _) = frame.velocity_m_s, frame.acceleration_m_s2
-    square = vn * vn + ve * ve
-    turn = (vn * ae - ve * an) / square if square > _COURSE_M_S**2 else 0.0
-    angle = max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, turn)) * times_s
-    # sin(a) / a and (1 - cos(a)) / a, which numpy's sinc has for a = 0 too
-    along, across = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi)) * np.sin(0.5 * angle)
-    north, east = times_s * (along * vn - across * ve), times_s * (along * ve + across * vn)
-    return np.array(frame.position_m) + np.stack((north, east, times_s * vd), axis=1)
 
 
 def _leads_to(course: Course, target: Motion, now_s: float) -> bool:

@@ -19,8 +19,9 @@ from typing import Literal
 from companion.config import GuidanceConfig, PlanConfig
 from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
 from companion.messages import Reference
-from companion.plan.avoidance import STILL, Avoidance
+from companion.plan.avoidance import Avoidance
 from companion.plan.course import Course, Way
+from companion.plan.frames import STILL
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
 
 Origin = Literal["pad", "local"]
