@@ -19,17 +19,25 @@ from typing import Final
 import numpy as np
 
 from companion.config import GuidanceConfig, PlanConfig
-from companion.geometry import ZERO3, FloatArray, Vector3, add, norm, scale, subtract
+from companion.geometry import FloatArray, Vector3, add, norm, scale, subtract
 from companion.plan.course import Course, Way, halting, paced
+from companion.plan.frames import STILL, away, led, seen
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried
-from companion.plan.obstacles import Obstacle, clearance_m, line_clear, route
+from companion.plan.obstacles import Obstacle, clearance_m, line_clear, nearest_free, route, way_cost
 
 # Corners are passed this much farther out first, so that a smooth curve has room to swing.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
 # Looking for a way round takes a while: not in every cycle.
 _THINK_AGAIN_S: Final = 0.2
+_THINK_AGAIN_SHARE: Final = 0.1
+_LONGEST_LEAD_S: Final = 4.0
+_NEAR_M: Final = 1.0
 # From a way round one goes over to a straight one that is not so much later there.
 _LATER_S: Final = 2.0
+# More room is worth so much more of a way; another side has to be so much shorter.
+_WORTH_ROOM: Final = 1.1
+_WORTH_TURNING: Final = 1.3
+_WORTH_M: Final = 1.0
 _CHECK_STEP_S: Final = 0.1
 _MOST_CHECKS: Final = 400
 # A way round that was begun is kept while its end is so near to where the target will be.
@@ -39,10 +47,6 @@ _SAME_END_M_S: Final = 0.3
 _HARD_STOPS_M_S2: Final = (3.0, 4.5)
 _SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
-STILL: Final = Motion(ZERO3)
-# Slower than this a pad has no course to speak of; turning faster than that is noise.
-_COURSE_M_S: Final = 0.3
-_FASTEST_TURN_RAD_S: Final = 1.0
 # Waiting over a pad, so much higher than the margin asks for.
 _ABOVE_M: Final = 0.1
 
@@ -59,6 +63,7 @@ class Avoidance:
         self._detour: Course | None = None
         self._next_s = -math.inf
         self._frame = STILL
+        self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
         self.blocked = self.waiting = False
 
     @property
@@ -81,7 +86,7 @@ class Avoidance:
 
     def forget(self) -> None:
         """Another reference begins: no detour of the last one goes on."""
-        self._detour, self._next_s = None, -math.inf
+        self._detour, self._next_s, self._corners = None, -math.inf, []
         self.blocked = self.waiting = False
 
     def way(
@@ -119,7 +124,10 @@ class Avoidance:
             if self.waiting:
                 found = self._over(start, target, now_s)
             kept = found or (kept if _under_way(kept, now_s) else None)
+            if kept is not None:  # what takes long can be thought over less often
+                self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
         self._detour, self.blocked = kept, kept is None
+        self.waiting &= not self.blocked
         return self._stop(start, now_s) if kept is None else kept
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
@@ -127,10 +135,7 @@ class Avoidance:
         if self.blocked and now_s < self._next_s:
             return None
         places = [start.position_m, *points]
-        for spare_m in _SPARES_M:
-            via = self._via(places, spare_m)
-            if via is None:
-                continue
+        for via in self._roomy(places):
             for pace in (paced, halting):
                 course = pace(start, via, Motion(points[-1]), now_s, self._limits)
                 if not self.needed or self._keeps_clear(course, now_s):
@@ -155,7 +160,7 @@ class Avoidance:
         if not self.needed:
             return True
         times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
-        points = np.array(place) + _led(self._frame, times_s)
+        points = np.array(place) + led(self._frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
     def still_clear(self, way: Way, now_s: float) -> bool:
@@ -169,14 +174,14 @@ class Avoidance:
 
     def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
-        last = _seen(way.at(way.end_s), frame)
+        last = seen(way.at(way.end_s), frame)
         after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         count = min(_MOST_CHECKS, 2 + int(whole_s / _CHECK_STEP_S))
         step_s = whole_s / (count - 1)
         points = way.rows(now_s, count, step_s)[0]
         if frame is not STILL:
-            points += _led(frame, step_s * np.arange(count, dtype=float))
+            points += led(frame, step_s * np.arange(count, dtype=float))
         clearance = self._clearance_m(points)
         least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
         return bool(np.all(clearance >= least_m))
@@ -192,24 +197,50 @@ class Avoidance:
 
     def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
         """A way round or over, in the guide's frame."""
-        start, target = _seen(start, self._frame), _seen(target, self._frame)
-        for spare_m in _SPARES_M:
-            met, course = target.position_m, None
-            for _ in range(2):  # where the target is met depends on the way there
-                via = self._via((start.position_m, met), spare_m, level=level)
-                if via is None:
-                    break
-                course = paced(start, via, target, now_s, self._limits)
-                met = course.at(course.end_s).position_m
-            if via is None or course is None:
-                continue
-            for found in (course, halting(start, via, target, now_s, self._limits)):
+        start, target = seen(start, self._frame), seen(target, self._frame)
+        met = target.position_m
+        for _ in range(2):  # where the target is met depends on the way there
+            ways = self._ways(start.position_m, met, now_s, level)
+            if not ways:
+                return None
+            time_s = paced(start, ways[0], target, now_s, self._limits).duration_s
+            if time_s > _LONGEST_LEAD_S and self._frame is STILL:
+                # that it goes on as it does is known for a while only
+                target = Motion(add(target.position_m, scale(target.velocity_m_s, _LONGEST_LEAD_S)))
+                met, time_s = target.position_m, 0.0
+            met = add(target.position_m, scale(target.velocity_m_s, time_s))
+        for via in self._ways(start.position_m, met, now_s, level):
+            for pace in (paced, halting):
+                found = pace(start, via, target, now_s, self._limits)
                 if self._keeps_clear(found, now_s):
-                    return found.carried(_away(self._frame), now_s)
+                    self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
+                    return found.carried(away(self._frame), now_s)
         return None
 
+    def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
+        """The points of the ways worth a try, the roomiest first; one begun is not left for little."""
+        ways = self._roomy((here, there), level=level)
+        if not ways:
+            return []
+        shortest = min(way_cost((here, *via, there)) for via in ways)
+        ahead = next(
+            (c for when_s, c in self._corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
+        )
+        begun = None if ahead is None else self._via((here, ahead, there), _SPARES_M[-1], level=level)
+        if begun is not None and way_cost((here, *begun, there)) <= _WORTH_TURNING * shortest + _WORTH_M:
+            return [begun, *ways]
+        return ways
+
+    def _roomy(self, places: Sequence[Vector3], *, level: bool = False) -> list[list[Vector3]]:
+        """The points between the first place and the last by as much room as is worth the way, most first."""
+        found = [self._via(places, spare_m, level=level) for spare_m in _SPARES_M]
+        ways = [via for via in found if via is not None]
+        costs = [way_cost((places[0], *via, places[-1])) for via in ways]
+        most = _WORTH_ROOM * min(costs, default=0.0) + _WORTH_M
+        return [via for via, cost in zip(ways, costs, strict=True) if cost <= most]
+
     def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
-        """To over the target: no lower than now, or higher up, where it is clear of all that it passes."""
+        """To over the target: no lower than now, or higher up, or else as near as it may."""
         assert self._home_ned_m is not None
         here, home_down = start.position_m[2] + self._frame.position_m[2], self._home_ned_m[2]
         tops = {home_down + o.top_down_m - self._margin_m - _ABOVE_M for o in self._obstacles}
@@ -220,7 +251,20 @@ class Avoidance:
             found = self._round(start, raised, now_s, level=False)
             if found is not None:
                 return found
-        return None
+        return self._beside(start, target, now_s)
+
+    def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+        """To the place nearest to over the target that is clear, at the present height: it stays in view."""
+        assert self._home_ned_m is not None
+        target = seen(target, self._frame)
+        north, east, _ = add(target.position_m, scale(target.velocity_m_s, _THINK_AGAIN_S))
+        down = start.position_m[2] + self._frame.position_m[2]
+        over = subtract((north, east, down), self._home_ned_m)
+        free = nearest_free(over, self._obstacles, self._margin_m + _ABOVE_M)
+        if free is None:
+            return None
+        place = subtract(add(free, self._home_ned_m), self._frame.position_m)
+        return self._round(start, Motion(place, scale(self._frame.velocity_m_s, -1.0)), now_s, level=True)
 
     def _via(self, places: Sequence[Vector3], spare_m: float, *, level: bool = False) -> list[Vector3] | None:
         """The points between the first place and the last, those on the way round included."""
@@ -245,8 +289,8 @@ class Avoidance:
 
     def _stop(self, start: Motion, now_s: float) -> Trajectory:
         """Come to rest in space, seen from the guide's frame."""
-        stop = self._braked(_seen(start, self._frame), STILL, now_s)
-        return carried(stop, _away(self._frame), now_s)
+        stop = self._braked(seen(start, self._frame), STILL, now_s)
+        return carried(stop, away(self._frame), now_s)
 
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
         """Come to rest in a frame; harder where the gentle stop would come too near."""
@@ -260,32 +304,6 @@ class Avoidance:
 
 def _under_way(course: Course | None, now_s: float) -> bool:
     return course is not None and now_s < course.end_s
-
-
-def _seen(motion: Motion, frame: Motion) -> Motion:
-    """A motion in a frame that moves evenly, seen from space."""
-    return Motion(
-        add(motion.position_m, frame.position_m),
-        add(motion.velocity_m_s, frame.velocity_m_s),
-        motion.acceleration_m_s2,
-    )
-
-
-def _away(frame: Motion) -> Motion:
-    """Space as it moves seen from the frame."""
-    return Motion(scale(frame.position_m, -1.0), scale(frame.velocity_m_s, -1.0))
-
-
-def _led(frame: Motion, times_s: FloatArray) -> FloatArray:
-    """Where a frame will be, (n, 3), times (n,) from now: along the arc that its acceleration tells of."""
-    (vn, ve, vd), (an, ae, _) = frame.velocity_m_s, frame.acceleration_m_s2
-    square = vn * vn + ve * ve
-    turn = (vn * ae - ve * an) / square if square > _COURSE_M_S**2 else 0.0
-    angle = max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, turn)) * times_s
-    # sin(a) / a and (1 - cos(a)) / a, which numpy's sinc has for a = 0 too
-    along, across = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi)) * np.sin(0.5 * angle)
-    north, east = times_s * (along * vn - across * ve), times_s * (along * ve + across * vn)
-    return np.array(frame.position_m) + np.stack((north, east, times_s * vd), axis=1)
 
 
 def _leads_to(course: Course, target: Motion, now_s: float) -> bool:
