@@ -1,4 +1,4 @@
-"""`companion identify`: a recorded flight in, the flight model's numbers and their lines for the settings out.
+"""`companion identify`: a flight in, the flight model's numbers and their lines for the settings out.
 
 Reads what the app recorded (flight.mcap): its own estimates, the setpoints as they left, and when the
 autopilot obeyed. NED, SI units; the fits are `companion.control.identification`.
@@ -7,6 +7,7 @@ autopilot obeyed. NED, SI units; the fits are `companion.control.identification`
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -23,7 +24,7 @@ from companion.control.identification import (
     Estimate,
     Flown,
     Response,
-    TooLittle,
+    TooLittleError,
     fit,
     hover_thrust,
     prediction_error_m_s,
@@ -190,11 +191,11 @@ def identify(record: FlightLog, path: Path) -> Found:
         try:
             cut = windows(data, axes, record.control.command_delay_s)
             responses[name] = fit(cut, record.starting_points()[name])
-        except TooLittle as error:
+        except TooLittleError as error:
             responses[name] = str(error)
     try:
         hover: tuple[float, float] | str = hover_thrust(data)
-    except TooLittle as error:
+    except TooLittleError as error:
         hover = str(error)
     if not any(isinstance(each, Estimate) for each in responses.values()) and isinstance(hover, str):
         raise ConfigError(f"{path}: {responses['sideways']}")
@@ -217,6 +218,8 @@ def _table(record: FlightLog, found: Found) -> Table:
         best, count = estimate.response, f"{estimate.windows} windows"
         if not record.by_attitude:
             gain, std = f"{best.gain_1_s:.2f} 1/s", f"{estimate.gain_std_1_s:.2f}"
+            if math.isinf(estimate.gain_std_1_s):
+                gain, std = "as assumed", "too little excitation"
             grid.add_row(f"{name}: velocity gain", f"{assumed.gain_1_s:.2f} 1/s", gain, std, count)
         lag, std = f"{best.lag_s:.3f} s", f"{estimate.lag_std_s:.3f}"
         grid.add_row(f"{name}: lag", f"{assumed.lag_s:.3f} s", lag, std, count)
@@ -224,7 +227,9 @@ def _table(record: FlightLog, found: Found) -> Table:
     if isinstance(found.hover, str):
         grid.add_row("hover thrust", assumed_hover, found.hover)
     else:
-        grid.add_row("hover thrust", assumed_hover, f"{found.hover[0]:.3f}", f"{found.hover[1]:.4f}", "thrust")
+        grid.add_row(
+            "hover thrust", assumed_hover, f"{found.hover[0]:.3f}", f"{found.hover[1]:.4f}", "thrust"
+        )
     if found.learnt_hover_thrust is not None:
         grid.add_row("hover thrust, learnt in flight", assumed_hover, f"{found.learnt_hover_thrust:.3f}")
     return grid
@@ -257,7 +262,9 @@ def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[st
         if record.by_attitude or whole_s < own_s:
             vehicle[own_lag] = own_s = whole_s
         if not record.by_attitude:
-            control[gain], control[lag] = estimate.response.gain_1_s, whole_s - own_s
+            control[lag] = whole_s - own_s
+            if math.isfinite(estimate.gain_std_1_s):
+                control[gain] = estimate.response.gain_1_s
     return vehicle, control
 
 
@@ -280,7 +287,7 @@ def check_lines(other: FlightLog, record: FlightLog, found: Found, path: Path) -
             continue
         try:
             cut = windows(data, axes, other.control.command_delay_s)
-        except TooLittle as error:
+        except TooLittleError as error:
             raise ConfigError(f"--check {path}: {error}") from error
         now = prediction_error_m_s(cut, estimate.response)
         before = prediction_error_m_s(cut, record.starting_points()[name])
