@@ -5,8 +5,9 @@ The model is `flight_model`'s, with the autopilot's velocity loop closed around 
 with u and v_sp the setpoint's acceleration and velocity as they left `delay_s` before, d what pushes. By
 attitude setpoints K = 0 and u is what attitude and thrust make.
 
-The flight is cut into windows of 2 s. What each begins with (v, a) and its d are free and enter linearly, so
-they are projected out; K and tau are those with the least squares of what is left of the velocity. North and
+The flight is cut into windows of 1 s (over longer ones d does not keep, and as setpoints answer what pushes,
+the lag would come out too long). What each begins with (v, a) and its d are free and enter linearly,
+so they are projected out; K and tau are those with the least squares of what is left of the velocity. North and
 east share theirs. Standard deviations let residuals within a window hang together. NED, SI units.
 """
 
@@ -22,8 +23,8 @@ import scipy.optimize
 
 from companion.geometry import GRAVITY_M_S2, FloatArray
 
-WINDOW_S: Final = 2.0
-FEWEST_WINDOWS: Final = 5
+WINDOW_S: Final = 1.0
+FEWEST_WINDOWS: Final = 10
 # numbers less certain than these shares of themselves are none
 MOST_UNCERTAIN: Final = 0.25
 HOVER_UNCERTAIN: Final = 0.02
@@ -31,6 +32,8 @@ BLOCK_S: Final = 1.0
 FEWEST_BLOCKS: Final = 5
 GAIN_BOUNDS: Final = (0.2, 12.0)
 LAG_BOUNDS_S: Final = (0.01, 1.5)
+# what is nearer to the assumed number than so many standard deviations is no reason to change that
+SIGNIFICANT: Final = 2.0
 FREE: Final = 3  # v, a and d of each window
 
 
@@ -69,6 +72,11 @@ class Response:
     lag_s: float
 
 
+def adopted(found: float, std: float, assumed: float) -> float:
+    """The number found, or the assumed one when the two do not contradict each other."""
+    return found if abs(found - assumed) > SIGNIFICANT * std else assumed
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A response as found, its standard deviations, and how many windows speak for it.
@@ -80,6 +88,14 @@ class Estimate:
     gain_std_1_s: float
     lag_std_s: float
     windows: int
+
+    def adopted(self, assumed: Response) -> Response:
+        """What of it there is reason to fly with; the rest as assumed."""
+        best = self.response
+        return Response(
+            adopted(best.gain_1_s, self.gain_std_1_s, assumed.gain_1_s),
+            adopted(best.lag_s, self.lag_std_s, assumed.lag_s),
+        )
 
 
 @dataclass(frozen=True)
@@ -102,7 +118,7 @@ def windows(flown: Flown, axes: tuple[int, ...], delay_s: float) -> Windows:
     starts = [k for first, last in flown.pieces for k in range(first, last - steps, steps // 2)]
     if len(starts) < FEWEST_WINDOWS:
         raise TooLittleError(
-            f"{0.5 * WINDOW_S * len(starts):.0f} s of flight by setpoints, expected {FEWEST_WINDOWS} s"
+            f"{len(starts)} windows of {WINDOW_S:g} s of flight by setpoints, expected {FEWEST_WINDOWS}"
         )
     rows = np.array(starts)[None, :] + np.arange(steps)[:, None]
 
@@ -160,8 +176,8 @@ def prediction_error_m_s(cut: Windows, response: Response) -> float:
 def fit(cut: Windows, start: Response) -> Estimate:
     """Gain and lag by least squares from a first guess; a gain of 0 stays.
 
-    A setpoint that carries the predicted velocity asks little of the autopilot's gain: where the flight leaves
-    that open, it stays as guessed (its deviation is then infinite), and the lag is what fits to it.
+    A setpoint that carries the predicted velocity asks little of the autopilot's gain: where the flight
+    leaves that open, it stays as guessed (its deviation is then infinite), and the lag is what fits to it.
 
     Raises:
         TooLittleError: the windows leave the lag open.
@@ -173,10 +189,9 @@ def fit(cut: Windows, start: Response) -> Estimate:
             return Estimate(found, *stds, cut.velocity_m_s.shape[1])
     found, shares = _search(cut, start, gain_is_free=False)
     if not shares[0] <= MOST_UNCERTAIN:
-        raise TooLittleError(
-            f"too little excitation: lag within {100.0 * min(shares[0], 9.99):.0f} %, "
-            f"expected {100.0 * MOST_UNCERTAIN:.0f} % or better"
-        )
+        how_well = f"within {100.0 * shares[0]:.0f} %" if shares[0] < 1.0 else "not at all"
+        most = f"{100.0 * MOST_UNCERTAIN:.0f} % or better"
+        raise TooLittleError(f"too little excitation: lag known {how_well}, expected {most}")
     return Estimate(found, math.inf, found.lag_s * float(shares[0]), cut.velocity_m_s.shape[1])
 
 
