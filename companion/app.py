@@ -49,8 +49,8 @@ from companion.messages import (
     VehicleState,
 )
 from companion.pad import load_pad
-from companion.plan.fuzzy_velocity import load_table
 from companion.plan.planner import PlanInputs, Planner
+from companion.plan.speed_laws import load_speed_law
 from companion.record import FlightLog
 from companion.sense.vision import Vision
 from companion.sensing import Sensing
@@ -136,7 +136,7 @@ class App:
             vehicle,
             horizon_steps=config.control.horizon_steps,
             step_s=config.control.step_s,
-            fuzzy=load_table(config.plan.fuzzy)[0],
+            law=load_speed_law(config.plan),
         )
         self._vehicle = vehicle
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys

@@ -37,6 +37,8 @@ from companion.external import External
 from companion.files import write_atomically
 from companion.flights import HELP as FLIGHTS_HELP
 from companion.flights import reason, score, serve_flights
+from companion.fuzzy.command import HELP as FUZZY_HELP
+from companion.fuzzy.command import fuzzy_command
 from companion.hardware import make_actions, open_hardware
 from companion.identify import HELP as IDENTIFY_HELP
 from companion.identify import identify_command
@@ -66,6 +68,9 @@ cli.command("identify", help=IDENTIFY_HELP, short_help="How the vehicle answers,
     identify_command
 )
 cli.command("check", help=CHECK_HELP, short_help="Check before a first flight, held by hand.")(check_command)
+cli.command("fuzzy", help=FUZZY_HELP, short_help="Show the fuzzy pilot, its rules and its table.")(
+    fuzzy_command
+)
 
 
 @cli.callback(invoke_without_command=True)

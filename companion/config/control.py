@@ -39,15 +39,17 @@ class PidGains(StrictModel):
 
     position_gain_1_s2: float = Field(ge=0.0, le=30.0)
     velocity_gain_1_s: float = Field(ge=0.0, le=15.0)
-    integral_gain_1_s3: float = Field(ge=0.0, le=20.0)
+    integral_gain_1_s3: float = Field(ge=0.0, le=40.0)
     integral_limit_m_s2: float = Field(default=3.0, ge=0.0, le=8.0)
 
 
 class PidConfig(StrictModel):
-    """The PID's gains; by `companion-experiments tune-pid`."""
+    """The PID's gains; by `companion-experiments tune-flight-pid`."""
 
-    horizontal: PidGains = PidGains(position_gain_1_s2=1.6, velocity_gain_1_s=2.0, integral_gain_1_s3=0.5)
-    vertical: PidGains = PidGains(position_gain_1_s2=1.6, velocity_gain_1_s=2.0, integral_gain_1_s3=0.5)
+    horizontal: PidGains = PidGains(
+        position_gain_1_s2=19.46, velocity_gain_1_s=7.95, integral_gain_1_s3=30.01
+    )
+    vertical: PidGains = PidGains(position_gain_1_s2=20.25, velocity_gain_1_s=10.18, integral_gain_1_s3=25.7)
 
 
 class ControlConfig(StrictModel):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from companion.config.reading import StrictModel
@@ -111,7 +113,9 @@ class PlanConfig(StrictModel):
     """The planner."""
 
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
+    speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = "fuzzy"
     fuzzy: str = "landing"
+    fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)
     mission: MissionConfig = MissionConfig()
     guidance: GuidanceConfig = GuidanceConfig()
     search: SearchConfig = SearchConfig()

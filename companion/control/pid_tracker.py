@@ -4,7 +4,7 @@ Per axis, u = a_ref + K_p e + K_d e' + integral of K_i e, with e the target's po
 where the command takes effect: the same prediction past the delay, the same reference with its velocity
 and acceleration fed forward, the same drawing near of far targets as the others get. What pushes is met by
 the integral alone; it stands still while the command is at its bound and the error would drive it further
-(clamping), and is bounded itself. Gains: `control.pid`, from `companion-experiments tune-pid`.
+(clamping), and is bounded itself. Gains: `control.pid`, from `companion-experiments tune-flight-pid`.
 
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
 """
@@ -49,9 +49,10 @@ class PidTracker:
         The disturbance and the last input are the model-based trackers' and are not used. Without finite
         numbers to go by: no acceleration, not solved.
         """
-        rows = np.hstack([target.position_m, target.velocity_m_s, target.acceleration_m_s2]).tolist()
+        reference = np.hstack([target.position_m, target.velocity_m_s, target.acceleration_m_s2])
+        rows = reference.tolist()
         first = self._bounded(self._command(start, rows[0]))
-        if not all(map(math.isfinite, first)):
+        if not (np.isfinite(reference).all() and all(map(math.isfinite, first))):
             return Solution(np.zeros((self._steps, 3)), np.zeros((self._steps, 9)), False, 0)
         self._integrate(start, rows[0], first)
         return self._rollout(start, rows)
@@ -79,7 +80,9 @@ class PidTracker:
         wanted = self._command(start, row)
         self._integral = vector3(
             [
-                _integrated(self._integral[i], row[i] - start.position_m[i], wanted[i] - flown[i], g, self._period_s)
+                _integrated(
+                    self._integral[i], row[i] - start.position_m[i], wanted[i] - flown[i], g, self._period_s
+                )
                 for i, g in enumerate(self._gains)
             ]
         )

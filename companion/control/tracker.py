@@ -13,6 +13,8 @@ from typing import Protocol
 from companion.config import ControlConfig
 from companion.control.flight_model import Motion
 from companion.control.mpc import Mpc, Solution, Target
+from companion.control.pid_tracker import PidTracker
+from companion.control.riccati_tracker import RiccatiTracker
 from companion.geometry import Vector3
 
 
@@ -33,6 +35,12 @@ def make_tracker(
 ) -> Tracker:
     """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`).
 
-    `stopwatch` tells seconds: what searches for long ends at `control.solve_limit_s` by it.
+    `stopwatch` tells seconds: the MPC's search ends at `control.solve_limit_s` by it.
     """
-    return Mpc(config, lags_s, stopwatch)
+    if config.controller == "mpc":
+        return Mpc(config, lags_s, stopwatch)
+    without_search: dict[str, Callable[[ControlConfig, Vector3], Tracker]] = {
+        "riccati": RiccatiTracker,
+        "pid": PidTracker,
+    }
+    return without_search[config.controller](config, lags_s)

@@ -2,9 +2,27 @@
 
 from __future__ import annotations
 
-import typer
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
 
-app = typer.Typer(help="The paper's experiments, each with a table and a plot.", no_args_is_help=True)
+import typer
+from rich.console import Console
+from rich.progress import track
+from typer.exceptions import TyperException
+
+from companion.config import ConfigError
+from companion.experiments import fig13, profiles, tune_flight_pid
+from companion.experiments.flown import fly_scenario
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+)
 
 
 @app.callback()
@@ -12,9 +30,92 @@ def experiments() -> None:
     """The paper's experiments, each with a table and a plot."""
 
 
+Picture = Annotated[Path, typer.Option("--output", "-o", help="Where the picture goes.", metavar="FILE.png")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Repeats the experiment.")]
+
+
+@app.command("fig13")
+def fig13_command(
+    *,
+    scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "circle",
+    seed: Seed = 0,
+    output: Picture = Path("fig13.png"),
+) -> None:
+    """Fig. 13: the EKF's position beside the GPS's and the truth, in a simulated flight."""
+    writable(output)
+    observed = fig13.observe(fly_scenario(scenario, seed))
+    fig13.draw(observed, output)
+    console = Console()
+    console.print(fig13.table(observed))
+    finish(console, {"EKF's path and noise": observed.holds()}, output)
+
+
+@app.command("profiles")
+def profiles_command(
+    *,
+    scenarios: Annotated[
+        list[str], typer.Option("--scenario", help="A name in configs/scenarios, or a file; again for more.")
+    ] = list(profiles.SCENARIOS),  # noqa: B006 - typer's way to give a list a default
+    seed: Seed = 0,
+    flights: Annotated[int, typer.Option(min=1, help="Of each law in each scenario.")] = 3,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that fly.")] = 1,
+    output: Picture = Path("profiles.png"),
+) -> None:
+    """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
+    writable(output)
+    console, count = Console(), len(profiles.LAWS) * len(scenarios) * flights
+    flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs)
+    descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
+    profiles.draw(descents, output)
+    console.print(profiles.table(descents))
+    finish(console, profiles.bars(descents), output)
+
+
+@app.command("tune-flight-pid")
+def tune_command(
+    *,
+    draws: Annotated[int, typer.Option(min=1, help="Gains tried in each of three rounds.")] = 12,
+    seed: Seed = 0,
+) -> None:
+    """Tune the gains of control.pid (a few minutes), and fly them on seeds that tuned nothing."""
+    console = Console()
+    pid = tune_flight_pid.tune(draws, seed, lambda line: console.print(line, highlight=False))
+    tune_flight_pid.show(pid, console)
+
+
+def writable(output: Path) -> None:
+    """Make sure before minutes of flying that the picture can be written after them.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    if output.suffix.lower() != ".png" or not output.parent.is_dir() or not os.access(output.parent, os.W_OK):
+        raise ConfigError(f"--output {output}: expected a .png file in a folder that can be written")
+
+
+def finish(console: Console, bars: Mapping[str, bool], output: Path) -> None:
+    """Say which bars hold and where the picture is; the exit status is 0 when all do.
+
+    Raises:
+        typer.Exit: always.
+    """
+    words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items())
+    console.print(f"picture: {output}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
+    raise typer.Exit(0 if all(bars.values()) else 1)
+
+
 def main() -> None:
-    """Run an experiment."""
-    app()
+    """Run an experiment: whatever the user got wrong ends in one line on standard error."""
+    try:
+        code = app(standalone_mode=False)
+    except (TyperException, ConfigError) as error:
+        text = error.format_message() if isinstance(error, TyperException) else str(error)
+        print(f"companion-experiments: {text.rstrip('.')}", file=sys.stderr)
+        code = 2
+    except typer.Abort:
+        code = 1
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ class Planner:
     """One mission, from connecting to standing on the pad."""
 
     def __init__(
-        self, config: PlanConfig, vehicle: VehicleConfig, horizon_steps: int, step_s: float, fuzzy: SpeedLaw
+        self, config: PlanConfig, vehicle: VehicleConfig, horizon_steps: int, step_s: float, law: SpeedLaw
     ) -> None:
         mission, search = config.mission, config.search
         self.phase = Phase.CONNECT
@@ -43,7 +43,7 @@ class Planner:
         self._watch = Watch(mission)
         self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
         self._ground = Ground(vehicle.range_position_body_m)
-        self._guide = Guide(config.guidance, fuzzy, horizon_steps, step_s)
+        self._guide = Guide(config.guidance, law, horizon_steps, step_s)
         self._flight = Flight(
             config,
             vehicle,

@@ -34,6 +34,7 @@ from companion.config import (
     load_config,
     validate,
 )
+from companion.experiments.command import app as experiments_cli
 from companion.result import Result
 from docs import settings_table
 from sitl.campaign import SCENARIOS
@@ -55,6 +56,7 @@ PROGRAMS = {
     "calibrate-magnetometer": magnetometer_cli,
     "calibrate-mount": mount_cli,
     "calibrate-camera": camera_cli,
+    "companion-experiments": experiments_cli,
 }
 FOLDERS = ("companion/", "sitl/", "calibration/", "configs/", "docs/", "tests/", "systemd/")
 
@@ -86,6 +88,7 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "calibrate-magnetometer": "calibration.magnetometer.command",
         "calibrate-mount": "calibration.mount.command",
         "calibrate-camera": "calibration.camera.command",
+        "companion-experiments": "companion.experiments.command",
     }
     module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(
@@ -103,6 +106,8 @@ def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
         return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
+    if words[0] == "companion-experiments":
+        return "--help" in words
     if words[0].startswith("calibrate-"):
         return "--help" in words or "--make-board" in words
     if words[0] == "companion-sitl":
@@ -211,6 +216,17 @@ def test_the_simulator_s_options_are_in_its_page() -> None:
     shown = [p for p in typer.main.get_command(sitl_cli).params if not getattr(p, "hidden", False)]
     options = {option for parameter in shown for option in parameter.opts}
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
+
+
+def test_the_fuzzy_command_s_options_are_in_its_page() -> None:
+    fuzzy = typer.main.get_command(cli).commands["fuzzy"]  # type: ignore[attr-defined]
+    options = {option for parameter in fuzzy.params for option in parameter.opts if option.startswith("--")}
+    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
+
+
+def test_every_experiment_is_in_its_page() -> None:
+    experiments = typer.main.get_command(experiments_cli).commands  # type: ignore[attr-defined]
+    assert set(experiments) <= set(re.findall(r"^## ([\w-]+)", TEXTS["experiments.md"], re.MULTILINE))
 
 
 def test_the_magnetometer_tools_options_are_in_its_page() -> None:

@@ -48,7 +48,7 @@ def _flight(
                 wanted = then[0] + (truth.gain_1_s * (then[1] - v)) + push[k, axis]
                 p, v, a = advance_axis((p, v, a), wanted, PERIOD_S / 4, truth.lag_s)
     return Flown(
-        time_s=PERIOD_S * np.arange(steps),
+        time_s=PERIOD_S * np.arange(steps, dtype=np.float64),
         velocity_ned_m_s=velocity + rng.normal(0.0, 0.004, velocity.shape),
         force_m_s2=np.full(steps, GRAVITY_M_S2),
         command_velocity_ned_m_s=command,
@@ -102,7 +102,9 @@ def _hovering(thrust: FloatArray | None, noise: float = 0.3, steps: int = 600) -
     rng, still = np.random.default_rng(7), np.zeros((steps, 3))
     force = GRAVITY_M_S2 / 0.43 * (np.full(steps, 0.43) if thrust is None else thrust)
     force = force + rng.normal(0.0, noise, steps)
-    return Flown(PERIOD_S * np.arange(steps), still, force, still, still, thrust, ((0, steps),))
+    return Flown(
+        PERIOD_S * np.arange(steps, dtype=np.float64), still, force, still, still, thrust, ((0, steps),)
+    )
 
 
 def test_hover_thrust_is_what_carries_the_weight() -> None:

@@ -5,13 +5,8 @@ import pytest
 import yaml
 
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.plan.fuzzy_velocity import (
-    SpeedTable,
-    load_rules,
-    load_table,
-    mamdani,
-    write_table,
-)
+from companion.plan.fuzzy_rules import load_rules, mamdani
+from companion.plan.fuzzy_velocity import SpeedTable, load_table, write_table
 
 SHIPPED = CONFIG_FOLDER / "fuzzy" / "landing.yaml"
 
@@ -29,7 +24,7 @@ def edited(folder: Path, **changes: object) -> Path:
 
 
 def test_the_shipped_table_belongs_to_the_shipped_rules() -> None:
-    # else the start takes seconds: run python -m companion.plan.fuzzy_velocity landing
+    # else the start takes seconds: run companion fuzzy landing --write-table
     assert load_table("landing")[1] == "stored"
 
 

@@ -1,0 +1,76 @@
+"""`companion fuzzy`: what it prints, draws and writes, and what it says of rules that are no pilot's."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from companion.cli import cli
+from companion.config import ConfigError
+from companion.plan.fuzzy_velocity import load_table
+
+FEW = ("--points", "200")
+
+
+# two terms a variable, so that the table is small
+SMALL = {
+    "name": "small",
+    "distance_m": {"near": [0.0, 0.0, 4.0], "far": [0.0, 4.0, 8.0]},
+    "velocity_m_s": {"opening": [-1.0, -1.0, 1.0], "rushing": [-1.0, 1.0, 1.0]},
+    "acceleration_m_s2": {"braking": [-1.0, -1.0, 1.0], "pushing": [-1.0, 1.0, 1.0]},
+    "speed_m_s": {"slow": [0.7, 0.8, 0.9], "fast": [1.0, 1.1, 1.2]},
+}
+RULES = {"near": ["slow", "slow"], "far": ["fast", "slow"]}
+
+
+def mine(folder: Path, rules: dict[str, list[str]]) -> Path:
+    data = SMALL | {"rules": {"braking": rules, "pushing": rules}}
+    path = folder / "mine.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def test_the_shipped_rules_are_shown_checked_and_drawn(tmp_path: Path) -> None:
+    picture = tmp_path / "fuzzy.png"
+    result = CliRunner().invoke(cli, ["fuzzy", "--plot", str(picture), *FEW])
+    assert result.exit_code == 0
+    assert "bar 1 %: holds" in result.output
+    assert result.output.count(": holds") == 4
+    for word in ("acceleration steady", "rushing", "touching", "creep"):
+        assert word in result.output
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_table_is_written_and_belongs_to_its_rules(tmp_path: Path) -> None:
+    path = mine(tmp_path, RULES)
+    result = CliRunner().invoke(cli, ["fuzzy", str(path), "--write-table", *FEW])
+    assert result.exit_code == 0
+    assert str(path.with_suffix(".table.json")) in result.output
+    assert load_table(path)[1] == "stored"
+
+
+def test_rules_that_rush_are_told_and_fail(tmp_path: Path) -> None:
+    rushed = {distance: row[::-1] for distance, row in RULES.items()}
+    result = CliRunner().invoke(cli, ["fuzzy", str(mine(tmp_path, rushed)), *FEW])
+    assert result.exit_code == 1
+    assert "no table belongs to these rules" in result.output
+    assert "never faster when already closing faster: BROKEN, by up to" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nobody"], "fuzzy: no 'nobody'"),
+        (["--plot", "fuzzy.pdf"], "--plot fuzzy.pdf: expected a .png file"),
+        (
+            ["--plot", "nowhere/fuzzy.png"],
+            "--plot nowhere/fuzzy.png: expected a .png file in a folder that exists",
+        ),
+    ],
+)
+def test_what_a_user_gets_wrong_is_one_line(words: list[str], said: str) -> None:
+    error = CliRunner().invoke(cli, ["fuzzy", *words, *FEW]).exception
+    assert isinstance(error, ConfigError)
+    assert str(error).startswith(said)
+    assert "\n" not in str(error)
