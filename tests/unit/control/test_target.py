@@ -119,7 +119,7 @@ def test_a_reference_below_the_floor_is_lifted_to_it() -> None:
 
 
 def test_a_cone_stands_on_the_pad_as_it_moves() -> None:
-    times = 0.1 * np.arange(6)
+    times: FloatArray = 0.1 * np.arange(6, dtype=np.float64)
     up = np.stack([times, 0.0 * times, -0.3 * times], axis=1)
     path = PadPath(up, np.zeros((6, 3)), np.zeros((6, 3)))
     cone = DescentCone(slope=0.2, radius_m=0.1, apex_height_m=0.18)
