@@ -1,4 +1,4 @@
-"""The recursion of eqs. 40-42 against the batch problem it solves, densely and by OSQP without constraints."""
+"""The recursion of eqs. 40-42 against the batch problem it solves: dense, and OSQP without constraints."""
 
 from __future__ import annotations
 
@@ -57,7 +57,8 @@ def batch(made: Problem) -> tuple[FloatArray, FloatArray]:
     N, n, m = made.B.shape
     w = made.weights
     free, forced = made.start, np.zeros((n, N * m))
-    hessian: FloatArray = np.kron(np.eye(N), w.R)
+    hessian = np.zeros((N * m, N * m))
+    hessian += np.kron(np.eye(N), w.R)
     gradient = np.zeros(N * m)
     for i in range(N):
         free = made.A[i] @ free + made.drift[i]
