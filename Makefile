@@ -4,6 +4,7 @@
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
+# make bench-mpc             what a step of the MPC costs, beside setting it up anew
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
@@ -25,7 +26,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-obstacles bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -57,6 +58,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python tests/bench/bench_time.py || status=1; \
 	$(BENCH_STATE) || status=1; \
 	$(BIN)/python -m tests.bench.bench_pad_filter || status=1; \
+	$(BIN)/python -m tests.bench.bench_mpc || status=1; \
 	$(BIN)/python -m tests.bench.bench_fuzz || status=1; \
 	$(BIN)/companion-sitl campaign --runs $(SEEDS) --bars || status=1; \
 	exit $$status
@@ -69,6 +71,9 @@ bench-pad: $(VENV)/.dev
 
 bench-obstacles: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_obstacles
+
+bench-mpc: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_mpc
 
 # needs the machine to itself, for half an hour
 bench-campaign: $(VENV)/.dev
@@ -83,6 +88,7 @@ bench-landing: $(VENV)/.dev
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_fuzz
+
 bench-sitl-speed: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_sitl_speed
 

@@ -1,4 +1,4 @@
-"""`companion identify`: a recorded flight in, the flight model's numbers and their lines for the settings out.
+"""`companion identify`: a flight in, the flight model's numbers and their lines for the settings out.
 
 Reads what the app recorded (flight.mcap): its own estimates, the setpoints as they left, and when the
 autopilot obeyed. NED, SI units; the fits are `companion.control.identification`.
@@ -7,6 +7,7 @@ autopilot obeyed. NED, SI units; the fits are `companion.control.identification`
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -23,7 +24,8 @@ from companion.control.identification import (
     Estimate,
     Flown,
     Response,
-    TooLittle,
+    TooLittleError,
+    adopted,
     fit,
     hover_thrust,
     prediction_error_m_s,
@@ -97,12 +99,13 @@ def identify_command(
     record = read_flight(log)
     found = identify(record, log)
     console = Console()
-    console.print(_table(record, found))
-    for line in settings_lines(record, found):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
+    grid, lines = _table(record, found)
+    console.print(grid)
+    lines += settings_lines(record, found)
     if check is not None:
-        for line in check_lines(read_flight(check), record, found, check):
-            console.print(line, highlight=False, soft_wrap=True, markup=False)
+        lines += check_lines(read_flight(check), record, found, check)
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def read_flight(path: Path) -> FlightLog:
@@ -190,11 +193,11 @@ def identify(record: FlightLog, path: Path) -> Found:
         try:
             cut = windows(data, axes, record.control.command_delay_s)
             responses[name] = fit(cut, record.starting_points()[name])
-        except TooLittle as error:
+        except TooLittleError as error:
             responses[name] = str(error)
     try:
         hover: tuple[float, float] | str = hover_thrust(data)
-    except TooLittle as error:
+    except TooLittleError as error:
         hover = str(error)
     if not any(isinstance(each, Estimate) for each in responses.values()) and isinstance(hover, str):
         raise ConfigError(f"{path}: {responses['sideways']}")
@@ -205,29 +208,35 @@ def identify(record: FlightLog, path: Path) -> Found:
 # ---------------------------------------------------------------- what is shown
 
 
-def _table(record: FlightLog, found: Found) -> Table:
+def _table(record: FlightLog, found: Found) -> tuple[Table, list[str]]:
+    """What was found, and why the rest was not."""
+    notes: list[str] = []
     grid = Table(title=f"How {record.vehicle.name} answers, by {record.control.setpoint} setpoints")
     for heading in ("", "assumed", "found", "standard deviation", "from"):
         grid.add_column(heading, justify="left" if not heading else "right")
     for name, assumed in record.starting_points().items():
         estimate = found.responses[name]
         if isinstance(estimate, str):
-            grid.add_row(name, "", estimate)
+            notes.append(f"{name}: {estimate}")
             continue
         best, count = estimate.response, f"{estimate.windows} windows"
         if not record.by_attitude:
             gain, std = f"{best.gain_1_s:.2f} 1/s", f"{estimate.gain_std_1_s:.2f}"
+            if math.isinf(estimate.gain_std_1_s):
+                gain, std = "as assumed", "too little excitation"
             grid.add_row(f"{name}: velocity gain", f"{assumed.gain_1_s:.2f} 1/s", gain, std, count)
         lag, std = f"{best.lag_s:.3f} s", f"{estimate.lag_std_s:.3f}"
         grid.add_row(f"{name}: lag", f"{assumed.lag_s:.3f} s", lag, std, count)
     assumed_hover = f"{record.vehicle.hover_thrust:.3f}"
     if isinstance(found.hover, str):
-        grid.add_row("hover thrust", assumed_hover, found.hover)
+        notes.append(f"hover thrust: {found.hover}")
     else:
-        grid.add_row("hover thrust", assumed_hover, f"{found.hover[0]:.3f}", f"{found.hover[1]:.4f}", "thrust")
+        grid.add_row(
+            "hover thrust", assumed_hover, f"{found.hover[0]:.3f}", f"{found.hover[1]:.4f}", "thrust"
+        )
     if found.learnt_hover_thrust is not None:
         grid.add_row("hover thrust, learnt in flight", assumed_hover, f"{found.learnt_hover_thrust:.3f}")
-    return grid
+    return grid, notes
 
 
 def settings_lines(record: FlightLog, found: Found) -> list[str]:
@@ -238,14 +247,16 @@ def settings_lines(record: FlightLog, found: Found) -> list[str]:
         lines += [f"# configs/vehicles/{record.vehicle.name}.yaml", *_yaml(vehicle)]
     if control:
         lines += ["# the app's settings", "control:", *(f"  {line}" for line in _yaml(control))]
-    return lines
+    return lines or ["nothing found contradicts the settings: they may stay as they are"]
 
 
 def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[str, float]]:
     """Settings of the vehicle and of control by their names."""
     vehicle, control = dict[str, float](), dict[str, float]()
     if not isinstance(found.hover, str):
-        vehicle["hover_thrust"] = found.hover[0]
+        hover = adopted(*found.hover, record.vehicle.hover_thrust)
+        if hover != record.vehicle.hover_thrust:
+            vehicle["hover_thrust"] = hover
     for name, own_lag, gain, lag in (
         ("sideways", "acceleration_time_constant_s", "autopilot_velocity_gain_1_s", "autopilot_lag_s"),
         ("down", "thrust_time_constant_s", "autopilot_climb_gain_1_s", "autopilot_climb_lag_s"),
@@ -253,11 +264,16 @@ def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[st
         estimate = found.responses[name]
         if isinstance(estimate, str):
             continue
-        whole_s, own_s = estimate.response.lag_s, float(getattr(record.vehicle, own_lag))
-        if record.by_attitude or whole_s < own_s:
-            vehicle[own_lag] = own_s = whole_s
+        assumed = record.starting_points()[name]
+        now, own_s = estimate.adopted(assumed), float(getattr(record.vehicle, own_lag))
+        if now.gain_1_s != assumed.gain_1_s:
+            control[gain] = now.gain_1_s
+        if now.lag_s == assumed.lag_s:
+            continue
+        if record.by_attitude or now.lag_s < own_s:
+            vehicle[own_lag] = own_s = now.lag_s
         if not record.by_attitude:
-            control[gain], control[lag] = estimate.response.gain_1_s, whole_s - own_s
+            control[lag] = now.lag_s - own_s
     return vehicle, control
 
 
@@ -266,7 +282,7 @@ def _yaml(numbers: dict[str, float]) -> list[str]:
 
 
 def check_lines(other: FlightLog, record: FlightLog, found: Found, path: Path) -> list[str]:
-    """How well the numbers predict another flight's velocity a second ahead, beside the settings' own.
+    """How well the numbers predict another flight's velocity half a second ahead, beside the settings' own.
 
     Raises:
         ConfigError: the other flight went by other setpoints, or is too short.
@@ -280,9 +296,11 @@ def check_lines(other: FlightLog, record: FlightLog, found: Found, path: Path) -
             continue
         try:
             cut = windows(data, axes, other.control.command_delay_s)
-        except TooLittle as error:
+        except TooLittleError as error:
             raise ConfigError(f"--check {path}: {error}") from error
-        now = prediction_error_m_s(cut, estimate.response)
-        before = prediction_error_m_s(cut, record.starting_points()[name])
-        lines.append(f"velocity {name}, 1 s ahead in {path}: {now:.3f} m/s rms, {before:.3f} as assumed")
+        assumed = record.starting_points()[name]
+        now, before = (prediction_error_m_s(cut, each) for each in (estimate.adopted(assumed), assumed))
+        lines.append(
+            f"velocity {name}, half a second ahead in {path}: {now:.3f} m/s rms, {before:.3f} as assumed"
+        )
     return lines

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict
 
 from companion.geometry import FloatArray, matrix_from_quat
 from companion.messages import (
+    ControlReport,
     FrameReport,
     Notice,
     Outcome,
@@ -87,6 +88,17 @@ class Latency(_Part):
     exposure_to_setpoint_p99: float | None
 
 
+class ControlResult(_Part):
+    """How the tracker fared: its cycles, those without a solution, and how often what left was cut."""
+
+    cycles: int = 0
+    unsolved: int = 0
+    late: int = 0
+    stopped: int = 0
+    limited: int = 0
+    iterations_p99: float | None = None
+
+
 class SimResult(_Part):
     """How fast the simulation ran."""
 
@@ -113,6 +125,7 @@ class Result(_Part):
     vision: VisionResult
     estimate: EstimateResult
     latency_ms: Latency
+    control: ControlResult = ControlResult()
     sim: SimResult
     events: tuple[Event, ...]
 
@@ -207,6 +220,7 @@ def build_result(
         vision=_vision(kept.get("frame_report", ()), kept.get("sighting", ()), track),
         estimate=_estimate(kept, track),
         latency_ms=latency(kept.get("setpoint", ())),
+        control=control_result(kept.get("control_report", ())),
         sim=SimResult(real_time_factor=round(real_time_factor, 2)),
         events=tuple(_event(notice) for notice in kept.get("notice", ())),
     )
@@ -231,6 +245,19 @@ def phase_times(plans: Sequence[PlanStep]) -> Times:
         approach_s=_round(spent[Phase.APPROACH]),
         descent_s=_round(spent[Phase.DESCEND] + spent[Phase.TOUCHDOWN]),
         total_s=_round(total),
+    )
+
+
+def control_result(reports: Sequence[ControlReport]) -> ControlResult:
+    """Counts over a flight's cycles."""
+    iterations = [report.iterations for report in reports]
+    return ControlResult(
+        cycles=len(reports),
+        unsolved=sum(not report.solved for report in reports),
+        late=sum(report.late for report in reports),
+        stopped=sum(report.stopped for report in reports),
+        limited=sum(bool(report.limited) for report in reports),
+        iterations_p99=_round(np.percentile(iterations, 99)) if iterations else None,
     )
 
 

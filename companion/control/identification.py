@@ -5,9 +5,10 @@ The model is `flight_model`'s, with the autopilot's velocity loop closed around 
 with u and v_sp the setpoint's acceleration and velocity as they left `delay_s` before, d what pushes. By
 attitude setpoints K = 0 and u is what attitude and thrust make.
 
-The flight is cut into windows of 2 s. What each begins with (v, a) and its d are free and enter linearly, so
-they are projected out; K and tau are those with the least squares of what is left of the velocity. North and
-east share theirs. Standard deviations let residuals within a window hang together. NED, SI units.
+The flight is cut into windows of 1 s (over longer ones d does not keep, and as setpoints answer what pushes,
+the lag would come out too long). What each begins with (v, a) and its d are free and enter linearly,
+so they are projected out; K and tau are those with the least squares of what is left of the velocity. North
+and east share theirs. Standard deviations let residuals within a window hang together. NED, SI units.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ import scipy.optimize
 
 from companion.geometry import GRAVITY_M_S2, FloatArray
 
-WINDOW_S: Final = 2.0
-FEWEST_WINDOWS: Final = 5
+WINDOW_S: Final = 1.0
+FEWEST_WINDOWS: Final = 10
 # numbers less certain than these shares of themselves are none
 MOST_UNCERTAIN: Final = 0.25
 HOVER_UNCERTAIN: Final = 0.02
@@ -31,10 +32,12 @@ BLOCK_S: Final = 1.0
 FEWEST_BLOCKS: Final = 5
 GAIN_BOUNDS: Final = (0.2, 12.0)
 LAG_BOUNDS_S: Final = (0.01, 1.5)
+# what is nearer to the assumed number than so many standard deviations is no reason to change that
+SIGNIFICANT: Final = 2.0
 FREE: Final = 3  # v, a and d of each window
 
 
-class TooLittle(ValueError):
+class TooLittleError(ValueError):
     """The flight does not tell: it is too short, or nothing in it moves enough."""
 
 
@@ -69,14 +72,30 @@ class Response:
     lag_s: float
 
 
+def adopted(found: float, std: float, assumed: float) -> float:
+    """The number found, or the assumed one when the two do not contradict each other."""
+    return found if abs(found - assumed) > SIGNIFICANT * std else assumed
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A response as found, its standard deviations, and how many windows speak for it."""
+    """A response as found, its standard deviations, and how many windows speak for it.
+
+    A gain with an infinite deviation is the one that was assumed.
+    """
 
     response: Response
     gain_std_1_s: float
     lag_std_s: float
     windows: int
+
+    def adopted(self, assumed: Response) -> Response:
+        """What of it there is reason to fly with; the rest as assumed."""
+        best = self.response
+        return Response(
+            adopted(best.gain_1_s, self.gain_std_1_s, assumed.gain_1_s),
+            adopted(best.lag_s, self.lag_std_s, assumed.lag_s),
+        )
 
 
 @dataclass(frozen=True)
@@ -93,13 +112,13 @@ def windows(flown: Flown, axes: tuple[int, ...], delay_s: float) -> Windows:
     """Windows of all these axes (0 north, 1 east, 2 down), with commands as they take effect.
 
     Raises:
-        TooLittle: there are too few.
+        TooLittleError: there are too few.
     """
     steps = round(WINDOW_S / flown.period_s)
     starts = [k for first, last in flown.pieces for k in range(first, last - steps, steps // 2)]
     if len(starts) < FEWEST_WINDOWS:
-        raise TooLittle(
-            f"{0.5 * WINDOW_S * len(starts):.0f} s of flight by setpoints, expected {FEWEST_WINDOWS} s or more"
+        raise TooLittleError(
+            f"{len(starts)} windows of {WINDOW_S:g} s of flight by setpoints, expected {FEWEST_WINDOWS}"
         )
     rows = np.array(starts)[None, :] + np.arange(steps)[:, None]
 
@@ -146,7 +165,7 @@ def residuals(cut: Windows, response: Response) -> FloatArray:
 
 
 def prediction_error_m_s(cut: Windows, response: Response) -> float:
-    """Root mean square error (m/s) of the velocity over a window's second half, by what its first half told."""
+    """Root mean square error (m/s) of a window's second half, predicted by what its first half told."""
     forced, free = _answers(cut, response)
     half = len(forced) // 2
     left = cut.velocity_m_s - forced
@@ -157,30 +176,41 @@ def prediction_error_m_s(cut: Windows, response: Response) -> float:
 def fit(cut: Windows, start: Response) -> Estimate:
     """Gain and lag by least squares from a first guess; a gain of 0 stays.
 
+    A setpoint that carries the predicted velocity asks little of the autopilot's gain: where the flight
+    leaves that open, it stays as guessed (its deviation is then infinite), and the lag is what fits to it.
+
     Raises:
-        TooLittle: the windows leave one of them open.
+        TooLittleError: the windows leave the lag open.
     """
-    by_velocity = start.gain_1_s > 0.0
+    if start.gain_1_s > 0.0:
+        found, shares = _search(cut, start, gain_is_free=True)
+        if (shares <= MOST_UNCERTAIN).all():
+            stds = (found.gain_1_s * float(shares[0]), found.lag_s * float(shares[1]))
+            return Estimate(found, *stds, cut.velocity_m_s.shape[1])
+    found, shares = _search(cut, start, gain_is_free=False)
+    if not shares[0] <= MOST_UNCERTAIN:
+        how_well = f"within {100.0 * shares[0]:.0f} %" if shares[0] < 1.0 else "not at all"
+        most = f"{100.0 * MOST_UNCERTAIN:.0f} % or better"
+        raise TooLittleError(f"too little excitation: lag known {how_well}, expected {most}")
+    return Estimate(found, math.inf, found.lag_s * float(shares[0]), cut.velocity_m_s.shape[1])
+
+
+def _search(cut: Windows, start: Response, *, gain_is_free: bool) -> tuple[Response, FloatArray]:
+    """The best response, and the relative standard deviations of what was free; infinite at a bound."""
 
     def response(logs: FloatArray) -> Response:
-        numbers = np.exp(logs)
-        return Response(float(numbers[0]) if by_velocity else 0.0, float(numbers[-1]))
+        gain = float(np.exp(logs[0])) if gain_is_free else start.gain_1_s
+        return Response(gain, float(np.exp(logs[-1])))
 
-    first = np.log([start.gain_1_s, start.lag_s] if by_velocity else [start.lag_s])
-    bounds = np.log([GAIN_BOUNDS, LAG_BOUNDS_S] if by_velocity else [LAG_BOUNDS_S]).T
+    first = np.log([start.gain_1_s, start.lag_s] if gain_is_free else [start.lag_s])
+    bounds = np.log([GAIN_BOUNDS, LAG_BOUNDS_S] if gain_is_free else [LAG_BOUNDS_S]).T
     found = scipy.optimize.least_squares(
         lambda logs: residuals(cut, response(logs)).ravel(), np.clip(first, *bounds), bounds=bounds
     )
-    best, shares = response(found.x), _uncertainty(found.jac, found.fun, cut.velocity_m_s.shape)
-    at_bound = bool(np.any(np.abs(found.x - bounds) < 1e-3))
-    if at_bound or not (shares <= MOST_UNCERTAIN).all():
-        gain = f"gain within {100.0 * min(shares[0], 9.99):.0f} %, " if by_velocity else ""
-        raise TooLittle(
-            f"too little excitation: {gain}lag within {100.0 * min(shares[-1], 9.99):.0f} %, "
-            f"expected {100.0 * MOST_UNCERTAIN:.0f} % or better"
-        )
-    gain_std = best.gain_1_s * float(shares[0]) if by_velocity else 0.0
-    return Estimate(best, gain_std, best.lag_s * float(shares[-1]), cut.velocity_m_s.shape[1])
+    shares = _uncertainty(found.jac, found.fun, cut.velocity_m_s.shape)
+    if np.any(np.abs(found.x - bounds) < 1e-3):
+        shares = np.full_like(shares, np.inf)
+    return response(found.x), shares
 
 
 def _uncertainty(jacobian: FloatArray, left: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -200,17 +230,19 @@ def hover_thrust(flown: Flown) -> tuple[float, float]:
     Thrust T makes the force g T / hover along the vehicle's axis, so hover = g * mean(T) / mean(force).
 
     Raises:
-        TooLittle: no thrust was commanded, too shortly, or it does not fit the force.
+        TooLittleError: no thrust was commanded, too shortly, or it does not fit the force.
     """
     if flown.thrust is None:
-        raise TooLittle("no thrust in the log: hover thrust shows in flights by attitude setpoints")
+        raise TooLittleError("no thrust in the log: hover thrust shows in flights by attitude setpoints")
     size = round(BLOCK_S / flown.period_s)
     starts = [k for first, last in flown.pieces for k in range(first, last - size + 1, size)]
     if len(starts) < FEWEST_BLOCKS:
-        raise TooLittle(f"{BLOCK_S * len(starts):.0f} s of flight, expected {BLOCK_S * FEWEST_BLOCKS:.0f} s")
+        raise TooLittleError(
+            f"{BLOCK_S * len(starts):.0f} s of flight, expected {BLOCK_S * FEWEST_BLOCKS:.0f} s"
+        )
     rows = np.array(starts)[:, None] + np.arange(size)
     shares = GRAVITY_M_S2 * flown.thrust[rows].mean(axis=1) / flown.force_m_s2[rows].mean(axis=1)
     mean, std = float(np.mean(shares)), float(np.std(shares, ddof=1)) / math.sqrt(len(shares))
     if not std <= HOVER_UNCERTAIN * mean:
-        raise TooLittle(f"hover thrust within {100.0 * std / mean:.0f} %, expected 2 % or better")
+        raise TooLittleError(f"hover thrust within {100.0 * std / mean:.0f} %, expected 2 % or better")
     return mean, std

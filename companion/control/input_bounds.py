@@ -21,22 +21,23 @@ OCTAGON: Final = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)
 EIGHT: Final = np.vstack([OCTAGON, -OCTAGON])
 # an octagon with this share of a circle's radius to its sides lies within the circle
 OCTAGON_WITHIN_CIRCLE: Final = math.cos(math.pi / 8)
-INPUT_ROWS: Final = 4 + 1 + 8 + 8
+FOUR: Final = EIGHT[::2]
+INPUT_ROWS: Final = 4 + 1 + 8 + 4
 # whatever hover thrust has been learnt, the vehicle may at least rise and sink by this share of g
 LEAST_ROOM: Final = 0.1
 
 
 def input_rows(limits: LimitsConfig) -> FloatArray:
-    """Rows (21, 3) on one input: horizontal (4), vertical (1), lean (8) and thrust (8)."""
+    """Rows (17, 3) on one input: horizontal (4), vertical (1), lean (8) and thrust (4)."""
     octagon = np.hstack([OCTAGON, np.zeros((4, 1))])
     lean = np.hstack([EIGHT, np.full((8, 1), OCTAGON_WITHIN_CIRCLE * _tangent(limits))])
     ring = _ring_rad(limits)
-    thrust = np.hstack([EIGHT * math.sin(ring), np.full((8, 1), -math.cos(ring))])
+    thrust = np.hstack([FOUR * math.sin(ring), np.full((4, 1), -math.cos(ring))])
     return np.vstack([octagon, [[0.0, 0.0, 1.0]], lean, thrust])
 
 
 def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper bounds (21,) of `input_rows`, for a share of full thrust that carries the weight.
+    """Lower and upper bounds (17,) of `input_rows`, for a share of full thrust that carries the weight.
 
     Zero lies inside with room to spare, whatever the numbers: the vehicle may always hover.
     """
@@ -47,8 +48,8 @@ def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray,
     lean = OCTAGON_WITHIN_CIRCLE * _tangent(limits) * GRAVITY_M_S2
     thrust = most * _ring_within_sphere(limits) - GRAVITY_M_S2 * math.cos(_ring_rad(limits))
     vertical = limits.vertical_acceleration_m_s2
-    upper = np.array([*[side] * 4, min(vertical, sink), *[lean] * 8, *[thrust] * 8])
-    lower = np.array([*[-side] * 4, -vertical, *[-math.inf] * 16])
+    upper = np.array([*[side] * 4, min(vertical, sink), *[lean] * 8, *[thrust] * 4])
+    lower = np.array([*[-side] * 4, -vertical, *[-math.inf] * 12])
     # a plane that the first five rows imply gets no bound: such a row costs OSQP no iterations
     rows = input_rows(limits)
     vertically = np.maximum(rows[:, 2] * upper[4], rows[:, 2] * lower[4])
@@ -73,7 +74,7 @@ def _ring_rad(limits: LimitsConfig) -> float:
 
 
 def _ring_within_sphere(limits: LimitsConfig) -> float:
-    """The share of a sphere's radius at which the eight planes lie within it, up to the greatest lean."""
+    """The share of a sphere's radius at which the four planes lie within it, up to the greatest lean."""
     ring, tilt = _ring_rad(limits), math.radians(limits.tilt_deg)
-    aside = math.sin(tilt) * math.sin(ring) * OCTAGON_WITHIN_CIRCLE
+    aside = math.sin(tilt) * math.sin(ring) * math.cos(math.pi / 4)
     return min(math.cos(ring), math.cos(tilt) * math.cos(ring) + aside)

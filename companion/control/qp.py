@@ -4,7 +4,7 @@ Variables, in this order, for N steps: states x_1..x_N (9 each: position, veloci
 inputs u_0..u_{N-1} (3 each), velocity slacks (3 each), floor slacks and cone slacks (1 each). The slacks are
 free and dear, so that a vehicle that already breaks a bound on its state still has a solution.
 
-Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 21N), input change (3N), speed octagon
+Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 17N), input change (3N), speed octagon
 (4N), vertical speed (N), floor (N), descent cone (8N). The flown acceleration needs no rows: behind a lag it
 stays between where it starts and the bounds of the inputs, plus what pushes.
 """
@@ -25,7 +25,7 @@ from companion.geometry import FloatArray, Vector3
 
 VELOCITY_SLACK_WEIGHT = 400.0
 FLOOR_SLACK_WEIGHT = 4000.0
-CONE_SLACK_WEIGHT = 2000.0
+CONE_SLACK_WEIGHT = 4000.0
 # rows of one step, in their order
 ROWS: Final = (
     ("dynamics", 9),
@@ -159,7 +159,7 @@ def constraint_matrix(
 ) -> sparse.csc_matrix:
     """The rows' matrix, in the order of the module's docstring, for one step's `step_matrices`.
 
-    `inputs` (21, 3) are `input_bounds.input_rows`.
+    `inputs` (17, 3) are `input_bounds.input_rows`.
     """
     eye, previous = sparse.identity(steps), sparse.eye(steps, k=-1)
     three = sparse.identity(3)

@@ -35,7 +35,7 @@ def make_tracker(
 ) -> Tracker:
     """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`).
 
-    `stopwatch` tells seconds: what searches for long ends at `control.solve_limit_s` by it.
+    `stopwatch` tells seconds: the MPC's search ends at `control.solve_limit_s` by it.
     """
     if config.controller == "mpc":
         return Mpc(config, lags_s, stopwatch)

@@ -12,6 +12,7 @@ from rich.console import Console
 from companion.config import Box, Cylinder
 from companion.geometry import ZERO3, quat_from_euler, quat_rotate_inverse, subtract
 from companion.messages import (
+    ControlReport,
     FrameReport,
     Outcome,
     PadSighting,
@@ -23,7 +24,15 @@ from companion.messages import (
     VehicleState,
 )
 from companion.report import outline_m, result_table, write_plots
-from companion.result import Result, TruthTrack, build_result, from_start, latency, phase_times
+from companion.result import (
+    Result,
+    TruthTrack,
+    build_result,
+    control_result,
+    from_start,
+    latency,
+    phase_times,
+)
 
 STEP_S = 0.02
 END_S = 10.0
@@ -146,11 +155,23 @@ def test_latency_counts_the_first_setpoint_of_each_exposure_only() -> None:
     assert latency([]).exposure_to_setpoint_p50 is None
 
 
+def test_control_cycles_are_counted() -> None:
+    reports = [
+        ControlReport(0.0, solved=True, iterations=20, solve_s=0.0),
+        ControlReport(0.1, solved=False, iterations=400, solve_s=0.0, limited=("jerk",), late=True),
+        ControlReport(0.2, solved=False, iterations=0, solve_s=0.0, stopped=True),
+    ]
+    told = control_result(reports)
+    assert (told.cycles, told.unsolved, told.late, told.stopped, told.limited) == (3, 2, 1, 1, 1)
+    assert told.iterations_p99 == pytest.approx(392.4)
+    assert control_result([]).iterations_p99 is None
+
+
 def test_the_contract_has_its_keys_and_survives_json() -> None:
     told = result()
     assert set(told.model_dump()) == {
-        "scenario", "seed", "outcome", "touchdown", "pad", "time", "vision", "estimate", "latency_ms", "sim",
-        "events",
+        "scenario", "seed", "outcome", "touchdown", "pad", "time", "vision", "estimate", "latency_ms",
+        "control", "sim", "events",
     }  # fmt: skip
     assert Result.model_validate_json(told.model_dump_json()) == told
 

@@ -188,12 +188,15 @@ class Loop:
     # what is told of the acceleration: its low-pass filter, and its age besides
     sensor_lag_s: float = 0.0
     sensor_delay_s: float = 0.0
+    # how old the pad's estimate is by then, at least and at most; in between at random
+    pad_age_s: tuple[float, float] = (0.0, 0.0)
 
     def fly(self, duration_s: float) -> Flight:
         rng = np.random.default_rng(self.seed)
         start = self.offset(0.0)[0]
         pad = self.pad(0.0)
         vehicle = Vehicle(add(pad[0], start), pad[1])
+        self._seen: deque[tuple[float, Vector3, Vector3, Motion3]] = deque(maxlen=64)
         self._shown: deque[Vector3] = deque([ZERO3], maxlen=1 + round(self.sensor_delay_s / PHYSICS_STEP_S))
         flight, pending = Flight(), deque[tuple[float, Setpoint]]()
         current = self._resting(vehicle)
@@ -225,7 +228,6 @@ class Loop:
         pad = self.pad(now_s)
         noise = rng.normal(0.0, self.noise, 9)
         velocity = add(add(vehicle.velocity, self.velocity_bias), tuple(0.01 * noise[:3]))
-        relative_velocity = add(subtract(pad[1], vehicle.velocity), tuple(0.01 * noise[3:6]))
         state = VehicleState(
             time_s=now_s,
             attitude=vehicle.attitude,
@@ -241,17 +243,23 @@ class Loop:
             aligned=True,
             has_gps=True,
         )
+        self._seen.append((now_s, vehicle.position, vehicle.velocity, pad))
+        age_s = float(rng.uniform(*self.pad_age_s)) if self.pad_age_s[1] else 0.0
+        seen_s, place, speed, pad_then = next(
+            (seen for seen in reversed(self._seen) if seen[0] <= now_s - age_s + 1e-9), self._seen[0]
+        )
+        relative_velocity = add(subtract(pad_then[1], speed), tuple(0.01 * noise[3:6]))
         pad_state = PadState(
-            time_s=now_s,
-            relative_position_ned_m=add(subtract(pad[0], vehicle.position), tuple(0.003 * noise[6:9])),
+            time_s=seen_s,
+            relative_position_ned_m=add(subtract(pad_then[0], place), tuple(0.003 * noise[6:9])),
             relative_velocity_ned_m_s=relative_velocity,
-            velocity_ned_m_s=add(velocity, relative_velocity),
-            acceleration_ned_m_s2=pad[2],
+            velocity_ned_m_s=add(add(speed, self.velocity_bias), relative_velocity),
+            acceleration_ned_m_s2=pad_then[2],
             heading_rad=0.0,
             heading_rate_rad_s=0.0,
             position_std_m=0.01,
             velocity_std_m_s=0.02,
-            seen_time_s=now_s - 0.05,
+            seen_time_s=seen_s - 0.05,
         )
         reference = reference_rows(now_s, self.offset, minimum_height_m=self.minimum_height_m)
         answer = self.controller.step(PlanStep(now_s, Phase.DESCEND, reference), state, pad_state, now_s)

@@ -127,6 +127,31 @@ def test_setpoints_that_leave_every_20_or_60_ms_do_as_well() -> None:
         assert loop.fly(16.0).lateral_error_m(SETTLED_S) < 0.04
 
 
+@pytest.mark.parametrize(("delay_s", "assumed_s"), [(0.0, 0.0), (0.06, 0.06), (0.15, 0.15), (0.1, 0.04)])
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_a_late_link_is_made_up_for(kind: str, delay_s: float, assumed_s: float) -> None:
+    autopilot = VelocityAutopilot() if kind == "velocity" else AttitudeAutopilot(thrust_scale=1.0)
+    fly = controller(setpoint=kind, command_delay_s=assumed_s)
+    flight = Loop(fly, autopilot, circle, APPROACH, link_delay_s=delay_s).fly(13.0)
+    assert flight.lateral_error_m(SETTLED_S) < 0.05
+
+
+def test_a_delay_that_nobody_told_of_sways_more_than_one_that_is_known() -> None:
+    def sway_m(assumed_s: float) -> float:
+        fly = controller(setpoint="attitude", command_delay_s=assumed_s)
+        loop = Loop(fly, AttitudeAutopilot(thrust_scale=1.0), circle, APPROACH, link_delay_s=0.15)
+        return float(np.std(loop.fly(13.0).error_m(SETTLED_S)[:, :2]))
+
+    assert sway_m(0.0) > 1.3 * sway_m(0.15)
+
+
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_estimates_of_an_age_that_changes_are_carried_to_the_moment(kind: str) -> None:
+    autopilot = VelocityAutopilot() if kind == "velocity" else AttitudeAutopilot(thrust_scale=1.0)
+    loop = Loop(controller(setpoint=kind), autopilot, circle, APPROACH, pad_age_s=(0.04, 0.15))
+    assert loop.fly(13.0).lateral_error_m(SETTLED_S) < 0.05
+
+
 def test_the_same_flight_twice_is_bit_identical() -> None:
     def fly() -> list[Vector3]:
         flight = Loop(controller(), VelocityAutopilot(), circle, APPROACH, wind=_gusts).fly(4.0)

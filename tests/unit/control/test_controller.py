@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.config import ControlConfig
+from companion.control.controller import FAILURES_TO_STOP
 from companion.geometry import (
     IDENTITY,
     ZERO3,
@@ -257,3 +258,30 @@ def _all_finite(setpoint: Setpoint) -> bool:
     numbers = [*setpoint.velocity_ned_m_s, *setpoint.acceleration_ned_m_s2, setpoint.heading_rad]
     numbers += [*(setpoint.attitude or ()), setpoint.thrust or 0.0]
     return all(map(math.isfinite, numbers))
+
+
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_a_solver_that_is_always_too_late_is_flown_by_its_last_plan_and_then_stopped(kind: str) -> None:
+    seconds, slow = count(0.0, 1.0), [False]
+    fly = controller(lambda: next(seconds) if slow[0] else 0.0, setpoint=kind)
+    reports, setpoints = [], []
+    for k in range(6 + FAILURES_TO_STOP):
+        now_s = k * PERIOD_S
+        slow[0] = k >= 5
+        # what no solver settles in one slice: a reference that jumps, from beyond the limits
+        wild = reference_rows(now_s, _jumping) if slow[0] else _hover(now_s)
+        speed = (7.0 * (-1.0) ** k, 3.0, 2.0) if slow[0] else ZERO3
+        answer = fly.step(_plan(now_s, wild), _vehicle(now_s, velocity_ned_m_s=speed), _pad(now_s), now_s)
+        assert answer is not None
+        setpoints.append(answer[0])
+        reports.append(answer[1])
+    assert all(report.solved and not report.late for report in reports[:5])
+    assert not any(report.solved for report in reports[5:])
+    assert [report.stopped for report in reports] == [False] * (4 + FAILURES_TO_STOP) + [True] * 2
+    assert setpoints[-1].velocity_ned_m_s == ZERO3
+    if kind == "attitude":
+        assert setpoints[-1].thrust == pytest.approx(0.5, rel=0.1)
+
+
+def _jumping(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
+    return (40.0 * round(math.sin(7.0 * time_s)), -40.0 * round(math.cos(5.0 * time_s)), -9.0), ZERO3, ZERO3

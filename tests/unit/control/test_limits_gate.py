@@ -230,3 +230,13 @@ def test_an_attitude_upside_down_is_brought_within_the_tilt() -> None:
 
 def test_the_exposure_time_goes_through() -> None:
     assert _gate().apply(Setpoint(0.0, exposure_time_s=0.93), 1.0)[0].exposure_time_s == 0.93
+
+
+def test_on_the_ground_alone_the_thrust_may_go_to_nothing() -> None:
+    none = Setpoint(0.0, attitude=IDENTITY, thrust=0.0)
+    assert _gate().apply(none, 0.0, on_ground=True) == (none, ())
+    lifted, broken = _gate().apply(none, 0.0)
+    assert lifted.thrust == CONFIG.minimum_thrust
+    assert broken == ("thrust",)
+    full = Setpoint(0.0, attitude=IDENTITY, thrust=1.0)
+    assert _gate().apply(full, 0.0, on_ground=True)[0].thrust == CONFIG.maximum_thrust

@@ -1,6 +1,8 @@
 """The MPC: the right optimum, within its constraints, and unhurt by bad input."""
 
 import math
+from dataclasses import replace
+from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +12,10 @@ import pytest
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.flight_model import Motion, advance, discretise
 from companion.control.input_bounds import input_rows
-from companion.control.mpc import Mpc, Target, needed_inputs
+from companion.control.mpc import Cone, Mpc, Target, needed_inputs
 from companion.control.qp import Layout, axis_cost, axis_costs, constraint_matrix, cost_matrix, step_matrices
 from companion.control.target import within_reach
-from companion.geometry import ZERO3, FloatArray, Vector3
+from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 
 TAU_S = 0.11
 LAGS_S = (TAU_S, TAU_S, 0.04)
@@ -278,3 +280,115 @@ def test_an_answer_that_is_none_is_not_flown(
     assert refused.iterations == 7
     np.testing.assert_allclose(refused.inputs_m_s2[0], good.inputs_m_s2[0], atol=0.5)
     assert mpc.solve(start, target, ZERO3, ZERO3).solved
+
+
+# ---------------------------------------------------------------- thrust, lean and cone
+
+
+def test_thrust_is_bounded_by_what_hovering_takes_by_now() -> None:
+    start, up = Motion((0.0, 0.0, 0.0), ZERO3, ZERO3), _hover_at((0.0, 0.0, -0.7))
+    mpc = Mpc(CONFIG, LAGS_S, hover_thrust=0.5)
+    strong = mpc.solve(start, up, ZERO3, ZERO3).inputs_m_s2
+    weak = mpc.solve(start, replace(up, hover_thrust=0.8), ZERO3, ZERO3).inputs_m_s2
+    most = CONFIG.limits.maximum_thrust / 0.8 * GRAVITY_M_S2
+    assert np.linalg.norm(strong - [0.0, 0.0, GRAVITY_M_S2], axis=1).max() > most
+    assert np.linalg.norm(weak - [0.0, 0.0, GRAVITY_M_S2], axis=1).max() <= most + 5e-3
+
+
+def test_the_lean_is_bounded_while_it_drops() -> None:
+    start, target = Motion((0.0, 0.0, -9.0), ZERO3, ZERO3), _hover_at((3.0, 3.0, -7.0))
+    mpc, last, worst = Mpc(CONFIG, LAGS_S), ZERO3, 0.0
+    for _ in range(12):
+        u = mpc.solve(start, target, ZERO3, last).inputs_m_s2
+        last = (float(u[0, 0]), float(u[0, 1]), float(u[0, 2]))
+        start = advance(start, last, 1.0 / CONFIG.rate_hz, LAGS_S)
+        worst = max(worst, float(np.max(np.hypot(u[:, 0], u[:, 1]) / (GRAVITY_M_S2 - u[:, 2]))))
+    assert math.degrees(math.atan(worst)) <= CONFIG.limits.tilt_deg + 0.05
+
+
+def _cone(slope: float = 0.2) -> Cone:
+    return Cone(slope, 0.1, np.zeros((N + 1, 3)))
+
+
+def _outside(states: FloatArray, slope: float = 0.2) -> float:
+    return float(np.max(np.hypot(states[:, 0], states[:, 1]) - (0.1 - slope * states[:, 2])))
+
+
+@pytest.mark.parametrize("slope", [0.1, 0.2, 0.4])
+def test_a_descent_keeps_within_the_cone(slope: float) -> None:
+    edge = 0.1 + slope * 2.0
+    start = Motion((edge, 0.0, -2.0), ZERO3, ZERO3)
+    free = Mpc(CONFIG, LAGS_S).solve(start, _hover_at((edge, 0.0, -1.4)), ZERO3, ZERO3)
+    target = replace(_hover_at((edge, 0.0, -1.4)), cone=_cone(slope))
+    held = Mpc(CONFIG, LAGS_S).solve(start, target, ZERO3, ZERO3)
+    assert _outside(free.states, slope) > 0.4 * slope
+    assert _outside(held.states, slope) < 0.1 * slope
+    assert held.states[-1, 2] > -1.9  # it does go down, by coming in
+
+
+def test_outside_the_cone_it_comes_in_without_a_climb() -> None:
+    start = Motion((1.0, 0.0, -2.0), ZERO3, ZERO3)
+    target = replace(_hover_at((0.0, 0.0, -2.0)), cone=_cone())
+    states = Mpc(CONFIG, LAGS_S).solve(start, target, ZERO3, ZERO3).states
+    assert states[:, 2].min() > -2.03
+    assert states[-1, 0] < 0.3
+
+
+def test_a_cone_that_is_no_more_leaves_no_trace() -> None:
+    start, target = Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at((1.0, 0.0, -1.4))
+    mpc = Mpc(CONFIG, LAGS_S)
+    free = mpc.solve(start, target, ZERO3, ZERO3)
+    mpc.solve(start, replace(target, cone=_cone()), ZERO3, ZERO3)
+    for _ in range(3):
+        again = mpc.solve(start, target, ZERO3, ZERO3)
+    np.testing.assert_allclose(again.inputs_m_s2, free.inputs_m_s2, atol=5e-2)
+
+
+# ---------------------------------------------------------------- the start, and a limit in time
+
+
+def test_a_start_costs_no_more_than_a_step() -> None:
+    mpc, target = Mpc(CONFIG, LAGS_S), _curve()
+    start, last = Motion((0.05, -0.1, 0.02), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0)), (-0.4, 0.6, 0.3)
+    assert mpc.solve(start, target, (0.3, -0.2, 0.1), last).iterations <= 10
+    mpc.reset()
+    assert mpc.solve(start, target, (0.3, -0.2, 0.1), last).iterations <= 10
+
+
+def _hard() -> tuple[Motion, Target]:
+    """Takes more than one slice: too fast, too low, and a jump ahead."""
+    position = np.tile([0.0, 0.0, -2.0], (N + 1, 1))
+    position[N // 2 :] += [40.0, -30.0, -10.0]
+    still = np.zeros((N + 1, 3))
+    return Motion((2.0, -1.0, -2.7), (7.0, 3.0, 2.5), ZERO3), Target(position, still, still)
+
+
+def test_past_its_time_the_last_solution_goes_on_shifted() -> None:
+    ticks = count(0.0, 1.0)
+    hurried = Mpc(CONFIG, LAGS_S, lambda: next(ticks))
+    easy = Motion((1.0, 0.0, -2.0), ZERO3, ZERO3)
+    good = hurried.solve(easy, _hover_at((0.0, 0.0, -2.0)), ZERO3, ZERO3)
+    assert good.solved
+    assert not good.late
+    late = hurried.solve(*_hard(), ZERO3, ZERO3)
+    assert late.late
+    assert not late.solved
+    assert late.iterations <= 100  # one slice
+    share = 1.0 / (CONFIG.rate_hz * DT)
+    between = good.inputs_m_s2[0] + share * (good.inputs_m_s2[1] - good.inputs_m_s2[0])
+    np.testing.assert_allclose(late.inputs_m_s2[0], between, atol=1e-9)
+
+
+def test_a_clock_that_stands_still_leaves_iterations_alone_to_bound_it() -> None:
+    patient = Mpc(CONFIG, LAGS_S, lambda: 5.0)
+    found = patient.solve(*_hard(), ZERO3, ZERO3)
+    assert not found.late
+    assert 100 < found.iterations <= CONFIG.maximum_iterations
+
+
+def test_the_flown_acceleration_keeps_within_the_inputs_and_what_pushes() -> None:
+    start, push = Motion((0.0, 0.0, -9.0), ZERO3, ZERO3), (1.0, 0.0, 0.0)
+    solution = Mpc(CONFIG, LAGS_S).solve(start, _hover_at((2.0, 1.0, -8.5)), push, ZERO3)
+    flown = solution.states[:, 6:] - np.array(push)
+    assert np.hypot(flown[:, 0], flown[:, 1]).max() <= CONFIG.limits.horizontal_acceleration_m_s2 + 1.0
+    assert np.abs(flown[:, 2]).max() <= CONFIG.limits.vertical_acceleration_m_s2 + 5e-3

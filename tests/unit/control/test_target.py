@@ -1,6 +1,7 @@
 """References resampled and carried along with the pad."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from companion.control.pad_motion import PadPath, resting_path
 from companion.control.target import HeadingReference, make_target, sample, stop_reference, within_reach
 from companion.geometry import FloatArray
-from companion.messages import Reference
+from companion.messages import DescentCone, Reference
 
 ROWS_S: FloatArray = 5.0 + 0.1 * np.arange(6, dtype=np.float64)
 
@@ -115,3 +116,16 @@ def test_a_reference_below_the_floor_is_lifted_to_it() -> None:
         0.0, "pad", 1.0, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), 0.0, minimum_height_m=0.5
     )
     assert make_target(reference, np.arange(3.0), resting_path(3)).position_m[:, 2].tolist() == [-0.5] * 3
+
+
+def test_a_cone_stands_on_the_pad_as_it_moves() -> None:
+    times: FloatArray = 0.1 * np.arange(6, dtype=np.float64)
+    up = np.stack([times, 0.0 * times, -0.3 * times], axis=1)
+    path = PadPath(up, np.zeros((6, 3)), np.zeros((6, 3)))
+    cone = DescentCone(slope=0.2, radius_m=0.1, apex_height_m=0.18)
+    target = make_target(replace(_parabola(), cone=cone), times, path)
+    assert target.cone is not None
+    assert (target.cone.slope, target.cone.radius_m) == (0.2, 0.1)
+    np.testing.assert_allclose(target.cone.apex_m, up - [0.0, 0.0, 0.18])
+    assert make_target(replace(_parabola(origin="local"), cone=cone), times, path).cone is None
+    assert make_target(_parabola(), times, path).cone is None

@@ -163,6 +163,19 @@ def test_over_the_pad_it_stays_above_the_floor_it_tells_the_controller() -> None
             assert step.reference.minimum_height_m is None
 
 
+def test_a_descent_tells_the_controller_its_cone_until_it_is_committed() -> None:
+    flight = world(line()).fly(90.0)
+    told = {
+        phase: [s.reference.cone for s in flight.steps if s.phase is phase and s.reference is not None]
+        for phase in (Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN)
+    }
+    assert not any(told[Phase.SEARCH] + told[Phase.APPROACH])
+    # the cycle in which a phase ends is already steered by the next
+    assert all(told[Phase.DESCEND])
+    assert told[Phase.TOUCHDOWN][0] is not None
+    assert told[Phase.TOUCHDOWN][-1] is None
+
+
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
 def test_it_lands_in_the_pads_heading(heading_deg: float) -> None:
     w = World(still(), heading=lambda _t: math.radians(heading_deg))

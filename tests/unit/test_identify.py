@@ -1,0 +1,134 @@
+"""`companion identify`: from a log to lines for the settings, and what it says of logs that tell nothing."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.config import (
+    CONFIG_FOLDER,
+    CompanionConfig,
+    ConfigError,
+    VehicleConfig,
+    load_config,
+    load_vehicle,
+)
+from companion.geometry import IDENTITY, ZERO3
+from companion.identify import identify_command, read_flight
+from companion.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
+from companion.record import FlightLog
+
+PERIOD_S = 1.0 / 30.0
+HOVER_THRUST = 0.56
+
+
+def _config(setpoint: str) -> tuple[CompanionConfig, VehicleConfig]:
+    config = load_config(CONFIG_FOLDER / "companion.yaml")
+    control = config.control.model_copy(update={"setpoint": setpoint})
+    return config.model_copy(update={"control": control}), load_vehicle("x500", None, config.camera)
+
+
+def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> VehicleState:
+    return VehicleState(
+        time_s=time_s,
+        attitude=IDENTITY,
+        rate_body_rad_s=ZERO3,
+        position_ned_m=ZERO3,
+        velocity_ned_m_s=(velocity_m_s, 0.0, 0.0),
+        acceleration_ned_m_s2=(acceleration_m_s2, 0.0, 0.0),
+        gyro_bias_rad_s=ZERO3,
+        accel_bias_m_s2=ZERO3,
+        attitude_std_rad=0.01,
+        velocity_std_m_s=0.05,
+        position_std_m=0.5,
+        aligned=True,
+        has_gps=True,
+    )
+
+
+def _record(folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0) -> Path:
+    """A flight that sways north, recorded as the app does."""
+    log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
+    log.write_settings(config=config, vehicle=vehicle)
+    v = a = 0.0
+    by_attitude = setpoint == "attitude"
+    rng = np.random.default_rng(1)
+    for k in range(round(seconds / PERIOD_S)):
+        now_s = k * PERIOD_S
+        wanted = 1.5 * math.sin(2.3 * now_s) + math.sin(5.1 * now_s + 1.0)
+        offset = 0.0 if by_attitude else 0.5 * math.sin(1.3 * now_s)
+        log.write("plan", PlanStep(now_s, Phase.APPROACH), now_s)
+        log.write("vehicle", _state(now_s, v + rng.normal(0.0, 0.004), a), now_s)
+        sent = Setpoint(
+            now_s,
+            velocity_ned_m_s=(v + offset, 0.0, 0.0),
+            acceleration_ned_m_s2=(wanted, 0.0, 0.0),
+            attitude=IDENTITY if by_attitude else None,
+            thrust=HOVER_THRUST * math.hypot(1.0, a / 9.80665) if by_attitude else None,
+        )
+        log.write("setpoint", sent, now_s)
+        report = ControlReport(now_s, solved=True, iterations=20, solve_s=0.0, hover_thrust=0.55)
+        log.write("control_report", report, now_s)
+        for _ in range(4):
+            a += (wanted + (0.0 if by_attitude else 2.2) * offset - a) / lag_s * PERIOD_S / 4
+            v += a * PERIOD_S / 4
+    log.close()
+    return folder
+
+
+def test_by_velocity_the_lag_goes_into_the_settings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flight, other = (_record(tmp_path / name, "velocity") for name in ("one", "two"))
+    identify_command(flight, check=other)
+    said = capsys.readouterr().out
+    lag = next(line for line in said.splitlines() if "autopilot_lag_s" in line)
+    assert float(lag.split(":")[1]) + 0.11 == pytest.approx(0.3, abs=0.06)
+    checked = next(line for line in said.splitlines() if line.startswith("velocity sideways"))
+    now, before = (float(word) for word in checked.split() if word.startswith("0."))
+    assert now < before
+    assert "hover thrust: no thrust in the log" in said
+
+
+def test_by_attitude_hover_thrust_goes_into_the_vehicle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    identify_command(_record(tmp_path / "one", "attitude"))
+    said = capsys.readouterr().out
+    hover = next(line for line in said.splitlines() if line.startswith("hover_thrust:"))
+    assert float(hover.split(":")[1]) == pytest.approx(HOVER_THRUST, rel=0.02)
+    assert "configs/vehicles/x500.yaml" in said
+    assert "0.550" in said  # as learnt in flight
+
+
+def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:
+    short = _record(tmp_path / "short", "velocity", seconds=3.0)
+    with pytest.raises(ConfigError, match=r"short: \d windows of 1 s of flight by setpoints, expected 10"):
+        identify_command(short)
+    with pytest.raises(ConfigError, match=r"nowhere.*cannot be read"):
+        read_flight(tmp_path / "nowhere")
+    bare = FlightLog(tmp_path / "bare", 0.0)
+    bare.close()
+    with pytest.raises(ConfigError, match="no settings in it"):
+        read_flight(tmp_path / "bare")
+    flight = _record(tmp_path / "one", "velocity", seconds=12.0)
+    other = _record(tmp_path / "other", "attitude", seconds=12.0)
+    with pytest.raises(ConfigError, match="by attitude setpoints; expected the same kind"):
+        identify_command(flight, check=other)
+
+
+def test_setpoints_that_were_not_obeyed_do_not_count(tmp_path: Path) -> None:
+    log, (config, vehicle) = FlightLog(tmp_path / "waiting", 0.0), _config("velocity")
+    log.write_settings(config=config, vehicle=vehicle)
+    for k in range(300):
+        now_s = k * PERIOD_S
+        log.write("plan", PlanStep(now_s, Phase.SEARCH), now_s)
+        log.write("vehicle", _state(now_s, 0.0, 0.0), now_s)
+        log.write("setpoint", Setpoint(now_s), now_s)
+        log.write("control_report", ControlReport(now_s, True, 1, 0.0, obeyed=False), now_s)
+    log.close()
+    with pytest.raises(ConfigError, match="no flight by setpoints in it"):
+        identify_command(tmp_path / "waiting")
