@@ -213,7 +213,8 @@ def fly_on_the_desk(config_path: Path, trial: Trial, output: Output, *, fast: bo
     result = score(trial, flight, log)
     publish(trial, result, flight, output)
     if output.record is not None:
-        write_plots(output.record, *from_start(log.kept, flight.report.truth))
+        kept, truth = from_start(log.kept, flight.report.truth)
+        write_plots(output.record, kept, truth, trial.scenario.obstacles)
         output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
 
@@ -226,6 +227,9 @@ def publish(trial: Trial, result: Result, flight: DeskFlight, output: Output) ->
     if output.record is not None:
         write_atomically(output.record / "result.json", text)
     output.console.print(result_table(result, trial.scenario.pass_bounds.model_dump()))
+    nearest_m = flight.report.nearest_obstacle_m
+    if nearest_m is not None:
+        output.console.print(f"nearest to an obstacle: {nearest_m:.2f} m from the rotors' tips")
     late_s = flight.report.latest_tick_s
     if late_s > LATE_S:
         print(

@@ -246,6 +246,7 @@ class Phase(StrEnum):
     ARM = "arm"
     TAKE_OFF = "take_off"
     WAYPOINT = "waypoint"
+    ROUTE = "route"
     SEARCH = "search"
     APPROACH = "approach"
     DESCEND = "descend"
@@ -400,3 +401,4 @@ class Truth:
     attitude_setpoint: Quaternion = IDENTITY
     pad_roll_rad: float = 0.0
     pad_pitch_rad: float = 0.0
+    obstacle_clearance_m: float | None = None  # from the rotors' tips; None without obstacles

@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from companion.config import Cylinder, Shape
 from companion.geometry import FloatArray
 from companion.messages import FrameReport, PlanStep, Truth
 from companion.result import Result, TruthTrack, estimate_errors, sighting_errors_body_m
@@ -23,6 +24,7 @@ mpl.use("Agg")
 
 VEHICLE_COLOUR: Final = "#c0392b"
 PAD_COLOUR: Final = "#27ae60"
+OBSTACLE_COLOUR: Final = "#7f8c8d"
 ESTIMATE_COLOUR: Final = "#2471a3"
 GROUP_COLOURS: Final = {"F": "#7d3c98", "M": "#d68910", "C": "#148f77"}
 GROUP_NAMES: Final = {"F": "far", "M": "medium", "C": "close"}
@@ -69,15 +71,20 @@ def _optional(value: float | None, unit: str) -> str:
     return "-" if value is None else f"{value:.3f} {unit}"
 
 
-def write_plots(folder: Path, kept: Mapping[str, Sequence[Any]], truth: Sequence[Truth]) -> list[Path]:
-    """Draw all plots into a folder and return their paths.
+def write_plots(
+    folder: Path,
+    kept: Mapping[str, Sequence[Any]],
+    truth: Sequence[Truth],
+    obstacles: Sequence[Shape] = (),
+) -> list[Path]:
+    """Draw all plots into a folder and return their paths; the obstacles (from home) go into `path.png`.
 
     Raises:
         ValueError: fewer than two records of truth.
     """
     track = TruthTrack(truth)
     drawings: dict[str, Callable[[Figure], None]] = {
-        "path.png": lambda figure: draw_path(figure, track),
+        "path.png": lambda figure: draw_path(figure, track, obstacles),
         "height.png": lambda figure: draw_height(figure, track, kept),
         "lateral.png": lambda figure: draw_lateral(figure, track, kept),
         "detections.png": lambda figure: draw_detections(figure, track, kept.get("frame_report", ())),
@@ -92,18 +99,38 @@ def write_plots(folder: Path, kept: Mapping[str, Sequence[Any]], truth: Sequence
     return paths
 
 
-def draw_path(figure: Figure, track: TruthTrack) -> None:
-    """The vehicle's and the pad's paths, z up (the paper's Fig. 14)."""
+def draw_path(figure: Figure, track: TruthTrack, obstacles: Sequence[Shape] = ()) -> None:
+    """The vehicle's and the pad's paths among the obstacles, z up (the paper's Fig. 14)."""
     axes: Any = figure.add_subplot(projection="3d")
     vehicle, pad = track.at("position", track.time_s), track.at("pad_position", track.time_s)
     axes.plot(vehicle[:, 1], vehicle[:, 0], -vehicle[:, 2], color=VEHICLE_COLOUR, label="vehicle")
     axes.plot(pad[:, 1], pad[:, 0], -pad[:, 2], color=PAD_COLOUR, label="pad")
+    for shape in obstacles:
+        north, east = outline_m(shape)
+        sides = np.array([[0.0], [shape.height_m]]) * np.ones_like(north)
+        walls = np.vstack((north, north)), np.vstack((east, east))
+        axes.plot_surface(walls[1], walls[0], sides, color=OBSTACLE_COLOUR, alpha=0.35, linewidth=0.0)
+        axes.plot(east, north, shape.height_m, color=OBSTACLE_COLOUR, linewidth=0.8)
     axes.scatter(vehicle[-1, 1], vehicle[-1, 0], -vehicle[-1, 2], color="black", s=30, label="end")
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
     axes.set_zlabel("up (m)")
+    if obstacles:
+        axes.set_aspect("equal")  # or a clearance would look other than it is
     axes.set_title("Path of vehicle and pad (truth)")
     axes.legend()
+
+
+def outline_m(shape: Shape) -> tuple[FloatArray, FloatArray]:
+    """North and east (m, from home) of an obstacle's outline, closed, (n,) each."""
+    north, east = shape.centre_ned_m
+    if isinstance(shape, Cylinder):
+        turn = np.linspace(0.0, 2.0 * np.pi, 25)
+        return north + shape.radius_m * np.cos(turn), east + shape.radius_m * np.sin(turn)
+    along = 0.5 * shape.length_m * np.array([1.0, 1.0, -1.0, -1.0, 1.0])
+    across = 0.5 * shape.width_m * np.array([1.0, -1.0, -1.0, 1.0, 1.0])
+    c, s = np.cos(np.radians(shape.heading_deg)), np.sin(np.radians(shape.heading_deg))
+    return north + c * along - s * across, east + s * along + c * across
 
 
 def draw_height(figure: Figure, track: TruthTrack, kept: Mapping[str, Sequence[Any]]) -> None:

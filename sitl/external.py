@@ -124,6 +124,7 @@ class ExternalSimulation:
             duration_s=0.0 if self._first_s is None else now_s - self._first_s,
             latest_tick_s=self._latest_tick_s,
             truth=tuple(self._truth),
+            nearest_obstacle_m=self.world.nearest_obstacle_m,
         )
 
     # ------------------------------------------------------------ the link

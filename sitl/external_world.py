@@ -24,6 +24,7 @@ from companion.pad import load_pad
 from sitl.contact import NO_CONTACT, ContactLoad
 from sitl.external_pose import Pose, PoseTrack, Sample
 from sitl.ground import Board
+from sitl.obstacles import Obstacles
 from sitl.pad_motion import PadMotion, PadTruth, build_pad_motion
 from sitl.quadrotor import QuadrotorState
 from sitl.scenario import Scenario, load_airframe
@@ -58,6 +59,7 @@ class ExternalWorld:
             scenario.pad.motion, 0.0, scenario.pad.heading, np.random.default_rng((seed, PAD_STREAM))
         )
         _check_level(self._motion, scenario)
+        self._obstacles = Obstacles(scenario.obstacles, airframe.body)
         self.track = PoseTrack()
         self.origin: Vector3 | None = None
         self._forget_flight()
@@ -120,6 +122,7 @@ class ExternalWorld:
             self._load = NO_CONTACT
             self._in_air = pose
         # the message that tells of the ground tells of a vehicle that it has stopped: take the one before
+        self._watch.beside(self._obstacles.clearance_m(pose.position_ned_m))
         touches_now = self._load.touching and not touched
         state = self._in_air if touches_now and self._in_air is not None else pose
         self._watch.step(pose.time_s, _body(state), self.pad_at(state.time_s), self._load)
@@ -163,6 +166,7 @@ class ExternalWorld:
             in_contact=self._load.touching,
             rate_body_rad_s=pose.rate_body_rad_s,
             attitude_setpoint=pose.attitude,
+            obstacle_clearance_m=self._obstacles.clearance_m(pose.position_ned_m),
         )
 
     def range_m(self, sensor_body_m: Vector3, half_beam_rad: float) -> float | None:
@@ -177,6 +181,11 @@ class ExternalWorld:
     def touchdown(self) -> Touchdown | None:
         """The last first contact after a flight above 1 m."""
         return self._watch.touchdown
+
+    @property
+    def nearest_obstacle_m(self) -> float | None:
+        """The least distance from the rotors' tips to an obstacle so far; None without any."""
+        return self._watch.nearest_obstacle_m
 
     @property
     def at_rest_on_pad(self) -> bool:
@@ -194,6 +203,7 @@ class ExternalWorld:
             at_rest_on_pad=self.at_rest_on_pad,
             disarmed=not self.armed,
             final_phase=final_phase,
+            nearest_obstacle_m=self._watch.nearest_obstacle_m,
         )
 
 

@@ -15,6 +15,7 @@ class SimulationReport:
     """How a flight ended by the truth, and the truth itself.
 
     `latest_tick_s` is how far the simulation fell behind the clock at worst: 0 in virtual time.
+    `nearest_obstacle_m` is the least distance from the rotors' tips to an obstacle, None without any.
     `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right.
     """
 
@@ -25,6 +26,7 @@ class SimulationReport:
     duration_s: float
     latest_tick_s: float
     truth: tuple[Truth, ...]
+    nearest_obstacle_m: float | None = None
     touchdown_pad_m: tuple[float, float] | None = None
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from companion.config import StrictModel, find_file, load_model
+from companion.config import Shape, StrictModel, find_file, load_model
 from companion.messages import Manner
 from sitl.autopilot.attitude_control import RateGains
 from sitl.autopilot.estimator import EstimatorName
@@ -134,6 +134,7 @@ class Scenario(StrictModel):
     mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
     start_heading_deg: Angle = "random"
     pad: PadSettings = PadSettings()
+    obstacles: tuple[Shape, ...] = ()
     wind: WindSettings = WindSettings()
     light: LightSettings | None = None
     camera: CameraSettings = CameraSettings()

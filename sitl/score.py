@@ -82,6 +82,7 @@ class TouchdownWatch:
     def __init__(self) -> None:
         self.touchdown: Touchdown | None = None
         self.crashed = False
+        self.nearest_obstacle_m: float | None = None
         self._airborne = False
         self._touching = True
 
@@ -97,6 +98,16 @@ class TouchdownWatch:
             self._hit(time_s, state, pad, load)
         self._touching = load.touching
         if tilt > UPSIDE_DOWN_RAD or (load.touching and tilt > CRASH_TILT_RAD):
+            self.crashed = True
+
+    def beside(self, obstacle_clearance_m: float | None) -> None:
+        """Note how far the rotors' tips are from the nearest obstacle; touching one is a crash."""
+        if obstacle_clearance_m is None:
+            return
+        nearest_m = self.nearest_obstacle_m
+        if nearest_m is None or obstacle_clearance_m < nearest_m:
+            self.nearest_obstacle_m = obstacle_clearance_m
+        if obstacle_clearance_m <= 0.0:
             self.crashed = True
 
     def airborne(self, height_m: float) -> None:
@@ -163,6 +174,7 @@ def judge(
     at_rest_on_pad: bool,
     disarmed: bool,
     final_phase: Phase,
+    nearest_obstacle_m: float | None = None,
 ) -> Verdict:
     """Judge a flight that has ended, or whose time is up.
 
@@ -171,8 +183,9 @@ def judge(
     Timeout: none of these, or on the pad but still armed.
     """
     result = None if touchdown is None else TouchdownResult.of(touchdown)
-    if crashed:
-        return Verdict(Outcome.CRASHED, result, ("crashed",))
+    struck = nearest_obstacle_m is not None and nearest_obstacle_m <= 0.0
+    if crashed or struck:
+        return Verdict(Outcome.CRASHED, result, ("touched an obstacle" if struck else "crashed",))
     if final_phase is Phase.ABORT:
         return Verdict(Outcome.ABORTED, result, ("the app aborted",))
     if touchdown is None:

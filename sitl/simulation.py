@@ -267,6 +267,7 @@ class Simulation:
             at_rest_on_pad=world.at_rest_on_pad,
             disarmed=not self.autopilot.armed,
             final_phase=final_phase,
+            nearest_obstacle_m=world.nearest_obstacle_m,
         )
         pad_speed = (
             float(np.linalg.norm(world.pad_state.velocity_ned_m_s))
@@ -281,6 +282,7 @@ class Simulation:
             duration_s=world.time_s,
             latest_tick_s=self._latest_tick_s,
             truth=tuple(self._truth),
+            nearest_obstacle_m=world.nearest_obstacle_m,
             touchdown_pad_m=None if world.touchdown is None else world.touchdown.offset_pad_m,
         )
 

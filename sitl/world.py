@@ -30,6 +30,7 @@ from companion.pad import load_pad
 from sitl.actuators import Motors
 from sitl.contact import NO_CONTACT, Contact, ContactLoad
 from sitl.ground import Board, echo_distance_m, ground_effect_reach_m, rotor_ratios
+from sitl.obstacles import Obstacles
 from sitl.pad_motion import PadTruth, build_pad_motion
 from sitl.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
 from sitl.scenario import Scenario, load_airframe
@@ -103,6 +104,7 @@ class World:
         self.pad_state = self._pad_motion.at(0.0)
         self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
         self._load: ContactLoad = NO_CONTACT
+        self._obstacles = Obstacles(scenario.obstacles, body)
         self._watch = TouchdownWatch()
         self._memory: deque[_Moment] = deque([self._moment()])
 
@@ -146,6 +148,7 @@ class World:
         self._state = state
         self.time_s += dt_s
         self.pad_state = self._pad_motion.at(self.time_s)
+        self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
         if not self._watch.flying:
             self._watch.airborne(self.height_m - self.landed_reference_height_m)
         self._remember()
@@ -240,6 +243,11 @@ class World:
         return self._watch.crashed
 
     @property
+    def nearest_obstacle_m(self) -> float | None:
+        """The least distance from the rotors' tips to an obstacle so far; None without any."""
+        return self._watch.nearest_obstacle_m
+
+    @property
     def at_rest_on_pad(self) -> bool:
         """Whether it stands on the board and goes with it."""
         state, pad = self._state, self.pad_state
@@ -289,6 +297,7 @@ class World:
             in_contact=moment.in_contact,
             rate_body_rad_s=moment.state.rate_body_rad_s,
             attitude_setpoint=self.attitude_setpoint,
+            obstacle_clearance_m=self._obstacles.clearance_m(moment.state.position_ned_m),
         )
 
 

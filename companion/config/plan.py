@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from pydantic import Field
 
+from companion.config.obstacles import Place, Shape
 from companion.config.reading import StrictModel
+
+Height = Annotated[float, Field(ge=1.0, le=50.0)]
+# north and east of home (m), and height over home where it is not that of the take-off
+Waypoint = tuple[Place, Place] | tuple[Place, Place, Height]
 
 
 class PhaseTimesConfig(StrictModel):
@@ -14,6 +21,7 @@ class PhaseTimesConfig(StrictModel):
     arm_s: float = Field(default=25.0, ge=2.0, le=300.0)
     take_off_s: float = Field(default=40.0, ge=5.0, le=300.0)
     waypoint_s: float = Field(default=60.0, ge=5.0, le=1800.0)
+    route_s: float = Field(default=120.0, ge=5.0, le=1800.0)
     search_s: float = Field(default=60.0, ge=5.0, le=600.0)
     approach_s: float = Field(default=30.0, ge=5.0, le=300.0)
     descend_s: float = Field(default=30.0, ge=5.0, le=300.0)
@@ -26,6 +34,7 @@ class MissionConfig(StrictModel):
 
     take_off_height_m: float = Field(default=7.0, ge=1.0, le=50.0)
     waypoint_ned_m: tuple[float, float] = (10.0, 0.0)
+    waypoints_ned_m: tuple[Waypoint, ...] = ()
     arrival_radius_m: float = Field(default=1.5, ge=0.2, le=20.0)
     arrival_speed_m_s: float = Field(default=0.8, ge=0.1, le=5.0)
     align_heading: bool = True
@@ -112,6 +121,9 @@ class PlanConfig(StrictModel):
 
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     fuzzy: str = "landing"
+    obstacles: tuple[Shape, ...] = ()
+    obstacle_margin_m: float = Field(default=1.5, ge=0.1, le=20.0)  # from the rotors' tips: our place errs
+    obstacle_ceiling_m: float = Field(default=15.0, ge=1.0, le=120.0)  # over home: no higher to pass over one
     mission: MissionConfig = MissionConfig()
     guidance: GuidanceConfig = GuidanceConfig()
     search: SearchConfig = SearchConfig()

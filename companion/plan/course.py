@@ -26,6 +26,8 @@ from companion.geometry import FloatArray, Vector3, add, norm, scale
 from companion.plan.min_jerk import Motion, Trajectory, carried, plan
 
 _MOST_STRETCHES: Final = 8
+# So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.
+_NEAR_ENOUGH: Final = 1.05
 _CHECKED_PER_LEG: Final = 8
 _REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
 _REST_PUSH: Final = 5.7735  # and the greatest acceleration so many times distance / time²
@@ -133,21 +135,25 @@ def _at_points(
 def paced(
     start: Motion, via: Sequence[Vector3], target: Motion, start_s: float, limits: GuidanceConfig
 ) -> Course:
-    """Through points to one that moves on at its velocity, within the limits of speed and acceleration.
+    """Through points to one that moves on at its velocity, within the limits of speed and acceleration (to 5 and 10 %).
 
-    The speed's limits count relative to the target, whichever way it moves: its own speed is added to them.
+    The speed's limits count relative to the target: its own speed comes on top.
 
     Each leg gets the time that its length takes at most of the speed allowed, the first and the last half of
     T_min more; then all times grow together until no limit is broken (but by what the start already has).
     """
     durations = _first_guess(start, via, target, limits)
     course = through(start, via, _met(target, sum(durations)), start_s, durations)
+    stretch = _stretch(course, start, target, limits)
     for _ in range(_MOST_STRETCHES):
-        stretch = _stretch(course, start, target, limits)
-        if stretch <= 1.005:
+        if stretch <= _NEAR_ENOUGH:
             break
         durations = [min(stretch, 1.5) * d for d in durations]
-        course = through(start, via, _met(target, sum(durations)), start_s, durations)
+        longer = through(start, via, _met(target, sum(durations)), start_s, durations)
+        before, stretch = stretch, _stretch(longer, start, target, limits)
+        if stretch >= before:
+            break  # an acceleration at the start lasts longer too, and leads to more speed
+        course = longer
     return course
 
 
@@ -159,7 +165,8 @@ def _first_guess(
         before_s = sum(durations)
         places = [start.position_m, *via, _met(target, before_s).position_m]
         durations = [
-            max(_SHORTEST_S, _crossing_s(p, q, target, limits) / _MEAN_SHARE) for p, q in pairwise(places)
+            max(_SHORTEST_S, _crossing_s(p, q, *_speeds(target, limits)) / _MEAN_SHARE)
+            for p, q in pairwise(places)
         ]
         durations[0] += 0.5 * limits.minimum_time_s
         durations[-1] += 0.5 * limits.minimum_time_s
@@ -172,9 +179,11 @@ def halting(
     start: Motion, via: Sequence[Vector3], target: Motion, start_s: float, limits: GuidanceConfig
 ) -> Course:
     """As `paced`, but with a halt at each point: from the first on it keeps to the straight lines."""
-    durations = _first_guess(start, via, target, limits)
-    places = [start.position_m, *via, _met(target, sum(durations)).position_m]
-    durations = [_from_rest_s(p, q, target, limits) for p, q in pairwise(places)]
+    places = [start.position_m, *via]
+    durations = [_from_rest_s(p, q, limits) for p, q in pairwise(places)]
+    # the last leg makes up for what the target has gone ahead, and then for its speed
+    durations.append(_from_rest_s(places[-1], _met(target, sum(durations)).position_m, limits))
+    durations[-1] += 1.5 * norm(target.velocity_m_s) / limits.horizontal_acceleration_m_s2
     brake_s = 1.5 * norm(start.velocity_m_s) / limits.horizontal_acceleration_m_s2
     durations[0] += brake_s + 0.5 * limits.minimum_time_s
     motions = [start, *(Motion(point) for point in via), _met(target, sum(durations))]
@@ -194,25 +203,25 @@ def _met(target: Motion, after_s: float) -> Motion:
     return Motion(add(target.position_m, scale(target.velocity_m_s, after_s)), target.velocity_m_s)
 
 
-def _crossing_s(p: Vector3, q: Vector3, target: Motion, limits: GuidanceConfig) -> float:
-    """Shortest time between two points at the greatest speeds."""
-    fastest, steepest = _speeds(target, limits)
+def _crossing_s(p: Vector3, q: Vector3, fastest: float, steepest: float) -> float:
+    """Shortest time between two points at the greatest speeds across and along down."""
     return max(math.dist(p[:2], q[:2]) / fastest, abs(q[2] - p[2]) / steepest)
 
 
 def _speeds(target: Motion, limits: GuidanceConfig) -> tuple[float, float]:
-    """The greatest speeds across and along down."""
-    v = target.velocity_m_s
-    return limits.horizontal_speed_m_s + math.hypot(v[0], v[1]), limits.vertical_speed_m_s + abs(v[2])
+    """The greatest speeds across and along down: relative to a target that runs from who stands, its own."""
+    across, along = math.hypot(*target.velocity_m_s[:2]), abs(target.velocity_m_s[2])
+    return across + max(limits.horizontal_speed_m_s, across), along + max(limits.vertical_speed_m_s, along)
 
 
-def _from_rest_s(p: Vector3, q: Vector3, target: Motion, limits: GuidanceConfig) -> float:
+def _from_rest_s(p: Vector3, q: Vector3, limits: GuidanceConfig) -> float:
     """Shortest time of a quintic from rest to rest within the limits."""
     push = max(
         math.dist(p[:2], q[:2]) / limits.horizontal_acceleration_m_s2,
         abs(q[2] - p[2]) / limits.vertical_acceleration_m_s2,
     )
-    return max(_SHORTEST_S, _REST_PEAK * _crossing_s(p, q, target, limits), math.sqrt(_REST_PUSH * push))
+    crossing_s = _crossing_s(p, q, limits.horizontal_speed_m_s, limits.vertical_speed_m_s)
+    return max(_SHORTEST_S, _REST_PEAK * crossing_s, math.sqrt(_REST_PUSH * push))
 
 
 def _stretch(course: Course, start: Motion, target: Motion, limits: GuidanceConfig) -> float:

@@ -50,6 +50,12 @@ class Ground:
         known = [h for h in (self.surface_m, self.over_home_m) if h is not None]
         return min(known, default=None)
 
+    @property
+    def home_down_m(self) -> float | None:
+        """Down (m) of home, by the height over it that is flown."""
+        known = self._down_m is not None and self.over_home_m is not None
+        return self._down_m + self.over_home_m if known else None  # type: ignore[operator]
+
     def floor_down_m(self, height_m: float) -> float | None:
         """Down (m) of the point from which on the vehicle is `height_m` over all that is known of."""
         clearance_m = self.clearance_m

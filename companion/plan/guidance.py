@@ -12,14 +12,16 @@ at rest (eqs. 29, 30). Frames: "pad" is vehicle minus pad in NED axes, "local" t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
-from companion.config import GuidanceConfig
+from companion.config import GuidanceConfig, PlanConfig
 from companion.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
 from companion.messages import Reference
-from companion.plan.min_jerk import Motion, Trajectory, brake, plan
+from companion.plan.avoidance import STILL, Avoidance
+from companion.plan.course import Course, Way
+from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
 
 Origin = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
@@ -30,17 +32,29 @@ _KEPT_SHARE = 0.9
 # Levelling off is a safety matter, and takes no view of the pad away: quicker than the plan's own limits.
 _LEVEL_OFF_M_S2 = 3.0
 _TOO_LOW_M = 0.15
+_LONGEST_TIMES = 6.0
+_SAME_POINT_M = 0.5
 _PEAK = 1.875  # a quintic's greatest speed over its mean
 
 
 class Guide:
     """Holds the reference and moves it on. Before `start` there is none."""
 
-    def __init__(self, config: GuidanceConfig, law: SpeedLaw, horizon_steps: int, step_s: float) -> None:
+    def __init__(
+        self,
+        config: GuidanceConfig,
+        law: SpeedLaw,
+        horizon_steps: int,
+        step_s: float,
+        avoidance: Avoidance | None = None,
+    ) -> None:
         self._config, self._law = config, law
+        self._avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
         self._count, self._step_s = horizon_steps + 1, step_s
         self.origin: Origin = "local"
-        self._trajectory: Trajectory | None = None
+        self._trajectory: Way | None = None
+        self._along: Course | None = None
+        self._pad = STILL
         self._level: Trajectory | None = None
         self.heading_rad = 0.0
         self._turned_s: float | None = None
@@ -79,7 +93,8 @@ class Guide:
 
     def rest(self, motion: Motion, now_s: float) -> None:
         """Come to rest in the present frame from a state."""
-        self._follow(brake(motion, now_s, self._config.horizontal_acceleration_m_s2), now_s)
+        self._look_from_frame()
+        self._follow(self._avoidance.brake(motion, now_s), now_s)
 
     def stop(self) -> None:
         """Give the reference up: no setpoint leaves any more."""
@@ -112,8 +127,61 @@ class Guide:
         kept = self.at(now_s).acceleration_m_s2
         self.rest(Motion(actual.position_m, actual.velocity_m_s, kept), now_s)
 
+    def see(self, home_ned_m: Vector3 | None, pad: Motion | None) -> None:
+        """Take in where home is, from which obstacles count, and how the pad moves; EKF's NED."""
+        if home_ned_m is not None:
+            self._avoidance.home_at(home_ned_m)
+        if pad is not None:
+            self._pad = pad
+
+    @property
+    def blocked(self) -> bool:
+        """Whether there is no way that keeps clear of the obstacles: the reference holds."""
+        return self._avoidance.blocked
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the pad is too near to an obstacle: the reference goes along higher up."""
+        return self._avoidance.waiting and not self._avoidance.blocked
+
+    @property
+    def detouring(self) -> bool:
+        """Whether the way leads round an obstacle."""
+        return self._avoidance.detouring
+
+    def straight_clear(self, start: Vector3, goal: Vector3) -> bool:
+        """Whether the straight line between two points of the EKF's NED keeps clear of the obstacles."""
+        return self._avoidance.straight_clear(start, goal)
+
+    def stays_clear(self, place: Vector3, duration_s: float) -> bool:
+        """Whether a place in the present frame, going with it, keeps clear of the obstacles for so long."""
+        self._look_from_frame()
+        return self._avoidance.free_for(place, duration_s)
+
+    def fly_along(self, points: Sequence[Vector3], now_s: float) -> None:
+        """Through points of the EKF's NED by minimum jerk, round what is between them; the last is a halt.
+
+        A course that was begun is kept while it is clear: the points passed may be left out next time.
+        """
+        if self._along is not None and self._trajectory is self._along:
+            same = math.dist(self._along.at(self._along.end_s).position_m, points[-1]) <= _SAME_POINT_M
+            if same and self._avoidance.still_clear(self._along, now_s):
+                self.time_to_go_s = max(0.0, self._along.end_s - now_s)
+                return
+        self._look_from_frame()
+        course = self._avoidance.along(self.at(now_s), points, now_s)
+        if course is None:
+            # held as it is: `rest` would forget that there is no way
+            self._trajectory, self._level = self._avoidance.brake(self.at(now_s), now_s), None
+            return
+        self._follow(course, now_s)
+        self._along = course
+
     def fly_to(self, target: Motion, now_s: float) -> None:
-        """Replan towards a point that moves on at its velocity, by eqs. 37 and 29."""
+        """Replan towards a point that moves on at its velocity, by eqs. 37 and 29, clear of obstacles."""
+        self._fly_to(target, now_s, level=False)
+
+    def _fly_to(self, target: Motion, now_s: float, *, level: bool) -> None:
         start = self.at(now_s)
         offset = subtract(target.position_m, start.position_m)
         closing = subtract(start.velocity_m_s, target.velocity_m_s)
@@ -122,9 +190,16 @@ class Guide:
         speed = self._law(distance, dot(closing, unit), dot(start.acceleration_m_s2, unit))
         moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
         duration_s = distance / speed + self._config.minimum_time_s
-        relative = self._within_limits(moving, max(duration_s, self._left_s(now_s)), now_s)
-        self._trajectory, self._level = _carried(relative, target), None
-        self.speed_m_s, self.time_to_go_s = speed, relative.duration_s
+        asked_s = max(duration_s, self._left_s(now_s))
+        relative = self._within_limits(moving, asked_s, _LONGEST_TIMES * duration_s, now_s)
+        direct = carried(relative, target, now_s)
+        self._look_from_frame()
+        way = self._avoidance.way(
+            direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
+        )
+        self._trajectory, self._level = way, None
+        self.speed_m_s = speed
+        self.time_to_go_s = relative.duration_s if way is direct else max(0.0, way.end_s - now_s)
 
     def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
         """As `fly_to`, but the height is kept: any climb or sink is stopped, at once and by itself.
@@ -136,7 +211,7 @@ class Guide:
         start, level = self.at(now_s), self._level
         x, y, _ = target.position_m
         vx, vy, _ = target.velocity_m_s
-        self.fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0)), now_s)
+        self._fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0)), now_s, level=True)
         z, rate, change = (m[2] for m in (start.position_m, start.velocity_m_s, start.acceleration_m_s2))
         upright = Motion((0.0, 0.0, z), (0.0, 0.0, rate), (0.0, 0.0, change))
         if level is None:
@@ -159,7 +234,7 @@ class Guide:
 
     def shift_down(self, depth_m: float) -> None:
         """Move the reference down as a whole; its speed and acceleration stay."""
-        if self._trajectory is not None:
+        if isinstance(self._trajectory, Trajectory):
             x, y, (place, *rest) = self._trajectory.axes
             z = (place + depth_m, rest[0], rest[1], rest[2], rest[3], rest[4])
             self._trajectory = replace(self._trajectory, axes=(x, y, z))
@@ -193,7 +268,11 @@ class Guide:
             minimum_height_m,
         )
 
-    def _follow(self, trajectory: Trajectory, now_s: float) -> None:
+    def _look_from_frame(self) -> None:
+        self._avoidance.see_from(self._pad if self.origin == "pad" else STILL)
+
+    def _follow(self, trajectory: Way, now_s: float) -> None:
+        self._avoidance.forget()
         self._trajectory, self._level = trajectory, None
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
 
@@ -204,14 +283,18 @@ class Guide:
         """
         return 0.0 if self._trajectory is None else _KEPT_SHARE * (self._trajectory.end_s - now_s)
 
-    def _within_limits(self, moving: Motion, duration_s: float, now_s: float) -> Trajectory:
-        """The way to the origin at rest, longer than asked where speed or acceleration would be too much."""
+    def _within_limits(self, moving: Motion, duration_s: float, longest_s: float, now_s: float) -> Trajectory:
+        """The way to the origin at rest, longer than asked where speed or acceleration would be too much.
+
+        Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
+        the speed that it leads to worse.
+        """
         trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
         for _ in range(_MOST_STRETCHES):
             stretch = self._stretch(trajectory, moving)
             if stretch <= 1.001:
                 break
-            duration_s *= min(stretch, 1.5)
+            duration_s = min(duration_s * min(stretch, 1.5), longest_s)
             trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
         return trajectory
 
@@ -246,18 +329,3 @@ def _with_down(motion: Motion, vertical: Motion) -> Motion:
 
 def _flat(v: Vector3) -> float:
     return math.hypot(v[0], v[1])
-
-
-def _carried(relative: Trajectory, target: Motion) -> Trajectory:
-    """A trajectory in the target's frame, seen from the frame the target moves in."""
-    p, v = target.position_m, scale(target.velocity_m_s, relative.duration_s)
-    x, y, z = relative.axes
-    return Trajectory(
-        relative.start_s,
-        relative.duration_s,
-        (
-            (x[0] + p[0], x[1] + v[0], *x[2:]),
-            (y[0] + p[1], y[1] + v[1], *y[2:]),
-            (z[0] + p[2], z[1] + v[2], *z[2:]),
-        ),
-    )

@@ -25,6 +25,8 @@ class Event(StrEnum):
     ARMED = "armed"
     AIRBORNE = "airborne"  # take-off height reached
     ARRIVED = "arrived"  # at the waypoint, slow
+    ONWARD = "onward"  # the same, but further waypoints are ours to fly to
+    BLOCKED = "blocked"  # an obstacle is in the straight way that the autopilot would fly
     PAD_SEEN = "pad_seen"  # steadily, and setpoints of ours are obeyed where that matters
     CENTRED = "centred"  # above the pad, within the descent cone
     LOW = "low"  # at the height from which touchdown is one straight go
@@ -55,12 +57,16 @@ class Transition:
 
 FINAL: Final = frozenset({Phase.LANDED, Phase.ABORT})
 # In these phases the setpoints are ours (or about to be) and our own estimate carries the vehicle.
-OUR_CONTROL: Final = frozenset({Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN, Phase.HOLD})
+OUR_CONTROL: Final = frozenset(
+    {Phase.ROUTE, Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN, Phase.HOLD}
+)
+# In these phases control is asked for.
+TAKES_CONTROL: Final = frozenset({Phase.ROUTE, Phase.SEARCH})
 # In these phases the pad's estimate carries the vehicle.
 BY_THE_PAD: Final = frozenset({Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN})
 
 _C, _A, _T, _W = Phase.CONNECT, Phase.ARM, Phase.TAKE_OFF, Phase.WAYPOINT
-_S, _AP, _D, _TD = Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN
+_R, _S, _AP, _D, _TD = Phase.ROUTE, Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN
 _ASK_PAD = (ActionKind.REQUEST_PAD_POSITION,)
 _HAND_BACK: Final = Transition(Phase.ABORT, (ActionKind.HOLD,))
 _SAFE_HOLD: Final = Transition(Phase.HOLD, (ActionKind.HOLD,), legal=False)
@@ -75,15 +81,21 @@ _OWN: dict[tuple[Phase, Event], Transition] = {
     (_A, Event.REFUSED): _LET_GO,
     (_A, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.DISARM,)),
     (_T, Event.AIRBORNE): Transition(_W, (ActionKind.GO_TO,)),
+    (_T, Event.BLOCKED): Transition(_R),
     # if only the answer was lost it may be climbing: landing is right in the air and on the ground, where
     # the disarming, refused in the air, ends it at once
     (_T, Event.REFUSED): Transition(Phase.ABORT, (ActionKind.LAND, ActionKind.DISARM)),
     (_T, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.LAND,)),
     (_W, Event.ARRIVED): Transition(_S),
+    (_W, Event.ONWARD): Transition(_R),
     (_W, Event.PAD_SEEN): Transition(_S),
     # not arrived, or not allowed to go: look from here, the beacon may lead on
     (_W, Event.REFUSED): Transition(_S),
     (_W, Event.TIMEOUT): Transition(_S),
+    (_R, Event.ARRIVED): Transition(_S),
+    (_R, Event.PAD_SEEN): Transition(_S),
+    (_R, Event.TIMEOUT): Transition(_S),
+    (_R, Event.REFUSED): _HAND_BACK,
     (_S, Event.PAD_SEEN): Transition(_AP),
     (_S, Event.REFUSED): _HAND_BACK,
     (_S, Event.TIMEOUT): _HAND_BACK,

@@ -93,15 +93,14 @@ class _Shapes:
         """Horizontal distance (n, m) of points (n, 2); negative inside."""
         along, across = self.local(plan)
         u, v = np.abs(along) - self.length, np.abs(across) - self.width
-        return (
-            np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0) - self.round
-        )
+        outside = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0))
+        return np.asarray(outside + np.minimum(np.maximum(u, v), 0.0) - self.round)
 
     def distance_m(self, points: FloatArray) -> FloatArray:
         """Distance (n, m) of points (n, 3), over the tops too; negative inside."""
         beside, over = self.beside_m(points[:, :2]), self.top - points[:, 2:3]
         outside = np.hypot(np.maximum(beside, 0.0), np.maximum(over, 0.0))
-        return outside + np.minimum(np.maximum(beside, over), 0.0)
+        return np.asarray(outside + np.minimum(np.maximum(beside, over), 0.0))
 
     def along_m(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Least horizontal distance (n, m) of the lines from a to b, (n, 2) each; not below -round."""
@@ -188,7 +187,7 @@ def _from_free(
     margin_m: float,
     ceiling_down_m: float | None,
 ) -> tuple[Vector3, ...] | None:
-    """The cheapest of: round all that the lower of both ends meets; and over some, at each height that pays."""
+    """The cheapest: round all that the lower end meets, or over some of it, at each height that pays."""
     sloped = _round(start, goal, _taller(obstacles, max(start[2], goal[2]), margin_m), margin_m)
     best = None if sloped is None else _sloping(start, goal, sloped)
     cost = math.inf if best is None else _cost((start, *best, goal))

@@ -13,11 +13,12 @@ from typing import Final
 from companion.config import PlanConfig, VehicleConfig
 from companion.geometry import ned_from_geodetic
 from companion.messages import ActionKind, LandedState, Notice, Phase, PlanStep
+from companion.plan.avoidance import Avoidance
 from companion.plan.flight import Flight, Severity
 from companion.plan.ground import Ground
 from companion.plan.guidance import Guide, SpeedLaw
 from companion.plan.inputs import PlanInputs
-from companion.plan.mission import FINAL, Event, transition
+from companion.plan.mission import FINAL, TAKES_CONTROL, Event, transition
 from companion.plan.requests import Requests
 from companion.plan.sight import PadKnowledge
 from companion.plan.touchdown import Finding
@@ -43,7 +44,8 @@ class Planner:
         self._watch = Watch(mission)
         self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
         self._ground = Ground(vehicle.range_position_body_m)
-        self._guide = Guide(config.guidance, fuzzy, horizon_steps, step_s)
+        avoidance = Avoidance(config, vehicle.radius_m)
+        self._guide = Guide(config.guidance, fuzzy, horizon_steps, step_s, avoidance)
         self._flight = Flight(
             config,
             vehicle,
@@ -85,6 +87,7 @@ class Planner:
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
+        self._flight.look_about()
         if inputs.vehicle is None:
             return
         if self._within_fence(inputs):
@@ -110,7 +113,7 @@ class Planner:
         spent = self._requests.hear(inputs.results, now_s)
         for words in spent:
             self._say("refused", words, now_s, "error")
-        granted = self.phase is Phase.SEARCH and self._requests.granted(ActionKind.TAKE_CONTROL)
+        granted = self.phase in TAKES_CONTROL and self._requests.granted(ActionKind.TAKE_CONTROL)
         taken_over = self._watch.note(inputs.autopilot, granted)
         grave = self._watch.event(
             self.phase,

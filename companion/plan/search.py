@@ -159,7 +159,8 @@ class Search:
         centre = self.whereabouts.likely(now_s)
         reference = self._guide.at(now_s).position_m
         place = self._corner_of(centre)
-        if math.dist(reference[:2], place) < _CORNER_M:
+        # a corner that cannot be had for an obstacle is as good as looked at
+        if math.dist(reference[:2], place) < _CORNER_M or self._guide.blocked:
             self._at_corner(now_s)
             place = self._corner_of(centre)
         return Motion((*place, self._down_m), centre.velocity_m_s)

@@ -168,7 +168,11 @@ class Touchdown:
             return Event.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above it"
         impatience = waited_s / c.patience_s
         slack = self._slack * (1.0 if impatience < 2.0 else 1.5)
-        ready = aligned(sight, self._wait_height_m, slack, c) and (impatience >= 1.0 or gentle(sight, c))
+        ready = (
+            aligned(sight, self._wait_height_m, slack, c)
+            and (impatience >= 1.0 or gentle(sight, c))
+            and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
+        )
         if self._settled.for_s(ready, now_s) >= c.settled_s:
             self._commit(now_s)
         elif impatience >= 3.0:
@@ -177,6 +181,12 @@ class Touchdown:
                 f"{100.0 * sight.lateral_m:.0f} cm aside after {waited_s:.0f} s of waiting",
             )
         return None
+
+    def _way_down_s(self) -> float:
+        """How long from here until the feet stand and the motors are off."""
+        c = self._config
+        sinking_s = (self._wait_height_m - self._vehicle.leg_height_m) / c.contact_speed_m_s
+        return c.settled_s + c.blend_s + sinking_s + c.land_after_s
 
     def _commit(self, now_s: float) -> None:
         c = self._config

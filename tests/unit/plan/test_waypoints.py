@@ -1,0 +1,127 @@
+"""Whole missions among obstacles and through waypoints, by the planner alone."""
+
+import math
+
+import numpy as np
+import pytest
+
+from companion.config import Box, Cylinder, MissionConfig, PhaseTimesConfig, PlanConfig, Shape
+from companion.geometry import Vector3
+from companion.messages import ActionKind, Phase
+from companion.plan.obstacles import Obstacle, clearance_m
+from tests.unit.plan.plan_harness import VEHICLE, World, line, still
+
+
+def pole(north: float, east: float, radius: float = 0.3, height: float = 15.0) -> Cylinder:
+    return Cylinder(kind="cylinder", centre_ned_m=(north, east), radius_m=radius, height_m=height)
+
+
+def gantry(north: float, east: float, height: float = 4.0) -> Box:
+    return Box(
+        kind="box", centre_ned_m=(north, east), length_m=8.0, width_m=0.5, heading_deg=0.0, height_m=height
+    )
+
+
+class Track:
+    """Where the vehicle truly was in each cycle, NED from home."""
+
+    def __init__(self, world: World) -> None:
+        self.places: list[Vector3] = []
+        world.each = lambda w, _step: self.places.append(w.position)
+
+    def clearance_m(self, *shapes: Shape) -> float:
+        return float(np.min(clearance_m(np.array(self.places), [Obstacle.of(shape) for shape in shapes])))
+
+    def nearest_m(self, point: Vector3) -> float:
+        return min(math.dist(place, point) for place in self.places)
+
+
+def phases(world: World) -> list[Phase]:
+    return [phase for _, phase in world.flight.phases]
+
+
+def test_a_single_waypoint_is_the_autopilots_as_ever() -> None:
+    world = World(still())
+    world.fly(60.0)
+    assert Phase.ROUTE not in phases(world)
+    assert world.flight.phase is Phase.LANDED
+
+
+def test_further_waypoints_are_flown_through_by_our_own_setpoints() -> None:
+    mission = MissionConfig(waypoints_ned_m=((14.0, 8.0), (20.0, 8.0, 9.0)))
+    world = World(still(26.0, 6.0), config=PlanConfig(mission=mission))
+    track = Track(world)
+    world.fly(120.0)
+    order = phases(world)
+    assert order[order.index(Phase.WAYPOINT) :][:3] == [Phase.WAYPOINT, Phase.ROUTE, Phase.SEARCH]
+    assert world.flight.phase is Phase.LANDED
+    assert track.nearest_m((10.0, 0.0, -7.0)) < 1.5
+    assert track.nearest_m((14.0, 8.0, -7.0)) < 0.5
+    assert track.nearest_m((20.0, 8.0, -9.0)) < 0.5
+
+
+def test_the_pad_in_view_ends_the_route() -> None:
+    mission = MissionConfig(waypoints_ned_m=((10.0, 12.0), (30.0, 12.0)))
+    world = World(still(10.0, 6.0), config=PlanConfig(mission=mission))
+    world.fly(90.0)
+    assert world.flight.phase is Phase.LANDED
+    assert any("on the way through the waypoints" in text for text in world.flight.told("phase"))
+
+
+def test_an_obstacle_in_the_autopilots_straight_way_makes_the_first_waypoint_ours() -> None:
+    shapes = (pole(5.0, 0.1),)
+    world = World(still(), config=PlanConfig(obstacles=shapes))
+    track = Track(world)
+    world.fly(90.0)
+    order = phases(world)
+    assert Phase.WAYPOINT not in order
+    assert order[order.index(Phase.TAKE_OFF) + 1] is Phase.ROUTE
+    assert ActionKind.GO_TO not in {kind for _, kind in world.autopilot.heard}
+    assert world.flight.phase is Phase.LANDED
+    assert track.clearance_m(*shapes) > PlanConfig().obstacle_margin_m + VEHICLE.radius_m - 0.15
+
+
+def test_an_obstacle_between_waypoint_and_pad_is_flown_round() -> None:
+    shapes = (gantry(14.0, 3.0, height=12.0).model_copy(update={"heading_deg": 90.0}),)
+    world = World(still(19.0, 2.0), config=PlanConfig(obstacles=shapes, obstacle_ceiling_m=9.0))
+    world.beacon_after_s = 0.5
+    track = Track(world)
+    world.fly(120.0)
+    assert world.flight.phase is Phase.LANDED
+    assert world.flight.told("detour")
+    assert track.clearance_m(*shapes) > PlanConfig().obstacle_margin_m + VEHICLE.radius_m - 0.15
+
+
+def test_a_waypoint_within_an_obstacle_is_held_before_and_told_and_ends_by_time() -> None:
+    phase_times = PhaseTimesConfig(route_s=8.0, search_s=10.0)
+    config = PlanConfig(obstacles=(pole(10.0, 0.0, radius=1.0),), mission=MissionConfig(phases=phase_times))
+    world = World(still(60.0, 60.0), config=config)
+    track = Track(world)
+    world.fly(60.0)
+    assert any("no way" in text for text in world.flight.told("blocked"))
+    assert phases(world)[-3:] == [Phase.ROUTE, Phase.SEARCH, Phase.ABORT]
+    assert track.clearance_m(*config.obstacles) > 1.8
+
+
+@pytest.mark.parametrize("start_m", [-15.0, -22.0])
+def test_a_pad_that_passes_beneath_a_gantry_is_landed_on_beside_it(start_m: float) -> None:
+    shapes = (gantry(10.0, 3.0), pole(8.8, 7.0, radius=0.1, height=4.0))
+    config = PlanConfig(obstacles=shapes)
+    world = World(line(1.0, start_m), config=config)
+    track = Track(world)
+    world.fly(120.0)
+    assert world.flight.phase is Phase.LANDED
+    assert world.flight.touch_lateral_m < 0.12
+    assert track.clearance_m(*shapes) > config.obstacle_margin_m + VEHICLE.radius_m - 0.3
+
+
+def test_a_pad_that_stands_beneath_an_obstacle_is_waited_for_within_the_time_limits() -> None:
+    shapes = (gantry(10.6, 0.8),)
+    mission = MissionConfig(total_timeout_s=80.0)
+    world = World(still(), config=PlanConfig(obstacles=shapes, obstacle_ceiling_m=10.0, mission=mission))
+    track = Track(world)
+    world.fly(200.0)
+    assert world.flight.phase is Phase.ABORT
+    assert world.flight.told("waiting_over")
+    assert world.flight.touch_s is None
+    assert track.clearance_m(*shapes) > 1.6
