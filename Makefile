@@ -3,6 +3,7 @@
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
+# make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
@@ -22,7 +23,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-campaign bench-precision bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-campaign bench-precision bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -67,6 +68,9 @@ bench-experiments: $(VENV)/.dev
 
 bench-pad: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_pad_filter
+
+bench-obstacles: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_obstacles
 
 # needs the machine to itself, for half an hour
 bench-campaign: $(VENV)/.dev

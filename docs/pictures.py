@@ -47,7 +47,7 @@ from sitl.exposure import CameraSettings
 mpl.use("Agg")
 
 PHASES: Final = {
-    "take-off and way there": (("connect", "arm", "take_off", "waypoint"), "#7f8c8d"),
+    "take-off and way there": (("connect", "arm", "take_off", "waypoint", "route"), "#7f8c8d"),
     "search": (("search",), "#d68910"),
     "approach": (("approach",), "#2471a3"),
     "descend": (("descend",), "#7d3c98"),

@@ -1,4 +1,4 @@
-"""Writes the tables of docs/settings.md and docs/scenarios.md from the settings' own models.
+"""Writes the tables of docs/settings.md, scenarios.md and obstacles.md from the settings' own models.
 
     python -m docs.settings_table
 
@@ -26,9 +26,11 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from companion.config import (
+    Box,
     CameraConfig,
     CompanionConfig,
     ConfigError,
+    Cylinder,
     VehicleConfig,
     read_yaml,
 )
@@ -38,7 +40,7 @@ from sitl.pad_motion import Motion
 from sitl.scenario import Scenario
 
 DOCS: Final = Path(__file__).resolve().parent
-PAGES: Final = ("settings.md", "scenarios.md")
+PAGES: Final = ("settings.md", "scenarios.md", "obstacles.md")
 MEANINGS: Final = DOCS / "meanings.yaml"
 # longest first: a name ends in its unit
 UNITS: Final = {
@@ -213,6 +215,7 @@ def tables() -> dict[str, dict[str, list[Setting]]]:
         "scenario": groups_of(Scenario),
         "motion": {kind: groups_of(motion).get("", []) for kind, motion in motions.items()},
         "meet": groups_of(motions["static"]),
+        "obstacle": {"cylinder": groups_of(Cylinder)[""], "box": groups_of(Box)[""]},
         "fault_times": {"": times},
         "fault": {
             fault.model_fields["kind"].annotation.__args__[0]: groups_of(fault)[""][len(times) :]

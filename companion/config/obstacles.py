@@ -20,7 +20,7 @@ class Cylinder(StrictModel):
 
     kind: Literal["cylinder"]
     centre_ned_m: tuple[Place, Place]  # north, east of home
-    radius_m: float = Field(gt=0.0, le=100.0)
+    radius_m: float = Field(gt=0.0, le=100.0)  # of its widest part
     height_m: float = Field(gt=0.0, le=500.0)  # of its top over home
 
 

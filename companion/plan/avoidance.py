@@ -22,14 +22,21 @@ from companion.config import GuidanceConfig, PlanConfig
 from companion.geometry import ZERO3, FloatArray, Vector3, add, norm, scale, subtract
 from companion.plan.course import Course, Way, halting, paced
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried
-from companion.plan.obstacles import Obstacle, clearance_m, line_clear, route
+from companion.plan.obstacles import Obstacle, clearance_m, line_clear, nearest_free, route, way_cost
 
 # Corners are passed this much farther out first, so that a smooth curve has room to swing.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
 # Looking for a way round takes a while: not in every cycle.
 _THINK_AGAIN_S: Final = 0.2
+_THINK_AGAIN_SHARE: Final = 0.1
+_LONGEST_LEAD_S: Final = 4.0
+_NEAR_M: Final = 1.0
 # From a way round one goes over to a straight one that is not so much later there.
 _LATER_S: Final = 2.0
+# More room is worth so much more of a way; another side has to be so much shorter.
+_WORTH_ROOM: Final = 1.1
+_WORTH_TURNING: Final = 1.3
+_WORTH_M: Final = 1.0
 _CHECK_STEP_S: Final = 0.1
 _MOST_CHECKS: Final = 400
 # A way round that was begun is kept while its end is so near to where the target will be.
@@ -59,6 +66,7 @@ class Avoidance:
         self._detour: Course | None = None
         self._next_s = -math.inf
         self._frame = STILL
+        self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
         self.blocked = self.waiting = False
 
     @property
@@ -81,7 +89,7 @@ class Avoidance:
 
     def forget(self) -> None:
         """Another reference begins: no detour of the last one goes on."""
-        self._detour, self._next_s = None, -math.inf
+        self._detour, self._next_s, self._corners = None, -math.inf, []
         self.blocked = self.waiting = False
 
     def way(
@@ -119,7 +127,10 @@ class Avoidance:
             if self.waiting:
                 found = self._over(start, target, now_s)
             kept = found or (kept if _under_way(kept, now_s) else None)
+            if kept is not None:  # what takes long can be thought over less often
+                self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
         self._detour, self.blocked = kept, kept is None
+        self.waiting &= not self.blocked
         return self._stop(start, now_s) if kept is None else kept
 
     def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
@@ -193,23 +204,43 @@ class Avoidance:
     def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
         """A way round or over, in the guide's frame."""
         start, target = _seen(start, self._frame), _seen(target, self._frame)
-        for spare_m in _SPARES_M:
-            met, course = target.position_m, None
-            for _ in range(2):  # where the target is met depends on the way there
-                via = self._via((start.position_m, met), spare_m, level=level)
-                if via is None:
-                    break
-                course = paced(start, via, target, now_s, self._limits)
-                met = course.at(course.end_s).position_m
-            if via is None or course is None:
-                continue
-            for found in (course, halting(start, via, target, now_s, self._limits)):
+        met = target.position_m
+        for _ in range(2):  # where the target is met depends on the way there
+            ways = self._ways(start.position_m, met, now_s, level)
+            if not ways:
+                return None
+            time_s = paced(start, ways[0], target, now_s, self._limits).duration_s
+            if time_s > _LONGEST_LEAD_S and self._frame is STILL:
+                # that it goes on as it does is known for a while only
+                target = Motion(add(target.position_m, scale(target.velocity_m_s, _LONGEST_LEAD_S)))
+                met, time_s = target.position_m, 0.0
+            met = add(target.position_m, scale(target.velocity_m_s, time_s))
+        for via in self._ways(start.position_m, met, now_s, level):
+            for pace in (paced, halting):
+                found = pace(start, via, target, now_s, self._limits)
                 if self._keeps_clear(found, now_s):
+                    self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
                     return found.carried(_away(self._frame), now_s)
         return None
 
+    def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
+        """The points of the ways worth a try, the roomiest first; one begun is not left for little."""
+        fresh = [self._via((here, there), spare_m, level=level) for spare_m in _SPARES_M]
+        ways = [via for via in fresh if via is not None]
+        if not ways:
+            return []
+        shortest = min(way_cost((here, *via, there)) for via in ways)
+        ways = [via for via in ways if way_cost((here, *via, there)) <= _WORTH_ROOM * shortest + _WORTH_M]
+        ahead = next(
+            (c for when_s, c in self._corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
+        )
+        begun = None if ahead is None else self._via((here, ahead, there), _SPARES_M[-1], level=level)
+        if begun is not None and way_cost((here, *begun, there)) <= _WORTH_TURNING * shortest + _WORTH_M:
+            return [begun, *ways]
+        return ways
+
     def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
-        """To over the target: no lower than now, or higher up, where it is clear of all that it passes."""
+        """To over the target: no lower than now, or higher up, or else as near as it may."""
         assert self._home_ned_m is not None
         here, home_down = start.position_m[2] + self._frame.position_m[2], self._home_ned_m[2]
         tops = {home_down + o.top_down_m - self._margin_m - _ABOVE_M for o in self._obstacles}
@@ -220,7 +251,20 @@ class Avoidance:
             found = self._round(start, raised, now_s, level=False)
             if found is not None:
                 return found
-        return None
+        return self._beside(start, target, now_s)
+
+    def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+        """To the place nearest to over the target that is clear, at the present height: it stays in view."""
+        assert self._home_ned_m is not None
+        target = _seen(target, self._frame)
+        north, east, _ = add(target.position_m, scale(target.velocity_m_s, _THINK_AGAIN_S))
+        down = start.position_m[2] + self._frame.position_m[2]
+        over = subtract((north, east, down), self._home_ned_m)
+        free = nearest_free(over, self._obstacles, self._margin_m + _ABOVE_M)
+        if free is None:
+            return None
+        place = subtract(add(free, self._home_ned_m), self._frame.position_m)
+        return self._round(start, Motion(place, scale(self._frame.velocity_m_s, -1.0)), now_s, level=True)
 
     def _via(self, places: Sequence[Vector3], spare_m: float, *, level: bool = False) -> list[Vector3] | None:
         """The points between the first place and the last, those on the way round included."""

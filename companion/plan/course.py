@@ -135,7 +135,7 @@ def _at_points(
 def paced(
     start: Motion, via: Sequence[Vector3], target: Motion, start_s: float, limits: GuidanceConfig
 ) -> Course:
-    """Through points to one that moves on at its velocity, within the limits of speed and acceleration (to 5 and 10 %).
+    """Through points to one that moves on at its velocity, within the limits (speed to 5, push to 10 %).
 
     The speed's limits count relative to the target: its own speed comes on top.
 

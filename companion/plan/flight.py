@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final
 
 from companion.config import PlanConfig, VehicleConfig
-from companion.geometry import Vector3, add, yaw_from_quat
+from companion.geometry import yaw_from_quat
 from companion.messages import Action, ActionKind, LandedState, Phase
 from companion.plan.departure import Departure
 from companion.plan.ground import Ground
@@ -24,15 +24,13 @@ from companion.plan.mission import BY_THE_PAD, Event
 from companion.plan.requests import Requests
 from companion.plan.search import Search
 from companion.plan.sight import PadKnowledge, vehicle_motion
+from companion.plan.surroundings import Say, Surroundings
 from companion.plan.touchdown import Finding, Touchdown
 from companion.plan.watch import Watch
 from companion.plan.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6
 _WORTH_TELLING_M: Final = 0.2
-_TELL_AGAIN_S: Final = 2.0
-Severity = Literal["info", "warning", "error"]
-Say = Callable[[str, str, float, Severity], None]
 
 
 class Flight:
@@ -54,17 +52,13 @@ class Flight:
         self._guide, self._pad, self._ground = guide, pad, ground
         self._requests, self._watch, self._say = requests, watch, say
         self.departure = Departure(config.mission)
+        self.surroundings = Surroundings(guide, ground, say)
         self._waypoints = Waypoints(config.mission, guide)
         self.search = Search(config.search, guide)
         self._landing = Landing(config.landing, vehicle, guide)
         self._touchdown = Touchdown(config.touchdown, vehicle, config.landing.wait_height_m, guide)
         self._tries = 0
         self._begun_s = 0.0
-        # where it took off by our own estimate: two GPS disagree by metres, over a flight one by little
-        self._stood_ned_m: Vector3 | None = None
-        self._home_ned_m: Vector3 | None = None
-        self._told_of: str = ""
-        self._told_s = -math.inf
         self._retreat: Motion | None = None
         self._phase = Phase.CONNECT
         self._flown_by: dict[Phase, Callable[[PlanInputs, float], Finding]] = {
@@ -95,15 +89,8 @@ class Flight:
     def fly(self, inputs: PlanInputs, now_s: float) -> Finding:
         """Let the phase steer the reference for this cycle; returns what it finds."""
         finding = self._flown_by[self._phase](inputs, now_s)
-        self._tell_of_obstacles(now_s)
+        self.surroundings.tell(now_s)
         return finding
-
-    def look_about(self) -> None:
-        """Take in where home and the pad are, for what must be kept clear of."""
-        down_m = self._ground.home_down_m
-        if self._stood_ned_m is not None and down_m is not None:
-            self._home_ned_m = (*self._stood_ned_m[:2], down_m)
-        self._guide.see(self._home_ned_m, self._pad.motion)
 
     def minimum_height_m(self, now_s: float) -> float | None:
         """What the controller may not go below, over the pad."""
@@ -127,7 +114,7 @@ class Flight:
         previous, self._phase = self._phase, phase
         if self._phase is Phase.TAKE_OFF:
             self._ground.stands_here(inputs.vehicle)
-            self._stood_ned_m = None if inputs.vehicle is None else inputs.vehicle.position_ned_m
+            self.surroundings.stands_here(inputs.vehicle)
             self.departure.lift_off()
         elif self._phase is Phase.ROUTE:
             self._enter_route(previous, inputs, now_s)
@@ -220,21 +207,26 @@ class Flight:
         )
         if waiting_for:
             self._say("waiting", waiting_for, now_s, "info")
-        if finding is not None and finding[0] is Event.AIRBORNE and self._first_way_blocked(inputs, now_s):
+        if self._phase is Phase.WAYPOINT and self._waypoints.further:
+            return self._at_first(inputs)
+        if finding is None or inputs.vehicle is None:
+            return finding
+        here_m, first_m = inputs.vehicle.position_ned_m, self._waypoints.first_from_home_m
+        if finding[0] is Event.AIRBORNE and not self.surroundings.straight_clear(here_m, first_m):
             return Event.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
-        if finding is not None and finding[0] is Event.ARRIVED and self._waypoints.further:
-            return Event.ONWARD, finding[1]
         return finding
 
-    def _first_way_blocked(self, inputs: PlanInputs, now_s: float) -> bool:
-        if inputs.vehicle is None or self._home_ned_m is None:
-            return False
-        here = vehicle_motion(inputs.vehicle, now_s).position_m
-        return not self._guide.straight_clear(here, add(self._waypoints.first_from_home_m, self._home_ned_m))
+    def _at_first(self, inputs: PlanInputs) -> Finding:
+        """Whether the autopilot has come to the first of several waypoints, which all count alike."""
+        home_ned_m = self.surroundings.home_ned_m
+        if inputs.vehicle is None or home_ned_m is None:
+            return None
+        return self._waypoints.at_first(vehicle_motion(inputs.vehicle, inputs.vehicle.time_s), home_ned_m)
 
     def _fly_route(self, inputs: PlanInputs, now_s: float) -> Finding:
         """Through the waypoints that are ours; the pad in view ends it."""
-        if inputs.vehicle is None or self._home_ned_m is None or not self._guide.active:
+        home_ned_m = self.surroundings.home_ned_m
+        if inputs.vehicle is None or home_ned_m is None or not self._guide.active:
             return None
         if self._pad.steady(now_s):
             return Event.PAD_SEEN, "on the way through the waypoints"
@@ -245,7 +237,7 @@ class Flight:
             if now_s - self._begun_s >= self._config.search.stream_s:
                 self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
             return None
-        return self._waypoints.step(actual, self._home_ned_m, now_s)
+        return self._waypoints.step(actual, home_ned_m, now_s)
 
     def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> Finding:
         if inputs.vehicle is None or not self._guide.active:
@@ -339,31 +331,6 @@ class Flight:
         return None
 
     # ------------------------------------------------------------ helpers
-
-    def _tell_of_obstacles(self, now_s: float) -> None:
-        """Say when the way leads round obstacles, when there is none, and when it is straight again."""
-        guide = self._guide
-        way = (
-            "blocked"
-            if guide.blocked
-            else "waiting_over"
-            if guide.waiting
-            else "detour"
-            if guide.detouring
-            else ""
-        )
-        if way == self._told_of or now_s - self._told_s < _TELL_AGAIN_S:
-            return
-        words = {
-            "blocked": "no way that keeps clear of the obstacles: holding",
-            "waiting_over": "the pad is too near to an obstacle: waiting over it",
-            "detour": "an obstacle is in the way: flying round it",
-            "": "clear of the obstacles again",
-        }
-        self._say(
-            way or "clear", words[way], now_s, "warning" if way in {"blocked", "waiting_over"} else "info"
-        )
-        self._told_of, self._told_s = way, now_s
 
     def _keep_near_pad(self, inputs: PlanInputs, now_s: float) -> None:
         """Unseen, the guide flies in the EKF's NED, and what moves there is the vehicle alone."""

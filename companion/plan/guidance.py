@@ -49,7 +49,7 @@ class Guide:
         avoidance: Avoidance | None = None,
     ) -> None:
         self._config, self._law = config, law
-        self._avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
+        self.avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
         self._count, self._step_s = horizon_steps + 1, step_s
         self.origin: Origin = "local"
         self._trajectory: Way | None = None
@@ -94,7 +94,7 @@ class Guide:
     def rest(self, motion: Motion, now_s: float) -> None:
         """Come to rest in the present frame from a state."""
         self._look_from_frame()
-        self._follow(self._avoidance.brake(motion, now_s), now_s)
+        self._follow(self.avoidance.brake(motion, now_s), now_s)
 
     def stop(self) -> None:
         """Give the reference up: no setpoint leaves any more."""
@@ -130,33 +130,14 @@ class Guide:
     def see(self, home_ned_m: Vector3 | None, pad: Motion | None) -> None:
         """Take in where home is, from which obstacles count, and how the pad moves; EKF's NED."""
         if home_ned_m is not None:
-            self._avoidance.home_at(home_ned_m)
+            self.avoidance.home_at(home_ned_m)
         if pad is not None:
             self._pad = pad
-
-    @property
-    def blocked(self) -> bool:
-        """Whether there is no way that keeps clear of the obstacles: the reference holds."""
-        return self._avoidance.blocked
-
-    @property
-    def waiting(self) -> bool:
-        """Whether the pad is too near to an obstacle: the reference goes along higher up."""
-        return self._avoidance.waiting and not self._avoidance.blocked
-
-    @property
-    def detouring(self) -> bool:
-        """Whether the way leads round an obstacle."""
-        return self._avoidance.detouring
-
-    def straight_clear(self, start: Vector3, goal: Vector3) -> bool:
-        """Whether the straight line between two points of the EKF's NED keeps clear of the obstacles."""
-        return self._avoidance.straight_clear(start, goal)
 
     def stays_clear(self, place: Vector3, duration_s: float) -> bool:
         """Whether a place in the present frame, going with it, keeps clear of the obstacles for so long."""
         self._look_from_frame()
-        return self._avoidance.free_for(place, duration_s)
+        return self.avoidance.free_for(place, duration_s)
 
     def fly_along(self, points: Sequence[Vector3], now_s: float) -> None:
         """Through points of the EKF's NED by minimum jerk, round what is between them; the last is a halt.
@@ -165,14 +146,14 @@ class Guide:
         """
         if self._along is not None and self._trajectory is self._along:
             same = math.dist(self._along.at(self._along.end_s).position_m, points[-1]) <= _SAME_POINT_M
-            if same and self._avoidance.still_clear(self._along, now_s):
+            if same and self.avoidance.still_clear(self._along, now_s):
                 self.time_to_go_s = max(0.0, self._along.end_s - now_s)
                 return
         self._look_from_frame()
-        course = self._avoidance.along(self.at(now_s), points, now_s)
+        course = self.avoidance.along(self.at(now_s), points, now_s)
         if course is None:
             # held as it is: `rest` would forget that there is no way
-            self._trajectory, self._level = self._avoidance.brake(self.at(now_s), now_s), None
+            self._trajectory, self._level = self.avoidance.brake(self.at(now_s), now_s), None
             return
         self._follow(course, now_s)
         self._along = course
@@ -191,10 +172,13 @@ class Guide:
         moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
         duration_s = distance / speed + self._config.minimum_time_s
         asked_s = max(duration_s, self._left_s(now_s))
-        relative = self._within_limits(moving, asked_s, _LONGEST_TIMES * duration_s, now_s)
+        slowest_s = distance / min(speed, self._config.vertical_speed_m_s)
+        stopping_s = norm(closing) / self._config.vertical_acceleration_m_s2
+        longest_s = _LONGEST_TIMES * (self._config.minimum_time_s + slowest_s + stopping_s)
+        relative = self._within_limits(moving, asked_s, longest_s, now_s)
         direct = carried(relative, target, now_s)
         self._look_from_frame()
-        way = self._avoidance.way(
+        way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
         )
         self._trajectory, self._level = way, None
@@ -269,10 +253,10 @@ class Guide:
         )
 
     def _look_from_frame(self) -> None:
-        self._avoidance.see_from(self._pad if self.origin == "pad" else STILL)
+        self.avoidance.see_from(self._pad if self.origin == "pad" else STILL)
 
     def _follow(self, trajectory: Way, now_s: float) -> None:
-        self._avoidance.forget()
+        self.avoidance.forget()
         self._trajectory, self._level = trajectory, None
         self.speed_m_s, self.time_to_go_s = 0.0, max(0.0, trajectory.end_s - now_s)
 

@@ -1,19 +1,14 @@
-"""Obstacles: how far away they are, and the shortest way round or over them.
-
-An obstacle stands on the ground and is solid up to its top: a rectangle with rounded sides, of which a box
-(radius 0) and a cylinder (no rectangle) are the two ends. Grown by a margin it keeps that form. NED, m; the
-frame is the caller's (the planner's counts from home, so that what is surveyed never moves).
+"""The shortest way round or over obstacles that keeps a margin from all of them.
 
 The way round is the shortest path in the visibility graph (Lozano-Perez and Wesley, 1979) of the octagons
 about the grown shapes; the way over is the same at a height where some are below. Nothing is drawn at random:
-the same question has the same answer.
+the same question has the same answer. NED, m, in the obstacles' frame.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import Final
@@ -21,124 +16,17 @@ from typing import Final
 import numpy as np
 from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
 
-from companion.config import Cylinder, Shape
 from companion.geometry import FloatArray, Vector3
+from companion.plan.shapes import Obstacle, Plan, clearance_m, shapes_of
 
-_CORNERS: Final = 8  # of the polygon about a grown shape
-_HALF_TURN: Final = math.pi / _CORNERS
-_OUTSIDE: Final = 1.0 / math.cos(_HALF_TURN)  # so that its sides touch the round
+__all__ = ["Obstacle", "clearance_m", "line_clear", "nearest_free", "route", "way_cost"]
+
 _TOLERANCE_M: Final = 1e-6
 _SPACING_M: Final = 0.2  # of the points at which a straight line is looked at
 _STEP_OUT_M: Final = 0.05  # beyond the margin, for who stands within it
 # Climbing is so much slower than flying across: a metre of it counts as so many.
 _CLIMB_COST: Final = 2.5
 _SAME_HEIGHT_M: Final = 0.05
-
-Plan = tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Obstacle:
-    """A rectangle rounded by `round_m`, from the ground up to `top_down_m` (down of its top)."""
-
-    north_m: float
-    east_m: float
-    half_length_m: float
-    half_width_m: float
-    heading_rad: float
-    round_m: float
-    top_down_m: float
-
-    @classmethod
-    def of(cls, shape: Shape) -> Obstacle:
-        """As it was surveyed: NED from home."""
-        north, east = shape.centre_ned_m
-        if isinstance(shape, Cylinder):
-            return cls(north, east, 0.0, 0.0, 0.0, shape.radius_m, -shape.height_m)
-        heading = math.radians(shape.heading_deg)
-        return cls(north, east, 0.5 * shape.length_m, 0.5 * shape.width_m, heading, 0.0, -shape.height_m)
-
-    def corners(self, margin_m: float) -> list[Plan]:
-        """North and east of the octagon whose sides touch the shape grown by a margin."""
-        reach = (self.round_m + margin_m) * _OUTSIDE
-        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
-        points = []
-        for k in range(_CORNERS):
-            angle = (2 * k + 1) * _HALF_TURN
-            along = math.copysign(self.half_length_m, math.cos(angle)) + reach * math.cos(angle)
-            across = math.copysign(self.half_width_m, math.sin(angle)) + reach * math.sin(angle)
-            points.append((self.north_m + c * along - s * across, self.east_m + s * along + c * across))
-        return points
-
-
-class _Shapes:
-    """The same obstacles as columns, (1, m) each."""
-
-    def __init__(self, obstacles: Sequence[Obstacle]) -> None:
-        columns = np.array(
-            [
-                (o.north_m, o.east_m, o.half_length_m, o.half_width_m, o.heading_rad, o.round_m, o.top_down_m)
-                for o in obstacles
-            ]
-        ).reshape(-1, 7)
-        self.north, self.east, self.length, self.width, heading, self.round, self.top = columns.T[:, None, :]
-        self.c, self.s = np.cos(heading), np.sin(heading)
-
-    def local(self, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Points (n, 2) along and across each shape, (n, m) each."""
-        north, east = plan[:, :1] - self.north, plan[:, 1:2] - self.east
-        return self.c * north + self.s * east, self.c * east - self.s * north
-
-    def beside_m(self, plan: FloatArray) -> FloatArray:
-        """Horizontal distance (n, m) of points (n, 2); negative inside."""
-        along, across = self.local(plan)
-        u, v = np.abs(along) - self.length, np.abs(across) - self.width
-        outside = np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0))
-        return np.asarray(outside + np.minimum(np.maximum(u, v), 0.0) - self.round)
-
-    def distance_m(self, points: FloatArray) -> FloatArray:
-        """Distance (n, m) of points (n, 3), over the tops too; negative inside."""
-        beside, over = self.beside_m(points[:, :2]), self.top - points[:, 2:3]
-        outside = np.hypot(np.maximum(beside, 0.0), np.maximum(over, 0.0))
-        return np.asarray(outside + np.minimum(np.maximum(beside, over), 0.0))
-
-    def along_m(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Least horizontal distance (n, m) of the lines from a to b, (n, 2) each; not below -round."""
-        (ax, ay), (bx, by) = self.local(a), self.local(b)
-        dx, dy = bx - ax, by - ay
-        square = np.maximum(dx * dx + dy * dy, 1e-18)
-        u, v = np.maximum(np.abs(ax) - self.length, 0.0), np.maximum(np.abs(ay) - self.width, 0.0)
-        p, q = np.maximum(np.abs(bx) - self.length, 0.0), np.maximum(np.abs(by) - self.width, 0.0)
-        nearest = np.minimum(u * u + v * v, p * p + q * q)
-        for x, y in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
-            ex, ey = x * self.length - ax, y * self.width - ay
-            t = np.clip((ex * dx + ey * dy) / square, 0.0, 1.0)
-            nearest = np.minimum(nearest, (ex - t * dx) ** 2 + (ey - t * dy) ** 2)
-        nearest = np.where(self._crossed(ax, ay, dx, dy), 0.0, nearest)
-        return np.asarray(np.sqrt(nearest) - self.round)
-
-    def _crossed(self, ax: FloatArray, ay: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
-        """Whether a line passes through the rectangle: it does where it is within both pairs of sides."""
-        dx = np.where(np.abs(dx) < 1e-12, 1e-12, dx)
-        dy = np.where(np.abs(dy) < 1e-12, 1e-12, dy)
-        x1, x2 = (-self.length - ax) / dx, (self.length - ax) / dx
-        y1, y2 = (-self.width - ay) / dy, (self.width - ay) / dy
-        enter = np.maximum(np.minimum(x1, x2), np.minimum(y1, y2))
-        leave = np.minimum(np.maximum(x1, x2), np.maximum(y1, y2))
-        return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
-
-
-@lru_cache(maxsize=256)
-def _shapes(obstacles: tuple[Obstacle, ...]) -> _Shapes:
-    return _Shapes(obstacles)
-
-
-def clearance_m(points: FloatArray, obstacles: Iterable[Obstacle]) -> FloatArray:
-    """Distance (n,) of points (n, 3) to the nearest obstacle; negative inside one, inf without any."""
-    shapes = tuple(obstacles)
-    if not shapes:
-        return np.full(len(points), np.inf)
-    return np.asarray(np.min(_shapes(shapes).distance_m(points), axis=1))
 
 
 def route(
@@ -161,7 +49,7 @@ def route(
     if not _free(goal, shapes, margin_m):
         return None
     if not _free(start, shapes, margin_m):
-        out = _way_out(start, shapes, margin_m, ceiling_down_m)
+        out = nearest_free(start, shapes, margin_m, ceiling_down_m=ceiling_down_m)
         onward = None if out is None else route(out, goal, shapes, margin_m, ceiling_down_m=ceiling_down_m)
         return None if out is None or onward is None else (out, *onward)
     return _from_free(start, goal, shapes, margin_m, ceiling_down_m)
@@ -190,17 +78,17 @@ def _from_free(
     """The cheapest: round all that the lower end meets, or over some of it, at each height that pays."""
     sloped = _round(start, goal, _taller(obstacles, max(start[2], goal[2]), margin_m), margin_m)
     best = None if sloped is None else _sloping(start, goal, sloped)
-    cost = math.inf if best is None else _cost((start, *best, goal))
+    cost = math.inf if best is None else way_cost((start, *best, goal))
     for level in _levels(start, goal, obstacles, margin_m, ceiling_down_m):
         straight = ((*start[:2], level), (*goal[:2], level))
-        if _cost((start, *straight, goal)) >= cost:
+        if way_cost((start, *straight, goal)) >= cost:
             continue
         plan = _round(start, goal, _taller(obstacles, level, margin_m), margin_m)
         if plan is None:
             continue
         way = _unbent(start, ((*start[:2], level), *((*p, level) for p in plan), (*goal[:2], level)), goal)
-        if _cost((start, *way, goal)) < cost:
-            best, cost = way, _cost((start, *way, goal))
+        if way_cost((start, *way, goal)) < cost:
+            best, cost = way, way_cost((start, *way, goal))
     return best
 
 
@@ -225,7 +113,8 @@ def _taller(obstacles: tuple[Obstacle, ...], down_m: float, margin_m: float) -> 
     return tuple(o for o in obstacles if o.top_down_m - margin_m < down_m)
 
 
-def _cost(points: Sequence[Vector3]) -> float:
+def way_cost(points: Sequence[Vector3]) -> float:
+    """Length (m) of a way, a metre of climb counting as 2.5."""
     return sum(math.hypot(math.dist(p[:2], q[:2]), _CLIMB_COST * (q[2] - p[2])) for p, q in pairwise(points))
 
 
@@ -246,10 +135,15 @@ def _unbent(start: Vector3, points: Sequence[Vector3], goal: Vector3) -> tuple[V
     return tuple(p for p in points if min(math.dist(p, end) for end in ends) > _SAME_HEIGHT_M)
 
 
-def _way_out(
-    start: Vector3, obstacles: tuple[Obstacle, ...], margin_m: float, ceiling_down_m: float | None
+def nearest_free(
+    start: Vector3, obstacles: Sequence[Obstacle], margin_m: float, *, ceiling_down_m: float | None = None
 ) -> Vector3 | None:
-    """The nearest place outside all margins: straight up, or to a corner or the side of a grown shape."""
+    """The place nearest to one that keeps the margin, or None: a corner or the side of a grown shape.
+
+    With a ceiling (down, m) straight up too.
+    """
+    if not obstacles or _free(start, tuple(obstacles), margin_m):
+        return start
     grown = margin_m + _STEP_OUT_M
     places: list[Vector3] = [(n, e, start[2]) for o in obstacles for n, e in o.corners(grown)]
     places += [_side(start, o, grown) for o in obstacles]
@@ -258,7 +152,7 @@ def _way_out(
         places.append((start[0], start[1], up))
     free = clearance_m(np.array(places), obstacles) >= margin_m - _TOLERANCE_M
     outside = [place for place, is_free in zip(places, free, strict=True) if is_free]
-    return min(outside, key=lambda place: _cost((start, place)), default=None)
+    return min(outside, key=lambda place: way_cost((start, place)), default=None)
 
 
 def _side(start: Vector3, obstacle: Obstacle, grown_m: float) -> Vector3:
@@ -287,7 +181,7 @@ class _Graph:
     """The corners that are free, and the shortest ways between all of them."""
 
     def __init__(self, obstacles: tuple[Obstacle, ...], margin_m: float) -> None:
-        self._shapes, self._grown = _shapes(obstacles), margin_m - _TOLERANCE_M
+        self._shapes, self._grown = shapes_of(obstacles), margin_m - _TOLERANCE_M
         corners = np.array([corner for o in obstacles for corner in o.corners(margin_m)])
         self._corners = corners[np.all(self._shapes.beside_m(corners) >= self._grown, axis=1)]
         i, j = np.triu_indices(len(self._corners), 1)

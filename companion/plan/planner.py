@@ -14,13 +14,14 @@ from companion.config import PlanConfig, VehicleConfig
 from companion.geometry import ned_from_geodetic
 from companion.messages import ActionKind, LandedState, Notice, Phase, PlanStep
 from companion.plan.avoidance import Avoidance
-from companion.plan.flight import Flight, Severity
+from companion.plan.flight import Flight
 from companion.plan.ground import Ground
 from companion.plan.guidance import Guide, SpeedLaw
 from companion.plan.inputs import PlanInputs
 from companion.plan.mission import FINAL, TAKES_CONTROL, Event, transition
 from companion.plan.requests import Requests
 from companion.plan.sight import PadKnowledge
+from companion.plan.surroundings import Severity
 from companion.plan.touchdown import Finding
 from companion.plan.watch import Watch
 
@@ -87,7 +88,7 @@ class Planner:
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
-        self._flight.look_about()
+        self._flight.surroundings.update(self._pad)
         if inputs.vehicle is None:
             return
         if self._within_fence(inputs):

@@ -160,7 +160,7 @@ class Search:
         reference = self._guide.at(now_s).position_m
         place = self._corner_of(centre)
         # a corner that cannot be had for an obstacle is as good as looked at
-        if math.dist(reference[:2], place) < _CORNER_M or self._guide.blocked:
+        if math.dist(reference[:2], place) < _CORNER_M or self._guide.avoidance.blocked:
             self._at_corner(now_s)
             place = self._corner_of(centre)
         return Motion((*place, self._down_m), centre.velocity_m_s)

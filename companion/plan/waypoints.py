@@ -45,6 +45,15 @@ class Waypoints:
             self._left.append((north, east, -(height[0] if height else self._config.take_off_height_m)))
         self._last = self._left[-1] if self._left else None
 
+    def at_first(self, actual: Motion, home_ned_m: Vector3) -> Finding:
+        """Whether the vehicle is at the first waypoint, slow; in the EKF's NED."""
+        first, v = add(self.first_from_home_m, home_ned_m), actual.velocity_m_s
+        distance_m = math.dist(actual.position_m[:2], first[:2])
+        slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
+        if distance_m <= self._config.arrival_radius_m and slow:
+            return Event.ONWARD, f"{distance_m:.1f} m from the first waypoint"
+        return None
+
     def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> Finding:
         """One cycle with control ours; `actual` and home are in the EKF's NED."""
         if self._last is None:

@@ -34,6 +34,7 @@ from companion.config import (
     load_config,
     validate,
 )
+from companion.experiments.command import app as experiments_cli
 from companion.result import Result
 from docs import settings_table
 from sitl.campaign import SCENARIOS
@@ -55,6 +56,7 @@ PROGRAMS = {
     "calibrate-magnetometer": magnetometer_cli,
     "calibrate-mount": mount_cli,
     "calibrate-camera": camera_cli,
+    "companion-experiments": experiments_cli,
 }
 FOLDERS = ("companion/", "sitl/", "calibration/", "configs/", "docs/", "tests/", "systemd/")
 

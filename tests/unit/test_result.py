@@ -5,9 +5,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rich.console import Console
 
+from companion.config import Box, Cylinder
 from companion.geometry import ZERO3, quat_from_euler, quat_rotate_inverse, subtract
 from companion.messages import (
     FrameReport,
@@ -20,11 +22,15 @@ from companion.messages import (
     Truth,
     VehicleState,
 )
-from companion.report import result_table, write_plots
+from companion.report import outline_m, result_table, write_plots
 from companion.result import Result, TruthTrack, build_result, from_start, latency, phase_times
 
 STEP_S = 0.02
 END_S = 10.0
+
+
+POLE = Cylinder(kind="cylinder", centre_ned_m=(3.0, 1.0), radius_m=0.5, height_m=4.0)
+WALL = Box(kind="box", centre_ned_m=(0.0, 0.0), length_m=4.0, width_m=0.5, heading_deg=30.0, height_m=4.0)
 
 
 def truth_at(time_s: float) -> Truth:
@@ -178,6 +184,20 @@ def test_all_plots_are_drawn(tmp_path: Path) -> None:
     ]
     assert all(path.stat().st_size > 10_000 for path in paths)
     write_plots(tmp_path, {}, truth)
+    plain = paths[0].read_bytes()
+    write_plots(tmp_path, {}, truth, [POLE, WALL])
+    assert paths[0].read_bytes() != plain
+
+
+def test_an_obstacles_outline_lies_on_its_surface() -> None:
+    north, east = outline_m(POLE)
+    assert np.hypot(north - 3.0, east - 1.0) == pytest.approx(0.5)
+    north, east = outline_m(WALL)
+    c, s = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
+    assert len(north) == 5
+    assert (north[0], east[0]) == (north[-1], east[-1])
+    # 2 m along, 0.25 m to the right of a wall that points 30 degrees to the east of north
+    assert (north[0], east[0]) == pytest.approx((2.0 * c - 0.25 * s, 2.0 * s + 0.25 * c))
 
 
 def test_the_table_shows_what_was_measured_beside_what_passes() -> None:

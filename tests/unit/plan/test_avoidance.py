@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from companion.config import Box, Cylinder, PlanConfig, Shape
-from companion.geometry import Vector3, add, norm, subtract
+from companion.geometry import Vector3, add, norm, scale, subtract
 from companion.plan.avoidance import Avoidance
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
@@ -53,7 +53,7 @@ def fly(g: Guide, target: Motion, seconds: float, start_s: float = 0.0) -> list[
     flown = []
     for k in range(round(seconds / CYCLE_S)):
         t = start_s + k * CYCLE_S
-        led = add(target.position_m, tuple(v * k * CYCLE_S for v in target.velocity_m_s))
+        led = add(target.position_m, scale(target.velocity_m_s, k * CYCLE_S))
         g.fly_to(Motion(led, target.velocity_m_s), t)
         flown.append(g.at(t + CYCLE_S))
     return flown
@@ -61,7 +61,7 @@ def fly(g: Guide, target: Motion, seconds: float, start_s: float = 0.0) -> list[
 
 def assert_smooth(flown: list[Motion]) -> None:
     for before, after in pairwise(flown):
-        expected = add(before.position_m, tuple(v * CYCLE_S for v in before.velocity_m_s))
+        expected = add(before.position_m, scale(before.velocity_m_s, CYCLE_S))
         assert math.dist(after.position_m, expected) < 0.01
         assert math.dist(after.velocity_m_s, before.velocity_m_s) < 5.0 * CYCLE_S
         assert math.dist(after.acceleration_m_s2, before.acceleration_m_s2) < 1.5
@@ -112,13 +112,14 @@ def test_where_there_is_no_way_it_brakes_and_holds_and_says_so() -> None:
     # on its way already, at speed
     g.start("local", Motion(from_home(0.0, 0.0, 5.0), (3.0, 0.0, 0.0)), 0.0)
     flown = fly(g, Motion(from_home(10.0, 0.5, 5.0)), 10.0)
-    assert g.blocked
+    held = g.avoidance.blocked
+    assert held
     assert clearance([m.position_m for m in flown], (target,)) >= MARGIN_M
     assert norm(flown[-1].velocity_m_s) < 0.02
     assert_smooth(flown)
     # and goes on as soon as it may
     onward = fly(g, Motion(from_home(10.0, 6.0, 5.0)), 15.0, start_s=10.0)
-    assert not g.blocked
+    assert not g.avoidance.blocked
     assert clearance([m.position_m for m in onward], (target,)) >= MARGIN_M - 0.02
     assert math.dist(onward[-1].position_m, from_home(10.0, 6.0, 5.0)) < 0.1
 
@@ -138,8 +139,8 @@ def test_over_a_pad_that_passes_beneath_a_gantry_it_goes_along_higher_up_and_com
         if k == 0:
             g.start("pad", Motion((0.0, 0.0, -7.0)), t)
         g.fly_to(Motion((0.0, 0.0, -1.5)), t)
-        waited += g.waiting
-        assert not g.blocked
+        waited += g.avoidance.waiting
+        assert not g.avoidance.blocked
         flown.append(relative(g, pad, t))
         heights.append(-g.at(t).position_m[2])
     assert clearance(flown, (gantry,)) >= MARGIN_M - 0.05
@@ -178,7 +179,7 @@ def test_a_route_goes_through_all_points_without_a_halt_and_round_what_is_betwee
     for k in range(round(40.0 / CYCLE_S)):
         g.fly_along(points, k * CYCLE_S)
         flown.append(g.at((k + 1) * CYCLE_S))
-    assert not g.blocked
+    assert not g.avoidance.blocked
     assert clearance([m.position_m for m in flown], shapes) >= MARGIN_M - 0.02
     for point in points[:-1]:
         near = min(flown, key=lambda m: math.dist(m.position_m, point))
@@ -192,5 +193,5 @@ def test_a_route_that_cannot_be_had_is_not_begun() -> None:
     g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
     for k in range(60):
         g.fly_along([from_home(10.0, 0.0, 5.0)], k * CYCLE_S)
-    assert g.blocked
+    assert g.avoidance.blocked
     assert g.at(2.0).position_m == pytest.approx(from_home(0.0, 0.0, 5.0))

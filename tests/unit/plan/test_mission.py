@@ -100,3 +100,13 @@ def test_nothing_but_connecting_arms_and_nothing_but_arming_takes_off() -> None:
             assert phase is Phase.CONNECT
         if ActionKind.TAKE_OFF in step.actions:
             assert phase is Phase.ARM
+
+
+def test_what_the_autopilot_cannot_fly_straight_to_and_further_waypoints_are_flown_by_us() -> None:
+    assert transition(Phase.TAKE_OFF, Event.BLOCKED).phase is Phase.ROUTE
+    assert transition(Phase.TAKE_OFF, Event.BLOCKED).actions == ()
+    assert transition(Phase.WAYPOINT, Event.ONWARD).phase is Phase.ROUTE
+    for event in (Event.ARRIVED, Event.PAD_SEEN, Event.TIMEOUT):
+        assert transition(Phase.ROUTE, event).phase is Phase.SEARCH
+    assert transition(Phase.ROUTE, Event.REFUSED).actions == (ActionKind.HOLD,)
+    assert not transition(Phase.DESCEND, Event.ONWARD).legal
