@@ -12,6 +12,7 @@
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
 # make bench-calibration DATA=DIR  the calibration tools on made-up truth, and on real logs and photos
+# make bench-experiments     Fig. 14 over twenty seeds: MPC, the paper's recursion and PID on one reference
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -26,7 +27,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -65,6 +66,10 @@ bench: $(VENV)/.dev
 
 bench-state: $(VENV)/.dev
 	$(BENCH_STATE)
+
+# half an hour's flights on two processes take about ten minutes; Fig. 14's picture is left beside
+bench-experiments: $(VENV)/.dev
+	$(BIN)/python -m companion.experiments.command fig14 --seeds $(STATE_SEEDS) --jobs 2 -o fig14.png
 
 bench-pad: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_pad_filter

@@ -58,14 +58,14 @@ class ModelConfig(StrictModel):
     the first and the third turn anticlockwise.
     """
 
-    layout: Literal["plus", "x"]
-    mass_kg: float = Field(gt=0.1, le=20.0)
+    layout: Literal["plus", "x"]  # a rotor in front, or a pair
+    mass_kg: float = Field(gt=0.1, le=20.0)  # take-off mass
     inertia_kg_m2: tuple[Inertia, Inertia, Inertia]  # about forward, right and down
     arm_length_m: float = Field(gt=0.03, le=1.0)  # from the centre of mass to a rotor's axis
     thrust_coefficient_n_s2: float = Field(gt=1e-8, le=1e-2)  # b: thrust over the rotor speed's square
     torque_coefficient_n_m_s2: float = Field(gt=1e-10, le=1e-3)  # d: reaction torque over the same
     rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)  # J_TP: of one rotor about its axis
-    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)
+    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)  # at full command
     motor_time_constant_s: float = Field(ge=0.001, le=0.5)  # from commanded to flown thrust
 
 

@@ -11,7 +11,7 @@ Axes: the paper's z-up ones, SI units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,8 +29,10 @@ from companion.control.quadrotor import ANGLES, INPUTS, POSITION, RATES, STATES,
 from companion.geometry import FloatArray
 
 FAR: Final = 1e4  # a bound that does not bind; infinity would change the row's kind
-SLACK_WEIGHT: Final = 1e4  # for a slack of a bound's own size
-PLANE_SLACK_M: Final = 0.03  # through an obstacle's margin, the deviation that costs as much
+# a soft bound's excess that costs 1, a tenth of the weights' own deviations and less: of roll and pitch,
+# velocities, rates (rad, m/s, rad/s) and height (m); and of a half-space. Dearer ones make the solver slow.
+SOFT_EXCESS: Final = (0.01, 0.01, 0.03, 0.03, 0.03, 0.1, 0.1, 0.1, 0.004)
+PLANE_EXCESS_M: Final = 0.004
 SOLVED: Final = 1
 NEARLY_SOLVED: Final = (2, 7)
 ACCEPTED_RESIDUAL: Final = 3e-2
@@ -67,6 +69,7 @@ class FullMpcConfig(StrictModel):
 
     steps: int = Field(ge=5, le=100)
     step_s: float = Field(ge=0.005, le=0.2)
+    reach_m: float = Field(default=1.0, gt=0.0, le=10.0)  # a reference farther off is drawn nearer
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     weights: FullWeights
     limits: FullLimits
@@ -103,6 +106,12 @@ class FullSolution:
     states: FloatArray
     solved: bool
     iterations: int
+
+    @property
+    def first(self) -> FloatArray:
+        """U (4,) to apply now: Algorithm 2 plans again before the second."""
+        first: FloatArray = self.inputs[0]
+        return first
 
 
 def eq39_weights(config: FullMpcConfig, model: QuadrotorModel) -> riccati.Weights:
@@ -169,8 +178,7 @@ class FullMpc:
         values = self._constraints.values(nominal_A, nominal_B, normals)
         self._lower, self._upper = np.full(layout.rows, -FAR), np.full(layout.rows, FAR)
         self._lower[layout.dynamics] = self._upper[layout.dynamics] = 0.0
-        widths = np.array([*(np.minimum(self._high - self._low, FAR) / 2.0)[: SOFT - 1], PLANE_SLACK_M])
-        slack_weights = SLACK_WEIGHT * np.append(widths, PLANE_SLACK_M) ** -2.0
+        slack_weights = np.array([*SOFT_EXCESS, PLANE_EXCESS_M]) ** -2.0
         solver = osqp.OSQP()
         solver.setup(
             cost_matrix(layout, weights.Q, weights.R, weights.S, slack_weights),
@@ -212,7 +220,8 @@ class FullMpc:
         """
         if not (np.isfinite(state).all() and np.isfinite(push).all()):
             return self._fall_back(0)
-        nominal = along(reference, self._model, self._config.step_s, push)
+        near = within_reach(reference, state[POSITION], self._config.reach_m)
+        nominal = along(near, self._model, self._config.step_s, push)
         A, B = self._model.linearise(nominal.states[:-1], nominal.inputs, self._config.step_s)
         self._update_bounds(A[0] @ (state - nominal.states[0]), nominal, surroundings)
         values = self._constraints.values(A, B, surroundings.normals)
@@ -266,6 +275,16 @@ class FullMpc:
             states = np.vstack([old.states[1:], old.states[-1:]])
         self._plan = FullSolution(inputs, states, False, iterations)
         return self._plan
+
+
+def within_reach(reference: Reference, position_m: FloatArray, reach_m: float) -> Reference:
+    """The reference, drawn as a whole to within a distance of where the vehicle is: costs are quadratic and
+    the bounds on the state soft, so that from far away it would pay to break them."""
+    gap_m = position_m - reference.position_m[0]
+    excess = 1.0 - reach_m / max(float(np.linalg.norm(gap_m)), reach_m)
+    return (
+        reference if excess <= 0.0 else replace(reference, position_m=reference.position_m + excess * gap_m)
+    )
 
 
 def _state_bounds(limits: FullLimits) -> tuple[FloatArray, FloatArray]:

@@ -44,7 +44,7 @@ class FullLayout:
 
     @property
     def variables(self) -> int:
-        return self.slacks.stop
+        return (STATES + INPUTS + SOFT + self.planes) * self.steps
 
     @property
     def dynamics(self) -> slice:
@@ -64,7 +64,7 @@ class FullLayout:
 
     @property
     def rows(self) -> int:
-        return self.half_spaces.stop
+        return (STATES + INPUTS + SOFT + self.planes) * self.steps
 
 
 class ConstraintMatrix:

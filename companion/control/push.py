@@ -15,7 +15,7 @@ import scipy.linalg
 from pydantic import Field
 
 from companion.config import StrictModel
-from companion.control.quadrotor import RATES, VELOCITY, QuadrotorModel
+from companion.control.quadrotor import RATES, STATES, VELOCITY, QuadrotorModel
 from companion.geometry import FloatArray
 
 OBSERVED: Final = [*VELOCITY, *RATES]
@@ -49,6 +49,7 @@ class PushObserver:
         self._gain = np.array([force] * 3 + [torque] * 3)
         self._largest = np.array([config.largest_force_m_s2] * 3 + [config.largest_torque_rad_s2] * 3)
         self._expected: FloatArray | None = None
+        self._before: FloatArray = np.zeros(STATES)
         self.push: FloatArray = np.zeros(6)
 
     def step(self, state: FloatArray, flown: FloatArray) -> FloatArray:

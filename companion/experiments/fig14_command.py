@@ -29,24 +29,32 @@ from companion.experiments.fig14_report import NOTES, picture, step_line, table
 def fig14(
     seed: Annotated[int, typer.Option(min=0, help="The first seed, and the one in the picture.")] = 0,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds.")] = 1,
-    plot: Annotated[Path, typer.Option(help="Where the picture goes.")] = Path("fig14.png"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Where the picture goes.", metavar="FILE.png")
+    ] = Path("fig14.png"),
     case: Annotated[str, typer.Option(help=f"In the picture: {'; '.join(BY_NAME)}.")] = "all",
-    jobs: Annotated[int, typer.Option(min=1, max=64, help="Flights at a time.")] = 1,
-    bars: Annotated[bool, typer.Option(help="Judge the bars; the exit status matches.")] = False,
+    jobs: Annotated[int, typer.Option(min=1, max=64, help="Processes that fly.")] = 1,
 ) -> None:
     """MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."""
     try:
-        if case not in BY_NAME:
-            raise ConfigError(f"--case: no '{case}'; expected one of: {'; '.join(BY_NAME)}")
-        holds = _run(range(seed, seed + seeds), plot, case, jobs)
+        _check(case, output)
+        holds = _run(range(seed, seed + seeds), output, case, jobs)
     except ConfigError as problem:
         sys.stderr.write(f"companion-experiments: {problem}\n")
         raise typer.Exit(2) from problem
-    if bars and not holds:
+    if not holds:
         raise typer.Exit(1)
 
 
-def _run(seeds: range, plot: Path, case: str, jobs: int) -> bool:
+def _check(case: str, output: Path) -> None:
+    """Before minutes of flying."""
+    if case not in BY_NAME:
+        raise ConfigError(f"--case: no '{case}'; expected one of: {'; '.join(BY_NAME)}")
+    if output.suffix.lower() != ".png" or not output.parent.is_dir():
+        raise ConfigError(f"--output {output}: expected a .png file in a folder that exists")
+
+
+def _run(seeds: range, output: Path, case: str, jobs: int) -> bool:
     """Fly, print and draw; whether all bars hold."""
     console = Console(width=170)
     results: list[Result] = []
@@ -55,9 +63,9 @@ def _run(seeds: range, plot: Path, case: str, jobs: int) -> bool:
     console.print(table(results))
     for line in NOTES:
         console.print(line, highlight=False)
-    _draw(seeds[0], case, plot)
+    _draw(seeds[0], case, output)
     print(step_line(paper_step_s(seeds[0])))
-    print(f"picture: {plot}")
+    print(f"picture: {output}")
     found = judge(results)
     print("bars: " + ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in found.items()))
     return all(found.values())

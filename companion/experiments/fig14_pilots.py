@@ -79,7 +79,7 @@ class RiccatiPilot:
         """U (4,)."""
         push = NO_PUSH if self._observer is None else self._observer.step(state, flown)
         rows = rows_of(self._flight, time_s)
-        return self._tracker.solve(state, rows, push).inputs[0]
+        return self._tracker.solve(state, rows, push).first
 
 
 class MpcPilot:
@@ -97,7 +97,7 @@ class MpcPilot:
         rows = rows_of(self._flight, time_s)
         found = self._mpc.solve(state, rows, surroundings(rows, self._flight.world.obstacles), push)
         self.unsolved += not found.solved
-        return found.inputs[0]
+        return found.first
 
 
 PILOTS: Final[dict[str, Callable[[Flight], Pilot]]] = {
@@ -144,8 +144,8 @@ def surroundings(rows: Rows, obstacles: tuple[Obstacle, ...]) -> Surroundings:
             continue
         away_from = outward(ned, one) * FLIP
         offset_m = np.einsum("ki,ki->k", away_from, points) - away[:, k] + KEPT_CLEAR_M
-        rows, places = np.nonzero(order == k)
-        normals[rows, places], offsets_m[rows, places] = away_from[rows], offset_m[rows]
+        steps, places = np.nonzero(order == k)
+        normals[steps, places], offsets_m[steps, places] = away_from[steps], offset_m[steps]
     return Surroundings(floor_m, normals, offsets_m)
 
 

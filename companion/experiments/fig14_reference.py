@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.experiments.fig14_world import FLOWN_S, START_NED_M, World, draw_world
+from companion.experiments.fig14_world import FLOWN_S, START_NED_M, SURFACE_HEIGHT_M, World, draw_world
 from companion.geometry import FloatArray, Vector3, add, dot, norm, scale, subtract
 from companion.plan.course import Course, through
 from companion.plan.fuzzy_velocity import SpeedTable, load_table
@@ -31,6 +31,7 @@ PLAN_MARGINS_M: Final = (1.0, 1.2, 1.4, 1.7, 2.0)
 FASTEST_M_S: Final = 3.5
 HARDEST_M_S2: Final = 3.0
 ARRIVED_M: Final = 0.15
+DIPS_M: Final = 0.04  # below the height at which it follows
 ATTEMPTS: Final = 50
 PASSED_S: Final = 0.3  # a point nearer in time than this is left behind
 
@@ -142,14 +143,16 @@ def draw_scene(seed: int) -> tuple[World, Reference]:
 
 
 def _comfortable(reference: Reference, world: World) -> bool:
-    """Arrived for the last 2 s, and never faster or harder than a landing is flown."""
+    """Arrived for the last 2 s, never faster or harder than a landing is flown, and nowhere too low."""
     motions = [reference.at(t) for t in np.arange(0.0, FLOWN_S, 0.1)]
     speed = max(norm(m.velocity_m_s) for m in motions)
     push = max(norm(m.acceleration_m_s2) for m in motions)
     late = (reference.at(t).position_m for t in (FLOWN_S - 2.0, FLOWN_S - 0.1))
     pads = (_target(world, t).position_m for t in (FLOWN_S - 2.0, FLOWN_S - 0.1))
     away = max(math.dist(p, q) for p, q in zip(late, pads, strict=True))
-    return speed <= FASTEST_M_S and push <= HARDEST_M_S2 and away <= ARRIVED_M
+    lowest_m = min(-m.position_m[2] for m in motions) - SURFACE_HEIGHT_M
+    within = speed <= FASTEST_M_S and push <= HARDEST_M_S2
+    return within and away <= ARRIVED_M and lowest_m >= FOLLOWED_AT_M - DIPS_M
 
 
 def closest_m(reference: Reference, world: World) -> float:

@@ -19,7 +19,7 @@ from companion.experiments.fig14_world import FLOWN_S, World
 from companion.geometry import FloatArray
 from companion.plan.obstacles import Obstacle
 
-COLOURS: Final = {"mpc": "tab:red", "riccati": "tab:orange", "riccati + push": "tab:brown", "pid": "magenta"}
+COLOURS: Final = {"mpc": "tab:red", "riccati": "tab:orange", "riccati + push": "black", "pid": "magenta"}
 NOTES: Final = (
     "All pilots: the same measured state, reference, mixer and plant. MPC and riccati: the same weights and",
     "model, and the plan over the horizon. riccati is the paper's: no bounds, no estimate of what pushes;",
@@ -93,7 +93,8 @@ def _style(name: str) -> dict[str, Any]:
         return {"color": "tab:green", "linewidth": 2.5, "label": "pad"}
     if name == "min-jerk":
         return {"color": "tab:blue", "linewidth": 2.0, "label": "minimum jerk"}
-    return {"color": COLOURS[name], "linewidth": 1.2, "label": name}
+    dashed = {"linestyle": ":", "zorder": 5} if name == "riccati + push" else {}
+    return {"color": COLOURS[name], "linewidth": 1.2, "label": name} | dashed
 
 
 def _in_space(axes: Any, lines: Mapping[str, FloatArray], obstacles: Sequence[Obstacle]) -> None:
