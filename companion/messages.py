@@ -316,7 +316,7 @@ class DescentCone:
 
 @dataclass(frozen=True, slots=True)
 class LevelOff:
-    """When, by the app's clock, the vehicle may lean no further than tilt_rad: the feet are about to touch."""
+    """When (app's clock) the vehicle may lean no further than tilt_rad: its feet are about to touch."""
 
     from_s: float
     until_s: float

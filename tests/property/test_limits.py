@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from companion.config import LimitsConfig
 from companion.control.limits import LONGEST_STEP_S, LimitsGate
-from companion.geometry import GRAVITY_M_S2, Vector3, norm, subtract, tilt_from_quat, level_acceleration
+from companion.geometry import GRAVITY_M_S2, Vector3, level_acceleration, norm, subtract, tilt_from_quat
 from companion.messages import Setpoint
 
 CONFIG = LimitsConfig()

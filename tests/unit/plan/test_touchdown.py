@@ -308,9 +308,9 @@ def test_impatience_overrules_the_lean() -> None:
 def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
-    assert touchdown.committed
+    before = touchdown.committed
     waited(touchdown, 3.0, 0.5, 1.2)
-    assert not touchdown.committed
+    assert (before, touchdown.committed) == (True, False)
     assert touchdown.broken_off_by == "leaning too far"
     assert touchdown.level_off() is None
 
@@ -318,7 +318,6 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
 def test_it_levels_off_shortly_before_the_contact_and_no_longer_than_that_takes() -> None:
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
-    assert touchdown.level_off() is None or touchdown.level_off().from_s > 0.5
     seen_m, now_s = 0.3, 1.0
     touchdown.step(sight(height=LEG_M + seen_m), None, LandedState.IN_AIR, now_s)
     level = touchdown.level_off()
