@@ -166,8 +166,8 @@ class GustObserver:
     """The quick part of the wind's push, from how the vehicle leans and how it accelerates.
 
     A multirotor's thrust lies along its up axis, so what it accelerates sideways beyond its lean is the
-    wind's doing, and no lag of attitude or motors stands between. Errors of the attitude are slow and the mean wind
-    too: they are left to `DisturbanceObserver`, which takes this part as known. NED, m/s2.
+    wind's doing, and no lag of attitude or motors stands between. Errors of the attitude are slow and the
+    mean wind too: they are left to `DisturbanceObserver`, which takes this part as known. NED, m/s2.
     """
 
     SMOOTHING_S = 0.08

@@ -85,8 +85,8 @@ class Target:
     `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
     the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone
     soft. `lean_m_s2` (N,) bounds the horizontal input over each step further, as far as the
-    jerk allows, or is None. `hover_thrust` is the share of full thrust that carries the weight, as known by now; None: as it
-    was at the start.
+    jerk allows, or is None. `hover_thrust` is the share of full thrust that carries the weight, as known by
+    now; None: as it was at the start.
     """
 
     position_m: FloatArray
