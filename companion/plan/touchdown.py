@@ -205,6 +205,7 @@ class Touchdown:
         ready = (
             aligned(sight, self._wait_height_m, slack, c)
             and (impatience >= 1.0 or (gentle(sight, c) and self._upright()))
+            and not self._blown_about(now_s)
             and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if self._settled.for_s(ready, now_s) >= c.settled_s:

@@ -305,6 +305,19 @@ def test_impatience_overrules_the_lean() -> None:
     assert touchdown.committed
 
 
+def test_what_would_break_it_off_at_once_is_no_moment_to_commit_until_patience_ends() -> None:
+    touchdown, told = fresh(), 0
+    for k in range(round(12.0 / CYCLE_S)):
+        was = touchdown.committed
+        touchdown.feel(leaning(3.0), k * CYCLE_S)
+        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+        told += touchdown.committed is not was
+        if touchdown.committed:
+            break
+    assert told == 1
+    assert k * CYCLE_S == pytest.approx(2.0 * CONFIG.patience_s + CONFIG.settled_s, abs=0.1)
+
+
 def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
