@@ -171,7 +171,7 @@ class GustObserver:
     """
 
     SMOOTHING_S = 0.08
-    FORGETTING_S = 1.5
+    FORGETTING_S = 5.0
 
     def __init__(self, sensor_lag_s: float) -> None:
         """`sensor_lag_s` is how late the measured acceleration is: the lean is made as late."""

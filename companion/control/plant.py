@@ -87,7 +87,7 @@ class Plant:
 
     def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago."""
-        gust = self._gusts.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, elapsed_s)
+        gust = self._gust(vehicle, elapsed_s)
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
             self._observer.predict(add(self._wanted(command, duration_s), gust), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
@@ -98,6 +98,16 @@ class Plant:
         if self._by_attitude:
             down = self._observer.disturbance_ned_m_s2[2]
             self._observer.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
+
+    def _gust(self, vehicle: VehicleState, elapsed_s: float) -> Vector3:
+        """The quick part of the wind's push.
+
+        Nothing by velocity setpoints: there the autopilot answers gusts by itself, and what it does leans the
+        vehicle besides what was commanded.
+        """
+        if not self._by_lean:
+            return ZERO3
+        return self._gusts.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, elapsed_s)
 
     def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
         """The motion at `to_s` from that at `from_s`, under what is under way to the autopilot."""

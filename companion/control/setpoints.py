@@ -31,15 +31,17 @@ class Heading:
 
 
 def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
-    """Settings in which the kind of setpoint is the one that this autopilot gets.
+    """Settings in which the kind of setpoint is the one that this autopilot gets, and the weights are its.
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
     derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
     ArduPilot takes a whole vector or none: without those it would ignore the vertical velocity as well.
     """
-    if config.setpoint not in ("auto", "acceleration"):
-        return config
-    return config.model_copy(update={"setpoint": "acceleration" if manner == "px4" else "velocity"})
+    kind = config.setpoint
+    if kind in ("auto", "acceleration"):
+        kind = "acceleration" if manner == "px4" else "velocity"
+    tracking = config.horizontal_by_velocity if kind == "velocity" else config.horizontal
+    return config.model_copy(update={"setpoint": kind, "horizontal": tracking})
 
 
 def velocity_gains(config: ControlConfig, *, sideways: bool) -> Vector3:

@@ -37,8 +37,9 @@ _TOO_FAST_S = 0.1
 # The lean is smoothed so; the attitude needs about so long to follow, and the contact comes that much off its
 # time: level from so long before it is due, for so long.
 _LEAN_S = 0.25
-_LEVEL_BEFORE_S = 0.25
-_LEVEL_FOR_S = 0.35
+_LEVEL_BEFORE_S = 0.28
+_LEVEL_FOR_S = 0.4
+_FOOT_DROP_M = 0.02
 _TOO_MUCH_LEAN = 1.3
 _PATIENT_TIMES = 2.0
 
@@ -204,8 +205,8 @@ class Touchdown:
         slack = self._slack * (1.0 if impatience < 2.0 else 1.5)
         ready = (
             aligned(sight, self._wait_height_m, slack, c)
-            and (impatience >= 1.0 or (gentle(sight, c) and self._upright()))
-            and not self._blown_about(now_s)
+            and (impatience >= 1.0 or gentle(sight, c))
+            and (impatience >= _PATIENT_TIMES or self._upright())
             and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if self._settled.for_s(ready, now_s) >= c.settled_s:
@@ -280,8 +281,8 @@ class Touchdown:
         """When the feet will touch, by the height as seen and the speed as planned."""
         if self._level_from_s is not None or sight.age_s > _FRESH_S:
             return
-        left_m = max(0.0, sight.height_m - self._vehicle.leg_height_m)
-        self._level_due_s = now_s + left_m / self._config.contact_speed_m_s
+        left_m = max(0.0, sight.height_m - self._vehicle.leg_height_m - _FOOT_DROP_M)
+        self._level_due_s = now_s + left_m / max(self._config.contact_speed_m_s, sight.velocity_m_s[2])
         if now_s >= self._level_due_s - _LEVEL_BEFORE_S:
             self._level_from_s = now_s
 
