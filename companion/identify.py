@@ -32,7 +32,7 @@ from companion.control.identification import (
     windows,
 )
 from companion.control.setpoints import velocity_gains
-from companion.geometry import GRAVITY_M_S2, FloatArray
+from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
 from companion.messages import Phase
 from companion.record import SETTINGS_RECORD
 from companion.replay.mcap_log import records
@@ -69,7 +69,8 @@ class FlightLog:
 
     def starting_points(self) -> dict[str, Response]:
         """The responses that the settings assume."""
-        gains = (0.0, 0.0, 0.0) if self.by_attitude else velocity_gains(self.control)
+        by_velocity = self.control.setpoint == "velocity"
+        gains = ZERO3 if self.by_attitude else velocity_gains(self.control, sideways=by_velocity)
         tau = lags(self.vehicle, self.control)
         return {name: Response(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
@@ -133,7 +134,15 @@ def read_flight(path: Path) -> FlightLog:
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
     vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
-    return FlightLog(config.control, vehicle, messages)
+    return FlightLog(_as_flown(config.control, messages["/setpoint"]), vehicle, messages)
+
+
+def _as_flown(control: ControlConfig, setpoints: list[dict[str, Any]]) -> ControlConfig:
+    """With the kind of setpoints that were sent: `auto` goes by the autopilot."""
+    if control.setpoint == "attitude":
+        return control
+    held = all(row.get("holds_horizontal_velocity", True) for row in setpoints)
+    return control.model_copy(update={"setpoint": "velocity" if held else "acceleration"})
 
 
 def flown(record: FlightLog, path: Path) -> Flown:
@@ -220,7 +229,7 @@ def _table(record: FlightLog, found: Found) -> tuple[Table, list[str]]:
             notes.append(f"{name}: {estimate}")
             continue
         best, count = estimate.response, f"{estimate.windows} windows"
-        if not record.by_attitude:
+        if assumed.gain_1_s > 0.0:
             gain, std = f"{best.gain_1_s:.2f} 1/s", f"{estimate.gain_std_1_s:.2f}"
             if math.isinf(estimate.gain_std_1_s):
                 gain, std = "as assumed", "too little excitation"
@@ -253,6 +262,7 @@ def settings_lines(record: FlightLog, found: Found) -> list[str]:
 def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[str, float]]:
     """Settings of the vehicle and of control by their names."""
     vehicle, control = dict[str, float](), dict[str, float]()
+    by_velocity = record.control.setpoint == "velocity"
     if not isinstance(found.hover, str):
         hover = adopted(*found.hover, record.vehicle.hover_thrust)
         if hover != record.vehicle.hover_thrust:
@@ -270,9 +280,9 @@ def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[st
             control[gain] = now.gain_1_s
         if now.lag_s == assumed.lag_s:
             continue
-        if record.by_attitude or now.lag_s < own_s:
+        if not by_velocity or now.lag_s < own_s:
             vehicle[own_lag] = own_s = now.lag_s
-        if not record.by_attitude:
+        if by_velocity:
             control[lag] = now.lag_s - own_s
     return vehicle, control
 
@@ -287,7 +297,7 @@ def check_lines(other: FlightLog, record: FlightLog, found: Found, path: Path) -
     Raises:
         ConfigError: the other flight went by other setpoints, or is too short.
     """
-    if other.by_attitude != record.by_attitude:
+    if other.control.setpoint != record.control.setpoint:
         raise ConfigError(f"--check {path}: by {other.control.setpoint} setpoints; expected the same kind")
     data, lines = flown(other, path), []
     for name, axes in DIRECTIONS.items():

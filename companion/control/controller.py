@@ -56,7 +56,8 @@ class Controller:
     """Tracks the plan's reference.
 
     When a solve fails, the last plan is flown on, through the gate of limits as all else; after
-    `FAILURES_TO_STOP` in a row, or when there is no last plan, the vehicle is stopped.
+    `FAILURES_TO_STOP` in a row, or when there is no last plan, the vehicle is stopped and each step begins
+    anew: whatever was learnt or kept may be what went wrong.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class Controller:
         if not obeyed:
             self._gate.reset()
             self._flying = False
-        if self._flying:
+        if self._flying and not self._stopped:
             self._plant.observe(vehicle, elapsed_s)
         else:
             self._begin(vehicle)

@@ -10,26 +10,29 @@ from collections import deque
 from dataclasses import dataclass
 
 from companion.control.flight_model import Motion, advance
-from companion.geometry import Vector3, add, scale, subtract
+from companion.geometry import ZERO3, Vector3, add, scale, subtract
 
 REMEMBERED = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An acceleration (m/s2) that was sent at `sent_s`, and the velocity (m/s) that went with it, if any."""
+    """An acceleration (m/s2) that was sent at `sent_s`, and the velocity (m/s) that went with it, if any.
+
+    `gains_1_s` are those of the autopilot's loops that follow this velocity; 0 on an axis that has none.
+    """
 
     sent_s: float
     acceleration_m_s2: Vector3
-    velocity_m_s: Vector3 | None
+    velocity_m_s: Vector3 | None = None
+    gains_1_s: Vector3 = ZERO3
 
 
 class CommandHistory:
     """The last commands, and the acceleration that the autopilot's velocity loop makes of them."""
 
-    def __init__(self, delay_s: float, velocity_gains_1_s: Vector3) -> None:
+    def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
-        self._gains_1_s = velocity_gains_1_s
         self._commands: deque[Command] = deque(maxlen=REMEMBERED)
 
     def clear(self) -> None:
@@ -48,7 +51,7 @@ class CommandHistory:
         """Acceleration (m/s2) that the autopilot wants under a command at a velocity."""
         if command.velocity_m_s is None:
             return command.acceleration_m_s2
-        (x, y, z), (kx, ky, kz) = subtract(command.velocity_m_s, velocity_m_s), self._gains_1_s
+        (x, y, z), (kx, ky, kz) = subtract(command.velocity_m_s, velocity_m_s), command.gains_1_s
         return add(command.acceleration_m_s2, (kx * x, ky * y, kz * z))
 
     def segments(self, from_s: float, to_s: float) -> list[tuple[float, Command | None]]:

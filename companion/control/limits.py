@@ -2,7 +2,7 @@
 
 Every setpoint passes through `LimitsGate.apply`; what was cut is named, so that the log shows it. A
 setpoint with anything in it that is not a finite number becomes a hold: no velocity, no acceleration, the
-last heading.
+last heading. A horizontal velocity that is not sent bounds nothing: past the bound it is sent after all.
 The tilt is bounded as the acceleration that it gives, so that one bound on its change (jerk) serves both
 kinds of setpoint. NED and FRD, SI units.
 """
@@ -73,7 +73,7 @@ class LimitsGate:
             attitude=self._attitude(setpoint.attitude, heading, step_s, broken),
             thrust=self._thrust(setpoint.thrust, on_ground, broken),
             exposure_time_s=setpoint.exposure_time_s,
-            holds_horizontal_velocity=setpoint.holds_horizontal_velocity,
+            holds_horizontal_velocity=setpoint.holds_horizontal_velocity or "horizontal_speed" in broken,
         )
         self._last = limited
         return limited, tuple(broken)

@@ -33,9 +33,9 @@ class Plant:
         """`lags_s` are `flight_model.lags`."""
         self._by_attitude = config.setpoint == "attitude"
         self._by_lean = config.setpoint != "velocity"
-        self._lags_s = lags_s
+        self._config, self._lags_s = config, lags_s
         self._nominal_hover_thrust = vehicle.hover_thrust
-        self._history = CommandHistory(config.command_delay_s, velocity_gains(config))
+        self._history = CommandHistory(config.command_delay_s)
         self._observer = DisturbanceObserver(
             1.0 / config.rate_hz,
             self._lags_s,
@@ -123,11 +123,13 @@ class Plant:
     def remember(self, setpoint: Setpoint) -> None:
         """Take note of what left, after all limits."""
         if setpoint.attitude is None or setpoint.thrust is None:
-            command = Command(setpoint.time_s, setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s)
+            gains = velocity_gains(self._config, sideways=setpoint.holds_horizontal_velocity)
+            acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
+            command = Command(setpoint.time_s, acceleration, velocity, gains)
         else:
             push = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
             force = quat_rotate(setpoint.attitude, (0.0, 0.0, -push))
-            command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)), None)
+            command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
         self._history.add(command)
 
     def _wanted(self, command: Command | None, duration_s: float) -> Vector3:

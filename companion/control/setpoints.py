@@ -1,4 +1,4 @@
-"""The MPC's answer as what the autopilot takes: velocity with acceleration, or attitude with thrust.
+"""The MPC's answer as what the autopilot takes: acceleration with velocity, or attitude with thrust.
 
 Velocity setpoints. The autopilot flies a = a_ff + K (v_sp - v) + its own integral, with the lag tau. We send
 the predicted velocity for the moment at which the setpoint takes effect, so that its loop adds nothing while
@@ -35,19 +35,19 @@ def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
     derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
-    ArduPilot takes a whole vector or none, and shapes what it takes.
+    ArduPilot takes a whole vector or none: without those it would ignore the vertical velocity as well.
     """
     kind = config.setpoint
-    if kind == "auto":
+    if kind in ("auto", "acceleration"):
         kind = "acceleration" if manner == "px4" else "velocity"
     tracking = config.horizontal_by_velocity if kind == "velocity" else config.horizontal
     return config.model_copy(update={"setpoint": kind, "horizontal": tracking})
 
 
-def velocity_gains(config: ControlConfig) -> Vector3:
-    """The autopilot's velocity gains (1/s) along north, east and down, as assumed; 0 where it has no say."""
-    sideways = 0.0 if config.setpoint == "acceleration" else config.autopilot_velocity_gain_1_s
-    return (sideways, sideways, config.autopilot_climb_gain_1_s)
+def velocity_gains(config: ControlConfig, *, sideways: bool) -> Vector3:
+    """The autopilot's velocity gains (1/s) along north, east and down, as assumed; `sideways`: it has any."""
+    gain = config.autopilot_velocity_gain_1_s if sideways else 0.0
+    return (gain, gain, config.autopilot_climb_gain_1_s)
 
 
 def velocity_setpoint(
@@ -64,7 +64,8 @@ def velocity_setpoint(
     """Velocity and acceleration under which the autopilot wants `input_ned_m_s2` at `motion`."""
     push = add(input_ned_m_s2, disturbance_ned_m_s2)
     ahead = advance(motion, push, config.velocity_lookahead_s, lags_s).velocity_m_s
-    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, velocity_gains(config)
+    holds = config.setpoint != "acceleration"
+    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, velocity_gains(config, sideways=holds)
     most = config.maximum_velocity_correction_m_s
     correction = (_share(-x, kx, most), _share(-y, ky, most), _share(-z, kz, most))
     gained = (kx * correction[0], ky * correction[1], kz * correction[2])
@@ -74,7 +75,7 @@ def velocity_setpoint(
         acceleration_ned_m_s2=subtract(input_ned_m_s2, gained),
         heading_rad=heading.heading_rad,
         heading_rate_rad_s=heading.rate_rad_s,
-        holds_horizontal_velocity=config.setpoint != "acceleration",
+        holds_horizontal_velocity=holds,
     )
 
 

@@ -184,11 +184,13 @@ class Guide:
         way = self.avoidance.way(
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
         )
-        self._trajectory, self._level = way, self._without_dip(way, start, target, now_s)
+        # a way round obstacles has its heights for a reason, and goes on in the next cycle
+        self._level = self._without_dip(direct, start, target, now_s) if way is direct else None
+        self._trajectory = way
         self.speed_m_s = speed
         self.time_to_go_s = relative.duration_s if way is direct else max(0.0, way.end_s - now_s)
 
-    def _without_dip(self, way: Way, start: Motion, target: Motion, now_s: float) -> Trajectory | None:
+    def _without_dip(self, way: Trajectory, start: Motion, target: Motion, now_s: float) -> Trajectory | None:
         """Levelling off first, where the way would sink below both its ends; None where it does not.
 
         A long way from a state that sinks, or is about to, ends at rest but goes metres down meanwhile.

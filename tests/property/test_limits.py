@@ -30,7 +30,7 @@ def _near(*bounds: float) -> st.SearchStrategy[float]:
 
 
 velocities = st.tuples(_near(6.0, 4.24264), _near(6.0, 4.24264), _near(1.5))
-accelerations = st.tuples(_near(4.0, 2.82843), _near(4.0, 2.82843), _near(3.0))
+accelerations = st.tuples(_near(5.5, 3.88909), _near(5.5, 3.88909), _near(3.0))
 thrusts = _near(0.05, 0.9)
 attitudes = st.tuples(*[st.one_of(st.floats(-1.0, 1.0), anything)] * 4)
 
@@ -47,6 +47,7 @@ def setpoints(draw: st.DrawFn) -> Setpoint:
         heading_rate_rad_s=draw(_near(math.radians(45.0))),
         attitude=draw(attitudes) if by_attitude else None,
         thrust=draw(thrusts) if by_attitude else None,
+        holds_horizontal_velocity=draw(st.booleans()),
     )
 
 
@@ -106,6 +107,7 @@ def test_what_has_passed_the_gate_passes_another_unchanged(setpoint: Setpoint) -
     assert broken == ()
     assert twice.velocity_ned_m_s == once.velocity_ned_m_s
     assert twice.acceleration_ned_m_s2 == once.acceleration_ned_m_s2
+    assert twice.holds_horizontal_velocity == once.holds_horizontal_velocity
 
 
 inside = st.floats(-0.999, 0.999)
@@ -119,7 +121,7 @@ def test_a_sane_first_setpoint_is_not_touched(
 ) -> None:
     inscribed = 1.0 / math.sqrt(2.0)
     velocity = (6.0 * inscribed * v[0], 6.0 * inscribed * v[1], 1.5 * vz)
-    acceleration = (4.0 * inscribed * a[0], 4.0 * inscribed * a[1], 3.0 * az)
+    acceleration = (5.5 * inscribed * a[0], 5.5 * inscribed * a[1], 3.0 * az)
     wanted = Setpoint(1.0, velocity, acceleration, heading_rad)
     limited, broken = LimitsGate(CONFIG, HOVER_THRUST).apply(wanted, 1.0)
     assert broken == ()
@@ -130,6 +132,6 @@ def test_a_sane_first_setpoint_is_not_touched(
 
 def test_the_bounds_of_this_file_are_the_settings_own() -> None:
     assert (CONFIG.horizontal_speed_m_s, CONFIG.climb_speed_m_s, CONFIG.descent_speed_m_s) == (6.0, 1.5, 1.5)
-    assert (CONFIG.horizontal_acceleration_m_s2, CONFIG.vertical_acceleration_m_s2) == (4.0, 3.0)
+    assert (CONFIG.horizontal_acceleration_m_s2, CONFIG.vertical_acceleration_m_s2) == (5.5, 3.0)
     assert (CONFIG.minimum_thrust, CONFIG.maximum_thrust, CONFIG.heading_rate_deg_s) == (0.05, 0.9, 45.0)
     assert GRAVITY_M_S2 * math.tan(math.radians(CONFIG.tilt_deg)) > CONFIG.horizontal_acceleration_m_s2

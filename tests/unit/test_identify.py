@@ -52,14 +52,17 @@ def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> Vehi
 def _record(folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0) -> Path:
     """A flight that sways north, recorded as the app does."""
     log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
+    if setpoint == "acceleration":  # what the settings say is only "auto"
+        auto = config.control.model_copy(update={"setpoint": "auto"})
+        config = config.model_copy(update={"control": auto})
     log.write_settings(config=config, vehicle=vehicle)
     v = a = 0.0
-    by_attitude = setpoint == "attitude"
+    by_attitude, by_lean = setpoint == "attitude", setpoint == "acceleration"
     rng = np.random.default_rng(1)
     for k in range(round(seconds / PERIOD_S)):
         now_s = k * PERIOD_S
         wanted = 1.5 * math.sin(2.3 * now_s) + math.sin(5.1 * now_s + 1.0)
-        offset = 0.0 if by_attitude else 0.5 * math.sin(1.3 * now_s)
+        offset = 0.0 if by_attitude or by_lean else 0.5 * math.sin(1.3 * now_s)
         log.write("plan", PlanStep(now_s, Phase.APPROACH), now_s)
         log.write("vehicle", _state(now_s, v + rng.normal(0.0, 0.004), a), now_s)
         sent = Setpoint(
@@ -67,6 +70,7 @@ def _record(folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float =
             velocity_ned_m_s=(v + offset, 0.0, 0.0),
             acceleration_ned_m_s2=(wanted, 0.0, 0.0),
             attitude=IDENTITY if by_attitude else None,
+            holds_horizontal_velocity=not by_lean,
             thrust=HOVER_THRUST * math.hypot(1.0, a / 9.80665) if by_attitude else None,
         )
         log.write("setpoint", sent, now_s)
@@ -102,6 +106,17 @@ def test_by_attitude_hover_thrust_goes_into_the_vehicle(
     assert float(hover.split(":")[1]) == pytest.approx(HOVER_THRUST, rel=0.02)
     assert "configs/vehicles/x500.yaml" in said
     assert "0.550" in said  # as learnt in flight
+
+
+def test_without_a_velocity_to_hold_the_lag_is_the_vehicles_own_and_no_gain_is_sought(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    identify_command(_record(tmp_path / "one", "acceleration"))
+    said = capsys.readouterr().out
+    assert "by acceleration setpoints" in said
+    assert "sideways: velocity gain" not in said
+    lag = next(line for line in said.splitlines() if line.startswith("acceleration_time_constant_s"))
+    assert float(lag.split(":")[1]) == pytest.approx(0.3, abs=0.06)
 
 
 def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:

@@ -62,13 +62,17 @@ class VelocityAutopilot:
             (self.bias_m_s * math.cos(wander), self.bias_m_s * math.sin(wander), 0.5 * self.bias_m_s),
         )
         error = subtract(setpoint.velocity_ned_m_s, estimate)
-        gained = (self.integral_gain[i] * error[i] * dt_s for i in range(3))
+        heard = [2] if not setpoint.holds_horizontal_velocity else [0, 1, 2]
+        gained = (self.integral_gain[i] * error[i] * dt_s if i in heard else 0.0 for i in range(3))
         self._integral = add(self._integral, tuple(gained))  # type: ignore[arg-type]
         wanted = tuple(
-            setpoint.acceleration_ned_m_s2[i] + self.gain[i] * error[i] + self._integral[i] for i in range(3)
+            setpoint.acceleration_ned_m_s2[i]
+            + (self.gain[i] * error[i] + self._integral[i] if i in heard else 0.0)
+            for i in range(3)
         )
         change = scale(subtract(wanted, self._flown), dt_s / self.lag_s)  # type: ignore[arg-type]
         self._flown = add(self._flown, change)
+        vehicle.attitude = attitude_from_acceleration(self._flown, 0.0)
         return self._flown
 
 
@@ -133,6 +137,9 @@ class SwayingAutopilot:
         error = subtract(setpoint.velocity_ned_m_s, vehicle.velocity)
         i, e, k, a = self._integral, error, self.gain, setpoint.acceleration_ned_m_s2
         kx, ky, kz = self.integral_gain
+        if not setpoint.holds_horizontal_velocity:
+            self._integral = (i[0], i[1], i[2] + 0.01 * kz * e[2])
+            return (a[0], a[1], a[2] + k[2] * e[2] + self._integral[2])
         self._integral = (i[0] + 0.01 * kx * e[0], i[1] + 0.01 * ky * e[1], i[2] + 0.01 * kz * e[2])
         x, y, z = add(a, self._integral)
         return (x + k[0] * e[0], y + k[1] * e[1], z + k[2] * e[2])

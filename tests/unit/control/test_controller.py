@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.config import ControlConfig
+from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import FAILURES_TO_STOP
 from companion.geometry import (
     IDENTITY,
@@ -285,3 +286,28 @@ def test_a_solver_that_is_always_too_late_is_flown_by_its_last_plan_and_then_sto
 
 def _jumping(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
     return (40.0 * round(math.sin(7.0 * time_s)), -40.0 * round(math.cos(5.0 * time_s)), -9.0), ZERO3, ZERO3
+
+
+def test_what_was_no_number_at_the_very_first_is_survived_too() -> None:
+    fly = controller(setpoint="acceleration")
+    for k in range(40):
+        now = k * PERIOD_S
+        vehicle = _vehicle(now, acceleration_ned_m_s2=(math.nan, 0.0, 0.0)) if k < 5 else _vehicle(now)
+        answer = fly.step(_plan(now, _hover(now)), vehicle, _pad(now), now)
+        assert answer is not None
+        assert answer[1].stopped is (k < 5)
+        assert _all_finite(answer[0])
+
+
+@pytest.mark.parametrize("kind", ["acceleration", "attitude"])
+def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    leaning = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
+    for k in range(40):
+        now, obeyed = k * PERIOD_S, k >= 30
+        answer = fly.step(
+            _plan(now, _hover(now)), _vehicle(now, attitude=leaning), _pad(now), now, obeyed=obeyed
+        )
+        assert answer is not None
+        assert answer[0].acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
+        assert answer[1].obeyed is obeyed

@@ -49,8 +49,9 @@ def test_axes_do_not_mix() -> None:
 
 def test_sideways_it_lags_by_leaning_and_down_by_thrust_alone() -> None:
     vehicle = vehicle_config(acceleration_time_constant_s=0.11, thrust_time_constant_s=0.04)
-    shaped = ControlConfig(autopilot_lag_s=0.2, autopilot_climb_lag_s=0.3)
+    shaped = ControlConfig(setpoint="velocity", autopilot_lag_s=0.2, autopilot_climb_lag_s=0.3)
     assert lags(vehicle, ControlConfig()) == (0.11, 0.11, 0.04)
     assert lags(vehicle, shaped) == pytest.approx((0.31, 0.31, 0.34))
-    # an attitude is flown as it is
-    assert lags(vehicle, shaped.model_copy(update={"setpoint": "attitude"})) == (0.11, 0.11, 0.04)
+    # attitudes and accelerations are flown as they are
+    for kind in ("attitude", "acceleration"):
+        assert lags(vehicle, shaped.model_copy(update={"setpoint": kind})) == (0.11, 0.11, 0.04)

@@ -34,7 +34,7 @@ def test_what_lasts_is_forgotten() -> None:
     level = quat_from_euler(0.0, 0.0, 0.3)
     gusts = GustObserver(SENSOR_LAG_S)
     feel(gusts, level, (0.0, 0.0, 0.0), 1.0)
-    feel(gusts, level, (1.0, 0.0, 0.0), 10.0)
+    feel(gusts, level, (1.0, 0.0, 0.0), 6.0 * GustObserver.FORGETTING_S)
     assert gusts.push_ned_m_s2 == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
 
 

@@ -46,16 +46,16 @@ BOUNDS: list[tuple[str, Callable[[float], Setpoint]]] = [
     ("horizontal_speed", lambda k: _velocity(-3.6 * k, 4.8 * k, 0.0)),
     ("vertical_speed", lambda k: _velocity(0.0, 0.0, -1.5 * k)),
     ("vertical_speed", lambda k: _velocity(0.0, 0.0, 1.5 * k)),
-    ("horizontal_acceleration", lambda k: _acceleration(0.0, -4.0 * k, 0.0)),
-    ("horizontal_acceleration", lambda k: _acceleration(2.4 * k, 3.2 * k, 0.0)),
+    ("horizontal_acceleration", lambda k: _acceleration(0.0, -5.5 * k, 0.0)),
+    ("horizontal_acceleration", lambda k: _acceleration(3.3 * k, 4.4 * k, 0.0)),
     ("vertical_acceleration", lambda k: _acceleration(0.0, 0.0, 3.0 * k)),
     ("vertical_acceleration", lambda k: _acceleration(0.0, 0.0, -3.0 * k)),
     ("heading_rate", lambda k: Setpoint(0.0, heading_rate_rad_s=math.radians(45.0) * k)),
     ("heading_rate", lambda k: Setpoint(0.0, heading_rate_rad_s=-math.radians(45.0) * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.9 * k)),
     ("thrust", lambda k: Setpoint(0.0, attitude=IDENTITY, thrust=0.05 / k)),
-    ("tilt", lambda k: _lean(math.radians(25.0) * k)),
-    ("tilt", lambda k: _lean(math.radians(25.0) * k, 2.0)),
+    ("tilt", lambda k: _lean(math.radians(30.0) * k)),
+    ("tilt", lambda k: _lean(math.radians(30.0) * k, 2.0)),
 ]
 
 
@@ -76,7 +76,7 @@ def test_just_inside_a_bound_nothing_changes(name: str, make: Callable[[float], 
 def test_outside_a_bound_it_is_cut_back_to_it_and_named(
     name: str, make: Callable[[float], Setpoint], factor: float
 ) -> None:
-    wanted = make(min(factor, 3.0) if name == "tilt" else factor)
+    wanted = make(min(factor, 2.5) if name == "tilt" else factor)
     limited, broken = _gate().apply(wanted, 0.0)
     assert broken == (name,)
     edge, _ = _gate().apply(make(1.0), 0.0)
@@ -225,7 +225,7 @@ def test_an_attitude_upside_down_is_brought_within_the_tilt() -> None:
     limited, broken = _gate().apply(setpoint, 0.0)
     assert broken == ("tilt",)
     assert limited.attitude is not None
-    assert tilt_from_quat(limited.attitude) == pytest.approx(math.radians(25.0))
+    assert tilt_from_quat(limited.attitude) == pytest.approx(math.radians(CONFIG.tilt_deg))
 
 
 def test_the_exposure_time_goes_through() -> None:
@@ -240,3 +240,11 @@ def test_on_the_ground_alone_the_thrust_may_go_to_nothing() -> None:
     assert broken == ("thrust",)
     full = Setpoint(0.0, attitude=IDENTITY, thrust=1.0)
     assert _gate().apply(full, 0.0, on_ground=True)[0].thrust == CONFIG.maximum_thrust
+
+
+@pytest.mark.parametrize(("speed_m_s", "sent"), [(5.99, False), (6.01, True)])
+def test_a_velocity_that_only_predicts_is_sent_once_it_breaks_the_bound(speed_m_s: float, sent: bool) -> None:
+    predicted = Setpoint(0.0, velocity_ned_m_s=(0.0, speed_m_s, 0.0), holds_horizontal_velocity=False)
+    limited, _ = _gate().apply(predicted, 0.0)
+    assert limited.holds_horizontal_velocity is sent
+    assert limited.velocity_ned_m_s[1] <= 6.0

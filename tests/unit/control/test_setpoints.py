@@ -1,0 +1,118 @@
+"""What each autopilot gets, what it makes of it, and how control begins with it."""
+
+import math
+
+import pytest
+
+from companion.config import ControlConfig
+from companion.control.attitude import attitude_from_acceleration
+from companion.control.flight_model import Motion, lags
+from companion.control.plant import Plant
+from companion.control.setpoints import Heading, ground_setpoint, resolved, stop_setpoint, velocity_setpoint
+from companion.geometry import ZERO3, Vector3
+from companion.messages import Manner, Setpoint, VehicleState
+from tests.unit.control.control_plants import vehicle_config
+
+LAGS_S = (0.11, 0.11, 0.04)
+
+
+@pytest.mark.parametrize(
+    ("asked", "manner", "sent"),
+    [
+        ("auto", "px4", "acceleration"),
+        ("auto", "ardupilot", "velocity"),
+        ("acceleration", "px4", "acceleration"),
+        # which takes all of a velocity or none: it would fly no climb rate either
+        ("acceleration", "ardupilot", "velocity"),
+        ("velocity", "px4", "velocity"),
+        ("velocity", "ardupilot", "velocity"),
+        ("attitude", "px4", "attitude"),
+        ("attitude", "ardupilot", "attitude"),
+    ],
+)
+def test_each_autopilot_gets_the_kind_that_it_takes(asked: str, manner: Manner, sent: str) -> None:
+    config = ControlConfig.model_validate({"setpoint": asked})
+    assert resolved(config, manner).setpoint == sent
+    # only velocities are shaped by the autopilot
+    shaped = lags(vehicle_config(), resolved(config, manner), manner) != LAGS_S
+    assert shaped is (sent == "velocity" and manner == "ardupilot")
+
+
+def _sent(kind: str, lasting: Vector3 = (1.0, 0.0, 0.4)) -> Setpoint:
+    return velocity_setpoint(
+        0.0,
+        ControlConfig.model_validate({"setpoint": kind}),
+        motion=Motion(ZERO3, (2.0, 0.0, 0.5), ZERO3),
+        input_ned_m_s2=(-1.0, 0.3, 0.2),
+        disturbance_ned_m_s2=lasting,
+        lasting_ned_m_s2=lasting,
+        lags_s=LAGS_S,
+        heading=Heading(0.0),
+    )
+
+
+def test_without_a_velocity_loop_sideways_all_of_the_input_is_acceleration() -> None:
+    by_lean, by_velocity = _sent("acceleration"), _sent("velocity")
+    assert not by_lean.holds_horizontal_velocity
+    assert by_lean.acceleration_ned_m_s2[:2] == (-1.0, 0.3)
+    assert by_velocity.holds_horizontal_velocity
+    assert by_velocity.acceleration_ned_m_s2[0] > -0.5  # the lasting push is met by the velocity
+    assert by_lean.acceleration_ned_m_s2[2] == by_velocity.acceleration_ned_m_s2[2]
+    assert by_lean.velocity_ned_m_s[2] == by_velocity.velocity_ned_m_s[2]
+
+
+def test_standing_still_and_resting_on_the_pad_need_the_autopilots_velocity_loop() -> None:
+    config = ControlConfig(setpoint="acceleration")
+    assert stop_setpoint(0.0, config, 0.5, Heading(0.0)).holds_horizontal_velocity
+    assert ground_setpoint(0.0, config, None, Heading(0.0)).holds_horizontal_velocity
+
+
+def _vehicle(time_s: float, velocity: Vector3, acceleration: Vector3, lean: Vector3) -> VehicleState:
+    return VehicleState(
+        time_s=time_s,
+        attitude=attitude_from_acceleration(lean, 1.0),
+        rate_body_rad_s=ZERO3,
+        position_ned_m=ZERO3,
+        velocity_ned_m_s=velocity,
+        acceleration_ned_m_s2=acceleration,
+        gyro_bias_rad_s=ZERO3,
+        accel_bias_m_s2=ZERO3,
+        attitude_std_rad=0.01,
+        velocity_std_m_s=0.05,
+        position_std_m=0.5,
+        aligned=True,
+        has_gps=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "push"),
+    [("acceleration", (-1.5, 0.8, 0.0)), ("attitude", (-1.5, 0.8, 0.0)), ("velocity", ZERO3)],
+)
+def test_who_makes_the_lean_begins_with_the_wind_that_the_vehicle_leans_against(
+    kind: str, push: Vector3
+) -> None:
+    plant = Plant(ControlConfig.model_validate({"setpoint": kind}), vehicle_config(), LAGS_S)
+    vehicle = _vehicle(0.0, ZERO3, ZERO3, (1.5, -0.8, 0.0))
+    plant.begin(vehicle)
+    assert plant.disturbance_ned_m_s2 == pytest.approx(push, abs=1e-6)
+    # so that what is asked for first is the lean that there is
+    assert plant.last_input(Motion(ZERO3, ZERO3, ZERO3)) == pytest.approx((-push[0], -push[1], 0.0), abs=1e-6)
+
+
+def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
+    config = ControlConfig(setpoint="acceleration")
+    plant = Plant(config, vehicle_config(), LAGS_S)
+    gain, speed, flown, worst = config.autopilot_velocity_gain_1_s, 2.0, 0.0, 0.0
+    plant.begin(_vehicle(0.0, (speed, 0.0, 0.0), ZERO3, ZERO3))
+    step_s = 1.0 / config.rate_hz
+    for k in range(1, 40):
+        plant.remember(Setpoint((k - 1) * step_s, holds_horizontal_velocity=True))
+        for _ in range(10):
+            wanted = -gain * speed if k > 1 else 0.0
+            flown += (wanted - flown) * -math.expm1(-0.1 * step_s / LAGS_S[0])
+            speed += flown * 0.1 * step_s
+        plant.observe(_vehicle(k * step_s, (speed, 0.0, 0.0), (flown, 0.0, 0.0), (flown, 0.0, 0.0)), step_s)
+        worst = max(worst, abs(plant.disturbance_ned_m_s2[0]))
+    assert speed < 0.5
+    assert worst < 0.4
