@@ -31,9 +31,9 @@ from companion.control.identification import (
     prediction_error_m_s,
     windows,
 )
-from companion.control.setpoints import velocity_gains
+from companion.control.setpoints import resolved, velocity_gains
 from companion.geometry import GRAVITY_M_S2, FloatArray
-from companion.messages import Phase
+from companion.messages import Manner, Phase
 from companion.record import SETTINGS_RECORD
 from companion.replay.mcap_log import records
 from companion.replay.reading import log_file
@@ -49,18 +49,22 @@ companion identify flights/circle --check flights/line
 """
 TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
 # low over the ground, or on it, other things push than what the model knows
-IN_THE_AIR: Final = {Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
+IN_THE_AIR: Final = {Phase.ROUTE.value, Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
 LONGEST_STEP_S: Final = 0.2
 DIRECTIONS: Final[dict[str, tuple[int, ...]]] = {"sideways": (0, 1), "down": (2,)}
 
 
 @dataclass
 class FlightLog:
-    """What the log says: the settings that were flown with, and messages by topic in their order."""
+    """What the log says: the settings that were flown with, and messages by topic in their order.
+
+    `control.setpoint` is the kind that was sent, and `manner` whose autopilot it was sent to.
+    """
 
     control: ControlConfig
     vehicle: VehicleConfig
     messages: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    manner: Manner = "px4"
 
     @property
     def by_attitude(self) -> bool:
@@ -70,7 +74,7 @@ class FlightLog:
     def starting_points(self) -> dict[str, Response]:
         """The responses that the settings assume."""
         gains = (0.0, 0.0, 0.0) if self.by_attitude else velocity_gains(self.control)
-        tau = lags(self.vehicle, self.control)
+        tau = lags(self.vehicle, self.control, self.manner)
         return {name: Response(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
 
@@ -133,7 +137,10 @@ def read_flight(path: Path) -> FlightLog:
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
     vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
-    return FlightLog(config.control, vehicle, messages)
+    # in a flight by `auto` the setpoints tell whose autopilot it was
+    lean = any(not row.get("holds_horizontal_velocity", True) for row in messages["/setpoint"])
+    manner: Manner = "px4" if lean or config.control.setpoint != "auto" else "ardupilot"
+    return FlightLog(resolved(config.control, manner), vehicle, messages, manner)
 
 
 def flown(record: FlightLog, path: Path) -> Flown:
@@ -220,7 +227,7 @@ def _table(record: FlightLog, found: Found) -> tuple[Table, list[str]]:
             notes.append(f"{name}: {estimate}")
             continue
         best, count = estimate.response, f"{estimate.windows} windows"
-        if not record.by_attitude:
+        if assumed.gain_1_s > 0.0:
             gain, std = f"{best.gain_1_s:.2f} 1/s", f"{estimate.gain_std_1_s:.2f}"
             if math.isinf(estimate.gain_std_1_s):
                 gain, std = "as assumed", "too little excitation"
@@ -270,9 +277,10 @@ def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[st
             control[gain] = now.gain_1_s
         if now.lag_s == assumed.lag_s:
             continue
-        if record.by_attitude or now.lag_s < own_s:
+        by_velocity = record.control.setpoint == "velocity"  # only then the autopilot's shaping adds to it
+        if not by_velocity or now.lag_s < own_s:
             vehicle[own_lag] = own_s = now.lag_s
-        if not record.by_attitude:
+        if by_velocity:
             control[lag] = now.lag_s - own_s
     return vehicle, control
 
