@@ -31,9 +31,9 @@ from companion.control.identification import (
     prediction_error_m_s,
     windows,
 )
-from companion.control.setpoints import velocity_gains
+from companion.control.setpoints import resolved, velocity_gains
 from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
-from companion.messages import Phase
+from companion.messages import Manner, Phase
 from companion.record import SETTINGS_RECORD
 from companion.replay.mcap_log import records
 from companion.replay.reading import log_file
@@ -49,18 +49,22 @@ companion identify flights/circle --check flights/line
 """
 TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
 # low over the ground, or on it, other things push than what the model knows
-IN_THE_AIR: Final = {Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
+IN_THE_AIR: Final = {Phase.ROUTE.value, Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
 LONGEST_STEP_S: Final = 0.2
 DIRECTIONS: Final[dict[str, tuple[int, ...]]] = {"sideways": (0, 1), "down": (2,)}
 
 
 @dataclass
 class FlightLog:
-    """What the log says: the settings that were flown with, and messages by topic in their order."""
+    """What the log says: the settings that were flown with, and messages by topic in their order.
+
+    `control.setpoint` is the kind that was sent, and `manner` whose autopilot it was sent to.
+    """
 
     control: ControlConfig
     vehicle: VehicleConfig
     messages: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    manner: Manner = "px4"
 
     @property
     def by_attitude(self) -> bool:
@@ -71,7 +75,7 @@ class FlightLog:
         """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
         gains = ZERO3 if self.by_attitude else velocity_gains(self.control, sideways=by_velocity)
-        tau = lags(self.vehicle, self.control)
+        tau = lags(self.vehicle, self.control, self.manner)
         return {name: Response(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
 
@@ -134,15 +138,10 @@ def read_flight(path: Path) -> FlightLog:
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
     vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
-    return FlightLog(_as_flown(config.control, messages["/setpoint"]), vehicle, messages)
-
-
-def _as_flown(control: ControlConfig, setpoints: list[dict[str, Any]]) -> ControlConfig:
-    """With the kind of setpoints that were sent: `auto` goes by the autopilot."""
-    if control.setpoint == "attitude":
-        return control
-    held = all(row.get("holds_horizontal_velocity", True) for row in setpoints)
-    return control.model_copy(update={"setpoint": "velocity" if held else "acceleration"})
+    # in a flight by `auto` the setpoints tell whose autopilot it was
+    lean = any(not row.get("holds_horizontal_velocity", True) for row in messages["/setpoint"])
+    manner: Manner = "px4" if lean or config.control.setpoint != "auto" else "ardupilot"
+    return FlightLog(resolved(config.control, manner), vehicle, messages, manner)
 
 
 def flown(record: FlightLog, path: Path) -> Flown:

@@ -30,7 +30,7 @@ from companion.config.mounting import (
     load_mount,
     load_vehicle,
 )
-from companion.config.obstacles import Box, Cylinder, Shape
+from companion.config.obstacles import MOST_OBSTACLES, Box, Cylinder, Shape
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -66,6 +66,7 @@ from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, V
 __all__ = [
     "CONFIG_FOLDER",
     "CONNECTION_FORM",
+    "MOST_OBSTACLES",
     "AccelerometerCalibration",
     "AlignmentConfig",
     "AutopilotSensorsConfig",

@@ -6,7 +6,7 @@ The app's settings and the simulator's scenarios describe them by the same model
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
@@ -36,3 +36,5 @@ class Box(StrictModel):
 
 
 Shape = Annotated[Cylinder | Box, Field(discriminator="kind")]
+# the ways round so many are ready within seconds; time and memory grow with the cube
+MOST_OBSTACLES: Final = 24

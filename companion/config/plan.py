@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from companion.config.obstacles import Place, Shape
+from companion.config.obstacles import MOST_OBSTACLES, Place, Shape
 from companion.config.reading import StrictModel
 
 Height = Annotated[float, Field(ge=1.0, le=50.0)]
@@ -33,7 +33,7 @@ class MissionConfig(StrictModel):
     """The flight: where to look for the pad, when to ask again, when to give up."""
 
     take_off_height_m: float = Field(default=7.0, ge=1.0, le=50.0)
-    waypoint_ned_m: tuple[float, float] = (10.0, 0.0)
+    waypoint_ned_m: tuple[Place, Place] = (10.0, 0.0)
     waypoints_ned_m: tuple[Waypoint, ...] = ()
     arrival_radius_m: float = Field(default=1.5, ge=0.2, le=20.0)
     arrival_speed_m_s: float = Field(default=0.8, ge=0.1, le=5.0)
@@ -125,7 +125,7 @@ class PlanConfig(StrictModel):
     speed_law: Literal["fuzzy", "fixed", "log_polynomial"] = "fuzzy"
     fuzzy: str = "landing"
     fixed_speed_m_s: float = Field(default=0.9, ge=0.2, le=3.0)
-    obstacles: tuple[Shape, ...] = ()
+    obstacles: tuple[Shape, ...] = Field(default=(), max_length=MOST_OBSTACLES)
     obstacle_margin_m: float = Field(default=1.5, ge=0.1, le=20.0)  # from the rotors' tips: our place errs
     obstacle_ceiling_m: float = Field(default=15.0, ge=1.0, le=120.0)  # over home: no higher to pass over one
     mission: MissionConfig = MissionConfig()

@@ -138,11 +138,19 @@ def _one_line(error: ValidationError, source: str, data: Any) -> str:
         return f"{where}.{kind}: expected {wrong}{tail}"
     texts = list(dict.fromkeys(_expected(e) for e in same))
     text = " or ".join(texts[:1] + [t.removeprefix("expected ") for t in texts[1:]])
-    found = "" if first["type"] in {"missing", "value_error"} else f", found {first['input']!r}"
+    found = (
+        ""
+        if first["type"] in {"missing", "value_error", "too_long", "too_short"}
+        else f", found {first['input']!r}"
+    )
     return f"{where}: {text}{found}{tail}"
 
 
 def _expected(error: ErrorDetails) -> str:
+    if error["type"] in {"too_long", "too_short"}:
+        most, least = error["ctx"].get("max_length"), error["ctx"].get("min_length")
+        bound = f"at least {least}" if most is None else f"at most {most}"
+        return f"expected {bound} items, found {error['ctx']['actual_length']}"
     text = _EXPECTED.get(error["type"]) or error["msg"].removeprefix("Value error, ")
     return text.replace("Input should be", "expected").split(", unable to parse")[0]
 

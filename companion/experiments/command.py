@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from companion.config import ConfigError
 from companion.experiments import fig13, profiles, tune_flight_pid
 from companion.experiments.fig14_command import fig14
 from companion.experiments.flown import fly_scenario
+from companion.experiments.output import writable
 
 app = typer.Typer(
     add_completion=False,
@@ -43,7 +43,7 @@ def fig13_command(
     output: Picture = Path("fig13.png"),
 ) -> None:
     """Fig. 13: the EKF's position beside the GPS's and the truth, in a simulated flight."""
-    writable(output)
+    writable(output, ".png", "--output")
     observed = fig13.observe(fly_scenario(scenario, seed))
     fig13.draw(observed, output)
     console = Console()
@@ -66,7 +66,7 @@ def profiles_command(
     output: Picture = Path("profiles.png"),
 ) -> None:
     """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
-    writable(output)
+    writable(output, ".png", "--output")
     console, count = Console(), len(profiles.LAWS) * len(scenarios) * flights
     flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs)
     descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
@@ -87,16 +87,6 @@ def tune_command(
     tune_flight_pid.show(pid, console)
 
 
-def writable(output: Path) -> None:
-    """Make sure before minutes of flying that the picture can be written after them.
-
-    Raises:
-        ConfigError: it cannot.
-    """
-    if output.suffix.lower() != ".png" or not output.parent.is_dir() or not os.access(output.parent, os.W_OK):
-        raise ConfigError(f"--output {output}: expected a .png file in a folder that can be written")
-
-
 def finish(console: Console, bars: Mapping[str, bool], output: Path) -> None:
     """Say which bars hold and where the picture is; the exit status is 0 when all do.
 
@@ -113,7 +103,7 @@ def main() -> None:
     """Run an experiment: whatever the user got wrong ends in one line on standard error."""
     try:
         code = app(standalone_mode=False)
-    except (TyperException, ConfigError) as error:
+    except (TyperException, ConfigError, OSError) as error:
         text = error.format_message() if isinstance(error, TyperException) else str(error)
         print(f"companion-experiments: {text.rstrip('.')}", file=sys.stderr)
         code = 2

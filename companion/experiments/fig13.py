@@ -20,6 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
+from companion.config import ConfigError
 from companion.experiments.flown import Flown
 from companion.geometry import FloatArray, ned_from_geodetic
 from companion.messages import GpsFix, VehicleState
@@ -88,11 +89,11 @@ def observe(flown: Flown) -> Observed:
     """Positions of a flight from take-off to contact.
 
     Raises:
-        ValueError: the flight never got into the air.
+        ConfigError: the flight never got into the air.
     """
     airborne = [record.time_s for record in flown.truth if not record.in_contact]
     if not airborne:
-        raise ValueError("the flight never got into the air")
+        raise ConfigError(f"{flown.result.scenario}: never got into the air; expected a flight")
     began_s, ended_s = airborne[0], flown.contact_s() or airborne[-1]
     truth = TruthTrack(flown.truth)
     fixes: list[GpsFix] = [f for f in flown.kept["gps"] if began_s <= f.time_s <= ended_s]

@@ -1,15 +1,17 @@
 """A tracker's closed loop in the simulated world, without camera and estimators: seconds, not minutes.
 
-The vehicle is the simulator's (rigid body, rotors, drag, wind) under its simulated PX4, which takes velocity
-setpoints late, as over the link. The app's controller flies it along a minimum-jerk way from 8 m over and
-3 m beside the pad to 1.5 m over its middle, and stays there. What the controller is told of vehicle and pad
-is the truth with noise, a velocity bias and none of a camera's gaps: this measures tracking, not seeing.
+The vehicle is the simulator's (rigid body, rotors, drag, wind) under its simulated PX4, which takes setpoints
+of the kind that the settings choose for it late, as over the link. The app's controller flies it along a
+minimum-jerk way from 8 m over and 3 m beside the pad to 1.5 m over its middle, and stays there. What the
+controller is told of vehicle and pad is the truth with noise, a velocity bias and none of a camera's gaps:
+this measures tracking, not seeing.
 
 NED, SI units.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final
@@ -216,9 +218,12 @@ class TrackingLoop:
 
 
 def _streamed(setpoint: Setpoint) -> MotionSetpoint:
-    """What the autopilot reads from a velocity setpoint with acceleration and heading."""
+    """What the autopilot reads from a setpoint; of its velocity what is sent."""
+    north, east, down = setpoint.velocity_ned_m_s
+    if not setpoint.holds_horizontal_velocity:
+        north = east = math.nan
     return MotionSetpoint(
-        velocity_ned_m_s=setpoint.velocity_ned_m_s,
+        velocity_ned_m_s=(north, east, down),
         acceleration_ned_m_s2=setpoint.acceleration_ned_m_s2,
         yaw_rad=setpoint.heading_rad,
         yaw_rate_rad_s=setpoint.heading_rate_rad_s,

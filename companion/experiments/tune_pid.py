@@ -23,7 +23,7 @@ import numpy as np
 import scipy.optimize
 import yaml
 
-from companion.config import CONFIG_FOLDER
+from companion.config import CONFIG_FOLDER, ConfigError
 from companion.control.full_mpc import load_full
 from companion.control.pid import AngleGains, AxisGains, PidGains
 from companion.control.quadrotor import load_quadrotor
@@ -32,6 +32,7 @@ from companion.experiments.fig14_flight import LOST_M, fly
 from companion.experiments.fig14_pilots import Flight
 from companion.experiments.fig14_reference import draw_scene
 from companion.experiments.fig14_world import Case, Noise
+from companion.experiments.output import writable
 from companion.geometry import FloatArray
 from sitl.scenario import load_airframe
 
@@ -122,6 +123,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--evaluations", type=int, default=250)
     parser.add_argument("--to", type=Path, default=CONFIG_FOLDER / "control" / "pid.yaml")
     chosen = parser.parse_args(arguments)
+    try:
+        writable(chosen.to, ".yaml", "--to")
+    except ConfigError as error:
+        print(f"tune_pid: {error}", file=sys.stderr)
+        return 2
     gains, before_m, after_m = tune(chosen.evaluations)
     header = HEADER.format(
         flights="; ".join(f"{case.name} ({', '.join(map(str, seeds))})" for case, seeds in TRAINING),

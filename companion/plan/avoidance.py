@@ -23,7 +23,7 @@ from companion.geometry import FloatArray, Vector3, add, norm, scale, subtract
 from companion.plan.course import Course, Way, halting, paced
 from companion.plan.frames import STILL, away, led, seen
 from companion.plan.min_jerk import Motion, Trajectory, brake, carried
-from companion.plan.obstacles import Obstacle, clearance_m, line_clear, nearest_free, route, way_cost
+from companion.plan.obstacles import Obstacle, clearance_m, line_clear, nearest_free, prepare, route, way_cost
 
 # Corners are passed this much farther out first, so that a smooth curve has room to swing.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
@@ -39,10 +39,12 @@ _WORTH_ROOM: Final = 1.1
 _WORTH_TURNING: Final = 1.3
 _WORTH_M: Final = 1.0
 _CHECK_STEP_S: Final = 0.1
-_MOST_CHECKS: Final = 400
+# Of a longer way what comes later is looked at in as many steps again, and closely when it has come near.
+_MOST_CHECKS: Final = 300
 # A way round that was begun is kept while its end is so near to where the target will be.
 _SAME_END_M: Final = 0.3
 _SAME_END_M_S: Final = 0.3
+_SAME_PLACE_M: Final = 1e-3
 # Where the gentle stop would come too near, harder ones are tried (m/s²); the last is taken anyway.
 _HARD_STOPS_M_S2: Final = (3.0, 4.5)
 _SLACK_M: Final = 0.01
@@ -57,6 +59,8 @@ class Avoidance:
     def __init__(self, config: PlanConfig, vehicle_radius_m: float) -> None:
         self._obstacles = tuple(Obstacle.of(shape) for shape in config.obstacles)
         self._margin_m = config.obstacle_margin_m + vehicle_radius_m
+        for spare_m in _SPARES_M:
+            prepare(self._obstacles, self._margin_m + spare_m)
         self._ceiling_down_m = -config.obstacle_ceiling_m
         self._limits: GuidanceConfig = config.guidance
         self._home_ned_m: Vector3 | None = None
@@ -67,9 +71,14 @@ class Avoidance:
         self.blocked = self.waiting = False
 
     @property
+    def any(self) -> bool:
+        """Whether there is anything to avoid."""
+        return bool(self._obstacles)
+
+    @property
     def needed(self) -> bool:
         """Whether there is anything to avoid, and it is known where."""
-        return bool(self._obstacles) and self._home_ned_m is not None
+        return self.any and self._home_ned_m is not None
 
     @property
     def detouring(self) -> bool:
@@ -113,7 +122,7 @@ class Avoidance:
         if not late and self._clear(direct, now_s):
             self.forget()
             return direct
-        if kept is not None and not self._clear(kept, now_s):
+        if kept is not None and not (_on(kept, start, now_s, level=level) and self._clear(kept, now_s)):
             kept = None
         if kept is not None and (now_s < self._next_s or _leads_to(kept, target, now_s)):
             return kept
@@ -177,12 +186,11 @@ class Avoidance:
         last = seen(way.at(way.end_s), frame)
         after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
-        count = min(_MOST_CHECKS, 2 + int(whole_s / _CHECK_STEP_S))
-        step_s = whole_s / (count - 1)
-        points = way.rows(now_s, count, step_s)[0]
-        if frame is not STILL:
-            points += led(frame, step_s * np.arange(count, dtype=float))
-        clearance = self._clearance_m(points)
+        close_s = min(whole_s, _MOST_CHECKS * _CHECK_STEP_S)
+        points = [_places(way, frame, now_s, 0.0, close_s)]
+        if whole_s > close_s:
+            points.append(_places(way, frame, now_s, close_s, whole_s))
+        clearance = self._clearance_m(np.concatenate(points))
         least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
         return bool(np.all(clearance >= least_m))
 
@@ -302,8 +310,25 @@ class Avoidance:
         return stop
 
 
+def _places(way: Way, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
+    """Where a way in a frame leads in space from one time after now to another, (n, 3)."""
+    count = min(_MOST_CHECKS, 1 + math.ceil((to_s - from_s) / _CHECK_STEP_S)) + 1
+    step_s = (to_s - from_s) / (count - 1)
+    points = way.rows(now_s + from_s, count, step_s)[0]
+    if frame is not STILL:
+        points += led(frame, from_s + step_s * np.arange(count, dtype=float))
+    return points
+
+
 def _under_way(course: Course | None, now_s: float) -> bool:
     return course is not None and now_s < course.end_s
+
+
+def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:
+    """Whether the reference is on a course still: levelling off takes its height elsewhere, and may."""
+    there, axes = course.at(now_s), 2 if level else 3
+    near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SAME_PLACE_M
+    return near and math.dist(there.velocity_m_s[:axes], start.velocity_m_s[:axes]) <= _SAME_PLACE_M
 
 
 def _leads_to(course: Course, target: Motion, now_s: float) -> bool:

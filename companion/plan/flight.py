@@ -220,6 +220,8 @@ class Flight:
             return self._at_first(inputs)
         if finding is None or inputs.vehicle is None:
             return finding
+        if finding[0] is Event.AIRBORNE and self.surroundings.lost:
+            return Event.REFUSED, "no estimate at the take-off: where the obstacles are is not known"
         here_m, first_m = inputs.vehicle.position_ned_m, self._waypoints.first_from_home_m
         if finding[0] is Event.AIRBORNE and not self.surroundings.straight_clear(here_m, first_m):
             return Event.BLOCKED, "obstacles on the straight way to the waypoint: flown round"

@@ -31,6 +31,7 @@ _DISTANCE_FRACTIONS = (0.0, 0.06, 0.15, 0.3, 0.5, 0.7, 0.85, 0.94)
 _RATE_FRACTIONS = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9)
 _SAMPLING = (_DISTANCE_FRACTIONS, _RATE_FRACTIONS)
 MONOTONE_TOLERANCE_M_S = 0.005
+SLOWEST_M_S = 0.05  # eq. 37 divides by it
 
 
 # ---------------------------------------------------------------- what flies: the table
@@ -109,13 +110,13 @@ def load_table(name: str | Path) -> tuple[SpeedTable, Literal["stored", "compute
     """The speed table of some rules, from its file when that belongs to them, else computed.
 
     Raises:
-        ConfigError: the rules cannot be read, break a rule, or are faster when closer.
+        ConfigError: the rules cannot be read, break a rule, stand still, or are faster when closer.
     """
     path = find_file("fuzzy", name)
     rules = load_model(FuzzyRules, path)
     stored = _read_table(_table_path(path), rules.fingerprint(_SAMPLING))
     table = stored if stored is not None else build_table(rules)
-    _never_faster_when_closer(table, path)
+    _flyable(table, path)
     return table, "computed" if stored is None else "stored"
 
 
@@ -123,13 +124,13 @@ def write_table(name: str | Path) -> Path:
     """Compute the table of some rules and store it beside them.
 
     Raises:
-        ConfigError: the rules cannot be read, break a rule, are faster when closer, or the table cannot be
-            written.
+        ConfigError: the rules cannot be read, break a rule, stand still, are faster when closer, or the table
+            cannot be written.
     """
     path = find_file("fuzzy", name)
     rules = load_model(FuzzyRules, path)
     table = build_table(rules)
-    _never_faster_when_closer(table, path)
+    _flyable(table, path)
     rows = {axis: getattr(table, axis) for axis in (*INPUTS, OUTPUT)}
     target = _table_path(path)
     text = json.dumps({"fingerprint": rules.fingerprint(_SAMPLING), **rows}, separators=(",", ":"))
@@ -142,7 +143,11 @@ def write_table(name: str | Path) -> Path:
     return target
 
 
-def _never_faster_when_closer(table: SpeedTable, source: Path) -> None:
+def _flyable(table: SpeedTable, source: Path) -> None:
+    """Refuse rules that would not arrive, or would come in ever faster."""
+    slowest_m_s = float(np.min(table.speed_m_s))
+    if not slowest_m_s >= SLOWEST_M_S:
+        raise ConfigError(f"{source}: rules: expected at least {SLOWEST_M_S:g} m/s, found {slowest_m_s:.2f}")
     gain = np.diff(np.array(table.speed_m_s), axis=0)
     if gain.min() < -MONOTONE_TOLERANCE_M_S:
         i, j, k = (int(n) for n in np.unravel_index(gain.argmin(), gain.shape))

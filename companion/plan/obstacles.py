@@ -16,10 +16,11 @@ from typing import Final
 import numpy as np
 from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
 
+from companion.config import MOST_OBSTACLES
 from companion.geometry import FloatArray, Vector3
 from companion.plan.shapes import Obstacle, Plan, clearance_m, shapes_of
 
-__all__ = ["Obstacle", "clearance_m", "line_clear", "nearest_free", "route", "way_cost"]
+__all__ = ["Obstacle", "clearance_m", "line_clear", "nearest_free", "prepare", "route", "way_cost"]
 
 _TOLERANCE_M: Final = 1e-6
 _SPACING_M: Final = 0.2  # of the points at which a straight line is looked at
@@ -213,7 +214,14 @@ class _Graph:
         return tuple((float(self._corners[i, 0]), float(self._corners[i, 1])) for i in reversed(way))
 
 
-@lru_cache(maxsize=64)
+def prepare(obstacles: Sequence[Obstacle], margin_m: float) -> None:
+    """Make every graph that `route` may ask for: in flight it would take longer than a cycle has."""
+    for top_down_m in {o.top_down_m for o in obstacles}:
+        _graph(tuple(o for o in obstacles if o.top_down_m <= top_down_m), margin_m)
+
+
+# all of two sets of MOST_OBSTACLES by three margins
+@lru_cache(maxsize=6 * MOST_OBSTACLES)
 def _graph(obstacles: tuple[Obstacle, ...], margin_m: float) -> _Graph:
     return _Graph(obstacles, margin_m)
 

@@ -24,6 +24,7 @@ from companion.plan.sight import PadKnowledge
 from companion.plan.surroundings import Severity
 from companion.plan.touchdown import Finding
 from companion.plan.watch import Watch
+from companion.plan.waypoints import check_places
 
 __all__ = ["PlanInputs", "Planner"]
 
@@ -36,6 +37,12 @@ class Planner:
     def __init__(
         self, config: PlanConfig, vehicle: VehicleConfig, horizon_steps: int, step_s: float, law: SpeedLaw
     ) -> None:
+        """Ready to connect.
+
+        Raises:
+            ConfigError: the take-off or a waypoint is too near to an obstacle.
+        """
+        check_places(config, vehicle.radius_m)
         mission, search = config.mission, config.search
         self.phase = Phase.CONNECT
         self._since_s = math.nan

@@ -27,6 +27,8 @@ _STOPPED_S = 0.6
 # A pad steadily in view for so long is taken up however it moves.
 _LONG_IN_VIEW_S = 3.0
 _TELL_S = 5.0
+# A way round is not looked for in every cycle: after so long it has been, to the present corner.
+_SOUGHT_S = 0.5
 
 
 def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
@@ -61,7 +63,7 @@ class Search:
         self._down_m = 0.0
         self._corner = 0
         self._arrived_s: float | None = None
-        self._begun_s = self._control_s = self._next_request_s = self._told_s = -math.inf
+        self._begun_s = self._control_s = self._next_request_s = self._told_s = self._turned_s = -math.inf
         self._had_control = False
         self._in_view = Held()
 
@@ -159,8 +161,9 @@ class Search:
         centre = self.whereabouts.likely(now_s)
         reference = self._guide.at(now_s).position_m
         place = self._corner_of(centre)
-        # a corner that cannot be had for an obstacle is as good as looked at
-        if math.dist(reference[:2], place) < _CORNER_M or self._guide.avoidance.blocked:
+        # a corner that cannot be had for an obstacle is as good as looked at, once a way to it was sought
+        sought = now_s - self._turned_s >= _SOUGHT_S
+        if math.dist(reference[:2], place) < _CORNER_M or (sought and self._guide.avoidance.blocked):
             self._at_corner(now_s)
             place = self._corner_of(centre)
         return Motion((*place, self._down_m), centre.velocity_m_s)
@@ -174,7 +177,7 @@ class Search:
         north, east = square_spiral(self._corner + 1, self._config.spacing_m)
         # beyond the radius it begins anew: the pad may have come closer meanwhile
         self._corner = 0 if math.hypot(north, east) > self._config.radius_m else self._corner + 1
-        self._arrived_s = None
+        self._arrived_s, self._turned_s = None, now_s
 
     def _corner_of(self, centre: Motion) -> tuple[float, float]:
         north, east = square_spiral(self._corner, self._config.spacing_m)

@@ -33,6 +33,7 @@ class LogPolynomial:
         self._low_m, self._high_m = table.distance_m[0], table.distance_m[-1]
         distances = np.linspace(self._low_m, self._high_m, FITTED_POINTS)
         speeds = [table(d, 0.0, 0.0) for d in distances.tolist()]
+        self._slowest_m_s = min(speeds)
         self.coefficients: tuple[float, ...] = tuple(
             np.polynomial.polynomial.polyfit(np.log1p(distances), speeds, DEGREE).tolist()
         )
@@ -43,7 +44,7 @@ class LogPolynomial:
         speed = 0.0
         for coefficient in reversed(self.coefficients):
             speed = speed * length + coefficient
-        return speed
+        return max(speed, self._slowest_m_s)  # a cubic may undershoot, and eq. 37 divides by it
 
 
 def load_speed_law(config: PlanConfig) -> SpeedLaw:

@@ -49,6 +49,11 @@ class Surroundings:
             self.home_ned_m = (*self._stood_ned_m[:2], down_m)
         self._guide.see(self.home_ned_m, pad.motion)
 
+    @property
+    def lost(self) -> bool:
+        """Whether obstacles are known, but not where they are: none of them would be kept clear of."""
+        return self._guide.avoidance.any and self.home_ned_m is None
+
     def straight_clear(self, here_ned_m: Vector3, goal_from_home_m: Vector3) -> bool:
         """Whether a straight line to a place that counts from home keeps clear."""
         home = self.home_ned_m

@@ -9,15 +9,50 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from companion.config import MissionConfig
+import numpy as np
+
+from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.geometry import Vector3, add, norm
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 from companion.plan.mission import Event
+from companion.plan.obstacles import Obstacle, clearance_m
 from companion.plan.touchdown import Finding
 
 # The reference passes through a point exactly: this near to it, it has.
 _PASSED_M: Final = 0.5
+
+
+def check_places(config: PlanConfig, vehicle_radius_m: float) -> None:
+    """Refuse what could never be flown.
+
+    Raises:
+        ConfigError: the take-off touches an obstacle, or a waypoint is nearer to one than the margin.
+    """
+    mission, margin_m = config.mission, config.obstacle_margin_m + vehicle_radius_m
+    places = _places(mission)
+    names = ["waypoint_ned_m", *(f"waypoints_ned_m.{k}" for k in range(len(places) - 1))]
+    for index, shape in enumerate(config.obstacles):
+        away_m = clearance_m(np.array([(0.0, 0.0, 0.0), *places]), [Obstacle.of(shape)])
+        if away_m[0] < vehicle_radius_m:
+            raise ConfigError(
+                f"plan.obstacles.{index}: {away_m[0]:.1f} m from the take-off place, expected at least "
+                f"{vehicle_radius_m:.1f} m"
+            )
+        for name, distance_m in zip(names, away_m[1:], strict=True):
+            if distance_m < margin_m:
+                raise ConfigError(
+                    f"plan.mission.{name}: {distance_m:.1f} m from plan.obstacles.{index}, expected at least "
+                    f"{margin_m:.1f} m: plan.obstacle_margin_m and the vehicle's radius"
+                )
+
+
+def _places(mission: MissionConfig) -> list[Vector3]:
+    """All waypoints, NED from home."""
+    places: list[Vector3] = []
+    for north, east, *height in (mission.waypoint_ned_m, *mission.waypoints_ned_m):
+        places.append((north, east, -(height[0] if height else mission.take_off_height_m)))
+    return places
 
 
 class Waypoints:
@@ -31,7 +66,7 @@ class Waypoints:
     @property
     def first_from_home_m(self) -> Vector3:
         """The waypoint to which the autopilot would fly, NED from home."""
-        return (*self._config.waypoint_ned_m, -self._config.take_off_height_m)
+        return _places(self._config)[0]
 
     @property
     def further(self) -> bool:
@@ -40,9 +75,7 @@ class Waypoints:
 
     def begin(self, *, with_first: bool) -> None:
         """Start over; `with_first` when the autopilot has not flown to the first."""
-        self._left = [self.first_from_home_m] if with_first else []
-        for north, east, *height in self._config.waypoints_ned_m:
-            self._left.append((north, east, -(height[0] if height else self._config.take_off_height_m)))
+        self._left = _places(self._config)[0 if with_first else 1 :]
         self._last = self._left[-1] if self._left else None
 
     def at_first(self, actual: Motion, home_ned_m: Vector3) -> Finding:

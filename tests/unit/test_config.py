@@ -125,3 +125,11 @@ def test_what_would_fly_otherwise_than_meant_is_refused(tmp_path: Path, text: st
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     assert expected in str(caught.value)
+
+
+def test_a_list_that_is_too_long_is_told_in_plain_words(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    pole = "{kind: cylinder, centre_ned_m: [1, 2, 3], radius_m: 1, height_m: 2}"
+    path.write_text(f"plan: {{obstacles: [{pole}]}}", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"centre_ned_m: expected at most 2 items, found 3$"):
+        load_config(path)

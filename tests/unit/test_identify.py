@@ -16,6 +16,7 @@ from companion.config import (
     load_config,
     load_vehicle,
 )
+from companion.control.flight_model import SHAPING_S
 from companion.geometry import IDENTITY, ZERO3
 from companion.identify import identify_command, read_flight
 from companion.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
@@ -49,20 +50,20 @@ def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> Vehi
     )
 
 
-def _record(folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0) -> Path:
+def _record(
+    folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0, manner: str = "px4"
+) -> Path:
     """A flight that sways north, recorded as the app does."""
     log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
-    if setpoint == "acceleration":  # what the settings say is only "auto"
-        auto = config.control.model_copy(update={"setpoint": "auto"})
-        config = config.model_copy(update={"control": auto})
     log.write_settings(config=config, vehicle=vehicle)
     v = a = 0.0
-    by_attitude, by_lean = setpoint == "attitude", setpoint == "acceleration"
+    by_attitude = setpoint == "attitude"
+    heeded = manner == "ardupilot" or setpoint == "velocity"
     rng = np.random.default_rng(1)
     for k in range(round(seconds / PERIOD_S)):
         now_s = k * PERIOD_S
         wanted = 1.5 * math.sin(2.3 * now_s) + math.sin(5.1 * now_s + 1.0)
-        offset = 0.0 if by_attitude or by_lean else 0.5 * math.sin(1.3 * now_s)
+        offset = 0.0 if by_attitude else 0.5 * math.sin(1.3 * now_s)
         log.write("plan", PlanStep(now_s, Phase.APPROACH), now_s)
         log.write("vehicle", _state(now_s, v + rng.normal(0.0, 0.004), a), now_s)
         sent = Setpoint(
@@ -70,14 +71,14 @@ def _record(folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float =
             velocity_ned_m_s=(v + offset, 0.0, 0.0),
             acceleration_ned_m_s2=(wanted, 0.0, 0.0),
             attitude=IDENTITY if by_attitude else None,
-            holds_horizontal_velocity=not by_lean,
             thrust=HOVER_THRUST * math.hypot(1.0, a / 9.80665) if by_attitude else None,
+            holds_horizontal_velocity=heeded,
         )
         log.write("setpoint", sent, now_s)
         report = ControlReport(now_s, solved=True, iterations=20, solve_s=0.0, hover_thrust=0.55)
         log.write("control_report", report, now_s)
         for _ in range(4):
-            a += (wanted + (0.0 if by_attitude else 2.2) * offset - a) / lag_s * PERIOD_S / 4
+            a += (wanted + (2.2 if heeded else 0.0) * offset - a) / lag_s * PERIOD_S / 4
             v += a * PERIOD_S / 4
     log.close()
     return folder
@@ -108,15 +109,22 @@ def test_by_attitude_hover_thrust_goes_into_the_vehicle(
     assert "0.550" in said  # as learnt in flight
 
 
-def test_without_a_velocity_to_hold_the_lag_is_the_vehicles_own_and_no_gain_is_sought(
+def test_by_the_shipped_settings_the_setpoints_tell_what_was_sent(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    identify_command(_record(tmp_path / "one", "acceleration"))
+    # GIVEN flights by `auto`: PX4 gets no horizontal velocity, ArduPilot does and shapes it
+    px4, ardupilot = (_record(tmp_path / name, "auto", manner=name) for name in ("px4", "ardupilot"))
+    identify_command(px4)
     said = capsys.readouterr().out
     assert "by acceleration setpoints" in said
     assert "sideways: velocity gain" not in said
     lag = next(line for line in said.splitlines() if line.startswith("acceleration_time_constant_s"))
     assert float(lag.split(":")[1]) == pytest.approx(0.3, abs=0.06)
+    assert "autopilot_lag_s" not in said
+    assert read_flight(ardupilot).control.setpoint == "velocity"
+    sideways = read_flight(ardupilot).starting_points()["sideways"]
+    assert sideways.gain_1_s > 0.0
+    assert sideways.lag_s == pytest.approx(0.11 + SHAPING_S["ardupilot"][0], abs=0.03)
 
 
 def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:

@@ -1,10 +1,12 @@
 """`companion-experiments`: what a user gets wrong is one line, and comes before minutes of flying."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
 from companion.experiments.command import main
+from companion.experiments.output import writable
 
 
 def _said(
@@ -34,6 +36,27 @@ def test_mistakes_are_one_line(
     assert code == 2
     assert error.startswith(f"companion-experiments: {said}")
     assert error.count("\n") == 1
+
+
+def test_a_picture_that_cannot_be_written_is_told_before_the_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "folder.png"
+    folder.mkdir()
+    for output in (folder, Path("/proc/fig13.png")):
+        error, code = _said(capsys, monkeypatch, "fig13", "-o", str(output))
+        assert code == 2
+        assert error.startswith(f"companion-experiments: --output {output}: expected a .png file")
+        assert error.count("\n") == 1
+
+
+def test_what_can_be_written_is_left_as_it_was(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.png", tmp_path / "new.png"
+    old.write_bytes(b"picture")
+    for path in (old, new):
+        writable(path, ".png", "--output")
+    assert old.read_bytes() == b"picture"
+    assert not new.exists()
 
 
 def test_help_needs_no_flight(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.config import ConfigError
 from companion.experiments import fig13
 from companion.experiments.flown import Flown
 from companion.geometry import Vector3, add
@@ -62,7 +63,7 @@ def test_only_the_flight_counts() -> None:
     late = [*flown.kept["gps"], fix(25.0, (900.0, 0.0, 0.0))]
     observed = fig13.observe(Flown(flown.result, flown.truth, {**flown.kept, "gps": late}))
     assert observed.gps.time_s.max() < 20.0
-    with pytest.raises(ValueError, match="never got into the air"):
+    with pytest.raises(ConfigError, match="never got into the air"):
         fig13.observe(Flown(flown.result, flown.truth[:1], flown.kept))
 
 

@@ -1,11 +1,14 @@
 """The closed loop in which controllers are compared and tuned."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from companion.config import ControlConfig
 from companion.experiments import tune_flight_pid
-from companion.experiments.tracking_loop import CASES, TrackingLoop
+from companion.experiments.tracking_loop import CASES, TrackingLoop, _streamed
+from companion.messages import Setpoint
 
 
 def test_the_app_s_controller_tracks_in_the_simulated_world_and_repeats() -> None:
@@ -30,3 +33,11 @@ def test_gains_are_of_the_third_order_polynomial() -> None:
 
 def test_training_and_held_out_seeds_do_not_meet() -> None:
     assert not set(tune_flight_pid.TRAINING_SEEDS) & set(tune_flight_pid.HELD_OUT_SEEDS)
+
+
+def test_the_autopilot_hears_the_velocity_only_as_far_as_it_is_sent() -> None:
+    sent = Setpoint(0.0, velocity_ned_m_s=(1.0, 2.0, 3.0), holds_horizontal_velocity=False)
+    north, east, down = _streamed(sent).velocity_ned_m_s
+    assert np.isnan([north, east]).all()
+    assert down == 3.0
+    assert _streamed(replace(sent, holds_horizontal_velocity=True)).velocity_ned_m_s == (1.0, 2.0, 3.0)

@@ -8,8 +8,8 @@ from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.geometry import Vector3, add, norm, scale, subtract
 from companion.plan.avoidance import Avoidance
 from companion.plan.guidance import Guide
-from companion.plan.min_jerk import Motion
-from companion.plan.obstacles import Obstacle, clearance_m
+from companion.plan.min_jerk import Motion, plan
+from companion.plan.obstacles import Obstacle, _graph, clearance_m
 
 CYCLE_S = 1.0 / 30.0
 RADIUS_M = 0.4
@@ -195,3 +195,39 @@ def test_a_route_that_cannot_be_had_is_not_begun() -> None:
         g.fly_along([from_home(10.0, 0.0, 5.0)], k * CYCLE_S)
     assert g.avoidance.blocked
     assert g.at(2.0).position_m == pytest.approx(from_home(0.0, 0.0, 5.0))
+
+
+def test_the_reference_has_no_step_where_a_way_round_begins_while_sinking() -> None:
+    shapes = (wall(6.0, 2.0, 7.0), pole(12.0, -2.0))
+    g = guide(*shapes, ceiling=5.0)
+    g.start("local", Motion(from_home(0.0, 0.0, 9.0), (0.0, 0.0, 1.2), (0.0, 0.0, 0.8)), 0.0)
+    flown = fly(g, Motion(from_home(18.0, 0.0, 8.8)), 25.0)
+    assert_smooth(flown)
+    assert clearance([m.position_m for m in flown], shapes) >= MARGIN_M - 0.02
+
+
+def test_a_thin_pole_on_a_way_of_many_minutes_is_not_stepped_over() -> None:
+    g = guide(*(pole(n, 0.0, radius=0.1) for n in (6.0,)))
+    start, goal = Motion(from_home(0.0, 0.0, 5.0)), Motion(from_home(1900.0, 0.0, 5.0))
+    for phase_s in np.arange(0.0, 1.0, 0.1).tolist():
+        assert not g.avoidance.still_clear(plan(start, goal, -60.0 - phase_s, 3600.0), -60.0 - phase_s)
+        running = Motion(from_home(-1.0, 0.0, 5.0), (3.0, 0.0, 0.0))
+        goes_on = Motion(from_home(1799.0, 0.0, 5.0), (3.0, 0.0, 0.0))
+        assert not g.avoidance.still_clear(plan(running, goes_on, phase_s, 600.0), phase_s)
+
+
+def test_no_graph_is_made_in_flight() -> None:
+    rng = np.random.default_rng(3)
+    places = rng.uniform((5.0, -15.0, 3.0), (40.0, 15.0, 14.0), (12, 3)).tolist()
+    g = guide(wall(20.0, 0.0, 12.0, height=9.0), *(pole(n, e, height=h) for n, e, h in places))
+    made = _graph.cache_info().misses
+    g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
+    fly(g, Motion(from_home(45.0, 0.0, 4.0)), 3.0)
+    assert g.avoidance.detouring
+    assert _graph.cache_info().misses == made
+    assert _graph.cache_info().currsize <= _graph.cache_parameters()["maxsize"]
+
+
+def test_more_obstacles_than_can_be_thought_of_are_refused() -> None:
+    with pytest.raises(ValueError, match="at most 24 items"):
+        PlanConfig(obstacles=tuple(pole(10.0 * k, 5.0) for k in range(25)))

@@ -127,3 +127,11 @@ def test_a_rule_for_an_unknown_speed_names_its_cell(tmp_path: Path) -> None:
     del rules["pushing"]["far"]
     with pytest.raises(ConfigError, match=r"rules\.pushing: expected a row for each of touching"):
         load_table(edited(tmp_path, rules=rules))
+
+
+def test_rules_that_stand_still_or_back_away_are_refused(tmp_path: Path) -> None:
+    speeds = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))["speed_m_s"]
+    slowest = min(speeds, key=lambda term: speeds[term])
+    path = edited(tmp_path, speed_m_s=speeds | {slowest: [-0.4, -0.2, 0.0]})
+    with pytest.raises(ConfigError, match=r"rules: expected at least 0.05 m/s, found -0.2"):
+        load_table(path)

@@ -293,3 +293,17 @@ def test_once_compared_it_is_asked_for_while_the_pad_is_unseen_only() -> None:
     search.whereabouts.remember(Motion((0.0, 0.0, 0.0)), 1.0, 1.0)
     search.hear(beacon(1.5, 1.0, 0.0, (0.0, 0.0, 0.0)), ORIGIN)
     assert [search.ask_again(unseen_s, 20.0) for unseen_s in (0.0, 1.0)] == [False, True]
+
+
+def test_each_corner_is_sought_before_it_is_given_up_for_an_obstacle() -> None:
+    # GIVEN a search whose every corner is out of reach
+    search, guide = searching()
+    guide.avoidance.blocked = True
+    corners = set()
+    for k in range(round(10.0 * 30.0)):
+        search._target(k / 30.0)
+        corners.add(search._corner)
+        if k == 149:
+            # THEN they are given up one after another, each with time for a way to it to be found
+            assert 3 <= search._corner <= 10
+    assert corners == set(range(max(corners) + 1))

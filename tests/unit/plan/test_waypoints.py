@@ -1,11 +1,12 @@
 """Whole missions among obstacles and through waypoints, by the planner alone."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from companion.config import Box, Cylinder, MissionConfig, PhaseTimesConfig, PlanConfig, Shape
+from companion.config import Box, ConfigError, Cylinder, MissionConfig, PhaseTimesConfig, PlanConfig, Shape
 from companion.geometry import Vector3
 from companion.messages import ActionKind, Phase
 from companion.plan.obstacles import Obstacle, clearance_m
@@ -92,15 +93,70 @@ def test_an_obstacle_between_waypoint_and_pad_is_flown_round() -> None:
     assert track.clearance_m(*shapes) > PlanConfig().obstacle_margin_m + VEHICLE.radius_m - 0.15
 
 
-def test_a_waypoint_within_an_obstacle_is_held_before_and_told_and_ends_by_time() -> None:
+def shut_in(north: float, east: float) -> tuple[Box, ...]:
+    """Four walls about a place."""
+    around = ((4.0, 0.0, 90.0), (-4.0, 0.0, 90.0), (0.0, 4.0, 0.0), (0.0, -4.0, 0.0))
+    return tuple(
+        Box(
+            kind="box",
+            centre_ned_m=(north + n, east + e),
+            length_m=9.0,
+            width_m=0.4,
+            heading_deg=heading,
+            height_m=20.0,
+        )
+        for n, e, heading in around
+    )
+
+
+def test_a_waypoint_to_which_no_way_leads_is_held_before_and_told_and_ends_by_time() -> None:
     phase_times = PhaseTimesConfig(route_s=8.0, search_s=10.0)
-    config = PlanConfig(obstacles=(pole(10.0, 0.0, radius=1.0),), mission=MissionConfig(phases=phase_times))
+    config = PlanConfig(obstacles=shut_in(10.0, 0.0), mission=MissionConfig(phases=phase_times))
     world = World(still(60.0, 60.0), config=config)
     track = Track(world)
     world.fly(60.0)
     assert any("no way" in text for text in world.flight.told("blocked"))
     assert phases(world)[-3:] == [Phase.ROUTE, Phase.SEARCH, Phase.ABORT]
     assert track.clearance_m(*config.obstacles) > 1.8
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"obstacles": (pole(10.0, 0.5),)}, r"plan.mission.waypoint_ned_m: 0.2 m from plan.obstacles.0"),
+        (
+            {
+                "obstacles": (pole(50.0, 0.0), pole(14.0, 8.0, height=6.0)),
+                "mission": MissionConfig(waypoints_ned_m=((14.0, 2.0), (14.0, 8.0))),
+            },
+            r"plan.mission.waypoints_ned_m.1: 1.0 m from plan.obstacles.1, expected at least 1.9 m",
+        ),
+        ({"obstacles": (pole(0.0, 0.5),)}, r"plan.obstacles.0: 0.2 m from the take-off place"),
+    ],
+)
+def test_what_could_never_be_flown_is_refused_at_the_start_in_one_line(
+    settings: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said) as refused:
+        World(still(), config=PlanConfig(**settings))
+    assert "\n" not in str(refused.value)
+
+
+def test_a_waypoint_over_an_obstacle_is_not_refused() -> None:
+    mission = MissionConfig(waypoints_ned_m=((14.0, 8.0, 9.0),))
+    World(still(), config=PlanConfig(obstacles=(pole(14.0, 8.0, height=6.0),), mission=mission))
+
+
+def test_with_no_estimate_at_the_take_off_obstacles_have_no_place_and_it_lands() -> None:
+    world = World(still(), config=PlanConfig(obstacles=(pole(5.0, 0.1),)))
+    world.fly(10.0, until=lambda w: w.autopilot.armed)
+    world.vehicle_known = False
+    world.fly(10.0, until=lambda w: phases(w)[-1] is Phase.TAKE_OFF)
+    world.vehicle_known = True
+    world.fly(40.0)
+    assert phases(world)[-2:] == [Phase.TAKE_OFF, Phase.ABORT]
+    assert ActionKind.LAND in {kind for _, kind in world.autopilot.heard}
+    assert any("where the obstacles are is not known" in text for text in world.flight.told("phase"))
 
 
 @pytest.mark.parametrize("start_m", [-15.0, -22.0])
