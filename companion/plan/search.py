@@ -26,6 +26,7 @@ _FLOOR_STEP_M = 0.3
 _STOPPED_S = 0.6
 # A pad steadily in view for so long is taken up however it moves.
 _LONG_IN_VIEW_S = 3.0
+_ANY_SIGHT_AFTER_S = 10.0
 _TELL_S = 5.0
 # A way round is not looked for in every cycle: after so long it has been, to the present corner.
 _SOUGHT_S = 0.5
@@ -123,7 +124,9 @@ class Search:
         """Whether the pad is in view and will stay so: its velocity known, and no overshoot out of view."""
         steady = pad.steady(now_s)
         long = self._in_view.for_s(steady, now_s) >= _LONG_IN_VIEW_S
-        return steady and pad.sight is not None and (long or self._stays_in_view(pad.sight))
+        # a pad that turns as fast as we can fly is never met with little overshoot: then any sight will do
+        late = now_s - self._begun_s >= _ANY_SIGHT_AFTER_S
+        return steady and pad.sight is not None and (long or late or self._stays_in_view(pad.sight))
 
     def _stays_in_view(self, sight: Sight) -> bool:
         c = self._config
