@@ -31,7 +31,7 @@ class Heading:
 
 
 def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
-    """Settings in which the kind of setpoint is the one that this autopilot gets, and the weights are its.
+    """Settings in which the kind of setpoint is the one that this autopilot gets.
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
     derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
@@ -40,8 +40,7 @@ def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
     kind = config.setpoint
     if kind in ("auto", "acceleration"):
         kind = "acceleration" if manner == "px4" else "velocity"
-    tracking = config.horizontal_by_velocity if kind == "velocity" else config.horizontal
-    return config.model_copy(update={"setpoint": kind, "horizontal": tracking})
+    return config.model_copy(update={"setpoint": kind})
 
 
 def velocity_gains(config: ControlConfig, *, sideways: bool) -> Vector3:

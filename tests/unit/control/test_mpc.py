@@ -19,8 +19,7 @@ from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 
 TAU_S = 0.11
 LAGS_S = (TAU_S, TAU_S, 0.04)
-# the softer weights: fewer bounds bind
-CONFIG = ControlConfig(horizontal=ControlConfig().horizontal_by_velocity)
+CONFIG = ControlConfig()
 N, DT = CONFIG.horizon_steps, CONFIG.step_s
 
 
