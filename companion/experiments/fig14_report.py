@@ -75,7 +75,7 @@ def picture(path: Path, world: World, reference: Reference, tracks: Mapping[str,
         ConfigError: the picture cannot be written.
     """
     figure = Figure(figsize=(15, 8.5), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 0.75, 0.75))
     pad = np.array([world.pad.at(t).position_ned_m for t in np.arange(0.0, FLOWN_S, 0.05)])
     flown = {pilot: track.states[:, [0, 2, 4]] * [1.0, -1.0, -1.0] for pilot, track in tracks.items()}
     # the MPC on top; with the estimate the recursion hides under it
@@ -84,8 +84,8 @@ def picture(path: Path, world: World, reference: Reference, tracks: Mapping[str,
     _in_space(figure.add_subplot(grid[:, 0], projection="3d"), lines, world.obstacles)
     above = figure.add_subplot(grid[0, 1])
     _from_above(above, lines, world.obstacles)
-    _enlarged(above, lines, tracks)
-    _errors(figure.add_subplot(grid[1, 1]), tracks)
+    _enlarged(above, figure.add_subplot(grid[0, 2]), lines, tracks)
+    _errors(figure.add_subplot(grid[1, 1:]), tracks)
     figure.suptitle(f"Tracking a minimum-jerk reference to a moving pad: case {case}, seed {world.seed}")
     try:
         figure.savefig(path, dpi=110)
@@ -126,25 +126,26 @@ def _from_above(axes: Any, lines: Mapping[str, FloatArray], obstacles: Sequence[
         axes.plot(grown[:, 1], grown[:, 0], color="grey", linestyle=":", linewidth=1.0)
     for name, line in lines.items():
         axes.plot(line[:, 1], line[:, 0], **_style(name))
-    axes.set(xlabel="east (m)", ylabel="north (m)", title="from above (dotted: the vehicle would touch)")
+    axes.set(xlabel="east (m)", ylabel="north (m)", title="from above (dotted: would touch)")
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(alpha=0.3)
 
 
-def _enlarged(axes: Any, lines: Mapping[str, FloatArray], tracks: Mapping[str, Track]) -> None:
+def _enlarged(axes: Any, zoom: Any, lines: Mapping[str, FloatArray], tracks: Mapping[str, Track]) -> None:
     """Where the pilots are farthest off sideways: on the whole way the lines lie on one another."""
     pilot = max(tracks, key=lambda name: np.abs(tracks[name].errors_m[:, :2]).max() if name in lines else 0.0)
     worst = int(np.hypot(*tracks[pilot].errors_m[:, :2].T).argmax())
     north_m, east_m = lines[pilot][worst, :2]
-    zoom = axes.inset_axes((0.66, 0.06, 0.33, 0.74))
     for name, line in lines.items():
         zoom.plot(line[:, 1], line[:, 0], **_style(name))
     half_m = ENLARGED_M
     zoom.set(xlim=(east_m - half_m, east_m + half_m), ylim=(north_m - half_m, north_m + half_m))
     zoom.set_aspect("equal")
-    zoom.set_title(f"{2 * half_m:g} m, where errors are largest", fontsize=8)
-    zoom.tick_params(labelsize=7)
-    axes.indicate_inset_zoom(zoom, edgecolor="black")
+    zoom.set(xlabel="east (m)", title=f"{2 * half_m:g} m of it, where errors are largest")
+    zoom.grid(alpha=0.3)
+    axes.indicate_inset(
+        (east_m - half_m, north_m - half_m, 2 * half_m, 2 * half_m), edgecolor="black", alpha=1.0
+    )
 
 
 def _errors(axes: Any, tracks: Mapping[str, Track]) -> None:
