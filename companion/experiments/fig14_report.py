@@ -22,11 +22,11 @@ from companion.plan.obstacles import Obstacle
 COLOURS: Final = {"mpc": "tab:red", "riccati": "tab:orange", "riccati + push": "black", "pid": "magenta"}
 ENLARGED_M: Final = 0.5  # half the side of the view from above's enlarged part
 NOTES: Final = (
-    "All pilots: the same Kalman filter of the state, reference, mixer and plant. MPC and riccati: the same",
-    "weights and model, and the plan over the horizon. riccati is the paper's: no bounds, no estimate of what",
-    "pushes; riccati + push has the filter's estimate, as the MPC (for information). pid: position, velocity and",
-    "acceleration fed forward; gains by companion.experiments.tune_pid on other seeds. The filter's own time is",
-    "not in the steps'.",
+    "All pilots: the same Kalman filter of the state, reference, mixer and plant; the filter's time is not",
+    "in the steps'. MPC and riccati: the same weights and model, and plan over the horizon. riccati is the",
+    "paper's: no bounds, no estimate of what pushes; riccati + push has the filter's, as the MPC has (for",
+    "information). pid: position, velocity and acceleration fed forward; gains by",
+    "companion.experiments.tune_pid on other seeds.",
 )
 
 
