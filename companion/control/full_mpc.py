@@ -186,11 +186,14 @@ class FullMpc:
             self._constraints.matrix(values),
             self._lower,
             self._upper,
-            eps_abs=1e-4,
-            eps_rel=1e-4,
+            eps_abs=1e-3,
+            eps_rel=1e-3,
             max_iter=self._config.maximum_iterations,
             check_termination=10,
-            rho=0.1,
+            # SI units are balanced as they are: OSQP's own scaling, made for the first matrix, takes twice
+            # the iterations where bounds are active
+            scaling=0,
+            rho=10.0,
             adaptive_rho=1,
             adaptive_rho_interval=50,
             polishing=False,

@@ -14,6 +14,7 @@ import numpy as np
 from companion.clock import wall_clock_s
 from companion.control.full_mpc import FullLimits
 from companion.control.mixer import Mixer
+from companion.control.push import PushObserver
 from companion.control.quadrotor import ANGLES, POSITION, RATES, STATES, VELOCITY, state_from_ned
 from companion.experiments.fig14_pilots import FLOOR_M, PERIOD_S, PILOTS, VEHICLE_RADIUS_M, Flight
 from companion.experiments.fig14_world import (
@@ -87,6 +88,7 @@ def fly(
     seed = flight.world.seed
     pilot = PILOTS[pilot_name](flight)
     mixer = Mixer(flight.model, PERIOD_S, LEAD)
+    observer = PushObserver(flight.full.push, flight.model, PERIOD_S)
     air = Wind(WIND, np.random.default_rng((seed, 30))) if case.gusts else None
     noise = np.random.default_rng((seed, 40))
     plant = Quadrotor(disturbed(parameters, case, seed))
@@ -103,8 +105,9 @@ def fly(
         lost = bool(np.linalg.norm(error) > LOST_M)
         if lost:
             break
+        estimated = observer.step(_measured(state, case.noise, noise), mixer.flown)
         began_s = wall_clock_s()
-        inputs = pilot.step(_measured(state, case.noise, noise), time_s, mixer.flown)
+        inputs = pilot.step(estimated, time_s, observer.push)
         spent_s = wall_clock_s() - began_s
         if time_s >= -1e-9:
             rows.append((time_s, state, error, vehicle.thrust_share, spent_s))

@@ -1,4 +1,4 @@
-"""Who flies Fig. 14: MPC, the paper's recursion, and PID, all from the same measured state and reference.
+"""Who flies Fig. 14: MPC, the paper's recursion, and PID, all from the same estimated state and reference.
 
 They get the reference in NED and give U1..U4. MPC and recursion see the plan over their horizon, as the
 paper has it; PID gets its position, velocity and acceleration now. The recursion has the MPC's weights and
@@ -18,7 +18,6 @@ from companion.control.full_mpc import FullMpc, FullMpcConfig, RiccatiTracker, S
 from companion.control.nominal import NO_PUSH
 from companion.control.nominal import Reference as Rows
 from companion.control.pid import CascadedPid, PidGains, PidTarget
-from companion.control.push import PushObserver
 from companion.control.quadrotor import QuadrotorModel, flipped
 from companion.experiments.fig14_reference import Reference
 from companion.experiments.fig14_world import SURFACE_HEIGHT_M, World
@@ -38,8 +37,8 @@ FLIP: Final = np.array([1.0, -1.0, -1.0])
 class Pilot(Protocol):
     """A controller of the comparison."""
 
-    def step(self, state: FloatArray, time_s: float, flown: FloatArray) -> FloatArray:
-        """U (4,) from the measured state (12,) and the U that flew since the last step."""
+    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
+        """U (4,) from the estimated state (12,) and push (6,)."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class PidPilot:
         self._reference = flight.reference
         self._pid = CascadedPid(flight.gains, flight.model, math.radians(flight.full.limits.lean_deg))
 
-    def step(self, state: FloatArray, time_s: float, flown: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
         """U (4,)."""
         now = self._reference.at(time_s)
         target = PidTarget(flipped(now.position_m), flipped(now.velocity_m_s), flipped(now.acceleration_m_s2))
@@ -73,13 +72,12 @@ class RiccatiPilot:
     def __init__(self, flight: Flight, *, with_push: bool = False) -> None:
         self._flight = flight
         self._tracker = RiccatiTracker(flight.full, flight.model)
-        self._observer = PushObserver(flight.full.push, flight.model, PERIOD_S) if with_push else None
+        self._with_push = with_push
 
-    def step(self, state: FloatArray, time_s: float, flown: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
         """U (4,)."""
-        push = NO_PUSH if self._observer is None else self._observer.step(state, flown)
         rows = rows_of(self._flight, time_s)
-        return self._tracker.solve(state, rows, push).first
+        return self._tracker.solve(state, rows, push if self._with_push else NO_PUSH).first
 
 
 class MpcPilot:
@@ -88,12 +86,10 @@ class MpcPilot:
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
         self._mpc = FullMpc(flight.full, flight.model, PLANES)
-        self._observer = PushObserver(flight.full.push, flight.model, PERIOD_S)
         self.unsolved = 0
 
-    def step(self, state: FloatArray, time_s: float, flown: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
         """U (4,)."""
-        push = self._observer.step(state, flown)
         rows = rows_of(self._flight, time_s)
         found = self._mpc.solve(state, rows, surroundings(rows, self._flight.world.obstacles), push)
         self.unsolved += not found.solved

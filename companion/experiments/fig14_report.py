@@ -20,11 +20,13 @@ from companion.geometry import FloatArray
 from companion.plan.obstacles import Obstacle
 
 COLOURS: Final = {"mpc": "tab:red", "riccati": "tab:orange", "riccati + push": "black", "pid": "magenta"}
+ENLARGED_M: Final = 0.5  # half the side of the view from above's enlarged part
 NOTES: Final = (
-    "All pilots: the same measured state, reference, mixer and plant. MPC and riccati: the same weights and",
-    "model, and the plan over the horizon. riccati is the paper's: no bounds, no estimate of what pushes;",
-    "riccati + push has the MPC's estimate (for information). pid: position, velocity and acceleration fed",
-    "forward; gains by companion.experiments.tune_pid on other seeds.",
+    "All pilots: the same Kalman filter of the state, reference, mixer and plant; the filter's time is not",
+    "in the steps'. MPC and riccati: the same weights and model, and plan over the horizon. riccati is the",
+    "paper's: no bounds, no estimate of what pushes; riccati + push has the filter's, as the MPC has (for",
+    "information). pid: position, velocity and acceleration fed forward; gains by",
+    "companion.experiments.tune_pid on other seeds.",
 )
 
 
@@ -73,14 +75,17 @@ def picture(path: Path, world: World, reference: Reference, tracks: Mapping[str,
         ConfigError: the picture cannot be written.
     """
     figure = Figure(figsize=(15, 8.5), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.5, 0.75, 0.75))
     pad = np.array([world.pad.at(t).position_ned_m for t in np.arange(0.0, FLOWN_S, 0.05)])
-    lines = {"pad": pad, "min-jerk": reference.path()} | {
-        pilot: track.states[:, [0, 2, 4]] * [1.0, -1.0, -1.0] for pilot, track in tracks.items()
-    }
+    flown = {pilot: track.states[:, [0, 2, 4]] * [1.0, -1.0, -1.0] for pilot, track in tracks.items()}
+    # the MPC on top; with the estimate the recursion hides under it
+    ways = {pilot: flown[pilot] for pilot in ("riccati", "pid", "mpc") if pilot in flown}
+    lines = {"pad": pad, "min-jerk": reference.path()} | ways
     _in_space(figure.add_subplot(grid[:, 0], projection="3d"), lines, world.obstacles)
-    _from_above(figure.add_subplot(grid[0, 1]), lines, world.obstacles)
-    _errors(figure.add_subplot(grid[1, 1]), tracks)
+    above = figure.add_subplot(grid[0, 1])
+    _from_above(above, lines, world.obstacles)
+    _enlarged(above, figure.add_subplot(grid[0, 2]), lines, tracks)
+    _errors(figure.add_subplot(grid[1, 1:]), tracks)
     figure.suptitle(f"Tracking a minimum-jerk reference to a moving pad: case {case}, seed {world.seed}")
     try:
         figure.savefig(path, dpi=110)
@@ -92,8 +97,8 @@ def _style(name: str) -> dict[str, Any]:
     if name == "pad":
         return {"color": "tab:green", "linewidth": 2.5, "label": "pad"}
     if name == "min-jerk":
-        return {"color": "tab:blue", "linewidth": 2.0, "label": "minimum jerk"}
-    dashed = {"linestyle": ":", "zorder": 5} if name == "riccati + push" else {}
+        return {"color": "tab:blue", "linewidth": 5.0, "alpha": 0.45, "label": "minimum jerk"}
+    dashed = {"linestyle": ":"} if name == "riccati + push" else {}
     return {"color": COLOURS[name], "linewidth": 1.2, "label": name} | dashed
 
 
@@ -108,8 +113,8 @@ def _in_space(axes: Any, lines: Mapping[str, FloatArray], obstacles: Sequence[Ob
             np.tile(outline[:, 1], (2, 1)), np.tile(outline[:, 0], (2, 1)), heights, color="grey", alpha=0.35
         )
     axes.set(xlabel="east (m)", ylabel="north (m)", zlabel="height (m)")
-    axes.set_box_aspect((1.0, 1.4, 0.7))
-    axes.view_init(elev=28.0, azim=-60.0)
+    axes.set_aspect("equal")
+    axes.view_init(elev=35.0, azim=-60.0)
     axes.legend(loc="upper left")
 
 
@@ -121,9 +126,26 @@ def _from_above(axes: Any, lines: Mapping[str, FloatArray], obstacles: Sequence[
         axes.plot(grown[:, 1], grown[:, 0], color="grey", linestyle=":", linewidth=1.0)
     for name, line in lines.items():
         axes.plot(line[:, 1], line[:, 0], **_style(name))
-    axes.set(xlabel="east (m)", ylabel="north (m)", title="from above (dotted: the vehicle would touch)")
+    axes.set(xlabel="east (m)", ylabel="north (m)", title="from above (dotted: would touch)")
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(alpha=0.3)
+
+
+def _enlarged(axes: Any, zoom: Any, lines: Mapping[str, FloatArray], tracks: Mapping[str, Track]) -> None:
+    """Where the pilots are farthest off sideways: on the whole way the lines lie on one another."""
+    pilot = max(tracks, key=lambda name: np.abs(tracks[name].errors_m[:, :2]).max() if name in lines else 0.0)
+    worst = int(np.hypot(*tracks[pilot].errors_m[:, :2].T).argmax())
+    north_m, east_m = lines[pilot][worst, :2]
+    for name, line in lines.items():
+        zoom.plot(line[:, 1], line[:, 0], **_style(name))
+    half_m = ENLARGED_M
+    zoom.set(xlim=(east_m - half_m, east_m + half_m), ylim=(north_m - half_m, north_m + half_m))
+    zoom.set_aspect("equal")
+    zoom.set(xlabel="east (m)", title=f"{2 * half_m:g} m of it, where errors are largest")
+    zoom.grid(alpha=0.3)
+    axes.indicate_inset(
+        (east_m - half_m, north_m - half_m, 2 * half_m, 2 * half_m), edgecolor="black", alpha=1.0
+    )
 
 
 def _errors(axes: Any, tracks: Mapping[str, Track]) -> None:

@@ -4,7 +4,7 @@
 
 Minimised is the mean logarithm of the tracking error over training flights: nominal, gusts, wrong mass
 and inertia, all of it with noise, and with twice the noise, on seeds that the comparison does not fly (its
-are 0 and up). The logarithm lets every case count alike; the last case is the margin: without it the search
+are 100 to 119). The logarithm lets every case count alike; the last case is the margin: without it the search
 ends in gains that hold the training flights by a hair and lose others. Powell's method over the logarithms of
 the gains, from a hand-made start; the heading has gains of its own, which these flights do not ask for.
 """

@@ -101,6 +101,21 @@ def test_a_push_leans_the_nominal_against_it() -> None:
     assert np.allclose(push_effect(push, 0.1)[VELOCITY], [0.15, 0.0, -0.2])
 
 
+def test_bounds_that_bind_are_solved_within_the_iterations() -> None:
+    """Wind that the lean cannot stand against, as at a gust's height."""
+    push = np.array([-6.5, -2.3, -2.4, -0.3, 0.2, -0.2])
+    mpc, state = FullMpc(CONFIG, MODEL), state_at(waiting())
+    iterations = []
+    for k in range(80):
+        grown = min(1.0, k / 40) * push
+        found = mpc.solve(state, waiting(), nothing_around(), grown)
+        iterations.append(found.iterations)
+        assert found.solved
+        state = MODEL.advance(state, found.first, 0.02) + push_effect(grown, 0.02)
+    assert np.abs(state[ANGLES[:2]]).max() > 0.9 * math.radians(CONFIG.limits.lean_deg)
+    assert max(iterations) < CONFIG.maximum_iterations
+
+
 def test_a_known_push_leaves_no_offset() -> None:
     reference, push = waiting(), np.array([1.5, -1.0, -1.0, 0.0, 0.0, 0.0])
     mpc, state = FullMpc(CONFIG, MODEL), state_at(waiting())

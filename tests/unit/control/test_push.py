@@ -8,7 +8,7 @@ import pytest
 from companion.control.full_mpc import load_full
 from companion.control.nominal import push_effect
 from companion.control.push import PushObserver, stationary_gain
-from companion.control.quadrotor import STATES, load_quadrotor
+from companion.control.quadrotor import PSI, STATES, load_quadrotor
 from companion.geometry import FloatArray
 
 MODEL = load_quadrotor("x500")
@@ -48,6 +48,25 @@ def test_what_it_says_is_bounded() -> None:
 
 
 def test_the_gain_follows_the_walk() -> None:
-    quick, slow = (stationary_gain(PERIOD_S, 0.04, 0.02, walk) for walk in (2.0, 0.2))
-    assert 0.0 < slow[0] < quick[0] < 1.0
-    assert 0.0 < slow[1] < quick[1]
+    quick, slow = (stationary_gain(PERIOD_S, (0.02, 0.04), (0.02, walk)) for walk in (2.0, 0.2))
+    assert (slow[0] > 0.0).all()
+    assert (slow[1:, 1] < quick[1:, 1]).all()
+    assert (quick[:2, :] < 1.0).all()
+
+
+def test_noise_is_filtered_and_a_half_turn_is_no_innovation() -> None:
+    rng = np.random.default_rng(5)
+    std = np.zeros(STATES)
+    std[[0, 2, 4]], std[[1, 3, 5]] = CONFIG.position_noise_m, CONFIG.velocity_noise_m_s
+    std[[6, 8, 10]], std[[7, 9, 11]] = CONFIG.angle_noise_rad, CONFIG.rate_noise_rad_s
+    truth = np.zeros(STATES)
+    truth[PSI] = np.pi
+    observer, off = PushObserver(CONFIG, MODEL, PERIOD_S), []
+    for _ in range(500):
+        measured = truth + std * rng.standard_normal(STATES)
+        measured[PSI] = np.arctan2(np.sin(measured[PSI]), np.cos(measured[PSI]))
+        error = observer.step(measured, MODEL.hover) - truth
+        error[PSI] = np.arctan2(np.sin(error[PSI]), np.cos(error[PSI]))
+        off.append(error)
+    left = np.std(off[100:], axis=0) / std
+    assert left.max() < 0.75, left

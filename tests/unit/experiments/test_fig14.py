@@ -184,5 +184,5 @@ def test_what_a_user_gets_wrong_is_told_in_a_line(option: str, said: str) -> Non
 
 
 def test_the_seeds_that_tuned_are_not_those_that_judge() -> None:
-    assert min(seed for _, seeds in TRAINING for seed in seeds) > 100
+    assert min(seed for _, seeds in TRAINING for seed in seeds) >= 1000
     assert fig14.PAPER_STEPS == 100
