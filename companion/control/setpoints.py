@@ -39,7 +39,9 @@ def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
     """
     kind = config.setpoint
     if kind in ("auto", "acceleration"):
-        kind = "acceleration" if manner == "px4" else "velocity"
+        # the PID's gains are tuned for the autopilot's velocity loop below it
+        damped = kind == "auto" and config.controller == "pid"
+        kind = "acceleration" if manner == "px4" and not damped else "velocity"
     return config.model_copy(update={"setpoint": kind})
 
 

@@ -38,6 +38,13 @@ def test_each_autopilot_gets_the_kind_that_it_takes(asked: str, manner: Manner, 
     assert shaped is (sent == "velocity" and manner == "ardupilot")
 
 
+def test_the_pid_keeps_the_velocity_loop_that_it_was_tuned_on() -> None:
+    config = ControlConfig.model_validate({"controller": "pid"})
+    assert resolved(config, "px4").setpoint == "velocity"
+    asked = config.model_copy(update={"setpoint": "acceleration"})
+    assert resolved(asked, "px4").setpoint == "acceleration"
+
+
 def _sent(kind: str, lasting: Vector3 = (1.0, 0.0, 0.4)) -> Setpoint:
     return velocity_setpoint(
         0.0,
