@@ -37,8 +37,8 @@ _TOO_FAST_S = 0.1
 # The lean is smoothed so; the attitude needs about so long to follow, and the contact comes that much off its
 # time: level from so long before it is due, for so long.
 _LEAN_S = 0.25
-_LEVEL_BEFORE_S = 0.28
-_LEVEL_FOR_S = 0.4
+_LEVEL_BEFORE_S = 0.31
+_LEVEL_FOR_S = 0.42
 _FOOT_DROP_M = 0.02
 _TOO_MUCH_LEAN = 1.3
 _PATIENT_TIMES = 2.0

@@ -294,10 +294,10 @@ def waited(touchdown: Touchdown, lean_m_s2: float, from_s: float, until_s: float
         touchdown.step(sight(), None, LandedState.IN_AIR, now_s)
 
 
-@pytest.mark.parametrize(("lean_m_s2", "commits"), [(1.9, True), (2.1, False)])
-def test_it_waits_while_it_leans_further_than_it_can_level_off(lean_m_s2: float, commits: bool) -> None:
+@pytest.mark.parametrize(("share", "commits"), [(0.95, True), (1.05, False)])
+def test_it_waits_while_it_leans_further_than_it_can_level_off(share: float, commits: bool) -> None:
     touchdown = fresh()
-    waited(touchdown, lean_m_s2, 0.0, 2.0)
+    waited(touchdown, share * CONFIG.gentle_lean_m_s2, 0.0, 2.0)
     assert touchdown.committed is commits
 
 
@@ -341,7 +341,7 @@ def test_it_levels_off_shortly_before_the_contact_and_no_longer_than_that_takes(
     assert level is not None
     due_s = now_s + seen_m / CONFIG.contact_speed_m_s
     assert level.from_s < due_s < level.until_s
-    assert due_s - level.from_s == pytest.approx(0.28 + 0.02 / CONFIG.contact_speed_m_s)  # low on one side
+    assert due_s - level.from_s == pytest.approx(0.31 + 0.02 / CONFIG.contact_speed_m_s)  # low on one side
     assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
 
 
