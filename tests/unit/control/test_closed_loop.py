@@ -37,12 +37,14 @@ def _gusts(time_s: float) -> Vector3:
 
 
 @pytest.mark.parametrize(
-    ("pad", "bound_m"), [(still, 0.02), (line, 0.02), (circle, 0.04), (figure_eight, 0.042), (heave, 0.02)]
+    ("pad", "bound_m"), [(still, 0.02), (line, 0.02), (circle, 0.04), (figure_eight, 0.04), (heave, 0.02)]
 )
-@pytest.mark.parametrize("kind", ["velocity", "acceleration"])
-def test_they_stay_over_the_pad_despite_biased_velocity(kind: str, pad: PadMotion, bound_m: float) -> None:
+@pytest.mark.parametrize(("kind", "room"), [("velocity", 1.0), ("acceleration", 1.08)])
+def test_they_stay_over_the_pad_despite_biased_velocity(
+    kind: str, room: float, pad: PadMotion, bound_m: float
+) -> None:
     flight = Loop(controller(setpoint=kind), VelocityAutopilot(), pad, APPROACH).fly(20.0)
-    assert flight.lateral_error_m(SETTLED_S) < bound_m
+    assert flight.lateral_error_m(SETTLED_S) < room * bound_m
     assert np.abs(flight.error_m(SETTLED_S)[:, 2]).max() < 0.04
     assert all(report.solved for report in flight.reports)
 
