@@ -13,7 +13,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from companion.config import ConfigError, StrictModel, validate
 from sitl.campaign.manifest import Flight
@@ -43,6 +43,12 @@ RESULT_KEYS: Final = {
     "pad_velocity_rmse_m_s": "estimate.pad_velocity_rmse_m_s",
     "latency_p50_ms": "latency_ms.exposure_to_setpoint_p50",
     "latency_p99_ms": "latency_ms.exposure_to_setpoint_p99",
+    "control_cycles": "control.cycles",
+    "control_unsolved": "control.unsolved",
+    "control_late": "control.late",
+    "control_stopped": "control.stopped",
+    "control_limited": "control.limited",
+    "control_iterations_p99": "control.iterations_p99",
     "real_time_factor": "sim.real_time_factor",
 }
 
@@ -78,6 +84,12 @@ class Row(StrictModel):
     pad_velocity_rmse_m_s: float | None = None
     latency_p50_ms: float | None = None
     latency_p99_ms: float | None = None
+    control_cycles: int | None = None
+    control_unsolved: int | None = None
+    control_late: int | None = None
+    control_stopped: int | None = None
+    control_limited: int | None = None
+    control_iterations_p99: float | None = None
     real_time_factor: float | None = None
     wall_s: float
     version: str
@@ -223,7 +235,12 @@ def write_parquet(rows: Sequence[Row], folder: Path) -> Path | None:
         from pyarrow import parquet  # noqa: PLC0415
     except ImportError:
         return None
-    kinds = {"seed": pa.int64(), "frames": pa.int64(), "frames_with_pad": pa.int64()}
+    whole = [
+        name
+        for name, field in Row.model_fields.items()
+        if int in {field.annotation, *get_args(field.annotation)}
+    ]
+    kinds = dict.fromkeys(whole, pa.int64())
     texts = {name for name, field in Row.model_fields.items() if field.annotation in {str, RowOutcome}}
     schema = pa.schema(
         [(name, kinds.get(name, pa.string() if name in texts else pa.float64())) for name in COLUMNS]
