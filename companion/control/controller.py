@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.flight_model import Motion, lags
+from companion.control.flight_model import Motion, advance, lags
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Solution
 from companion.control.pad_motion import PadPath, predict_pad, resting_path
@@ -22,14 +22,16 @@ from companion.control.plant import Plant
 from companion.control.setpoints import (
     Heading,
     attitude_setpoint,
+    boosted,
     ground_setpoint,
+    lean_boost,
     resolved,
     stop_setpoint,
     velocity_setpoint,
 )
 from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.tracker import make_tracker
-from companion.geometry import FloatArray, scale, subtract, vector3, yaw_from_quat
+from companion.geometry import FloatArray, add, scale, subtract, vector3, yaw_from_quat
 from companion.messages import ControlReport, Manner, PadState, PlanStep, Reference, Setpoint, VehicleState
 
 # a pause after which what was commanded before no longer says anything
@@ -161,8 +163,9 @@ class Controller:
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved else self._failures + 1
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
-        setpoint, limited = self._gate.apply(setpoint, now_s)
-        self._plant.remember(setpoint)
+        boost = self._boost(start.motion, solution)
+        setpoint, limited = self._gate.apply(boosted(setpoint, boost), now_s)
+        self._plant.remember(boosted(setpoint, 1.0 / boost))
         predicted = solution.states[:, :3] - start.path.displacement_m[1:]
         return setpoint, ControlReport(
             now_s,
@@ -214,6 +217,16 @@ class Controller:
             lags_s=self._lags_s,
             heading=look,
         )
+
+    def _boost(self, motion: Motion, solution: Solution) -> float:
+        """What thrust lacks while the lean lags; by velocity setpoints the autopilot leans as it likes."""
+        if self._stopped or self._config.setpoint == "velocity":
+            return 1.0
+        asked = vector3(solution.inputs_m_s2[0].tolist())
+        period_s = 0.5 / self._config.rate_hz
+        push = add(asked, self._plant.disturbance_ned_m_s2)
+        flown = advance(motion, push, period_s, self._lags_s).acceleration_m_s2
+        return lean_boost(subtract(flown, self._plant.disturbance_ned_m_s2), asked)
 
     def _look(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)

@@ -13,12 +13,16 @@ NED and FRD, SI units.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from companion.config import ControlConfig
-from companion.control.attitude import attitude_from_acceleration, thrust_from_acceleration
+from companion.control.attitude import (
+    attitude_from_acceleration,
+    force_from_acceleration,
+    thrust_from_acceleration,
+)
 from companion.control.flight_model import Motion, advance
-from companion.geometry import ZERO3, Vector3, add, subtract
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
 from companion.messages import Manner, PadState, Setpoint
 
 
@@ -95,6 +99,27 @@ def attitude_setpoint(
     )
 
 
+def lean_boost(lean_m_s2: Vector3, asked_m_s2: Vector3) -> float:
+    """By how much to scale the thrust because the lean is not yet what is asked for.
+
+    Autopilots divide the wanted upward force by the cosine of the lean they ask for; while the vehicle still
+    leans as in `lean_m_s2` (m/s2, NED; what its thrust makes) that is too little when it goes level, and too
+    much when it leans over.
+    """
+    cosines = [_upward_share(a) for a in (asked_m_s2, lean_m_s2)]
+    return cosines[0] / cosines[1]
+
+
+def boosted(setpoint: Setpoint, boost: float) -> Setpoint:
+    """A setpoint whose thrust is scaled by `boost`: its own, or the one its acceleration asks for."""
+    x, y, z = setpoint.acceleration_ned_m_s2
+    return replace(
+        setpoint,
+        acceleration_ned_m_s2=(x, y, GRAVITY_M_S2 - (GRAVITY_M_S2 - z) * boost),
+        thrust=None if setpoint.thrust is None else setpoint.thrust * boost,
+    )
+
+
 def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, heading: Heading) -> Setpoint:
     """Rest on the pad: go along with it and press down, so that the autopilot takes the thrust away."""
     along = pad.velocity_ned_m_s if pad else ZERO3
@@ -120,6 +145,12 @@ def stop_setpoint(now_s: float, config: ControlConfig, hover_thrust: float, head
     if config.setpoint == "attitude":
         return level
     return Setpoint(time_s=now_s, heading_rad=heading.heading_rad)
+
+
+def _upward_share(acceleration_m_s2: Vector3) -> float:
+    """Cosine of the lean that makes an acceleration."""
+    force = force_from_acceleration(acceleration_m_s2)
+    return -force[2] / norm(force)
 
 
 def _share(acceleration_m_s2: float, gain_1_s: float, most_m_s: float) -> float:

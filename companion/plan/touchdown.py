@@ -41,7 +41,13 @@ _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
 _FOOT_DROP_M = 0.02
 _TOO_MUCH_LEAN = 1.3
+# In units of the patience: until then nothing widens, from then on more lean is borne by and by, at last the
+# try has failed.
 _PATIENT_TIMES = 2.0
+_GIVING_UP_TIMES = 6.0
+_LEAN_PER_TIME = 0.35
+# However impatient, nobody goes on down from farther aside than this.
+_FARTHEST_ASIDE_M = 0.12
 
 Finding = tuple[Event, str] | None
 
@@ -140,7 +146,8 @@ class Touchdown:
         self._since_s, self._slack = now_s, slack
         self._contact_due_s: float | None = None
         self.contact_s: float | None = None
-        self._settled, self._touching, self._away, self._too_fast = Held(), Held(), Held(), Held()
+        self._settled, self._touching, self._away = Held(), Held(), Held()
+        self._too_fast, self._far_aside = Held(), Held()
         self._sunk_s = now_s
         self._lean_m_s2 = (0.0, 0.0)
         self.broken_off_by = ""
@@ -201,17 +208,17 @@ class Touchdown:
         self._guide.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         if sight is None or sight.age_s > c.blind_s:
             return Event.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above it"
-        impatience = waited_s / c.patience_s
-        slack = self._slack * (1.0 if impatience < 2.0 else 1.5)
+        impatience = self._impatience(now_s)
+        slack = self._slack_by_now(now_s)
         ready = (
             aligned(sight, self._wait_height_m, slack, c)
             and (impatience >= 1.0 or gentle(sight, c))
-            and (impatience >= _PATIENT_TIMES or self._upright())
+            and self._lean_m_s2_now() <= self._most_lean_m_s2(now_s)
             and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if self._settled.for_s(ready, now_s) >= c.settled_s:
             self._commit(now_s)
-        elif impatience >= 3.0:
+        elif impatience >= _GIVING_UP_TIMES:
             return (
                 Event.MISALIGNED,
                 f"{100.0 * sight.lateral_m:.0f} cm aside after {waited_s:.0f} s of waiting",
@@ -255,8 +262,9 @@ class Touchdown:
         fast = sight.age_s <= _FRESH_S and sight.velocity_m_s[2] > c.fastest_contact_m_s
         sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
-        if above_m > c.break_off_above_m and (sinks_fast or self._blown_about(now_s)):
-            self._break_off("sinking too fast" if sinks_fast else "leaning too far")
+        wrong = "sinking too fast" if sinks_fast else self._off_the_mark(sight, now_s)
+        if above_m > c.break_off_above_m and wrong:
+            self._break_off(wrong)
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
         return None
@@ -265,17 +273,32 @@ class Touchdown:
         """Rise and wait again: `_wait` goes on from the reference's own state."""
         self.broken_off_by = reason
         self._contact_due_s = self._level_due_s = self._level_from_s = None
-        self._settled, self._too_fast = Held(), Held()
+        self._settled, self._too_fast, self._far_aside = Held(), Held(), Held()
 
-    def _blown_about(self, now_s: float) -> bool:
-        """Whether a gust came up that cannot be levelled off; waiting for it to pass has its end."""
-        lean_m_s2 = math.hypot(*self._lean_m_s2)
-        patient = now_s - self._since_s < _PATIENT_TIMES * self._config.patience_s
-        return patient and lean_m_s2 > _TOO_MUCH_LEAN * self._config.gentle_lean_m_s2
+    def _off_the_mark(self, sight: Sight, now_s: float) -> str:
+        """Why this will not be a landing on the mark; "" while it may be."""
+        if self._lean_m_s2_now() > _TOO_MUCH_LEAN * self._most_lean_m_s2(now_s):
+            return "leaning too far"
+        farthest_m = min(_FARTHEST_ASIDE_M, self._config.break_off_lateral_m * self._slack_by_now(now_s))
+        far = sight.age_s <= _FRESH_S and sight.lateral_m > farthest_m
+        if self._far_aside.for_s(far, now_s) >= _TOO_FAST_S:
+            return f"{100.0 * sight.lateral_m:.0f} cm aside"
+        return ""
 
-    def _upright(self) -> bool:
-        """Whether going with the pad and against the wind takes no more lean than can be levelled off."""
-        return math.hypot(*self._lean_m_s2) <= self._config.gentle_lean_m_s2
+    def _impatience(self, now_s: float) -> float:
+        """How often the patience has run out in this try."""
+        return (now_s - self._since_s) / self._config.patience_s
+
+    def _slack_by_now(self, now_s: float) -> float:
+        return self._slack * (1.0 if self._impatience(now_s) < _PATIENT_TIMES else 1.5)
+
+    def _lean_m_s2_now(self) -> float:
+        return math.hypot(*self._lean_m_s2)
+
+    def _most_lean_m_s2(self, now_s: float) -> float:
+        """How much lean can be levelled off, and by and by how much is borne because it will not get less."""
+        over = max(0.0, self._impatience(now_s) - _PATIENT_TIMES)
+        return self._config.gentle_lean_m_s2 * (1.0 + _LEAN_PER_TIME * over)
 
     def _expect_contact(self, sight: Sight, now_s: float) -> None:
         """When the feet will touch, by the height as seen and the speed as planned."""
