@@ -29,6 +29,8 @@ VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
 # random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
 DISTURBANCE_WALK = 0.3
+# sideways, where gusts are told from the lean: what is left changes with the mean wind
+CALM_DISTURBANCE_WALK = 0.1
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01
@@ -48,11 +50,13 @@ def transition(period_s: float, tau_s: float, sensor_lag_s: float) -> FloatArray
     return np.array(columns).T
 
 
-def stationary_gain(period_s: float, tau_s: float, sensor_lag_s: float) -> FloatArray:
+def stationary_gain(
+    period_s: float, tau_s: float, sensor_lag_s: float, disturbance_walk: float = DISTURBANCE_WALK
+) -> FloatArray:
     """Kalman gain (5, 2) from the innovations of v and the measured acceleration to v, a, d, b, s."""
     F = transition(period_s, tau_s, sensor_lag_s)
     H = np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 1.0]])
-    walks = np.array([MODEL_VELOCITY_WALK, MODEL_ACCELERATION_WALK, DISTURBANCE_WALK, BIAS_WALK, 0.0])
+    walks = np.array([MODEL_VELOCITY_WALK, MODEL_ACCELERATION_WALK, disturbance_walk, BIAS_WALK, 0.0])
     Q = np.diag(walks**2 * period_s)
     R = np.diag([VELOCITY_NOISE_M_S**2, ACCELERATION_NOISE_M_S2**2])
     P = scipy.linalg.solve_discrete_are(F.T, H.T, Q, R)
@@ -105,10 +109,19 @@ class _Axis:
 class DisturbanceObserver:
     """Velocity, flown acceleration and disturbance of the vehicle, from what was commanded and measured."""
 
-    def __init__(self, period_s: float, lags_s: Vector3, sensor_lag_s: float, maximum_m_s2: float) -> None:
+    def __init__(
+        self,
+        period_s: float,
+        lags_s: Vector3,
+        sensor_lag_s: float,
+        maximum_m_s2: float,
+        sideways_walk: float = DISTURBANCE_WALK,
+    ) -> None:
+        """`sideways_walk`: how fast the disturbance sideways may walk; the vertical one always as fast."""
+        walks = (sideways_walk, sideways_walk, DISTURBANCE_WALK)
         self._gains = tuple(
-            tuple((float(row[0]), float(row[1])) for row in stationary_gain(period_s, lag_s, sensor_lag_s))
-            for lag_s in lags_s
+            tuple((float(v), float(a)) for v, a in stationary_gain(period_s, lag_s, sensor_lag_s, walk))
+            for lag_s, walk in zip(lags_s, walks, strict=True)
         )
         self._lags_s = lags_s
         self._sensor_lag_s = sensor_lag_s

@@ -9,7 +9,13 @@ from __future__ import annotations
 import math
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.disturbance import DisturbanceObserver, GustObserver, ThrustScale
+from companion.control.disturbance import (
+    CALM_DISTURBANCE_WALK,
+    DISTURBANCE_WALK,
+    DisturbanceObserver,
+    GustObserver,
+    ThrustScale,
+)
 from companion.control.flight_model import Motion
 from companion.control.history import Command, CommandHistory
 from companion.control.setpoints import velocity_gains
@@ -41,6 +47,7 @@ class Plant:
             self._lags_s,
             config.acceleration_estimate_lag_s,
             config.maximum_disturbance_m_s2,
+            CALM_DISTURBANCE_WALK if self._by_lean else DISTURBANCE_WALK,
         )
         self._maximum_m_s2 = config.maximum_disturbance_m_s2
         self._gusts = GustObserver(config.acceleration_estimate_lag_s)
