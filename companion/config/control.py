@@ -79,7 +79,7 @@ class ControlConfig(StrictModel):
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.15, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=0.8
+        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=0.8
     )
     vertical: TrackingConfig = TrackingConfig(
         position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
