@@ -90,7 +90,7 @@ class LandingConfig(StrictModel):
     retry_height_m: float = Field(default=1.5, ge=0.3, le=5.0)
     retries: int = Field(default=3, ge=0, le=20)
     pause_unseen_s: float = Field(default=0.5, gt=0.0, le=5.0)
-    lost_unseen_s: float = Field(default=3.0, gt=0.0, le=10.0)
+    lost_unseen_s: float = Field(default=5.0, gt=0.0, le=10.0)
     ground_near_m: float = Field(default=1.5, gt=0.0, le=4.0)  # echoes this near, and the pad thought to lie
     ground_doubt_m: float = Field(default=0.8, gt=0.1, le=4.0)  # so much lower: break off, climb and search
 

@@ -49,8 +49,8 @@ RHO_BY_ITERATIONS = 1
 RHO_INTERVAL = 50
 SLICE_ITERATIONS = 100
 SETTINGS: Final[dict[str, Any]] = {
-    "eps_abs": 2e-4,
-    "eps_rel": 2e-4,
+    "eps_abs": 1e-4,
+    "eps_rel": 1e-4,
     "check_termination": 5,
     "rho": RHO,
     "adaptive_rho": RHO_BY_ITERATIONS,

@@ -25,7 +25,7 @@ from companion.geometry import FloatArray, Vector3
 
 VELOCITY_SLACK_WEIGHT = 400.0
 FLOOR_SLACK_WEIGHT = 4000.0
-CONE_SLACK_WEIGHT = 9000.0
+CONE_SLACK_WEIGHT = 6000.0
 # rows of one step, in their order
 ROWS: Final = (
     ("dynamics", 9),

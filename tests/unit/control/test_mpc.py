@@ -349,7 +349,7 @@ def test_a_cone_that_is_no_more_leaves_no_trace() -> None:
 
 def test_a_start_costs_no_more_than_a_step() -> None:
     mpc, target = Mpc(CONFIG, LAGS_S), _curve()
-    start, last = Motion((0.05, -0.1, 0.02), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0)), (-0.4, 0.6, 0.3)
+    start, last = Motion((0.05, -0.1, 0.02), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0)), (-0.6, 1.2, 0.3)
     assert mpc.solve(start, target, (0.3, -0.2, 0.1), last).iterations <= 10
     mpc.reset()
     assert mpc.solve(start, target, (0.3, -0.2, 0.1), last).iterations <= 10
