@@ -118,3 +118,12 @@ def test_a_heaving_pad_is_followed_in_height_and_speed(manner: str, kind: str) -
     speed = np.array(flight.relative_velocity_m_s)[np.array(flight.time_s) >= 5.0, 2]
     assert np.abs(flight.error_m(5.0)[:, 2]).max() < 0.03
     assert np.abs(speed).max() < 0.08
+
+
+def test_an_attitude_loop_slower_than_the_models_is_not_taken_for_wind() -> None:
+    """The lean itself tells of wind; what lies between command and lean is hardly believed."""
+    flight = _fly(SwayingAutopilot(slowness=1.4), offset=_nudged, kind="attitude")
+    push = np.array([report.disturbance_ned_m_s2[0] for report in flight.reports])
+    kicked = np.array(flight.time_s) >= 2.9
+    assert np.abs(_lean_deg(flight, 2.9)).max() > 5.0
+    assert np.abs(push[kicked] - push[kicked][0]).max() < 0.25

@@ -167,3 +167,17 @@ def test_the_same_flight_twice_is_bit_identical() -> None:
         return flight.offset_m
 
     assert fly() == fly()
+
+
+def test_leaning_over_and_back_neither_sinks_nor_climbs() -> None:
+    autopilot = AttitudeAutopilot(thrust_scale=1.0)
+    kick = Loop(controller(setpoint="attitude"), autopilot, still, _kicked, noise=0.0).fly(7.0)
+    after = np.array(kick.time_s) >= 2.9
+    lean = np.array(kick.acceleration_m_s2)[after, 0]
+    climb = np.array(kick.relative_velocity_m_s)[after, 2]
+    assert np.abs(lean).max() > 2.0
+    assert np.abs(climb - np.median(climb)).max() < 0.006
+
+
+def _kicked(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
+    return (0.0 if time_s < 3.0 else 1.5, 0.0, -3.0), ZERO3, ZERO3

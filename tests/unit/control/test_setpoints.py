@@ -8,8 +8,16 @@ from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.flight_model import Motion, lags
 from companion.control.plant import Plant
-from companion.control.setpoints import Heading, ground_setpoint, resolved, stop_setpoint, velocity_setpoint
-from companion.geometry import ZERO3, Vector3
+from companion.control.setpoints import (
+    Heading,
+    boosted,
+    ground_setpoint,
+    lean_boost,
+    resolved,
+    stop_setpoint,
+    velocity_setpoint,
+)
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, quat_rotate
 from companion.messages import Manner, Setpoint, VehicleState
 from tests.unit.control.control_plants import vehicle_config
 
@@ -123,3 +131,24 @@ def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
         worst = max(worst, abs(plant.disturbance_ned_m_s2[0]))
     assert speed < 0.5
     assert worst < 0.4
+
+
+@pytest.mark.parametrize(("flown", "asked"), [(3.5, 0.0), (0.0, 3.5), (-2.0, 2.0)])
+def test_a_lean_that_lags_takes_nothing_from_the_climb(flown: float, asked: float) -> None:
+    """The autopilot's thrust, along the axis that the vehicle still has, makes the wanted upward force."""
+    wanted, leans = (asked, 0.5, -0.8), (flown, -0.3, -0.8)
+    setpoint = boosted(Setpoint(0.0, acceleration_ned_m_s2=wanted), lean_boost(leans, wanted))
+    up = -quat_rotate(attitude_from_acceleration(wanted, 0.4), (0.0, 0.0, -1.0))[2]
+    thrust = (GRAVITY_M_S2 - setpoint.acceleration_ned_m_s2[2]) / up
+    made = quat_rotate(attitude_from_acceleration(leans, 0.4), (0.0, 0.0, -thrust))
+    assert made[2] + GRAVITY_M_S2 == pytest.approx(-0.8, abs=1e-9)
+    assert setpoint.acceleration_ned_m_s2[:2] == wanted[:2]
+
+
+def test_what_was_boosted_can_be_told_without_it() -> None:
+    setpoint = Setpoint(0.0, acceleration_ned_m_s2=(1.0, 2.0, 0.3), thrust=0.5)
+    more = boosted(setpoint, 1.1)
+    assert more.thrust == pytest.approx(0.55)
+    back = boosted(more, 1.0 / 1.1)
+    assert back.acceleration_ned_m_s2 == pytest.approx(setpoint.acceleration_ned_m_s2)
+    assert back.thrust == pytest.approx(0.5)

@@ -306,9 +306,7 @@ def test_impatience_bears_more_lean_by_and_by() -> None:
     # 1.35 times what is gentle: borne once a patience beyond two of them has run out
     waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 0.0, 2.9 * CONFIG.patience_s)
     assert not touchdown.committed
-    waited(
-        touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 2.9 * CONFIG.patience_s, 3.0 * CONFIG.patience_s + 1.0
-    )
+    waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 2.9 * CONFIG.patience_s, 3.0 * CONFIG.patience_s + 1.0)
     assert touchdown.committed
 
 
