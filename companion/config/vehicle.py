@@ -23,6 +23,18 @@ class CaptureConfig(StrictModel):
     readout_s: float = Field(
         default=0.0, ge=0.0, le=0.05
     )  # first to last row of a rolling shutter; 0: global
+    gain: float | None = Field(
+        default=None, ge=0.0, le=100000.0
+    )  # fixed: a factor (Raspberry Pi), the driver's own number (V4L2); none: left to the camera
+    focus: float | None = Field(
+        default=None, ge=0.0, le=100000.0
+    )  # of a lens that moves: dioptres (Raspberry Pi), the driver's number (V4L2); none: autofocus off alone
+    pixel_format: str | None = Field(
+        default=None, pattern=r"^[ -~]{4}$"
+    )  # asked of a V4L2 camera, as MJPG, YUYV or GREY; none: OpenCV's choice
+    stamped_at: Literal["auto", "start_of_exposure", "start_of_readout", "end_of_readout"] = (
+        "auto"  # the moment of a frame that its driver stamps; auto: by the kind of the driver
+    )
 
 
 class CameraConfig(CaptureConfig):
