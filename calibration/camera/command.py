@@ -101,6 +101,10 @@ def calibrate_camera(
     focus: Annotated[
         float | None, typer.Option("--focus", help="Of a lens that moves, for the app too.")
     ] = None,
+    sensor_mode: Annotated[
+        str | None,
+        typer.Option("--sensor-mode", help="Of a Raspberry Pi camera, for the app too: 1640x1232, ..."),
+    ] = None,
     pixel_format: Annotated[
         str | None, typer.Option("--pixel-format", help="Of a V4L2 camera, for the app too: MJPG, ...")
     ] = None,
@@ -161,6 +165,7 @@ def calibrate_camera(
             "readout_s": 1e-3 * readout_ms,
             "gain": gain,
             "focus": focus,
+            "sensor_mode_px": None if sensor_mode is None else two_numbers(sensor_mode, "--sensor-mode"),
             "pixel_format": pixel_format,
         },
         NAME,

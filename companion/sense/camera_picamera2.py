@@ -91,14 +91,23 @@ class Picamera2Device:
         self._camera.close()
 
     def _start(self) -> None:
-        config = self._config
+        config, mode = self._config, self._config.sensor_mode_px
         size = (config.width_px, config.height_px)
         video = self._camera.create_video_configuration(
-            main={"size": size, "format": "YUV420"}, controls=self._controls(), buffer_count=BUFFERS
+            main={"size": size, "format": "YUV420"},
+            controls=self._controls(),
+            buffer_count=BUFFERS,
+            **({} if mode is None else {"sensor": {"output_size": mode}}),
         )
         self._camera.configure(video)
-        width, height = self._camera.camera_configuration()["main"]["size"]
+        made = self._camera.camera_configuration()
+        width, height = made["main"]["size"]
         check_size(width, height, config)  # libcamera takes the nearest that it can make
+        if mode is not None:
+            got = (made.get("sensor") or {}).get("output_size", mode)
+            if tuple(got) != mode:
+                wanted = f"sensor mode {mode[0]}x{mode[1]}"
+                self.notes.append(f"{wanted} asked for, libcamera took {got[0]}x{got[1]}")
         self._camera.start()
 
     def _controls(self) -> dict[str, Any]:

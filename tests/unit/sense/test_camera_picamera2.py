@@ -25,6 +25,7 @@ class FakePi:
     """picamera2.Picamera2 with one camera: remembers what it was told, and says what it is told to."""
 
     made: list[FakePi]
+    mode = (1640, 1232)
 
     def __init__(self, number: int = 0) -> None:
         if number > 0:
@@ -43,7 +44,7 @@ class FakePi:
         self.video = wanted
 
     def camera_configuration(self) -> dict[str, Any]:
-        return self.video
+        return {**self.video, "sensor": {"bit_depth": 10, "output_size": self.mode}}
 
     def start(self) -> None:
         self.started = True
@@ -109,6 +110,20 @@ async def test_without_a_gain_it_stays_automatic(camera: CameraConfig) -> None:
     _, pi = await opened(camera)
     assert "AnalogueGain" not in pi.video["controls"]
     assert "LensPosition" not in pi.video["controls"]
+
+
+@pytest.mark.usefixtures("module")
+@pytest.mark.parametrize(
+    ("taken", "notes"),
+    [((1640, 1232), []), ((640, 480), ["sensor mode 1640x1232 asked for, libcamera took 640x480"])],
+)
+async def test_the_sensor_s_mode_may_be_chosen_and_is_read_back(
+    camera: CameraConfig, taken: tuple[int, int], notes: list[str]
+) -> None:
+    FakePi.mode = taken
+    device, pi = await opened(camera, sensor_mode_px=(1640, 1232))
+    assert pi.video["sensor"] == {"output_size": (1640, 1232)}
+    assert list(device.notes) == notes
 
 
 @pytest.mark.usefixtures("module")
