@@ -80,6 +80,7 @@ class KeptCamera:
         self._hanging: list[LiveSource] = []
         self._problem: str | None = None
         self._told: set[str] = set()  # of the present trouble
+        self._told_notes: set[str] = set()  # a camera that is opened again has the same to say
         self._trouble_s = 0.0
         self._last_sequence = -1
         self._content_patience_s = patience.content_s
@@ -199,6 +200,9 @@ class KeptCamera:
 
     def _tell_notes(self, source: LiveSource) -> None:
         for note in source.take_notes():
+            if note in self._told_notes:
+                continue
+            self._told_notes.add(note)
             self._reports.put_nowait(CameraReport(f"camera: {note}", "warning"))
 
     def _tell_trouble(self, health: CameraHealth) -> None:

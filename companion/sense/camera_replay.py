@@ -78,8 +78,8 @@ def open_video(path: Path, camera: CaptureConfig, clock: Clock, stop: threading.
     Raises:
         ConfigError: no such file, none that can be read, or of images of another size.
     """
-    capture = cv2.VideoCapture(str(path))
-    if not path.is_file() or not capture.isOpened():
+    capture = cv2.VideoCapture(str(path)) if path.is_file() else None
+    if capture is None or not capture.isOpened():
         raise ConfigError(f"sense.vision.source: video:{path}: cannot be read; expected a video file")
     size = (capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
     check_size(round(size[0]), round(size[1]), camera)

@@ -49,7 +49,10 @@ class SocketCamera:
         """See `camera.FrameSource`."""
         return await self._newest.next()
 
-    held = False  # a connection is parted from at once
+    @property
+    def held(self) -> bool:
+        """A connection is parted from at once."""
+        return False
 
     @property
     def read_back(self) -> ReadBack:

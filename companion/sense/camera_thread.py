@@ -166,7 +166,8 @@ class ThreadedCamera:
         try:
             device = self._make(self._stop)
         except Exception as error:
-            self._tell_loop(self._fail_opening, error)
+            known = isinstance(error, (OSError, ConfigError))
+            self._tell_loop(self._fail_opening, error if known else ConfigError(_words(error)))
             return
         try:
             self._tell_loop(self._succeed_opening, device)
@@ -174,9 +175,7 @@ class ThreadedCamera:
         except Exception as error:
             # a driver may raise anything: whatever it is, there are no frames any more
             known = isinstance(error, (OSError, ConfigError))
-            self._tell_loop(
-                self._newest.fail, error if known else OSError(f"{type(error).__name__}: {error}")
-            )
+            self._tell_loop(self._newest.fail, error if known else OSError(_words(error)))
         finally:
             with suppress(Exception):  # it is gone; how it went is of no interest
                 device.close()
@@ -202,6 +201,11 @@ class ThreadedCamera:
     def _tell_loop(self, function: Callable[[Any], None], argument: object) -> None:
         with suppress(RuntimeError):  # the loop has ended before us
             self._loop.call_soon_threadsafe(function, argument)
+
+
+def _words(error: Exception) -> str:
+    """One line for what a driver raised."""
+    return " ".join(f"the camera's driver failed: {type(error).__name__}: {error}".split())
 
 
 def check_size(width_px: int, height_px: int, camera: CaptureConfig) -> None:

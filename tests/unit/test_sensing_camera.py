@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
 from companion.check.samples import Samples
+from companion.check.session import Outlets, PadCheck
+from companion.check.steps import Say
 from companion.clock import Clock, run_in_virtual_time
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig, find_file, load_model
 from companion.hardware import Hardware
@@ -88,3 +91,18 @@ def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
         return ScriptedCamera(show)
 
     return KeptCamera(ScriptedCamera(show), open_it, patience_with(CAMERA, socket=False))
+
+
+def test_the_check_says_how_the_camera_does() -> None:
+    async def main() -> list[str]:
+        said, transport = list[Say](), memory_pair()[0]
+        frames = over_the_pad(unplugged_from_s=1e6, until_s=1e6)
+        check = PadCheck(CompanionConfig(), Hardware(transport, frames), Outlets(said.append), linked=False)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(check.run(), 4.0)
+        return [line.text for line in said if line.text.startswith("camera")]
+
+    (line,) = run_in_virtual_time(main())
+    rate, rest = line.split(" frames/s looked at, ")
+    assert 25.0 < float(rate.removeprefix("camera: ")) < 32.0
+    assert rest == "20 ms old on arrival; the driver says: exposure 4.00 ms, gain 2"

@@ -254,3 +254,22 @@ def test_what_a_driver_did_not_take_is_told_as_a_warning(camera: CameraConfig) -
 
     report = run_in_virtual_time(main())
     assert report == CameraReport("camera: gain 30 asked for, the driver says 0", "warning")
+
+
+def test_what_a_driver_never_takes_is_not_told_at_every_opening(camera: CameraConfig) -> None:
+    texts = list[str]()
+
+    async def open_it() -> LiveSource:
+        source = ScriptedCamera(until(Clock().now_s() + 1.0, gone))
+        source.notes.append("gain 30 asked for, the driver says 0")
+        return source
+
+    async def main() -> None:
+        kept = KeptCamera(await open_it(), open_it, patience_with(camera, socket=False))
+        while True:
+            texts.append((await kept.report()).text)
+
+    with pytest.raises(TimeoutError):
+        run_in_virtual_time(asyncio.wait_for(main(), 10.0))
+    assert sum("gain 30" in text for text in texts) == 1
+    assert sum("unplugged" in text for text in texts) > 3

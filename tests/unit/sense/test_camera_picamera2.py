@@ -202,6 +202,19 @@ async def test_a_camera_that_is_not_there_is_one_line(camera: CameraConfig) -> N
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("module")
+async def test_whatever_else_libcamera_refuses_is_one_line_and_the_camera_is_closed(
+    camera: CameraConfig,
+) -> None:
+    class WithoutExposure(FakePi):
+        def configure(self, wanted: dict[str, Any]) -> None:
+            raise RuntimeError("Control ExposureTime is not advertised by libcamera")
+
+    sys.modules["picamera2"].Picamera2 = WithoutExposure  # type: ignore[attr-defined]
+    assert "ExposureTime is not advertised" in await refusal(camera)
+    assert FakePi.made[-1].closed
+
+
 async def refusal(camera: CameraConfig) -> str:
     with pytest.raises(ConfigError) as caught:
         await open_camera("picamera2:0", camera)
