@@ -18,11 +18,10 @@ from typing import Final, Literal, Protocol
 from companion.clock import Clock
 from companion.config import ConfigError
 from companion.messages import Frame
-from companion.sense.camera_health import CameraHealth, Kind, Patience
-from companion.sense.camera_thread import EndOfFrames, Newest, ReadBack
+from companion.sense.camera_health import CameraHealth, Patience
+from companion.sense.camera_thread import EndOfFrames, Newest, OpeningHangs, ReadBack
 
 WATCH_S: Final = 0.02
-OPENING_S: Final = 6.0
 LETTING_GO_S: Final = 1.5  # for a driver's thread to end, before the device is opened all the same
 FIRST_PAUSE_S: Final = 0.25
 LONGEST_PAUSE_S: Final = 2.0
@@ -129,7 +128,7 @@ class KeptCamera:
         """Hand on what is of use until the camera is lost; whether another life makes sense."""
         patience = replace(self._patience, content_s=self._content_patience_s)
         health = CameraHealth(patience, self._clock.now_s())
-        first_sequence: int | None = None
+        offset: int | None = None
         arriving = asyncio.ensure_future(source.next())
         try:
             while (cause := health.lost(self._clock.now_s())) is None:
@@ -137,9 +136,9 @@ class KeptCamera:
                 if arriving.done():
                     frame = arriving.result()
                     arriving = asyncio.ensure_future(source.next())
-                    if first_sequence is None:
-                        first_sequence = self._last_sequence + 1 - frame.sequence
-                    self._take(replace(frame, sequence=frame.sequence + first_sequence), health)
+                    if offset is None:  # numbers go on from life to life
+                        offset = self._last_sequence + 1 - frame.sequence
+                    self._take(replace(frame, sequence=frame.sequence + offset), health)
                 self._tell_notes(source)
                 self._tell_trouble(health)
                 good_s = health.good_since_s
@@ -158,17 +157,14 @@ class KeptCamera:
         finally:
             arriving.cancel()
             arriving.add_done_callback(_pass_over)
-        self._lengthen(cause)
+        if cause == "content":
+            self._content_patience_s = min(2.0 * self._content_patience_s, LONGEST_PATIENCE_S)
         return True
 
     def _take(self, frame: Frame, health: CameraHealth) -> None:
         if health.take(frame, self._clock.now_s()):
             self._last_sequence = max(self._last_sequence, frame.sequence)
             self._newest.put(frame)
-
-    def _lengthen(self, cause: Kind) -> None:
-        if cause == "content":
-            self._content_patience_s = min(2.0 * self._content_patience_s, LONGEST_PATIENCE_S)
 
     async def _let_go(self, source: LiveSource) -> None:
         """Part from a camera; from one whose driver hangs, after a while, without its consent."""
@@ -190,11 +186,11 @@ class KeptCamera:
                 self._set_trouble("its driver hangs, and does not let go of it")
                 continue
             try:
-                return await asyncio.wait_for(self._reopen(), OPENING_S)
-            except TimeoutError:
-                self._set_trouble(f"it does not open within {OPENING_S:g} s")
+                return await self._reopen()
             except (OSError, ConfigError) as error:
                 self._set_trouble(str(error))
+                if isinstance(error, OpeningHangs):
+                    self._hanging.append(error.camera)
 
     # ------------------------------------------------------------ telling
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from companion.config import CaptureConfig, ConfigError
 from companion.messages import Frame
 
+OPENING_S: Final = 6.0
 CLOSE_PATIENCE_S: Final = 1.2
 
 
@@ -74,6 +75,14 @@ class EndOfFrames(OSError):  # noqa: N818 - it reads as what happened
 MakeDevice = Callable[[threading.Event], Device]
 
 
+class OpeningHangs(ConfigError):  # noqa: N818 - it reads as what happens
+    """A driver does not come back from being opened; `camera` is what to keep an eye on."""
+
+    def __init__(self, camera: ThreadedCamera) -> None:
+        super().__init__(f"the camera does not open within {OPENING_S:g} s: its driver hangs")
+        self.camera = camera
+
+
 class Newest:
     """A slot for the newest frame, or for the reason why there will be none."""
 
@@ -119,14 +128,19 @@ class ThreadedCamera:
 
     @classmethod
     async def open(cls, make: MakeDevice) -> ThreadedCamera:
-        """Open the device; cancelled meanwhile, it is closed as soon as it lets itself be.
+        """Open the device; given up meanwhile, it is closed as soon as it lets itself be.
 
         Raises:
             ConfigError, OSError: what its maker raised.
+            OpeningHangs: it did not come back from that in time.
         """
         camera = cls(make)
         try:
-            await camera._opened
+            async with asyncio.timeout(OPENING_S):
+                await camera._opened
+        except TimeoutError as error:
+            camera.let_go()
+            raise OpeningHangs(camera) from error
         except BaseException:
             camera.let_go()
             raise

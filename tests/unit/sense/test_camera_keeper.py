@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,7 +17,7 @@ from companion.messages import Frame
 from companion.sense import camera_keeper
 from companion.sense.camera_health import patience_with
 from companion.sense.camera_keeper import CameraReport, KeptCamera, LiveSource
-from companion.sense.camera_thread import EndOfFrames
+from companion.sense.camera_thread import Device, EndOfFrames, ThreadedCamera
 from tests.unit.sense.camera_frames import ScriptedCamera
 
 Act = Callable[[Frame], Frame | None]
@@ -183,22 +184,31 @@ def test_no_more_than_a_few_drivers_are_left_hanging(camera: CameraConfig) -> No
     assert len(seen.told("does not let go")) == 1
 
 
-def test_a_camera_that_does_not_open_in_time_is_told_and_tried_again(camera: CameraConfig) -> None:
-    calls = list[float]()
+def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: CameraConfig) -> None:
+    never, makers = threading.Event(), list[float]()
+
+    def hang(_: threading.Event) -> Device:
+        never.wait()
+        raise OSError
 
     async def main() -> list[str]:
-        async def never() -> LiveSource:
-            calls.append(Clock().now_s())
-            await asyncio.sleep(1e6)
-            raise AssertionError
+        async def open_it() -> LiveSource:
+            makers.append(Clock().now_s())
+            return await ThreadedCamera.open(hang)
 
-        kept = KeptCamera(ScriptedCamera(gone), never, patience_with(camera, socket=False))
-        await asyncio.sleep(29.0)
+        kept = KeptCamera(ScriptedCamera(gone), open_it, patience_with(camera, socket=False))
+        await asyncio.sleep(200.0)
         kept.close()
-        return [(await kept.report()).text for _ in range(2)]
+        return [(await kept.report()).text for _ in range(3)]
 
-    assert run_in_virtual_time(main()) == ["camera: unplugged", "camera: it does not open within 6 s"]
-    assert len(calls) == 4
+    told = run_in_virtual_time(main())
+    never.set()
+    assert told == [
+        "camera: unplugged",
+        "camera: the camera does not open within 6 s: its driver hangs",
+        "camera: its driver hangs, and does not let go of it",
+    ]
+    assert len(makers) == camera_keeper.MOST_HANGING
 
 
 def test_images_of_another_size_from_the_start_are_a_mistake_in_the_settings(camera: CameraConfig) -> None:

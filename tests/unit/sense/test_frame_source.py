@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -14,9 +15,10 @@ from companion.clock import Clock
 from companion.config import CameraConfig, ConfigError
 from companion.frame_format import pack_frame
 from companion.messages import Frame
-from companion.sense.camera import FrameSource, open_camera
+from companion.sense.camera import FrameSource, keep_camera, open_camera
 from companion.sense.camera_socket import MOST_STRANGE, SocketCamera
 from sitl.frame_server import FrameServer
+from tests.unit.sense.camera_frames import AGE_S, noisy_frame
 
 
 async def connected(where: Path | int, camera: CameraConfig) -> tuple[FrameServer, SocketCamera]:
@@ -190,3 +192,30 @@ async def test_a_missing_camera_or_server_is_one_line(tmp_path: Path, camera: Ca
             await open_camera(spec, camera)
         assert "\n" not in str(caught.value)
         assert spec in str(caught.value)
+
+
+async def test_a_server_that_comes_back_is_connected_to_again(tmp_path: Path, camera: CameraConfig) -> None:
+    server = FrameServer(tmp_path / "frames")
+    await server.start()
+    kept = await keep_camera(server.address, camera)
+    async with asyncio.timeout(10.0):
+        serving = asyncio.create_task(serve(server))
+        await kept.next()
+        serving.cancel()
+        await server.close()
+        assert "closed by its server" in (await kept.report()).text
+        another = FrameServer(tmp_path / "frames")
+        await another.start()
+        serving = asyncio.create_task(serve(another))
+        while kept.problem is not None:
+            assert (await kept.next()).image.shape == (480, 640)
+        serving.cancel()
+    kept.close()
+    await another.close()
+
+
+async def serve(server: FrameServer) -> None:
+    """Thirty noisy frames a second."""
+    for number in itertools.count():
+        server.deliver(noisy_frame(number, Clock().now_s() - AGE_S))
+        await asyncio.sleep(1 / 30)
