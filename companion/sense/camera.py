@@ -82,7 +82,12 @@ async def keep_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: flo
         ConfigError: it cannot be opened now.
     """
     open_it = partial(open_camera, spec, camera, unstamped_latency_s)
-    patience = patience_with(camera, socket=ADDRESS_FORM.fullmatch(spec) is not None)
+    if ADDRESS_FORM.fullmatch(spec) is not None:
+        patience = patience_with(camera, "socket")
+    else:
+        form = DEVICE_FORM.fullmatch(spec)
+        recording = form is not None and form["recording"] is not None
+        patience = patience_with(camera, "recording" if recording else "device")
     return KeptCamera(await open_it(), open_it, patience)
 
 

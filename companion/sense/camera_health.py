@@ -12,6 +12,7 @@ part that is all white is none that is empty: glare is just that.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from typing import Final, Literal
 
 import numpy as np
@@ -41,16 +42,21 @@ class Patience:
     oldest_s: float  # a frame's age on arrival
 
 
-def patience_with(camera: CaptureConfig, *, socket: bool) -> Patience:
+def patience_with(camera: CaptureConfig, source: Literal["device", "socket", "recording"]) -> Patience:
     """What a camera of that rate may be allowed.
 
     Trouble is told within 0.3 s at any rate. A connection that is silent is not mended by parting, so a
-    socket's may be so for longer, and before its first frame for ever: its server may still be starting.
+    socket's may be so for longer, and before its first frame for ever: its server may still be starting. A
+    recording is what it is, and opening it anew would play it from its beginning.
     """
     trouble_s = max(0.25, 1.3 / camera.rate_hz)
-    if socket:
-        return Patience(trouble_s, 5.0, 5.0, float("inf"), float("inf"))
-    return Patience(trouble_s, 1.0, 1.0, 3.0, 0.5)
+    match source:
+        case "device":
+            return Patience(trouble_s, silent_s=1.0, content_s=1.0, first_s=3.0, oldest_s=0.5)
+        case "socket":
+            return Patience(trouble_s, silent_s=5.0, content_s=5.0, first_s=inf, oldest_s=inf)
+        case "recording":
+            return Patience(inf, silent_s=inf, content_s=inf, first_s=inf, oldest_s=inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +173,9 @@ class CameraHealth:
     def trouble(self, now_s: float) -> str | None:
         """What is wrong, once it has lasted."""
         if self._frame_s is None:
-            patience_s = min(self._patience.first_s, FIRST_TOLD_S)
             waited_s = now_s - self._opened_s
-            return f"no frame in {waited_s:.0f} s since it was opened" if waited_s > patience_s else None
+            late = waited_s > max(FIRST_TOLD_S, self._patience.trouble_s)
+            return f"no frame in {waited_s:.0f} s since it was opened" if late else None
         good_s = self._opened_s if self._good_s is None else self._good_s
         if now_s - good_s <= self._patience.trouble_s:
             return None

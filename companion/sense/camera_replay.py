@@ -46,6 +46,7 @@ class ReplayDevice:
         self._name, self._frames = name, frames
         self._camera, self._clock, self._stop = camera, clock, stop
         self._begun_s: float | None = None
+        self._shown, self._shape = False, (camera.height_px, camera.width_px)
         self.notes: deque[str] = deque()
         self.read_back = ReadBack(camera.exposure_s)
 
@@ -59,10 +60,12 @@ class ReplayDevice:
             if due_s < now_s - 1.0 / self._camera.rate_hz:
                 continue
             image = load()
-            if image is None:
-                self.notes.append(f"{self._name}: the frame at {after_s:.3f} s cannot be read")
+            if image is None or (self._shown and image.shape[:2] != self._shape):
+                fault = "cannot be read" if image is None else "is of another size"
+                self.notes.append(f"{self._name}: the frame at {after_s:.3f} s {fault}")
                 continue
             check_size(image.shape[1], image.shape[0], self._camera)
+            self._shown = True
             self._stop.wait(max(0.0, due_s - self._clock.now_s()))
             return Shot(due_s, self._clock.now_s(), grey(image))
         raise EndOfFrames(f"{self._name} has ended")

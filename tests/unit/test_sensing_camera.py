@@ -90,7 +90,7 @@ def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
             raise OSError("no camera at /dev/video0")
         return ScriptedCamera(show)
 
-    return KeptCamera(ScriptedCamera(show), open_it, patience_with(CAMERA, socket=False))
+    return KeptCamera(ScriptedCamera(show), open_it, patience_with(CAMERA, "device"))
 
 
 def test_the_check_says_how_the_camera_does() -> None:

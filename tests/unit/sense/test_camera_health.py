@@ -44,7 +44,7 @@ class Fed:
     """A camera that has given good frames for a second, and then others."""
 
     def __init__(self, camera: CameraConfig) -> None:
-        self.health = CameraHealth(patience_with(camera, socket=False), opened_s=99.9)
+        self.health = CameraHealth(patience_with(camera, "device"), opened_s=99.9)
         self.now_s, self.number, self.used = 100.0, 0, 0
         self.before = noisy_frame(-1, 99.9)
         self.feed(1.0, lambda frame, _: frame)
@@ -130,7 +130,7 @@ def test_silence_is_trouble_within_a_third_of_a_second_at_any_rate(
     camera: CameraConfig, rate_hz: float
 ) -> None:
     slow = camera.model_copy(update={"rate_hz": rate_hz})
-    health = CameraHealth(patience_with(slow, socket=False), opened_s=99.0)
+    health = CameraHealth(patience_with(slow, "device"), opened_s=99.0)
     health.take(noisy_frame(0, 100.0), 100.0)
     assert health.trouble(100.0 + 1.05 / rate_hz) is None
     assert "no frame" in (health.trouble(100.28) or "")
@@ -139,14 +139,14 @@ def test_silence_is_trouble_within_a_third_of_a_second_at_any_rate(
 
 
 def test_a_camera_that_never_begins_is_told_and_lost(camera: CameraConfig) -> None:
-    health = CameraHealth(patience_with(camera, socket=False), opened_s=100.0)
+    health = CameraHealth(patience_with(camera, "device"), opened_s=100.0)
     assert health.trouble(101.9) is None
     assert "since it was opened" in (health.trouble(102.1) or "")
     assert (health.lost(102.9), health.lost(103.1)) == (None, "silent")
 
 
 def test_a_server_that_has_not_begun_yet_is_waited_for(camera: CameraConfig) -> None:
-    health = CameraHealth(patience_with(camera, socket=True), opened_s=100.0)
+    health = CameraHealth(patience_with(camera, "socket"), opened_s=100.0)
     assert health.trouble(102.1) is not None
     assert health.lost(1000.0) is None
 

@@ -84,7 +84,7 @@ def run(
             into[-1] = (Clock().now_s(), into[-1][1])
 
     async def main() -> None:
-        kept = KeptCamera(await open_it(), open_it, patience_with(camera, socket=socket))
+        kept = KeptCamera(await open_it(), open_it, patience_with(camera, "socket" if socket else "device"))
         tasks = [
             asyncio.create_task(collect(kept.report, seen.reports)),
             asyncio.create_task(collect(kept.next, seen.frames)),
@@ -196,7 +196,7 @@ def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: Cam
             makers.append(Clock().now_s())
             return await ThreadedCamera.open(hang)
 
-        kept = KeptCamera(ScriptedCamera(gone), open_it, patience_with(camera, socket=False))
+        kept = KeptCamera(ScriptedCamera(gone), open_it, patience_with(camera, "device"))
         await asyncio.sleep(200.0)
         kept.close()
         return [(await kept.report()).text for _ in range(3)]
@@ -256,7 +256,7 @@ def test_what_a_driver_did_not_take_is_told_as_a_warning(camera: CameraConfig) -
     async def main() -> CameraReport:
         source = ScriptedCamera(good)
         source.notes.append("gain 30 asked for, the driver says 0")
-        kept = KeptCamera(source, lambda: asyncio.sleep(0, source), patience_with(camera, socket=False))
+        kept = KeptCamera(source, lambda: asyncio.sleep(0, source), patience_with(camera, "device"))
         report = await kept.report()
         kept.close()
         assert source.closed
@@ -275,7 +275,7 @@ def test_what_a_driver_never_takes_is_not_told_at_every_opening(camera: CameraCo
         return source
 
     async def main() -> None:
-        kept = KeptCamera(await open_it(), open_it, patience_with(camera, socket=False))
+        kept = KeptCamera(await open_it(), open_it, patience_with(camera, "device"))
         while True:
             texts.append((await kept.report()).text)
 

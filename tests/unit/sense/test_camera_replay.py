@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 from pathlib import Path
 
@@ -112,6 +113,29 @@ async def test_an_image_that_cannot_be_read_is_told_and_passed_over(
     device.read()
     assert np.array_equal(device.read().image, noisy(1))
     assert "cannot be read" in device.notes[0]
+
+
+async def test_an_image_of_another_size_among_others_is_told_and_passed_over(
+    camera: CameraConfig, tmp_path: Path
+) -> None:
+    write(tmp_path, ["1.png", "3.png"])
+    cv2.imwrite(str(tmp_path / "2.png"), np.zeros((120, 160), np.uint8))
+    device = open_folder(tmp_path, camera, Clock(), threading.Event())
+    device.read()
+    assert np.array_equal(device.read().image, noisy(1))
+    assert "another size" in device.notes[0]
+
+
+async def test_a_dark_recording_with_a_gap_is_neither_trouble_nor_played_again(
+    camera: CameraConfig, tmp_path: Path
+) -> None:
+    dark = np.zeros((480, 640), np.uint8)
+    for time_s in (1.0, 1.1, 2.4, 2.5):
+        cv2.imwrite(str(tmp_path / f"{time_s}.png"), dark)
+    kept = await keep_camera(f"images:{tmp_path}", camera)
+    report = await asyncio.wait_for(kept.report(), 10.0)
+    assert report.text == f"camera: {tmp_path.name} has ended"
+    kept.close()
 
 
 async def test_a_wait_for_a_frame_that_is_long_in_coming_ends_with_the_camera(
