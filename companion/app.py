@@ -83,6 +83,7 @@ class Status:
     frame_rate_hz: float
     latency_ms: float | None
     notices: tuple[Notice, ...]
+    camera_problem: str | None = None
 
 
 class App:
@@ -380,5 +381,6 @@ class App:
                 frame_rate_hz=(frame_counts[-1] - frame_counts[0]) / span_s,
                 latency_ms=self._latency_ms,
                 notices=tuple(replace(n, time_s=n.time_s - self._start_s) for n in notices),
+                camera_problem=self._sensing.camera_problem,
             )
             self._on_status(status)

@@ -103,6 +103,11 @@ def wall_clock_s() -> float:
     return time.perf_counter()
 
 
+def boot_clock_ahead_s() -> float:
+    """How far (s) CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC: as long as the machine has been suspended."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
+
 def start_unix_s(*, virtual: bool) -> float:
     """Seconds since 1970 at loop time 0, for the stamps in logs; never for estimation or control."""
     return time.time() if virtual else time.time() - time.monotonic()

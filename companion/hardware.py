@@ -13,7 +13,7 @@ from companion.link.actions import PymavlinkActions, VehicleActions
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
 from companion.link.transport import Transport, memory_pair, open_transport
-from companion.sense.camera import FrameSource, open_camera
+from companion.sense.camera import FrameSource, keep_camera
 from companion.sense.echo_pins import EchoPins
 from companion.sense.i2c import RegisterBus, open_bus
 from companion.sense.serial_port import SerialPort
@@ -81,7 +81,7 @@ async def open_hardware(config: CompanionConfig, *, linked: bool = True) -> Asyn
             range_port = opened.enter_context(closing(_open_range_port(sense.range)))
         vision = sense.vision
         frames = opened.enter_context(
-            closing(await open_camera(vision.source, camera, vision.unstamped_latency_s))
+            closing(await keep_camera(vision.source, camera, vision.unstamped_latency_s))
         )
         yield Hardware(transport, frames, imu_bus, gps_port, range_port)
 

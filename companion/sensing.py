@@ -41,6 +41,7 @@ from companion.messages import (
 )
 from companion.record import FlightLog
 from companion.sense.camera import at_exposure
+from companion.sense.camera_keeper import KeptCamera
 from companion.sense.i2c import SensorError
 from companion.sense.mpu9250 import Mpu9250
 from companion.sense.neo6m import Neo6m
@@ -154,6 +155,8 @@ class Sensing:
             tasks["gps configuration"] = partial(self._gps_configuration_task, hardware.gps_port)
         if self._range is not None:
             tasks["ultrasonic"] = partial(self._range_task, self._range)
+        if isinstance(hardware.frames, KeptCamera):
+            tasks["camera's reports"] = partial(self._camera_reports_task, hardware.frames)
         return {**tasks, "sensors' watch": self._watch_task, "camera": self._vision_task}
 
     # ------------------------------------------------------------ telemetry
@@ -278,6 +281,19 @@ class Sensing:
         return problems
 
     # ------------------------------------------------------------ camera
+
+    @property
+    def camera_problem(self) -> str | None:
+        """What is wrong with the camera just now, None when nothing is."""
+        frames = self._hardware.frames
+        return frames.problem if isinstance(frames, KeptCamera) else None
+
+    async def _camera_reports_task(self, camera: KeptCamera) -> None:
+        """Tell what becomes of the camera; the flight goes on without sightings meanwhile."""
+        while True:
+            report = await camera.report()
+            kind = "device_lost" if report.severity == "error" else "sensor"
+            self._tell(kind, report.text, report.severity)
 
     async def _vision_task(self) -> None:
         """Look at the newest frame; what it shows enters the estimator at its exposure time."""

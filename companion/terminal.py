@@ -59,14 +59,14 @@ class StatusView:
 def status_table(status: Status) -> Table:
     """Phase, height, pad distance and speed, marker groups, frame rate and latency as one row of a table."""
     table = Table.grid(padding=(0, 2))
-    cells = {
+    cells: dict[str, str | Text] = {
         "time": f"{status.time_s:6.1f} s",
         "phase": f"{status.phase.value} ({status.mode or '-'})",
         "height": _height(status),
         "pad distance": _pad_distance(status),
         "pad speed": _pad_speed(status),
         "markers F/M/C": _markers(status),
-        "frames": f"{status.frame_rate_hz:.0f}/s",
+        "frames": _frames(status),
         "latency": "-" if status.latency_ms is None else f"{status.latency_ms:.0f} ms",
     }
     for _ in cells:
@@ -96,6 +96,12 @@ def _markers(status: Status) -> str:
     if status.last_frame is None:
         return "-"
     return "/".join(str(status.last_frame.marker_count.get(group, 0)) for group in GROUPS)
+
+
+def _frames(status: Status) -> str | Text:
+    if status.camera_problem is not None:
+        return Text("no camera", style=SEVERITY_STYLES["error"])
+    return f"{status.frame_rate_hz:.0f}/s"
 
 
 def _notice_line(notice: Notice) -> Text:

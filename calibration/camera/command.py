@@ -6,7 +6,6 @@ Exit codes: as in `calibration.command_line`.
 from __future__ import annotations
 
 import asyncio
-import re
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -33,12 +32,12 @@ from calibration.command_line import RefusedError, run
 from companion.clock import start_unix_s
 from companion.config import CaptureConfig, ConfigError, validate
 from companion.files import write_atomically
+from companion.sense.camera import is_camera
 
 NAME: Final = "calibrate-camera"
-CAMERA: Final = re.compile(r"v4l2:\d+|socket:.+|tcp:.+")
 HELP: Final = """Calibrate a camera with a printed board: focal length, principal point, distortion.
 
-SOURCE is a camera (v4l2:0, socket:/run/companion/frames, tcp:127.0.0.1:5600), or photos and videos: folders
+SOURCE is a camera (v4l2:0, picamera2:0, socket:/run/companion/frames), or photos and videos: folders
 or files. Live, the board is held before the camera until the program stops by itself; it says what to show
 next. What is not good enough to fly by is refused, with the reasons.
 
@@ -96,6 +95,19 @@ def calibrate_camera(
     readout_ms: Annotated[
         float, typer.Option("--readout-ms", help="First to last row, for the app; 0: a global shutter.")
     ] = 0.0,
+    gain: Annotated[
+        float | None, typer.Option("--gain", help="Fixed, for the app too; else the camera's own.")
+    ] = None,
+    focus: Annotated[
+        float | None, typer.Option("--focus", help="Of a lens that moves, for the app too.")
+    ] = None,
+    sensor_mode: Annotated[
+        str | None,
+        typer.Option("--sensor-mode", help="Of a Raspberry Pi camera, for the app too: 1640x1232, ..."),
+    ] = None,
+    pixel_format: Annotated[
+        str | None, typer.Option("--pixel-format", help="Of a V4L2 camera, for the app too: MJPG, ...")
+    ] = None,
     model: Annotated[
         Model,
         typer.Option("--model", help="Of the distortion: k1 k2 p1 p2 k3, or 8 numbers for wide lenses."),
@@ -151,10 +163,14 @@ def calibrate_camera(
             "rate_hz": rate,
             "exposure_s": 1e-3 * exposure_ms,
             "readout_s": 1e-3 * readout_ms,
+            "gain": gain,
+            "focus": focus,
+            "sensor_mode_px": None if sensor_mode is None else two_numbers(sensor_mode, "--sensor-mode"),
+            "pixel_format": pixel_format,
         },
         NAME,
     )
-    if any(CAMERA.fullmatch(source) for source in sources):
+    if any(is_camera(source) for source in sources):
         if len(sources) > 1:
             raise ConfigError(f"{' '.join(sources)}: expected one camera alone, or photos")
         options = LiveOptions(sources[0], capture, views, model, keep, overlay, serve)

@@ -61,6 +61,8 @@ async def capture_live(board: Board, options: LiveOptions, tell: Callable[[str],
                     f"--serve {options.serve_port}: {error.strerror}; expected a free port, or 0 for any"
                 ) from error
             tell(f"live picture: http://127.0.0.1:{port}/")
+        for note in source.take_notes():
+            tell(f"camera: {note}")
         capture = _Capture(board, options, server, tell)
         await capture.run(source)
         return capture.session

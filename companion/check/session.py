@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Final
 
 from companion.check.causes import Mounting
@@ -37,6 +38,7 @@ from companion.link.session import Session
 from companion.mjpeg import MjpegServer
 from companion.pad import load_pad
 from companion.record import FlightLog
+from companion.sense.camera_keeper import KeptCamera
 from companion.sense.vision import Vision
 from companion.sensing import Sensing
 
@@ -44,6 +46,7 @@ STEP_PERIOD_S: Final = 0.1
 LINK_PERIOD_S: Final = 0.05
 LINK_PATIENCE_S: Final = 10.0
 PICTURE_PERIOD_S: Final = 0.1
+CAMERA_LOOK_S: Final = 2.0  # over which its rate is counted
 ARMED: Final = "the autopilot says armed; expected a disarmed vehicle, best with its propellers off"
 
 
@@ -82,7 +85,7 @@ class PadCheck:
         self._samples = Samples() if samples is None else samples
         by_telemetry = config.sense.source == "autopilot"
         self._session = Session(config.link, config.sense if by_telemetry else None)
-        self._transport = hardware.transport
+        self._transport, self._frames = hardware.transport, hardware.frames
         # where it is on earth is not asked here
         self._sensing = Sensing(
             config,
@@ -105,7 +108,7 @@ class PadCheck:
         Raises:
             ConfigError: the autopilot is armed or silent, or a sensor's settings are wrong.
         """
-        works = dict(self._sensing.tasks())
+        works = {**self._sensing.tasks(), "camera's figures": self._camera_task}
         if self._linked:
             works |= {"autopilot link": self._receive_task, "heartbeat": self._link_task}
         if self._outlets.page is not None:
@@ -175,6 +178,21 @@ class PadCheck:
             await asyncio.sleep(LINK_PERIOD_S)
 
     # ------------------------------------------------------------ people
+
+    async def _camera_task(self) -> None:
+        """Say once how the camera does: its rate, its frames' age on arrival, what its driver says."""
+        while self._sensing.last_frame is None:  # noqa: ASYNC110 - it has no event
+            await asyncio.sleep(STEP_PERIOD_S)
+        before, ages_s = self._sensing.frame_count, list[float]()
+        until_s = self._clock.now_s() + CAMERA_LOOK_S
+        while self._clock.now_s() < until_s:
+            await asyncio.sleep(STEP_PERIOD_S)
+            ages_s.append(self._sensing.last_frame.received_s - self._sensing.last_frame.time_s)
+        rate_hz = (self._sensing.frame_count - before) / CAMERA_LOOK_S
+        told = f"camera: {rate_hz:.1f} frames/s looked at, {1e3 * median(ages_s):.0f} ms old on arrival"
+        if isinstance(self._frames, KeptCamera):
+            told += f"; the driver says: {self._frames.read_back}"
+        self._outlets.say(Say(told))
 
     async def _picture_task(self) -> None:
         page = self._outlets.page

@@ -135,7 +135,7 @@ class AutopilotSensorsConfig(StrictModel):
 class VisionConfig(StrictModel):
     """Marker detection and pose."""
 
-    source: str = "v4l2:0"  # "v4l2:N"; "socket:PATH" or "tcp:HOST:PORT" for frames from another process
+    source: str = "v4l2:0"  # or picamera2:N, video:FILE, images:FOLDER, socket:PATH, tcp:HOST:PORT
     unstamped_latency_s: float = Field(
         default=0.045, ge=0.0, le=0.5
     )  # age, when it comes, of another process's frame that does not say when it was exposed

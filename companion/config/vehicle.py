@@ -11,7 +11,13 @@ from companion.config.reading import StrictModel, Vector
 
 
 class CaptureConfig(StrictModel):
-    """How a camera takes pictures; all that is known of one before it is calibrated."""
+    """How a camera takes pictures; all that is known of one before it is calibrated.
+
+    `gain` and `focus` are a factor and dioptres with a Raspberry Pi's camera, the driver's own numbers with
+    V4L2; none: gain is left to the camera, and of the focus only the automatic is switched off.
+    `sensor_mode_px` is the size of the Raspberry Pi sensor's mode that images are scaled from, `pixel_format`
+    the four letters of what a V4L2 camera sends, `stamped_at` the moment of a frame that its driver stamps.
+    """
 
     size_is: ClassVar[str] = "the size asked for,"
 
@@ -23,6 +29,11 @@ class CaptureConfig(StrictModel):
     readout_s: float = Field(
         default=0.0, ge=0.0, le=0.05
     )  # first to last row of a rolling shutter; 0: global
+    gain: float | None = Field(default=None, ge=0.0, le=100000.0)
+    focus: float | None = Field(default=None, ge=0.0, le=100000.0)
+    sensor_mode_px: tuple[int, int] | None = None
+    pixel_format: str | None = Field(default=None, pattern=r"^[ -~]{4}$")
+    stamped_at: Literal["auto", "start_of_exposure", "start_of_readout", "end_of_readout"] = "auto"
 
 
 class CameraConfig(CaptureConfig):

@@ -32,7 +32,7 @@ def opened(sense: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[list
         return Opened("camera", names)
 
     monkeypatch.setattr(hardware, "open_transport", transport)
-    monkeypatch.setattr(hardware, "open_camera", camera)
+    monkeypatch.setattr(hardware, "keep_camera", camera)
     monkeypatch.setattr(hardware, "open_bus", lambda bus: Opened(bus, names))
     monkeypatch.setattr(hardware, "SerialPort", lambda port, baud: Opened(port, names))
     config = validate(CompanionConfig, {"sense": sense}, "test")

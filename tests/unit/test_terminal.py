@@ -1,6 +1,7 @@
 """The status in the terminal: what a person sees, with and without a pad in sight."""
 
 import io
+from dataclasses import replace
 
 from rich.console import Console
 
@@ -52,6 +53,12 @@ def test_without_a_pad_the_height_is_the_vehicles_and_the_rest_is_a_dash() -> No
     text = shown(status(None), terminal=True)
     assert "6.5 m" in text
     assert " - " in text
+
+
+def test_a_camera_that_is_lost_shows_in_place_of_its_rate() -> None:
+    text = shown(replace(status(None), camera_problem="no frame for 0.25 s"), terminal=True)
+    assert "no camera" in text
+    assert "30/s" not in text
 
 
 def test_where_there_is_no_terminal_each_notice_is_one_line() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -64,6 +65,8 @@ def test_on_a_right_vehicle_all_is_well() -> None:
     checked = right()
     assert checked.report.passed, checked.report.causes
     assert tuple(finding.name for finding in checked.report.findings) == QUESTIONS
+    (camera,) = [said.text for said in checked.said if said.text.startswith("camera:")]
+    assert re.fullmatch(r"camera: \d\d\.\d frames/s looked at, \d\d ms old on arrival", camera)
     orders = [said.text for said in checked.said if said.kind == "order"]
     assert [
         order for order in orders if order.startswith(("Raise it", "Move", "Turn", "Lean", "Raise its"))

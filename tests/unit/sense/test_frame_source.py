@@ -1,15 +1,13 @@
-"""Cameras: a V4L2 one (its driver replaced), and one on a socket with the simulator's server behind it."""
+"""The camera on a socket, with the simulator's server or a stranger behind it; sources' names."""
 
 from __future__ import annotations
 
 import asyncio
-import threading
+import itertools
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -17,89 +15,10 @@ from companion.clock import Clock
 from companion.config import CameraConfig, ConfigError
 from companion.frame_format import pack_frame
 from companion.messages import Frame
-from companion.sense.camera import (
-    MOST_STRANGE,
-    FrameSource,
-    SocketCamera,
-    V4l2Camera,
-    exposure_time_s,
-    open_camera,
-)
+from companion.sense.camera import FrameSource, keep_camera, open_camera
+from companion.sense.camera_socket import MOST_STRANGE, SocketCamera
 from sitl.frame_server import FrameServer
-
-
-class FakeCapture:
-    """A driver that gives a frame whenever it is told to, and then no more."""
-
-    def __init__(self, stamp_s: float = 0.0) -> None:
-        self.stamp_s = stamp_s
-        self.frames: list[Any] = []
-        self.more = threading.Semaphore(0)
-        self.released = False
-
-    def give(self, image: Any) -> None:
-        self.frames.append(image)
-        self.more.release()
-
-    def read(self) -> tuple[bool, Any]:
-        self.more.acquire(timeout=5.0)
-        image = self.frames.pop(0) if self.frames else None
-        return image is not None, image
-
-    def get(self, propId: int) -> float:
-        return self.stamp_s * 1e3 if propId == cv2.CAP_PROP_POS_MSEC else 0.0
-
-    def set(self, propId: int, value: float) -> bool:
-        return True
-
-    def release(self) -> None:
-        self.released = True
-
-
-async def test_a_colour_frame_becomes_grey_and_is_stamped_at_mid_exposure(camera: CameraConfig) -> None:
-    clock = Clock()
-    capture = FakeCapture(clock.now_s())
-    source = V4l2Camera(capture, camera, clock)
-    capture.give(np.full((480, 640, 3), 90, np.uint8))
-    frame = await asyncio.wait_for(source.next(), 5.0)
-    assert frame.image.shape == (480, 640)
-    assert int(frame.image[0, 0]) == 90
-    assert frame.time_s == pytest.approx(capture.stamp_s - 0.5 * camera.readout_s - 0.5 * camera.exposure_s)
-    assert frame.time_s < frame.received_s
-    capture.more.release()
-    source.close()
-    assert capture.released
-
-
-async def test_a_camera_that_stops_is_an_error_and_not_silence(camera: CameraConfig) -> None:
-    capture = FakeCapture()
-    source = V4l2Camera(capture, camera, Clock())
-    capture.more.release()
-    with pytest.raises(OSError, match="stopped"):
-        await asyncio.wait_for(source.next(), 5.0)
-    source.close()
-
-
-async def test_a_driver_that_sends_another_size_than_it_promised_is_told(camera: CameraConfig) -> None:
-    capture = FakeCapture()
-    source = V4l2Camera(capture, camera, Clock())
-    capture.give(np.zeros((720, 1280, 3), np.uint8))
-    with pytest.raises(ConfigError, match="images of 1280x720, expected the calibration's 640x480"):
-        await asyncio.wait_for(source.next(), 5.0)
-    source.close()
-
-
-@pytest.mark.parametrize("stamp_s", [0.0, 99.0, 100.5])
-def test_a_stamp_that_cannot_be_true_is_replaced_by_the_time_of_receipt(
-    camera: CameraConfig, stamp_s: float
-) -> None:
-    expected = 100.0 - 0.5 * (camera.readout_s + camera.exposure_s)
-    assert exposure_time_s(stamp_s, 100.0, camera) == pytest.approx(expected)
-
-
-def test_a_true_stamp_is_used(camera: CameraConfig) -> None:
-    expected = 99.9 - 0.5 * (camera.readout_s + camera.exposure_s)
-    assert exposure_time_s(99.9, 100.0, camera) == pytest.approx(expected)
+from tests.unit.sense.camera_frames import AGE_S, noisy_frame
 
 
 async def connected(where: Path | int, camera: CameraConfig) -> tuple[FrameServer, SocketCamera]:
@@ -263,7 +182,7 @@ async def test_what_is_not_a_whole_frame_is_an_error(
 async def test_a_source_that_is_not_one_is_named_with_what_was_expected(
     spec: str, camera: CameraConfig
 ) -> None:
-    with pytest.raises(ConfigError, match="expected v4l2:NUMBER, socket:PATH or tcp:HOST"):
+    with pytest.raises(ConfigError, match=r"expected v4l2:NUMBER, picamera2:NUMBER, .* or tcp:HOST"):
         await open_camera(spec, camera)
 
 
@@ -273,3 +192,30 @@ async def test_a_missing_camera_or_server_is_one_line(tmp_path: Path, camera: Ca
             await open_camera(spec, camera)
         assert "\n" not in str(caught.value)
         assert spec in str(caught.value)
+
+
+async def test_a_server_that_comes_back_is_connected_to_again(tmp_path: Path, camera: CameraConfig) -> None:
+    server = FrameServer(tmp_path / "frames")
+    await server.start()
+    kept = await keep_camera(server.address, camera)
+    async with asyncio.timeout(10.0):
+        serving = asyncio.create_task(serve(server))
+        await kept.next()
+        serving.cancel()
+        await server.close()
+        assert "closed by its server" in (await kept.report()).text
+        another = FrameServer(tmp_path / "frames")
+        await another.start()
+        serving = asyncio.create_task(serve(another))
+        while kept.problem is not None:
+            assert (await kept.next()).image.shape == (480, 640)
+        serving.cancel()
+    kept.close()
+    await another.close()
+
+
+async def serve(server: FrameServer) -> None:
+    """Thirty noisy frames a second."""
+    for number in itertools.count():
+        server.deliver(noisy_frame(number, Clock().now_s() - AGE_S))
+        await asyncio.sleep(1 / 30)

@@ -1,0 +1,67 @@
+"""Frames as a sensor with noise gives them, and a camera that does what a test says."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.clock import Clock
+from companion.messages import Frame
+from companion.sense.camera_thread import ReadBack
+
+AGE_S = 0.02
+_RNG = np.random.default_rng(11)
+_NOISE = [_RNG.integers(80, 120, (480, 640)).astype(np.uint8) for _ in range(3)]
+
+
+def noisy(number: int) -> NDArray[np.uint8]:
+    """A picture of nothing with its own noise: another than those of the numbers beside it."""
+    return _NOISE[number % len(_NOISE)]
+
+
+def noisy_frame(number: int, time_s: float) -> Frame:
+    """A good frame that was exposed at that time."""
+    return Frame(time_s, time_s + AGE_S, number, noisy(number))
+
+
+class ScriptedCamera:
+    """A `LiveSource` at 30 frames a second; `act` makes of each frame another, None (silence) or raises."""
+
+    def __init__(self, act: Callable[[Frame], Frame | None], *, held_for_s: float = 0.0) -> None:
+        """`held_for_s`: how long its driver keeps the device once it is to let go."""
+        self._act, self._clock, self._number = act, Clock(), -1
+        self._held_for_s, self._parted_s = held_for_s, float("inf")
+        self.notes: list[str] = []
+        self.closed = False
+        self.read_back = ReadBack(0.004, 2.0)
+
+    @property
+    def held(self) -> bool:
+        """See `LiveSource`."""
+        return self._clock.now_s() < self._parted_s + self._held_for_s
+
+    async def next(self) -> Frame:
+        """See `LiveSource`."""
+        while True:
+            await asyncio.sleep(1 / 30)
+            self._number += 1
+            frame = self._act(noisy_frame(self._number, self._clock.now_s() - AGE_S))
+            if frame is not None:
+                return frame
+
+    def take_notes(self) -> list[str]:
+        """See `LiveSource`."""
+        notes, self.notes = self.notes, []
+        return notes
+
+    def let_go(self) -> None:
+        """See `LiveSource`."""
+        self._parted_s = self._clock.now_s()
+
+    def close(self) -> None:
+        """See `LiveSource`."""
+        self.let_go()
+        self.closed = True
