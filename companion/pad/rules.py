@@ -12,8 +12,9 @@ from typing import Final, Protocol
 from companion.pad.marker import Corners, Marker
 from companion.pad.sheet import EXACT_M, Interval, Sheet, tile
 
-# of a cell: with less white than this the outline of a marker of few pixels runs into what is around it
-LEAST_QUIET_CELLS: Final = 0.5
+# of a cell: single markers on dark ground were read as well with 0.67 of a cell of white around them as with
+# a whole one; with 0.6 a fifth of the large ones was lost, with 0.5 half
+LEAST_QUIET_CELLS: Final = 0.66
 # an edge is printed up to half a dot off: with 8 dots that is a sixteenth of a cell
 LEAST_DOTS: Final = 8.0
 MOST_NAMED: Final = 4
@@ -81,7 +82,7 @@ def _without_quiet_zone(pad: Layout) -> str | None:
         for m in pad.markers
         if m.quiet_m < LEAST_QUIET_CELLS * m.cell_m - EXACT_M
     )
-    return bare and f"no quiet zone of half a cell about {bare}"
+    return bare and f"too narrow a quiet zone about {bare}"
 
 
 def _quiet_zone_over_the_edge(pad: Layout) -> str | None:
