@@ -55,11 +55,16 @@ class Page:
         whole.set_snap(False)
         self._axes.add_patch(whole)
 
-    def line(self, points: Sequence[Point], width_pt: float = 0.3, *, dashed: bool = False) -> None:
-        """A line through points."""
-        xs, ys = zip(*points, strict=True)
+    def lines(self, lines: Iterable[Sequence[Point]], width_pt: float = 0.3, *, dashed: bool = False) -> None:
+        """Lines, each through its points."""
+        from matplotlib.patches import PathPatch  # noqa: PLC0415
+        from matplotlib.path import Path as Outline  # noqa: PLC0415
+
+        whole = Outline.make_compound_path(*(Outline(points) for points in lines))
         style = "dashed" if dashed else "solid"
-        self._axes.plot(xs, ys, color="black", linewidth=width_pt, linestyle=style, solid_capstyle="butt")
+        patch = PathPatch(whole, fill=False, linewidth=width_pt, linestyle=style, capstyle="butt")
+        patch.set_snap(False)
+        self._axes.add_patch(patch)
 
     def text(
         self,
@@ -76,12 +81,11 @@ class Page:
 
     def ruler(self, left: float, bottom: float) -> None:
         """A ruler of `RULER_MM` with a mark each millimetre, to be held against a real one."""
-        self.line([(left, bottom), (left + RULER_MM, bottom)], 0.5)
-        for mm in range(RULER_MM + 1):
-            length = 4.0 if mm % 10 == 0 else 2.0
-            self.line([(left + mm, bottom), (left + mm, bottom + length)])
-            if mm % 10 == 0:
-                self.text((left + mm, bottom + 4.5), f"{mm}", 5, va="bottom")
+        self.lines([[(left, bottom), (left + RULER_MM, bottom)]], 0.5)
+        lengths = ((mm, 4.0 if mm % 10 == 0 else 2.0) for mm in range(RULER_MM + 1))
+        self.lines([(left + mm, bottom), (left + mm, bottom + length)] for mm, length in lengths)
+        for mm in range(0, RULER_MM + 1, 10):
+            self.text((left + mm, bottom + 4.5), f"{mm}", 5, va="bottom")
 
 
 def code_rectangles(dictionary: cv2.aruco.Dictionary, identity: int) -> list[Rectangle]:

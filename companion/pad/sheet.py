@@ -22,8 +22,8 @@ from companion.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 
 Metres = Annotated[float, Field(gt=0.05, le=12.0)]
 Interval = tuple[float, float]
-# a cut is laid between markers when there is so much between them, and then so far from either if it can be
-LEAST_GAP_M: Final = 0.002
+# a cut this far from a marker's edge is between markers; it is laid farther off where that costs nothing
+NEAREST_M: Final = 0.001
 CLEAR_M: Final = 0.003
 # the ruler and what is written beside it take so much
 NARROWEST_M: Final = 0.2
@@ -145,19 +145,22 @@ def _on_page(
 def cuts(edge: Interval, longest_m: float, markers: Sequence[Interval], *, whole: bool) -> tuple[float, ...]:
     """Where to cut one direction of the board, its two edges included.
 
-    The fewest pieces, of these the fewest divided markers, of these the most even pieces; with `whole` the
-    divided markers count before the pieces. Found as a shortest path over the places where a cut may be.
+    The fewest pieces, of these the fewest divided markers, of these the cuts that stay clear of markers, of
+    these the most even pieces; with `whole` the divided markers count before the pieces. Found as a shortest
+    path over the places where a cut may be.
     """
     low, high = edge
     places = _places(edge, longest_m, markers)
-    best: dict[float, tuple[tuple[float, float, float], tuple[float, ...]]] = {low: ((0.0, 0.0, 0.0), (low,))}
+    best: dict[float, tuple[tuple[float, ...], tuple[float, ...]]] = {low: ((0.0, 0.0, 0.0, 0.0), (low,))}
     for there in places[1:]:
         divided = float(_divided(there, markers))
+        first_two = (divided, 1.0) if whole else (1.0, divided)
+        lack_m = _lack_m(there, markers)
         ways = []
         for here in (p for p in places if p < there and there - p <= longest_m + EXACT_M and p in best):
-            (first, second, uneven), path = best[here]
-            step = (divided, 1.0) if whole else (1.0, divided)
-            ways.append(((first + step[0], second + step[1], uneven + (there - here) ** 2), (*path, there)))
+            cost, path = best[here]
+            step = (*first_two, lack_m, (there - here) ** 2)
+            ways.append((tuple(a + b for a, b in zip(cost, step, strict=True)), (*path, there)))
         if ways:
             best[there] = min(ways)
     return best[high][1]
@@ -171,11 +174,17 @@ def _places(edge: Interval, longest_m: float, markers: Sequence[Interval]) -> li
     edges = sorted({low, high, *(end for interval in markers for end in interval)})
     for a, b in pairwise(edges):
         middle = 0.5 * (a + b)
-        if b - a >= LEAST_GAP_M and not _divided(middle, markers):
+        if b - a >= 2.0 * NEAREST_M and not _divided(middle, markers):
             clear = min(CLEAR_M, 0.5 * (b - a))
-            places |= {a + clear, middle, b - clear}
+            places |= {a + NEAREST_M, a + clear, middle, b - clear, b - NEAREST_M}
     return sorted(place for place in places if low <= place <= high)
 
 
 def _divided(cut: float, markers: Sequence[Interval]) -> int:
     return sum(low + EXACT_M < cut < high - EXACT_M for low, high in markers)
+
+
+def _lack_m(cut: float, markers: Sequence[Interval]) -> float:
+    """By how much a cut is nearer to a marker's edge than it should be."""
+    nearest = min((abs(cut - end) for interval in markers for end in interval), default=CLEAR_M)
+    return max(0.0, round(CLEAR_M - nearest, 9))

@@ -24,9 +24,9 @@ from companion.sense.lens import Lens
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 LOWEST_M: Final = 0.03
 HIGHEST_M: Final = 30.0
-HEIGHTS: Final = 101
+HEIGHTS: Final = 81
 # poses at each height: a power of two, as Sobol's sequence has it
-POSES_LOG2: Final = 9
+POSES_LOG2: Final = 8
 EDGE_PX: Final = 4.0
 # below this recall the pad is called blind
 BLIND_RECALL: Final = 0.5
@@ -123,8 +123,8 @@ class _View:
     def read(self, height_m: float) -> FloatArray:
         """Probability (poses, markers) that each marker is read from each pose at one height."""
         rotations, middles = _poses(self._draws, self._spread, height_m)
-        points = np.einsum("pij,mcj->pmci", rotations, self._corners) + middles[:, None, None, :]
-        pixels = self._lens.project(points.reshape(-1, 3))[0].reshape((*points.shape[:3], 2))
+        points = self._corners.reshape(-1, 3) @ np.swapaxes(rotations, 1, 2) + middles[:, None, :]
+        pixels = self._lens.project(points.reshape(-1, 3))[0].reshape(len(points), -1, 4, 2)
         low, high = np.array([EDGE_PX, EDGE_PX]), np.array(self._lens.size_px) - EDGE_PX
         with np.errstate(invalid="ignore"):
             whole = ((pixels > low) & (pixels < high)).all(axis=(2, 3))

@@ -139,14 +139,10 @@ def _draw_tile(
     window = (left - BLEED_MM, top + BLEED_MM, right + BLEED_MM, bottom - BLEED_MM)
     pieces = (clip([sheet.on_sheet_mm(corner) for corner in cell], window) for cell in black)
     page.fill(piece for piece in pieces if len(piece) > 2)
-    for x, y, away_x, away_y in (
-        (left, bottom, -1, -1),
-        (right, bottom, 1, -1),
-        (left, top, -1, 1),
-        (right, top, 1, 1),
-    ):
-        page.line([(x + away_x * mark, y) for mark in MARK_MM])
-        page.line([(x, y + away_y * mark) for mark in MARK_MM])
+    corners = ((left, bottom, -1, -1), (right, bottom, 1, -1), (left, top, -1, 1), (right, top, 1, 1))
+    for x, y, away_x, away_y in corners:
+        sideways = [(x + away_x * mark, y) for mark in MARK_MM]
+        page.lines([sideways, [(x, y + away_y * mark) for mark in MARK_MM]])
     for label in labels:
         if sheet.holds(label.at_pad_m):
             page.text(sheet.on_sheet_mm(label.at_pad_m), label.words, SIZE_PT, va="center")
@@ -190,16 +186,14 @@ def _plan(pad: Pad, tiling: Tiling, sheets: Sequence[Tile]) -> Page:
     page.text((middle[0], top - 8.0), f"{len(sheets)} sheets; numbers in markers are their ids", 7)
     x, y = 0.5 * pad.length_m, 0.5 * pad.width_m
     page.text(on_plan((x + 4.0 / scale, 0.0)), "▲ front (x of the pad)", 7, va="center")
-    for cut in tiling.along_m:
-        page.line([on_plan((cut, -y)), on_plan((cut, y))], dashed=abs(cut) < x)
-    for cut in tiling.across_m:
-        page.line([on_plan((-x, cut)), on_plan((x, cut))], dashed=abs(cut) < y)
+    page.lines([[on_plan((cut, -y)), on_plan((cut, y))] for cut in tiling.along_m], dashed=True)
+    page.lines([[on_plan((-x, cut)), on_plan((x, cut))] for cut in tiling.across_m], dashed=True)
     for sheet in sheets:
         corner = on_plan((sheet.along_m[1], sheet.across_m[0]))
         page.text((corner[0] + 1.0, corner[1] - 1.0), f"sheet {sheet.number}", 7, ha="left", grey=0.4)
     for marker in pad.markers:
         corners = [on_plan(corner) for corner in marker.square_pad_m()]
-        page.line([*corners, corners[0]], 0.6)
+        page.lines([[*corners, corners[0]]], 0.6)
         # three digits fit into a square at this size
         (left, right), _ = extent(tuple(corners))
         page.text(on_plan(marker.position_pad_m), f"{marker.id}", min(8.0, 1.1 * (right - left)), va="center")
