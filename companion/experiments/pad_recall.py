@@ -111,7 +111,7 @@ def _look_at(
     model = CameraModel(camera, vehicle, pad, CameraSettings(lens_blur_px=lens_px), rng)
     optics = Optics(lens_blur_px=lens_px)
     for k in range(frames):
-        cell_px = math.exp(rng.uniform(*map(math.log, CELL_PX)))
+        cell_px = math.exp(rng.uniform(math.log(CELL_PX[0]), math.log(CELL_PX[1])))
         stroke_px = rng.uniform(0.0, LONGEST_STROKE_CELLS) * cell_px if k % 2 else 0.0
         height_m = camera.fx_px * marker.cell_m / cell_px
         speed_m_s = stroke_px * height_m / (camera.fx_px * camera.exposure_s)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from companion.config import CameraConfig
 from companion.geometry import FloatArray
@@ -67,8 +67,13 @@ class Coverage:
 
     @property
     def blind_height_m(self) -> float:
-        """Below this the pad is seen less than half of the time."""
+        """Below this the pad is seen less than half of the time; the lowest height when it is seen there too."""
         return seen_between(self.heights_m, self.pad, BLIND_RECALL)[0]
+
+    @property
+    def seen_at_the_lowest(self) -> bool:
+        """Whether the pad is seen even from the lowest height that was asked for."""
+        return bool(self.pad[0] >= BLIND_RECALL)
 
 
 def predict(
@@ -114,6 +119,8 @@ class _View:
     def __init__(
         self, pad: Pad, camera: CameraConfig, spread: Spread, optics: Optics, model: RecallModel
     ) -> None:
+        from scipy.stats import qmc  # noqa: PLC0415 - slow
+
         self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
         self._cells = np.array([marker.cells for marker in pad.markers])
         self._lens, self._exposure_s = Lens(camera), camera.exposure_s
@@ -138,7 +145,7 @@ class _View:
 
 def _poses(draws: FloatArray, spread: Spread, height_m: float) -> tuple[FloatArray, FloatArray]:
     """Camera-from-pad rotations (n, 3, 3) and the pad's middle in camera axes (n, 3), from draws (n, 5)."""
-    normal = norm.ppf(np.clip(draws[:, :4], 1e-6, 1.0 - 1e-6))
+    normal = ndtri(np.clip(draws[:, :4], 1e-6, 1.0 - 1e-6))
     offset = np.hypot(spread.offset_m, spread.offset_share * height_m) * normal[:, :2]
     tilt = np.radians(spread.tilt_deg) * normal[:, 2:]
     yaw = 2.0 * np.pi * draws[:, 4]

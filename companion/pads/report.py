@@ -43,8 +43,7 @@ def coverage_lines(coverage: Coverage) -> list[str]:
     lines = [
         f"{name}: {_span(coverage.heights_m, recall)}" for name, recall in [*rows, ("  pad", coverage.pad)]
     ]
-    blind_m = coverage.blind_height_m
-    if math.isnan(blind_m):
+    if math.isnan(coverage.blind_height_m):
         return [*lines, "blind at every height"]
     low, high = seen_between(coverage.heights_m, coverage.pad, SURE_RECALL)
     between = (coverage.heights_m >= low) & (coverage.heights_m <= high)
@@ -53,7 +52,12 @@ def coverage_lines(coverage: Coverage) -> list[str]:
         lines.append(
             f"weakest in between: {100 * coverage.pad[weakest]:.2f} % at {coverage.heights_m[weakest]:.2g} m"
         )
-    return [*lines, f"blind height: {100 * blind_m:.1f} cm (below it, seen in less than half of the frames)"]
+    return [*lines, f"blind height: {blind_words(coverage)} (there, seen in less than half of the frames)"]
+
+
+def blind_words(coverage: Coverage) -> str:
+    """How low the pad is seen, where a prediction ends before it is blind: less than that."""
+    return f"{'less than' if coverage.seen_at_the_lowest else 'below'} {100 * coverage.blind_height_m:.1f} cm"
 
 
 def _span(heights_m: FloatArray, recall: FloatArray) -> str:
@@ -75,14 +79,12 @@ def draw_coverage(coverage: Coverage, pad: Pad, camera: CameraConfig, path: Path
 
     figure = Figure(figsize=(9.0, 4.6), dpi=120, layout="constrained")
     axes = figure.subplots()
+    axes.plot(coverage.heights_m, 100.0 * coverage.pad, color="0.7", linewidth=5.0, label="pad")
     for group, recall in coverage.groups.items():
         axes.plot(coverage.heights_m, 100.0 * recall, color=COLOURS[group], label=NAMES[group])
-    axes.plot(coverage.heights_m, 100.0 * coverage.pad, color="black", linewidth=2.0, label="pad")
-    blind_m = coverage.blind_height_m
-    if not math.isnan(blind_m):
-        axes.axvspan(
-            coverage.heights_m[0], blind_m, color="0.85", label=f"blind: below {100 * blind_m:.1f} cm"
-        )
+    if not (math.isnan(coverage.blind_height_m) or coverage.seen_at_the_lowest):
+        words = f"blind: {blind_words(coverage)}"
+        axes.axvspan(coverage.heights_m[0], coverage.blind_height_m, color="0.9", label=words)
     axes.set_xscale("log")
     axes.set_xticks(TICKS_M, [f"{h:g}" for h in TICKS_M])
     axes.minorticks_off()

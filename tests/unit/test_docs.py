@@ -106,7 +106,7 @@ def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
         runs = "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
-        return runs or words[1] == "pad"
+        return runs or words[1:3] == ["pad", "indoor_400"]
     if words[0] == "companion-experiments":
         return "--help" in words
     if words[0].startswith("calibrate-"):

@@ -124,7 +124,7 @@ def assembled(pages: list[Printed], sheets: list[Tile], pad: Pad) -> NDArray[np.
 
 def read_markers(image: NDArray[np.uint8]) -> dict[tuple[str, int], FloatArray]:
     """Every marker that OpenCV reads: corners (4, 2) in pixels."""
-    found = {}
+    found: dict[tuple[str, int], FloatArray] = {}
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     parameters.minMarkerPerimeterRate = 0.01

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.pad import Marker, Pad, Sheet, load_pad
+from companion.pad import Pad, load_pad
 from companion.pads.labels import place_labels, words_of
 from companion.pads.printing import clip, draw_pad, tiles
 from companion.page import PNG_DPI, save
@@ -23,19 +23,20 @@ from tests.unit.pads.printed import (
 )
 
 # some turned, of all dictionaries; a label has room beside each
-TURNED = Pad(
-    name="turned",
-    width_m=0.2,
-    length_m=0.16,
-    sheet=Sheet(),
-    markers=tuple(
-        Marker(dictionary=name, id=number, side_m=side, position_pad_m=place, yaw_deg=yaw, group="F")
-        for name, number, side, place, yaw in (
-            ("4x4_50", 2, 0.05, (0.03, -0.05), 30.0),
-            ("5x5_50", 11, 0.03, (0.02, 0.06), -75.0),
-            ("6x6_50", 49, 0.02, (-0.05, 0.01), 180.0),
-        )
-    ),
+TURNED = Pad.model_validate(
+    {
+        "name": "turned",
+        "width_m": 0.2,
+        "length_m": 0.16,
+        "markers": [
+            {"dictionary": name, "id": n, "side_m": side, "position_pad_m": at, "yaw_deg": yaw, "group": "F"}
+            for name, n, side, at, yaw in (
+                ("4x4_50", 2, 0.05, (0.03, -0.05), 30.0),
+                ("5x5_50", 11, 0.03, (0.02, 0.06), -75.0),
+                ("6x6_50", 49, 0.02, (-0.05, 0.01), 180.0),
+            )
+        ],
+    }
 )
 
 
