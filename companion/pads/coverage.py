@@ -67,7 +67,7 @@ class Coverage:
 
     @property
     def blind_height_m(self) -> float:
-        """Below this the pad is seen less than half of the time; the lowest height when it is seen there too."""
+        """Below this the pad is seen less than half of the time; the lowest height if it is seen there."""
         return seen_between(self.heights_m, self.pad, BLIND_RECALL)[0]
 
     @property

@@ -92,7 +92,7 @@ def draw_coverage(coverage: Coverage, pad: Pad, camera: CameraConfig, path: Path
     axes.set(xlabel="height of the camera (m)", ylabel="predicted recall (%)")
     axes.set_title(f"{pad.name} seen by {camera.name}")
     axes.grid(alpha=0.3)
-    axes.legend(loc="center right", frameon=True)
+    figure.legend(loc="outside lower center", ncols=5, frameon=False)
     try:
         figure.savefig(path)
     except OSError as error:
