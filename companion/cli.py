@@ -43,6 +43,8 @@ from companion.hardware import make_actions, open_hardware
 from companion.identify import HELP as IDENTIFY_HELP
 from companion.identify import identify_command
 from companion.messages import Outcome, Phase
+from companion.pads.command import HELP as PAD_HELP
+from companion.pads.command import pad_command
 from companion.record import FlightLog
 from companion.replay.command import HELP as REPLAY_HELP
 from companion.replay.command import replay_command
@@ -71,6 +73,7 @@ cli.command("check", help=CHECK_HELP, short_help="Check before a first flight, h
 cli.command("fuzzy", help=FUZZY_HELP, short_help="Show the fuzzy pilot, its rules and its table.")(
     fuzzy_command
 )
+cli.command("pad", help=PAD_HELP, short_help="Check and print a pad; how a camera sees it.")(pad_command)
 
 
 @cli.callback(invoke_without_command=True)

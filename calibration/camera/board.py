@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from calibration.camera.surface import Surface
 from companion.config import ConfigError, StrictModel
 from companion.geometry import FloatArray
+from companion.page import Rectangle, code_rectangles
 
 Pattern = Literal["charuco", "grid", "chessboard"]
 # OpenCV has some names twice, in capitals and not
@@ -27,7 +28,6 @@ DICTIONARIES: Final = {
     for name in dir(cv2.aruco)
     if name.startswith("DICT_")
 }
-Rectangle = tuple[float, float, float, float]
 
 
 class Codes(StrictModel):
@@ -178,17 +178,11 @@ class Board(StrictModel):
 
     def _marker_rectangles(self, quad: FloatArray, identity: int) -> list[Rectangle]:
         """A marker's black cells, neighbours in a row as one."""
-        cells = self._codes.markerSize + 2
-        image = cv2.aruco.generateImageMarker(self._codes, identity, cells)
-        (left, top), cell = quad.min(axis=0), self.marker_m / cells
-        found = []
-        for row, line in enumerate(np.asarray(image) < 128):
-            edges = np.flatnonzero(np.diff(np.pad(line.astype(int), 1)))
-            y = top + row * cell
-            found += [
-                (left + a * cell, y, left + b * cell, y + cell) for a, b in edges.reshape(-1, 2).tolist()
-            ]
-        return found
+        (left, top), side = quad.min(axis=0), self.marker_m
+        return [
+            (left + side * a, top + side * b, left + side * c, top + side * d)
+            for a, b, c, d in code_rectangles(self._codes, identity)
+        ]
 
     def whole_dictionary(self) -> cv2.aruco.Dictionary:
         """All the codes there are, on the board or not."""

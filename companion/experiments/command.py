@@ -13,7 +13,7 @@ from rich.progress import track
 from typer.exceptions import TyperException
 
 from companion.config import ConfigError
-from companion.experiments import fig13, profiles, tune_flight_pid
+from companion.experiments import fig13, pad_recall, profiles, tune_flight_pid
 from companion.experiments.fig14_command import fig14
 from companion.experiments.flown import fly_scenario
 from companion.experiments.output import writable
@@ -73,6 +73,31 @@ def profiles_command(
     profiles.draw(descents, output)
     console.print(profiles.table(descents))
     finish(console, profiles.bars(descents), output)
+
+
+@app.command("pad-recall")
+def pad_recall_command(
+    *,
+    camera: Annotated[str, typer.Option(help="A name in configs/cameras, or a file.")] = "sitl_640x480",
+    other: Annotated[str, typer.Option(help="Another, to judge the fit.")] = "hd_1280x720",
+    frames: Annotated[int, typer.Option(min=20, help="Of each marker and lens.")] = 400,
+    seed: Seed = 0,
+    output: Picture = Path("pad-recall.png"),
+) -> None:
+    """Fit how surely the eyes read a marker: what `companion pad --coverage` goes by."""
+    writable(output, ".png", "--output")
+    console = Console()
+    looks = pad_recall.look(camera, frames, seed)
+    model = pad_recall.fit(looks)
+    console.print(repr(model), highlight=False, soft_wrap=True)
+    judged = {
+        "fitted to": pad_recall.classes(looks, model),
+        "other frames": pad_recall.classes(pad_recall.look(camera, frames // 2, seed + 1), model),
+        other: pad_recall.classes(pad_recall.look(other, frames // 4, seed + 2), model),
+    }
+    console.print(pad_recall.table(judged))
+    pad_recall.draw(looks, model, output)
+    finish(console, pad_recall.bars(judged), output)
 
 
 @app.command("tune-flight-pid")

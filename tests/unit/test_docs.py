@@ -105,7 +105,8 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 def is_run(words: list[str]) -> bool:
     """Whether a command is run here, rather than only checked."""
     if words[0] == "companion":
-        return "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
+        runs = "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
+        return runs or words[1:3] == ["pad", "indoor_400"]
     if words[0] == "companion-experiments":
         return "--help" in words
     if words[0].startswith("calibrate-"):
@@ -222,6 +223,12 @@ def test_the_fuzzy_command_s_options_are_in_its_page() -> None:
     fuzzy = typer.main.get_command(cli).commands["fuzzy"]  # type: ignore[attr-defined]
     options = {option for parameter in fuzzy.params for option in parameter.opts if option.startswith("--")}
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
+
+
+def test_the_pad_command_s_options_are_in_its_page() -> None:
+    pad = typer.main.get_command(cli).commands["pad"]  # type: ignore[attr-defined]
+    options = {option for parameter in pad.params for option in parameter.opts if option.startswith("--")}
+    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
 
 
 def test_every_experiment_is_in_its_page() -> None:

@@ -14,6 +14,7 @@ from calibration.camera.board import Board, read_dictionary
 from calibration.camera.detection import BoardFinder
 from calibration.camera.printing import board_yaml, pattern_corner_mm, sheet_mm, write_board
 from companion.config import CONFIG_FOLDER, ConfigError, load_model, validate
+from companion.paper import PaperName
 
 CHARUCO = Board(columns=7, rows=5, square_m=0.034, marker_m=0.025)
 LEGACY = Board(columns=5, rows=6, square_m=0.03, marker_m=0.02, legacy_pattern=True)
@@ -139,7 +140,7 @@ def inflated(stream: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("paper", ["a4", "a3", "letter"])
-def test_the_print_has_its_true_size(paper: str, tmp_path: Path) -> None:
+def test_the_print_has_its_true_size(paper: PaperName, tmp_path: Path) -> None:
     written = write_board(CHARUCO, tmp_path / "board.pdf", paper)
     assert [path.name for path in written] == ["board.pdf", "board.png", "board.yaml"]
     page_mm, corners_mm = pdf_numbers(written[0])

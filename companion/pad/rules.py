@@ -1,0 +1,175 @@
+"""What makes a pad one that can be printed and read: each rule finds what breaks it, in one line.
+
+Markers are squares in the pad's plane, turned by their yaw; lengths in metres, in messages millimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import combinations
+from typing import Final, Protocol
+
+from companion.pad.marker import Corners, Marker
+from companion.pad.sheet import EXACT_M, Interval, Sheet, tile
+
+# of a cell: single markers on dark ground were read as well with 0.67 of a cell of white around them as with
+# a whole one; with 0.6 a fifth of the large ones was lost, with 0.5 half
+LEAST_QUIET_CELLS: Final = 0.66
+# an edge is printed up to half a dot off: with 8 dots that is a sixteenth of a cell
+LEAST_DOTS: Final = 8.0
+MOST_NAMED: Final = 4
+
+
+class Layout(Protocol):
+    """What the rules are about."""
+
+    @property
+    def length_m(self) -> float: ...
+    @property
+    def width_m(self) -> float: ...
+    @property
+    def sheet(self) -> Sheet: ...
+    @property
+    def markers(self) -> tuple[Marker, ...]: ...
+
+
+def impossible(pad: Layout) -> str | None:
+    """Why there can be no such pad, naming the markers; None when there can."""
+    return _first((_repeated, _over_the_edge, _overlapping), pad)
+
+
+def unfit(pad: Layout) -> str | None:
+    """Why the pad cannot be printed, or not be read once it is, naming the markers; None when it can."""
+    rules = (_without_quiet_zone, _quiet_zone_over_the_edge, _quiet_zone_cut_into, _too_fine, _too_large)
+    return _first((*rules, _divided), pad)
+
+
+def _first(rules: Sequence[Callable[[Layout], str | None]], pad: Layout) -> str | None:
+    return next((text for rule in rules if (text := rule(pad)) is not None), None)
+
+
+def extent(corners: Corners) -> tuple[Interval, Interval]:
+    """Intervals of x and y that corners span."""
+    xs, ys = zip(*corners, strict=True)
+    return (min(xs), max(xs)), (min(ys), max(ys))
+
+
+def overlap(a: Corners, b: Corners) -> bool:
+    """Whether two squares share more than an edge: no side of either has the other beyond it."""
+    return not any(_apart(a, b, side) for side in (*_directions(a), *_directions(b)))
+
+
+def _repeated(pad: Layout) -> str | None:
+    names = [marker.name for marker in pad.markers]
+    repeated = _named(dict.fromkeys(name for name in names if names.count(name) > 1))
+    return repeated and f"markers repeated: {repeated}; expected each dictionary and id once"
+
+
+def _over_the_edge(pad: Layout) -> str | None:
+    over = _named(marker.name for marker in pad.markers if not _on_board(marker.square_pad_m(), pad))
+    return over and f"over the board's edge: {over}; expected markers within it"
+
+
+def _overlapping(pad: Layout) -> str | None:
+    pairs = ((a, b) for a, b in combinations(pad.markers, 2) if _may_meet(a, b, 0.0))
+    found = _named(f"{a.name} and {b.name}" for a, b in pairs if overlap(a.square_pad_m(), b.square_pad_m()))
+    return found and f"markers overlap: {found}"
+
+
+def _without_quiet_zone(pad: Layout) -> str | None:
+    bare = _named(
+        f"{m.name} ({_mm(m.quiet_m)}; expected {_mm(LEAST_QUIET_CELLS * m.cell_m)} or more)"
+        for m in pad.markers
+        if m.quiet_m < LEAST_QUIET_CELLS * m.cell_m - EXACT_M
+    )
+    return bare and f"too narrow a quiet zone about {bare}"
+
+
+def _quiet_zone_over_the_edge(pad: Layout) -> str | None:
+    cut = _named(
+        f"{marker.name} ({_mm(marker.quiet_m)})"
+        for marker in pad.markers
+        if not _on_board(marker.square_pad_m(marker.quiet_m), pad)
+    )
+    return cut and f"the quiet zone is cut by the board's edge: {cut}; expected so much white within it"
+
+
+def _quiet_zone_cut_into(pad: Layout) -> str | None:
+    cut = _named(
+        f"{a.name} ({_mm(a.quiet_m)}) by {b.name}"
+        for pair in combinations(pad.markers, 2)
+        if _may_meet(*pair, max(m.quiet_m for m in pair))
+        for a, b in (pair, pair[::-1])
+        if overlap(a.square_pad_m(a.quiet_m), b.square_pad_m())
+    )
+    return cut and f"the quiet zone is cut into: {cut}; expected so much white between them"
+
+
+def _too_fine(pad: Layout) -> str | None:
+    least_m = LEAST_DOTS * pad.sheet.dot_m
+    fine = _named(f"{m.name} ({_mm(m.cell_m)})" for m in pad.markers if m.cell_m < least_m - EXACT_M)
+    return fine and (
+        f"cells too small to print: {fine}; expected {LEAST_DOTS:g} dots, "
+        f"{_mm(least_m)} at {pad.sheet.dots_per_inch:g} dots an inch"
+    )
+
+
+def _too_large(pad: Layout) -> str | None:
+    if tile(pad.sheet, (pad.length_m, pad.width_m), ()) is not None:
+        return None
+    board = f"{_mm(pad.width_m)} x {_mm(pad.length_m)}"
+    return f"sheet: no room for a board of {board}; expected one of at most {pad.sheet.tile_words}"
+
+
+def _divided(pad: Layout) -> str | None:
+    if not pad.sheet.whole_markers:
+        return None
+    extents = [extent(marker.square_pad_m()) for marker in pad.markers]
+    tiling = tile(pad.sheet, (pad.length_m, pad.width_m), extents)
+    pairs = zip(pad.markers, extents, strict=True)
+    divided = _named(
+        f"{m.name} ({_mm(m.side_m)})" for m, span in pairs if tiling is not None and tiling.divides(span)
+    )
+    return divided and (
+        f"a cut would divide {divided}; with sheet.whole_markers on {pad.sheet.paper} expected tiles of "
+        f"at most {pad.sheet.tile_words} between markers"
+    )
+
+
+def _on_board(corners: Corners, pad: Layout) -> bool:
+    x, y = 0.5 * pad.length_m + EXACT_M, 0.5 * pad.width_m + EXACT_M
+    return all(abs(a) <= x and abs(b) <= y for a, b in corners)
+
+
+def _may_meet(a: Marker, b: Marker, margin_m: float) -> bool:
+    """Whether the squares' boxes come so near one another: spares most pairs the exact question."""
+    reach = 0.75 * (a.side_m + b.side_m) + 1.5 * margin_m
+    (ax, ay), (bx, by) = a.position_pad_m, b.position_pad_m
+    return abs(ax - bx) < reach and abs(ay - by) < reach
+
+
+def _directions(corners: Corners) -> Iterator[tuple[float, float]]:
+    """The square's two axes, of length 1."""
+    (ax, ay), (bx, by), (cx, cy), _ = corners
+    side = ((bx - ax) ** 2 + (by - ay) ** 2) ** 0.5
+    yield (bx - ax) / side, (by - ay) / side
+    yield (cx - bx) / side, (cy - by) / side
+
+
+def _apart(a: Corners, b: Corners, direction: tuple[float, float]) -> bool:
+    u, v = direction
+    along_a, along_b = ([u * x + v * y for x, y in corners] for corners in (a, b))
+    return min(along_b) > max(along_a) - EXACT_M or min(along_a) > max(along_b) - EXACT_M
+
+
+def _named(found: Iterable[str]) -> str | None:
+    """The first few, and how many more; None when there are none."""
+    names = list(found)
+    if not names:
+        return None
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _mm(length_m: float) -> str:
+    return f"{1e3 * length_m:.4g} mm"

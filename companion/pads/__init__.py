@@ -1,0 +1,1 @@
+"""Pads: printed at their true size, and judged for a camera before they are printed."""
