@@ -5,10 +5,10 @@ gravity direction, which the vehicle knows, takes part: the pad is level to a fe
 starting point (levelled, the pose is a similarity, which has a single, linear solution) and stays in the
 fit as a weak measurement. Without it the better of the two planar solutions (IPPE) starts the fit.
 
-A rolling shutter exposes rows one after another, so that what moves through the image is sheared: by
-25 px at 0.25 m and 1 m/s. The fit therefore has eight unknowns: position, rotation, and the drift of the
-image over the readout, which a plausible speed and rate of turn bound. The position holds at the time of
-the mean row of the corners.
+A rolling shutter exposes rows one after another, so that what moves through the image is bent: sideways motion
+shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a lean of half a degree. The
+fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the readout, which
+what is known of the motion bounds. The position holds at the time of the mean row of the corners.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
 reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree with
@@ -43,11 +43,12 @@ ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
 # the corners' stated noise is worth as much as this many observed misses
 PRIOR_MISSES: Final = 20.0
-NO_DRIFT: Final = 1e-6
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
 # what leans from the level by more than this many standard deviations is not our pad
 MAXIMUM_LEAN_SIGMA: Final = 4.0
+
+_MOTION: Final = np.arange(6, 12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,21 +69,34 @@ class PadPose:
 
 
 @dataclass(frozen=True, slots=True)
+class PadMotion:
+    """How the pad moves in camera axes: velocity of its origin (m/s), rate of turn (rad/s), and their doubt.
+
+    The doubt is a standard deviation of each axis.
+    """
+
+    velocity_m_s: FloatArray
+    rate_rad_s: FloatArray
+    velocity_std_m_s: float
+    rate_std_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
-    `turns` is each point's row relative to the mean row, as a share of the image's height.
+    `delay_s` is when each point's row is exposed, after the mean row; `motion` holds the velocity and the rate
+    of turn that are expected (6,), and `motion_weight` (6,) their inverse variances.
     """
 
     points: FloatArray  # (n, 3)
     rays: FloatArray  # (n, 2)
-    turns: FloatArray  # (n,)
+    delay_s: FloatArray  # (n,)
     down: FloatArray | None  # (3,)
     ray_sigma: FloatArray  # (n,) in each direction
     level_sigma: float
-    readout_s: float
-    speed_sigma: float
-    rate_sigma: float
+    motion: FloatArray
+    motion_weight: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,20 +110,25 @@ class _Fit:
 
 
 def estimate_pose(
-    found: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
+    found: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
+    motion: PadMotion | None = None,
 ) -> PadPose | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
     Args:
         found: markers with corners in pixels.
         down_camera: gravity's direction (unit) in camera axes, or None when the attitude is unknown.
+        motion: what is known of the pad's motion in camera axes, or None.
 
     Returns:
         None when no majority of the markers agrees on a level pad in front of the camera.
     """
     candidates = list(found)
     while 2 * len(candidates) > len(found):
-        problem = _problem(candidates, lens, config, down_camera)
+        problem = _problem(candidates, lens, config, down_camera, motion or _any_motion(config))
         fit = _fit(problem)
         if fit is None:
             return None
@@ -122,21 +141,29 @@ def estimate_pose(
     return None
 
 
+def _any_motion(config: VisionConfig) -> PadMotion:
+    return PadMotion(np.zeros(3), np.zeros(3), config.relative_speed_std_m_s, config.turn_rate_std_rad_s)
+
+
 def _problem(
-    detections: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
+    detections: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
+    motion: PadMotion,
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
     noise_px = [math.hypot(config.corner_noise_px, d.corner_std_px) for d in detections]
+    doubt = np.array([motion.velocity_std_m_s] * 3 + [motion.rate_std_rad_s] * 3)
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=lens.undistort(pixels),
-        turns=(pixels[:, 1] - pixels[:, 1].mean()) / lens.size_px[1],
+        delay_s=(pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1]),
         down=None if down_camera is None else np.array(down_camera),
         ray_sigma=np.repeat(noise_px, 4) / lens.focal_px,
         level_sigma=math.radians(config.level_std_deg),
-        readout_s=lens.readout_s,
-        speed_sigma=config.relative_speed_std_m_s,
-        rate_sigma=config.turn_rate_std_rad_s,
+        motion=np.concatenate((motion.velocity_m_s, motion.rate_rad_s)),
+        motion_weight=doubt**-2,
     )
 
 
@@ -172,20 +199,20 @@ def _fit(problem: _Problem) -> _Fit | None:
     if start is None:
         return None
     rotation, position = start
-    drift = np.zeros(2)
+    motion = problem.motion
     for _ in range(ITERATIONS):
-        jacobian, misses = _linearised(problem, rotation, position, drift)
-        information, gradient = _normal_equations(problem, jacobian, misses, rotation, position, drift)
+        jacobian, misses = _linearised(problem, rotation, position, motion)
+        information, gradient = _normal_equations(problem, jacobian, misses, rotation, motion)
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
             return None
-        position, drift = position + step[:3], drift + step[6:]
+        position, motion = position + step[:3], motion + step[6:]
         turn = quat_from_rotation_vector(vector3(step[3:6].tolist()))
         rotation = matrix_from_quat(turn) @ rotation
         if not np.isfinite(step).all() or position[2] <= 0.0:
             return None
-        if np.abs(step).max() < CONVERGED:
+        if np.abs(step[:6]).max() < CONVERGED:
             break
     misses = misses - (jacobian @ step).reshape(2, -1)
     covariance = np.linalg.inv(information)[:6, :6]
@@ -193,35 +220,37 @@ def _fit(problem: _Problem) -> _Fit | None:
 
 
 def _linearised(
-    problem: _Problem, rotation: FloatArray, position: FloatArray, drift: FloatArray
+    problem: _Problem, rotation: FloatArray, position: FloatArray, motion: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Jacobian (2n, 8) and misses (2, n) of the rays. Unknowns: position, rotation (on the left), drift."""
+    """Jacobian (2n, 12) and misses (2, n) of the rays.
+
+    Unknowns: position, rotation (on the left), velocity of the pad's origin, its rate of turn.
+    """
     turned = rotation @ problem.points.T
-    inverse = 1.0 / np.maximum(turned[2] + position[2], NEAREST_M)
-    u, v = (turned[0] + position[0]) * inverse, (turned[1] + position[1]) * inverse
-    n = len(u)
-    a, b, c = turned * inverse
-    jacobian = np.zeros((2, n, 8))
+    a, b, c = turned
+    vx, vy, vz, wx, wy, wz = motion.tolist()
+    delay = problem.delay_s
+    x = a + position[0] + delay * (vx + wy * c - wz * b)
+    y = b + position[1] + delay * (vy + wz * a - wx * c)
+    inverse = 1.0 / np.maximum(c + position[2] + delay * (vz + wx * b - wy * a), NEAREST_M)
+    u, v = x * inverse, y * inverse
+    a, b, c = a * inverse, b * inverse, c * inverse
+    jacobian = np.zeros((2, len(u), 12))
     along_u, along_v = jacobian
     # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
     along_u[:, 0], along_u[:, 2] = inverse, -u * inverse
     along_u[:, 3], along_u[:, 4], along_u[:, 5] = -u * b, c + u * a, -b
     along_v[:, 1], along_v[:, 2] = inverse, -v * inverse
     along_v[:, 3], along_v[:, 4], along_v[:, 5] = -c - v * b, v * a, a
-    along_u[:, 6] = along_v[:, 7] = problem.turns
-    misses = problem.rays.T - np.stack((u, v)) - drift[:, None] * problem.turns
-    return jacobian.reshape(2 * n, 8), misses
+    jacobian[:, :, 6:] = jacobian[:, :, :6] * delay[:, None]
+    misses = problem.rays.T - np.stack((u, v))
+    return jacobian.reshape(-1, 12), misses
 
 
 def _normal_equations(
-    problem: _Problem,
-    jacobian: FloatArray,
-    misses: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    drift: FloatArray,
+    problem: _Problem, jacobian: FloatArray, misses: FloatArray, rotation: FloatArray, motion: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (8, 8) and gradient (8,): the corners, gravity, and how far a plausible motion drifts."""
+    """Information (12, 12) and gradient (12,): the corners, gravity, and what is known of the motion."""
     weighted = jacobian * np.tile(problem.ray_sigma**-2, 2)[:, None]
     information = weighted.T @ jacobian
     gradient = weighted.T @ misses.reshape(-1)
@@ -229,11 +258,8 @@ def _normal_equations(
         axis, level = rotation[:, 2], problem.level_sigma**-2
         information[3:6, 3:6] += level * (np.eye(3) - np.outer(axis, axis))
         gradient[3:6] += level * np.array(cross(vector3(axis), vector3(problem.down)))
-    rate = math.hypot(problem.speed_sigma / max(float(position[2]), NEAREST_M), problem.rate_sigma)
-    still = max(problem.readout_s * rate, NO_DRIFT) ** -2
-    information[6, 6] += still
-    information[7, 7] += still
-    gradient[6:] -= still * drift
+    information[_MOTION, _MOTION] += problem.motion_weight
+    gradient[6:] += problem.motion_weight * (problem.motion - motion)
     return information, gradient
 
 
