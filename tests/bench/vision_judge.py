@@ -101,9 +101,7 @@ def _on_the_other_side(truth: Quaternion, told: Quaternion, place: FloatArray) -
     return clear and float(sides[0] @ sides[1]) < 0.0
 
 
-def _corners(
-    found: Judged, stage: Stage, shot: Shot, time_s: float, used: Iterable[Detection]
-) -> None:
+def _corners(found: Judged, stage: Stage, shot: Shot, time_s: float, used: Iterable[Detection]) -> None:
     """Fill in what the used corners missed by, and what they could have told."""
     by_group: dict[str, list[Detection]] = {}
     for detection in used:

@@ -187,7 +187,9 @@ class Stage:
 
     # ------------------------------------------------------------ the truth
 
-    def pixels(self, scene: Scene, points_pad_m: FloatArray, time_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    def pixels(
+        self, scene: Scene, points_pad_m: FloatArray, time_s: float = 0.0
+    ) -> tuple[FloatArray, FloatArray]:
         """Where points (n, 3) of the pad are in the frame (n, 2), and when their rows are exposed (n,), s.
 
         The picture of each row is of its own moment: the point is followed through the frame until its row is
