@@ -5,10 +5,11 @@
     python -m tests.bench.bench_vision --only speed    # one part: tables, clutter, flips, speed or photos
     python -m tests.bench.bench_vision DATA            # also real photographs, DATA/aruco
 
-Frames are rendered by the simulator's camera (f = 1065 px at 1280x720, and 640x480) under a vehicle that hovers
-in moderate turbulence, its rotors' vibration on it: rolling shutter, blur, defocus, vignette, noise. A marker
-alone is whole in its frames, as far from the middle as the hover takes it; the shipped pad may be cut off. The
-app is told what it would know: see `vision_shots`. Seeds are fixed and no setting was chosen by them here.
+Frames are rendered by the simulator's camera (f = 1065 px at 1280x720, and 640x480) under a vehicle that
+hovers in moderate turbulence, its rotors' vibration on it: rolling shutter, blur, defocus, vignette, noise. A
+marker alone is whole in its frames, as far from the middle as the hover takes it; the shipped pad may be cut
+off. The app is told what it would know: see `vision_shots`. Seeds are fixed and no setting was chosen by them
+here.
 
 Prints its tables and ends in one line that says which bars hold; the exit status matches.
 """

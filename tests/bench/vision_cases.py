@@ -3,10 +3,11 @@
 A case's shots are drawn by (seed, case, chunk), and each chunk has a renderer of its own: how many processes
 share the work changes no figure.
 
-Consistency is judged twice. With the lens exactly as calibrated and no error of the calibration allowed for, the
-covariance says what the corners' noise does. With a calibration that is wrong by `sense.vision.scale_error` in
-focal length and centre, drawn anew for each shot, it says what a user's camera does: in one flight that error is
-the same for all frames, so only frames of different calibrations count as independent.
+Consistency is judged twice. With the lens exactly as calibrated and no error of the calibration allowed for,
+the covariance says what the corners' noise does. With a calibration that is wrong by
+`sense.vision.scale_error` in focal length and centre, drawn anew for each shot, it says what a user's camera
+does: in one flight that error is the same for all frames, so only frames of different calibrations count as
+independent.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from tests.bench.vision_shots import Stage
 
 SEED: Final = 7
 MOST_TILT_RAD: Final = math.radians(10.0)
-# the least of two thirds of the shots is too few to say anything about the errors
+# fewer sightings say nothing about errors
 FEW: Final = 10
 
 

@@ -1,10 +1,10 @@
 """Frames without the pad, full of what might be taken for it: none may become a sighting.
 
-A board lies where the pad would: foreign markers of the pad's own dictionaries (ids that are not printed on it)
-and of others, black squares with and without a random code in them, squares in squares, chessboards, lines of
-text, and patches of soil. Some boards hold one kind, most a mixture. A code that is one of the pad's bit for bit
-is left out: that is the pad's print. The app looks for the pad everywhere, or expects it where the board is, as
-after a pad that has been taken away.
+A board lies where the pad would: foreign markers of the pad's own dictionaries (ids that are not printed on
+it) and of others, black squares with and without a random code in them, squares in squares, chessboards,
+lines of text, and patches of soil. Some boards hold one kind, most a mixture. A code that is one of the pad's
+bit for bit is left out: that is the pad's print. The app looks for the pad everywhere, or expects it where
+the board is, as after a pad that has been taken away.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Final
 import cv2
 import numpy as np
 
-from companion.pad import DICTIONARIES, Pad
-from companion.messages import PadPrior
-from sitl.textures import PAD_BLACK, PAD_WHITE, GreyImage, Texture, board_texture, ground_texture
 from companion.config import VisionConfig
+from companion.messages import PadPrior
+from companion.pad import DICTIONARIES, Pad
+from sitl.textures import PAD_BLACK, PAD_WHITE, GreyImage, Texture, board_texture, ground_texture
 from tests.bench.vision_cases import SEED
 from tests.bench.vision_judge import eyes
 from tests.bench.vision_shots import CAMERAS, Shot, Stage, pad_of

@@ -1,11 +1,13 @@
-"""How a hovering vehicle moves while a frame is exposed: flown by the simulator, the rotors' vibration on top.
+"""How a hovering vehicle moves while a frame is exposed: flown by the simulator, the rotors' vibration on
+top.
 
-The flight: the simulated autopilot holds its place at 6 m in MIL-F-8785C moderate turbulence on a mean wind of
-5 m/s. It leans by 3.4 degrees, turns at 3.2 deg/s and drifts at 0.19 m/s (rms); an ArduPilot hover that
-was recorded in the open (log171.bin of dronekit-la-testdata, 195 to 210 s) turned at 4.3, 2.5 and 1.2 deg/s rms.
+The flight: the simulated autopilot holds its place at 6 m in MIL-F-8785C moderate turbulence on a mean wind
+of 5 m/s. It leans by 3.4 degrees, turns at 3.2 deg/s and drifts at 0.19 m/s (rms); an ArduPilot hover that
+was recorded in the open (log171.bin of dronekit-la-testdata, 195 to 210 s) turned at 4.3, 2.5 and 1.2 deg/s
+rms.
 
-The vibration: what the simulated gyroscope and accelerometer feel of the rotors (`sitl.inertial`), integrated to
-the motion that the camera makes: at half throttle 92 Hz, 0.05 px at a focal length of 1065 px.
+The vibration: what the simulated gyroscope and accelerometer feel of the rotors (`sitl.inertial`), integrated
+to the motion that the camera makes: at half throttle 92 Hz, 0.05 px at a focal length of 1065 px.
 
 World NED and FRD, SI. Places count from where the vehicle was at the moment asked for.
 """

@@ -1,11 +1,12 @@
-"""What the eyes made of one shot: error, covariance, flip, and the noise and information of the corners they used.
+"""What the eyes made of one shot: error, covariance, flip, and the noise and information of the corners they
+used.
 
-The Cramér-Rao bound of a shot is that of the position at the sighting's time, from the corners that were used,
-as a corner's noise really is (`CornerNoise`, measured over all shots of a case: the detected corners less the
-true ones, rolling shutter included). Known beside the corners: gravity to the attitude's error; and the motion
-within the frame, of which only its spread over the hover is known. With p = R x + t for a corner x, a speed v
-and a rate w shift it by (v + w x R x) times the time from the sighting to the corner's row, so the motion's
-columns are the pose's times that time.
+The Cramér-Rao bound of a shot is that of the position at the sighting's time, from the corners that were
+used, as a corner's noise really is (measured over all shots of a case: the detected corners
+less the true ones, rolling shutter included). Known beside the corners: gravity to the attitude's error; and
+the motion within the frame, of which only its spread over the hover is known. With p = R x + t for a corner
+x, a speed v and a rate w shift it by (v + w x R x) times the time from the sighting to the corner's row, so
+the motion's columns are the pose's times that time.
 
 Camera axes for the bound, body axes for errors and covariances; the trace is the same.
 """
@@ -29,7 +30,6 @@ from tests.bench.vision_shots import ATTITUDE_STD_RAD, Shot, Stage, vehicle
 FLIP_RAD: Final = math.radians(10.0)
 # nearer to square-on than this, the attitude's own error may put a pose on the other side
 CLEAR_LEAN_RAD: Final = 5.0 * ATTITUDE_STD_RAD
-Corner = tuple[str, float]
 
 
 @dataclass

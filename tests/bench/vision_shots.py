@@ -1,12 +1,12 @@
 """Frames of a pad under a hovering vehicle, with what is true in them and what the app would know.
 
 The camera is over the pad at a height over its surface; where, which heading, which moment of the hover and
-which attitude error is drawn anew for every shot, so that shots are independent. The app is told what it would
-know and nothing else: gravity by an attitude that is wrong by `ATTITUDE_STD_RAD` about each level axis, and the
-pad's last estimate, wrong by as much as it says.
+which attitude error is drawn anew for every shot, so that shots are independent. The app is told what it
+would know and nothing else: gravity by an attitude that is wrong by `ATTITUDE_STD_RAD` about each level axis,
+and the pad's last estimate, wrong by as much as it says.
 
-Where corners truly are in the image is worked out here with OpenCV's projection, apart from the app's lens: each
-at the moment at which its row is exposed.
+Where corners truly are in the image is worked out here with OpenCV's projection, apart from the app's lens:
+each at the moment at which its row is exposed.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class Stage:
 
     def expectation(self, scene: Scene, time_s: float, height_m: float) -> PadPrior:
         """What the app expects: the truth, wrong by as much as its estimates are."""
-        rng, (place, body_from_pad) = self._rng, scene.pad_in_body(time_s)
+        rng, place = self._rng, scene.pad_in_body(time_s)[0]
         std_m = PRIOR_STD_M + PRIOR_STD_PER_M * height_m
         east_north = rng.normal(0.0, ATTITUDE_STD_RAD, 2).tolist()
         wrong = quat_from_rotation_vector((*east_north, float(rng.normal(0.0, HEADING_STD_RAD))))

@@ -1,9 +1,11 @@
-"""Frame time and recall while tracking, beside OpenCV's own detector over the whole frame, on the same frames.
+"""Frame time and recall while tracking, beside OpenCV's own detector over the whole frame, on the same
+frames.
 
 Ours is the whole step from frame to pose, with what the app would expect from its own last sighting: the pad
-stays where it was, seen from where the vehicle now is by its attitude. The peer detects and refines corners, no
-more: `cv2.aruco.ArucoDetector`, default settings with CORNER_REFINE_SUBPIX, both dictionaries of the pad. Both
-look at each frame in turn, on one thread; times are that thread's, so that a busy machine does not count.
+stays where it was, seen from where the vehicle now is by its attitude. The peer detects and refines corners,
+no more: `cv2.aruco.ArucoDetector`, default settings with CORNER_REFINE_SUBPIX, both dictionaries of the pad.
+Both look at each frame in turn, on one thread; times are that thread's, so that a busy machine does not
+count.
 """
 
 from __future__ import annotations
