@@ -11,7 +11,11 @@ image over the readout, which a plausible speed and rate of turn bound. The posi
 the mean row of the corners.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
-reprojection error. Markers that do not agree with the rest are dropped. Camera axes are OpenCV's.
+reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree with
+the rest are dropped. Camera axes are OpenCV's.
+
+What a pose errs by has two parts. One is new in each frame: the corners' noise, by the Jacobian. The other, the
+calibration's error along and across the ray, is the same in all of them: averaging frames does not shrink it.
 """
 
 from __future__ import annotations
@@ -24,12 +28,21 @@ import cv2
 import numpy as np
 
 from companion.config import VisionConfig
-from companion.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_rotation_vector, vector3
+from companion.geometry import (
+    FloatArray,
+    Vector3,
+    cross,
+    matrix_from_quat,
+    quat_from_rotation_vector,
+    vector3,
+)
 from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
 
 ITERATIONS: Final = 6
-CONVERGED: Final = 1e-5
+CONVERGED: Final = 1e-4
+# the corners' stated noise is worth as much as this many observed misses
+PRIOR_MISSES: Final = 20.0
 NO_DRIFT: Final = 1e-6
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
@@ -41,7 +54,8 @@ MAXIMUM_LEAN_SIGMA: Final = 4.0
 class PadPose:
     """The pad in camera axes; `covariance` is 6x6: position (m), small rotation about camera axes (rad).
 
-    The pose holds when `row_px` is exposed.
+    `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose holds
+    when `row_px` is exposed.
     """
 
     position_camera_m: FloatArray
@@ -50,11 +64,12 @@ class PadPose:
     row_px: float
     used: tuple[Detection, ...]
     reprojection_error_px: float
+    common_variance_m2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What is fitted: rays of points, gravity in camera axes if known, and how certain each thing is.
+    """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
     `turns` is each point's row relative to the mean row, as a share of the image's height.
     """
@@ -63,7 +78,7 @@ class _Problem:
     rays: FloatArray  # (n, 2)
     turns: FloatArray  # (n,)
     down: FloatArray | None  # (3,)
-    ray_sigma: float
+    ray_sigma: FloatArray  # (n,) in each direction
     level_sigma: float
     readout_s: float
     speed_sigma: float
@@ -72,7 +87,7 @@ class _Problem:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A pose with its covariance (6, 6), and each point's miss (n,) as a ray."""
+    """A pose with its covariance (6, 6), and each point's miss (2, n) as a ray."""
 
     rotation: FloatArray
     position: FloatArray
@@ -98,11 +113,11 @@ def estimate_pose(
         fit = _fit(problem)
         if fit is None:
             return None
-        errors_px = fit.misses.reshape(-1, 4) * lens.focal_px
+        errors_px = np.hypot(fit.misses[0], fit.misses[1]).reshape(-1, 4) * lens.focal_px
         limits = [max(config.maximum_reprojection_error_px, RELATIVE_ERROR * d.side_px) for d in candidates]
         excess = np.sqrt((errors_px**2).mean(axis=1)) / limits
         if excess.max() <= 1.0:
-            return None if _leans(problem, fit) else _accept(fit, candidates, errors_px, config)
+            return None if _leans(problem, fit) else _accept(problem, fit, candidates, errors_px, config)
         del candidates[int(np.argmax(excess))]
     return None
 
@@ -111,12 +126,13 @@ def _problem(
     detections: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
+    noise_px = [math.hypot(config.corner_noise_px, d.corner_std_px) for d in detections]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=lens.undistort(pixels),
         turns=(pixels[:, 1] - pixels[:, 1].mean()) / lens.size_px[1],
         down=None if down_camera is None else np.array(down_camera),
-        ray_sigma=config.corner_noise_px / lens.focal_px,
+        ray_sigma=np.repeat(noise_px, 4) / lens.focal_px,
         level_sigma=math.radians(config.level_std_deg),
         readout_s=lens.readout_s,
         speed_sigma=config.relative_speed_std_m_s,
@@ -124,18 +140,23 @@ def _problem(
     )
 
 
-def _accept(fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig) -> PadPose:
-    """The pose with its covariance: corner noise, and the calibration's error along and across the ray.
+def _accept(
+    problem: _Problem, fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig
+) -> PadPose:
+    """The pose with its covariance: the corners' noise as observed, and the calibration's error.
 
-    Corners whose misses are larger than the noise that was assumed make the pose less certain in
-    proportion; smaller misses do not make it more certain (a single marker fits itself well).
+    The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
+    that miss by more or less than was stated say how large the noise is.
     """
-    rms_px = float(np.sqrt((errors_px**2).mean()))
-    worse = max(1.0, rms_px / (math.sqrt(2.0) * config.corner_noise_px))
-    covariance = fit.covariance * worse**2
-    covariance[:3, :3] += np.eye(3) * (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
+    squares = float(((fit.misses / problem.ray_sigma) ** 2).sum())
+    freedom = max(2 * len(problem.points) - 6, 0)
+    scale = (PRIOR_MISSES + squares) / (PRIOR_MISSES + freedom)
+    common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
+    covariance = fit.covariance * scale
+    covariance[:3, :3] += np.eye(3) * common
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
-    return PadPose(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px)
+    rms_px = float(np.sqrt((errors_px**2).mean()))
+    return PadPose(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)
 
 
 def _leans(problem: _Problem, fit: _Fit) -> bool:
@@ -153,7 +174,8 @@ def _fit(problem: _Problem) -> _Fit | None:
     rotation, position = start
     drift = np.zeros(2)
     for _ in range(ITERATIONS):
-        information, gradient, _ = _normal_equations(problem, rotation, position, drift)
+        jacobian, misses = _linearised(problem, rotation, position, drift)
+        information, gradient = _normal_equations(problem, jacobian, misses, rotation, position, drift)
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
@@ -165,66 +187,79 @@ def _fit(problem: _Problem) -> _Fit | None:
             return None
         if np.abs(step).max() < CONVERGED:
             break
-    information, _, misses = _normal_equations(problem, rotation, position, drift)
+    misses = misses - (jacobian @ step).reshape(2, -1)
     covariance = np.linalg.inv(information)[:6, :6]
     return _Fit(rotation, position, 0.5 * (covariance + covariance.T), misses)
 
 
-def _normal_equations(
+def _linearised(
     problem: _Problem, rotation: FloatArray, position: FloatArray, drift: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Information (8, 8), gradient (8,), misses (n,). Unknowns: position, rotation (on the left), drift."""
-    turned = problem.points @ rotation.T
-    x, y, z = (turned + position).T
-    inverse = 1.0 / np.maximum(z, NEAREST_M)
-    u, v = x * inverse, y * inverse
+) -> tuple[FloatArray, FloatArray]:
+    """Jacobian (2n, 8) and misses (2, n) of the rays. Unknowns: position, rotation (on the left), drift."""
+    turned = rotation @ problem.points.T
+    inverse = 1.0 / np.maximum(turned[2] + position[2], NEAREST_M)
+    u, v = (turned[0] + position[0]) * inverse, (turned[1] + position[1]) * inverse
     n = len(u)
+    a, b, c = turned * inverse
     jacobian = np.zeros((2, n, 8))
-    jacobian[0, :, 0] = jacobian[1, :, 1] = inverse
-    jacobian[0, :, 2] = -u * inverse
-    jacobian[1, :, 2] = -v * inverse
+    along_u, along_v = jacobian
     # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
-    a, b, c = turned.T
-    for row in jacobian:
-        p, q, r = row[:, 0], row[:, 1], row[:, 2]
-        row[:, 3], row[:, 4], row[:, 5] = b * r - c * q, c * p - a * r, a * q - b * p
-    jacobian[0, :, 6] = jacobian[1, :, 7] = problem.turns
+    along_u[:, 0], along_u[:, 2] = inverse, -u * inverse
+    along_u[:, 3], along_u[:, 4], along_u[:, 5] = -u * b, c + u * a, -b
+    along_v[:, 1], along_v[:, 2] = inverse, -v * inverse
+    along_v[:, 3], along_v[:, 4], along_v[:, 5] = -c - v * b, v * a, a
+    along_u[:, 6] = along_v[:, 7] = problem.turns
     misses = problem.rays.T - np.stack((u, v)) - drift[:, None] * problem.turns
-    stacked, weight = jacobian.reshape(2 * n, 8), problem.ray_sigma**-2
-    information = weight * (stacked.T @ stacked)
-    gradient = weight * (stacked.T @ misses.reshape(2 * n))
+    return jacobian.reshape(2 * n, 8), misses
+
+
+def _normal_equations(
+    problem: _Problem,
+    jacobian: FloatArray,
+    misses: FloatArray,
+    rotation: FloatArray,
+    position: FloatArray,
+    drift: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Information (8, 8) and gradient (8,): the corners, gravity, and how far a plausible motion drifts."""
+    weighted = jacobian * np.tile(problem.ray_sigma**-2, 2)[:, None]
+    information = weighted.T @ jacobian
+    gradient = weighted.T @ misses.reshape(-1)
     if problem.down is not None:
         axis, level = rotation[:, 2], problem.level_sigma**-2
         information[3:6, 3:6] += level * (np.eye(3) - np.outer(axis, axis))
-        gradient[3:6] += level * np.cross(axis, problem.down)
-    rate = math.hypot(problem.speed_sigma / max(position[2], NEAREST_M), problem.rate_sigma)
+        gradient[3:6] += level * np.array(cross(vector3(axis), vector3(problem.down)))
+    rate = math.hypot(problem.speed_sigma / max(float(position[2]), NEAREST_M), problem.rate_sigma)
     still = max(problem.readout_s * rate, NO_DRIFT) ** -2
     information[6, 6] += still
     information[7, 7] += still
     gradient[6:] -= still * drift
-    return information, gradient, np.hypot(misses[0], misses[1])
+    return information, gradient
 
 
 def _level_start(problem: _Problem, down: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """The pose of an exactly level pad: in levelled axes the image of the pad is a similarity.
 
     With the rays turned so that z is down, pad point (X, Y) at depth t_z obeys
-    z u = t_x + c X - s Y, z v = t_y + s X + c Y: linear in (c, s, t_x, t_y) / t_z.
+    z u = t_x + c X - s Y, z v = t_y + s X + c Y: as complex numbers w = t + k p, with p = X + iY, all over
+    t_z, and k by least squares about the means.
     """
     level_from_camera = _shortest_turn(down)
-    levelled = np.column_stack((problem.rays, np.ones(len(problem.rays)))) @ level_from_camera.T
+    levelled = problem.rays @ level_from_camera[:, :2].T + level_from_camera[:, 2]
     if levelled[:, 2].min() < 0.05:
         return None
-    u, v = levelled[:, 0] / levelled[:, 2], levelled[:, 1] / levelled[:, 2]
-    x, y = problem.points[:, 0], problem.points[:, 1]
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    equations = np.concatenate((np.column_stack((x, -y, one, zero)), np.column_stack((y, x, zero, one))))
-    c, s, tx, ty = np.linalg.lstsq(equations, np.concatenate((u, v)), rcond=None)[0]
-    scale = math.hypot(c, s)
+    seen = (levelled[:, 0] + 1j * levelled[:, 1]) / levelled[:, 2]
+    printed = problem.points[:, 0] + 1j * problem.points[:, 1]
+    mean_seen, mean_printed = complex(seen.mean()), complex(printed.mean())
+    about = printed - mean_printed
+    k = complex(np.vdot(about, seen - mean_seen) / np.vdot(about, about).real)
+    scale = abs(k)
     if scale < 1e-6:
         return None
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, scale]]) / scale
-    position = np.array([tx, ty, 1.0]) / scale
+    t = mean_seen - k * mean_printed
+    c, s = k.real / scale, k.imag / scale
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    position = np.array([t.real, t.imag, 1.0]) / scale
     return level_from_camera.T @ turn, level_from_camera.T @ position
 
 

@@ -126,6 +126,7 @@ def sighting_of(
         marker_ids=tuple(d.marker.id for d in pose.used),
         marker_count=count,
         reprojection_error_px=pose.reprojection_error_px,
+        common_variance_m2=pose.common_variance_m2,
     )
 
 
