@@ -36,11 +36,15 @@ from companion.sense.search import SearchPlanner
 
 @dataclass(frozen=True, slots=True)
 class VisionResult:
-    """What one frame gave: the sighting if the pad was recognised, and what a frame's report needs."""
+    """What one frame gave: the sighting if the pad was recognised, and what a frame's report needs.
+
+    `used` are the markers that the pose is made of.
+    """
 
     sighting: PadSighting | None
     marker_count: dict[MarkerGroup, int]
     searched_whole_frame: bool
+    used: tuple[Detection, ...] = ()
 
 
 class Vision:
@@ -81,7 +85,7 @@ class Vision:
             pose = estimate_pose(found, self._lens, self._config, down) if found else None
             if pose is not None:
                 sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
-                return VisionResult(sighting, count_groups(pose.used), number >= len(looks))
+                return VisionResult(sighting, count_groups(pose.used), number >= len(looks), pose.used)
         return VisionResult(None, count_groups(tuple(found)), bool(wide))
 
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
