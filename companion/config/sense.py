@@ -139,9 +139,7 @@ class VisionConfig(StrictModel):
     unstamped_latency_s: float = Field(
         default=0.045, ge=0.0, le=0.5
     )  # age, when it comes, of another process's frame that does not say when it was exposed
-    pose: Literal["joint", "paper"] = (
-        "joint"  # one fit to all corners; or each marker by itself, extraction by eq. 1, mean: to compare
-    )
+    pose: Literal["joint", "paper"] = "joint"
     minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
     maximum_markers: int = Field(default=8, ge=1, le=100)  # refined and used in one frame
     region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected
@@ -153,7 +151,7 @@ class VisionConfig(StrictModel):
     level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of the pad and of our attitude together
     relative_speed_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # for a rolling shutter's shear
     turn_rate_std_rad_s: float = Field(default=0.15, gt=0.0, le=10.0)
-    vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)  # the rotors' shaking of the camera, rms
+    vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
     maximum_reprojection_error_px: float = Field(default=2.0, gt=0.0, le=10.0)
 
 

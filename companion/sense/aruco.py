@@ -50,7 +50,8 @@ class SearchPass:
 class Detection:
     """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image.
 
-    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell.
+    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell;
+    `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
     """
 
     marker: Marker
@@ -58,6 +59,7 @@ class Detection:
     corners_px: FloatArray
     side_px: float
     corner_std_px: float = 0.0
+    shrunk_std_px: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,10 +162,10 @@ def refine_corners(image: NDArray[np.uint8], found: list[Detection]) -> list[Det
     if not found:
         return found
     quads = np.array([d.corners_px for d in found])
-    corners, std_px = refine_quads(image, quads, np.array([cells_across(d.marker) for d in found]))
+    corners, std_px, shrunk_px = refine_quads(image, quads, np.array([cells_across(d.marker) for d in found]))
     return [
-        replace(d, corners_px=quad, corner_std_px=std) if math.isfinite(std) else d
-        for d, quad, std in zip(found, corners, std_px.tolist(), strict=True)
+        replace(d, corners_px=quad, corner_std_px=std, shrunk_std_px=shrunk) if math.isfinite(std) else d
+        for d, quad, std, shrunk in zip(found, corners, std_px.tolist(), shrunk_px.tolist(), strict=True)
     ]
 
 

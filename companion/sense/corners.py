@@ -47,6 +47,8 @@ LEAST_SPREAD_PX: Final = 0.02
 LEAST_USED: Final = 0.5
 # pixels share light with their neighbours: places nearer to one another than this do not err independently
 CORRELATED_PX: Final = 1.5
+# white that is brighter is cut off, and then eats into the black
+FULL_GREY: Final = 250.0
 # more than two parameters a side is what the fit takes from the places' scatter
 PARAMETERS: Final = 10
 
@@ -78,6 +80,7 @@ class _Places(NamedTuple):
     offset: FloatArray
     contrast: FloatArray
     blur_px: FloatArray
+    full: NDArray[np.bool_]  # (m,) whether the white is cut off
 
 
 class _Curves(NamedTuple):
@@ -90,7 +93,7 @@ class _Curves(NamedTuple):
 
 def refine_quads(
     image: NDArray[np.uint8], quads: FloatArray, cells: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Move the corners of markers to where their sides meet.
 
     Args:
@@ -100,7 +103,9 @@ def refine_quads(
 
     Returns:
         Corners (m, 4, 2) px, and their standard deviations (m,) px in each direction. A marker whose sides
-        cannot be followed keeps its corners, and its deviation is infinite.
+        cannot be followed keeps its corners, and its deviation is infinite. Then by how much (m,) px all
+        sides together may lie too far in, because the white is too bright: as much as they are blurred, or
+        nothing.
     """
     corners = np.array(quads, dtype=np.float64)
     farthest = np.clip(REACH_CELLS * _lengths(corners) / cells, *REACH_PX)
@@ -118,7 +123,7 @@ def refine_quads(
     lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
     lost |= ~np.isfinite(std) | (curves.used < LEAST_USED)
     corners[lost], std[lost] = quads[lost], np.inf
-    return corners, std
+    return corners, std, np.where(places.full, places.blur_px, 0.0)
 
 
 def _lengths(corners: FloatArray) -> FloatArray:
@@ -162,7 +167,8 @@ def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Plac
     mean = moments[..., 1] / sure
     width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
     blur_px = _median(width.reshape(m, -1)) * reach
-    return _Places(mean * reach[:, None, None], contrast, blur_px)
+    full = _median(brightness[:, -1].reshape(m, -1)) >= FULL_GREY
+    return _Places(mean * reach[:, None, None], contrast, blur_px, full)
 
 
 def _curves(places: _Places, sides: _Sides, image_width_px: int) -> _Curves:

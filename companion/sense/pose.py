@@ -42,7 +42,7 @@ from companion.geometry import (
 )
 from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
-from companion.sense.pose_noise import corner_noise_px, shaking, whitening
+from companion.sense.pose_noise import corner_noise_px, shaking, shrinking, whitening
 
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
@@ -75,8 +75,9 @@ class PadPose:
 class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
-    `delay_s` is when each point's row is exposed, after the mean row; `whitening` and `shake` are of
-    `pose_noise`. `weight` (6 + 2k,) holds the inverse variances of velocity, rate of turn, and shifts.
+    `delay_s` is when each point's row is exposed, after the mean row; `shared` how what the rays' errors
+    have in common (shifts at the knots, sides that lie too far in) moves them. `weight` (6 + c,) holds the
+    inverse variances of velocity, rate of turn and these.
     """
 
     points: FloatArray  # (n, 3)
@@ -85,7 +86,7 @@ class _Problem:
     down: FloatArray | None  # (3,)
     whitening: FloatArray  # (2n, 2n)
     level_sigma: float
-    shake: FloatArray
+    shared: FloatArray  # (2n, c)
     weight: FloatArray
 
 
@@ -143,8 +144,9 @@ def _problem(
     pixels = np.concatenate([d.corners_px for d in detections])
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
     shake, rays = shaking(delay_s), lens.undistort(pixels)
+    shrunk = shrinking(rays, np.array([d.shrunk_std_px for d in detections]) / lens.focal_px)
     doubt = [config.relative_speed_std_m_s] * 3 + [config.turn_rate_std_rad_s] * 3
-    doubt += [1e-3 * config.vibration_mrad] * shake.shape[1]
+    doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=rays,
@@ -152,7 +154,7 @@ def _problem(
         down=None if down_camera is None else np.array(down_camera),
         whitening=whitening(rays, np.array([corner_noise_px(d, config) for d in detections]) / lens.focal_px),
         level_sigma=math.radians(config.level_std_deg),
-        shake=shake,
+        shared=np.concatenate((shake, shrunk), axis=1),
         weight=np.array(doubt) ** -2,
     )
 
@@ -216,7 +218,7 @@ def _linearised(
     """Jacobian (2n, m) and misses (2n,) of the rays, all u and then all v.
 
     Unknowns: position, rotation (on the left), and in `moved`: velocity of the pad's origin and its rate of
-    turn, and the shifts at the knots.
+    turn, and what the errors have in common.
     """
     turned = rotation @ problem.points.T
     a, b, c = turned
@@ -228,8 +230,8 @@ def _linearised(
     u, v = x * inverse, y * inverse
     a, b, c = a * inverse, b * inverse, c * inverse
     n = len(u)
-    whole = np.empty((2 * n, 12 + problem.shake.shape[1]))
-    whole[:, 12:] = problem.shake
+    whole = np.empty((2 * n, 12 + problem.shared.shape[1]))
+    whole[:, 12:] = problem.shared
     jacobian = np.zeros((2, n, 6))
     along_u, along_v = jacobian
     # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
@@ -240,7 +242,7 @@ def _linearised(
     whole[:, :6] = jacobian.reshape(-1, 6)
     whole[:, 6:12] = (jacobian * delay[:, None]).reshape(-1, 6)
     seen = np.concatenate((problem.rays[:, 0] - u, problem.rays[:, 1] - v))
-    return whole, seen - problem.shake @ moved[6:]
+    return whole, seen - problem.shared @ moved[6:]
 
 
 def _normal_equations(

@@ -1,8 +1,8 @@
 """How the corners of one frame err: what of it is independent, and what corners have in common.
 
 A marker's corners are where its sides meet, and it is the sides that are measured. What the rotors shake is
-the same for all corners of a row, however many there are. Rays are ideal image coordinates (x/z, y/z),
-stacked as all u and then all v.
+the same for all corners of a row, however many there are, and white that is over-exposed eats into all
+markers alike. Rays are ideal image coordinates (x/z, y/z), stacked as all u and then all v.
 """
 
 from __future__ import annotations
@@ -50,6 +50,16 @@ def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
             white[k, side, place, direction, k, side] = scaled * (1.0 - share)
             white[k, side, place, direction, k, (side + 1) % 4] = scaled * share
     return white.reshape(8 * m, 8 * m)
+
+
+def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
+    """How each ray moves (2n, 1) when all sides lie in by one standard deviation (m,) of their marker."""
+    corners = rays.reshape(-1, 4, 2)
+    along = corners[:, (1, 2, 3, 0)] - corners
+    along /= np.sqrt((along**2).sum(axis=2))[..., None]
+    inward = np.stack((-along[..., 1], along[..., 0]), axis=2)
+    both = std[:, None, None] * (inward + inward[:, (3, 0, 1, 2)])
+    return np.asarray(both.reshape(-1, 2).T.reshape(-1, 1))
 
 
 def shaking(delay_s: FloatArray) -> FloatArray:

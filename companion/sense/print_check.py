@@ -21,8 +21,8 @@ from companion.sense.aruco import cells_across
 from companion.sense.lens import Lens
 from companion.sense.pose import PadPose
 
-# correlation of brightness and print over a marker's cells; by chance it is seldom above half of this
-LIKENESS: Final = 0.55
+# correlation of brightness and print over a marker's cells
+LIKENESS: Final = 0.5
 # markers whose cells are smaller in the image cannot be told
 CELL_PX: Final = 2.0
 
@@ -52,21 +52,25 @@ class PrintCheck:
         if not inside or float(np.abs(pixels[1] - pixels[0]).max()) < CELL_PX:
             return None
         u, v = pixels.astype(np.float32).T
-        grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(-1).astype(np.float64)
-        grey -= grey.mean()
-        return float(grey @ white / max(float(np.linalg.norm(grey)), 1.0))
+        grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(white.shape).astype(np.float64)
+        # any marker's black frame is like another's: the code has to be like by itself, too
+        return min(_correlation(grey, white), _correlation(grey[2:-2, 2:-2], white[2:-2, 2:-2]))
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    """Of two pictures of the same size: -1..1."""
+    a, b = a - a.mean(), b - b.mean()
+    return float((a * b).sum() / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9))
 
 
 def _cells(marker: Marker) -> tuple[FloatArray, FloatArray]:
-    """Middles of a marker's cells on the pad (n, 3), row by row, a row of the white around it included.
-
-    And how white they are (n,), less the mean, of unit length.
+    """Middles of a marker's cells on the pad (k * k, 3), a row of the white around it included; and how white
+    they are (k, k).
     """
     count = cells_across(marker)
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
     code = cv2.aruco.generateImageMarker(dictionary, marker.id, count)
-    white = np.pad(code.astype(np.float64), 1, constant_values=255.0).reshape(-1)
-    white -= white.mean()
+    white = np.pad(code.astype(np.float64), 1, constant_values=255.0)
     top_left, top_right, _, bottom_left = marker.corners_pad_m()
     share = (np.arange(-1, count + 1) + 0.5) / count
     down, right = np.meshgrid(share, share, indexing="ij")
@@ -75,4 +79,4 @@ def _cells(marker: Marker) -> tuple[FloatArray, FloatArray]:
         + right.reshape(-1, 1) * (top_right - top_left)
         + down.reshape(-1, 1) * (bottom_left - top_left)
     )
-    return middles, white / np.linalg.norm(white)
+    return middles, white
