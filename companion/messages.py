@@ -105,7 +105,8 @@ class PadPrior:
 class PadSighting:
     """The pad's pose from one frame, body axes, origin the vehicle's reference point.
 
-    `covariance` is 6x6: position (m) then a small rotation about the body's axes (rad).
+    `covariance` is 6x6: position (m) then a small rotation about the body's axes (rad). Of each axis of the
+    position's, `common_variance_m2` is no noise: the calibration's error, the same from frame to frame.
     """
 
     time_s: float
@@ -117,6 +118,7 @@ class PadSighting:
     marker_ids: tuple[int, ...]
     marker_count: dict[MarkerGroup, int]
     reprojection_error_px: float
+    common_variance_m2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ Every pixel's ray (lens of eqs. 2 and 3 undone exactly) meets the plane it looks
 the moment at which that row is exposed. Rays are followed on a mesh of one node in 8 x 8 pixels and the
 texture coordinates interpolated between: against following every pixel, that is wrong by less than
 0.02 px, and it is continuous (no bands). Within a frame the homography runs through three exact ones
-(start, middle, end) as a parabola. Blur is one straight stroke for the whole image: the motion, over the
+(start, middle, end) as a parabola, or, where vibration of the rotors' frequency is to be followed, straight
+between as many as are asked for. Blur is one straight stroke for the whole image: the motion, over the
 exposure, of what is in the middle of the pad's part of the image.
 
 World NED with the ground at z = 0; the pad's surface is at the height of its position. How the camera
@@ -61,7 +62,7 @@ class ScenePose:
 
 @dataclass(frozen=True, slots=True)
 class _Surface:
-    """A plane as seen over one frame: texel-from-ray homographies at start, middle, end (3, 3, 3)."""
+    """A plane as seen over one frame: texel-from-ray homographies (k, 3, 3) at equal steps, start to end."""
 
     level: TextureLevel
     texel_from_ray: FloatArray
@@ -81,9 +82,18 @@ class CameraModel:
         *,
         ground_seed: int = 1,
         mount_error_deg: Vector3 = ZERO3,
+        board: Texture | None = None,
+        instants: int = 3,
     ) -> None:
-        """`mount_error_deg`: a further turn (roll, pitch, yaw) about the body's axes that `vehicle` lacks."""
+        """Prepare it.
+
+        Args:
+            mount_error_deg: a further turn (roll, pitch, yaw) about the body's axes that `vehicle` lacks.
+            board: what is printed on the board, if it is not the pad's markers.
+            instants: at how many times within a frame the scene is looked at; odd, 3 or more.
+        """
         self._camera = camera
+        self._instants = instants
         self._settings = settings
         self._rng = rng
         self.position_body_m = vehicle.camera_position_body_m
@@ -100,7 +110,7 @@ class CameraModel:
         self._camera_attitude = quat_from_matrix(self.body_from_camera)
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
-        self._pad_texture = pad_texture(pad)
+        self._pad_texture = pad_texture(pad) if board is None else board
         self._ground_texture = ground_texture(ground_seed)
         self._node_rays = node_rays(camera)
         self._ray_x, self._ray_y = (np.ascontiguousarray(self._node_rays[..., k]) for k in (0, 1))
@@ -133,8 +143,9 @@ class CameraModel:
             (height, width) grey image.
         """
         half = 0.5 * max(self.span_s, 1e-6)
-        scenes = [scene_at(time_s + offset) for offset in (-half, 0.0, half)]
-        grounds = [(ZERO3, IDENTITY)] * 3
+        middle = self._instants // 2
+        scenes = [scene_at(time_s + half * (k / middle - 1.0)) for k in range(self._instants)]
+        grounds = [(ZERO3, IDENTITY)] * self._instants
         pads = [(s.pad_position_ned_m, _pad_attitude(s)) for s in scenes]
         image = np.empty((self._camera.height_px, self._camera.width_px), np.uint8)
         pad = self._surface(self._pad_texture, scenes, pads)
@@ -150,7 +161,7 @@ class CameraModel:
         glow = None
         if self._metering is not None:
             inside = None if pad_map is None else within_board(pad_map, pad.level.image.shape)
-            image, glow = self._lit(image, scenes[1], time_s, inside)
+            image, glow = self._lit(image, scenes[middle], time_s, inside)
         return self._expose(self._through_lens(image, seen, part), glow)
 
     def _lit(
@@ -176,7 +187,7 @@ class CameraModel:
         rays, heights = zip(
             *(self._plane_from_ray(s, *plane) for s, plane in zip(scenes, planes, strict=True)), strict=True
         )
-        height = heights[1]
+        height = heights[len(heights) // 2]
         level = texture.level_for(self._camera.fx_px / max(height, 1e-3))
         return _Surface(level, level.texel_from_plane @ np.array(rays), height)
 
@@ -200,7 +211,7 @@ class CameraModel:
     def _node_map(self, surface: _Surface) -> FloatArray:
         """Texture coordinates (rows, columns, 2) of the mesh's nodes, each row at its own time."""
         # each a column of one number a row
-        h = (self._pose_weights() @ surface.texel_from_ray.reshape(3, 9)).T[:, :, None]
+        h = (self._pose_weights() @ surface.texel_from_ray.reshape(-1, 9)).T[:, :, None]
         x, y = self._ray_x, self._ray_y
         texels = np.empty((*x.shape, 2))
         scale = 1.0 / np.maximum(h[6] * x + h[7] * y + h[8], HORIZON)
@@ -209,9 +220,12 @@ class CameraModel:
         return texels
 
     def _pose_weights(self) -> FloatArray:
-        """How much each of a frame's three poses counts for the mesh's rows: (rows, 3)."""
+        """How much each of a frame's poses counts for the mesh's rows: (rows, instants)."""
         # -1 first pose, +1 last pose
         s = self._row_time * (2.0 * self._readout_s / max(self.span_s, 1e-6))
+        if self._instants > 3:
+            nodes = np.linspace(-1.0, 1.0, self._instants)
+            return np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0]))
         return np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
 
     def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
@@ -282,7 +296,8 @@ class CameraModel:
         top, bottom, left, right = part or (0, self._node_rays.shape[0] - 2, 0, self._node_rays.shape[1] - 2)
         r, c = (top + bottom) // 2 + 1, (left + right) // 2 + 1
         here, right, below = self._node_rays[[r, r, r + 1], [c, c + 1, c]].tolist()
-        first, middle, last = surface.texel_from_ray.tolist()
+        poses = surface.texel_from_ray
+        first, middle, last = poses[[0, len(poses) // 2, -1]].tolist()
         u, v = _texel(middle, here)
         # texels a pixel to the right and a pixel down
         (ru, rv), (du, dv) = _texel(middle, right), _texel(middle, below)

@@ -56,14 +56,18 @@ class Texture:
 
 @lru_cache(maxsize=4)
 def pad_texture(pad: Pad) -> Texture:
-    """The board as printed: black codes on white, scales a factor of sqrt(2) apart. Not to be drawn on."""
-    finest = _paint_pad(pad, PAD_TEXELS_PER_M)
+    """The board as printed: black codes on white. Not to be drawn on."""
+    return board_texture(_paint_pad(pad, PAD_TEXELS_PER_M), pad.width_m, pad.length_m)
+
+
+def board_texture(finest: GreyImage, width_m: float, length_m: float) -> Texture:
+    """What is printed on a board, at scales a factor of sqrt(2) apart; the image's top edge is towards x."""
     levels: list[TextureLevel] = []
-    texels_per_m = PAD_TEXELS_PER_M
+    texels_per_m = min(finest.shape[0] / length_m, finest.shape[1] / width_m)
     while texels_per_m >= PAD_COARSEST_PER_M:
-        size = (max(2, round(pad.width_m * texels_per_m)), max(2, round(pad.length_m * texels_per_m)))
+        size = (max(2, round(width_m * texels_per_m)), max(2, round(length_m * texels_per_m)))
         image = finest if not levels else cv2.resize(finest, size, interpolation=cv2.INTER_AREA)
-        levels.append(_board_level(np.asarray(image, dtype=np.uint8), pad))
+        levels.append(_board_level(np.asarray(image, dtype=np.uint8), width_m, length_m))
         texels_per_m /= math.sqrt(2.0)
     return Texture(tuple(levels))
 
@@ -87,9 +91,9 @@ def ground_texture(seed: int) -> Texture:
     return Texture(tuple(levels), GROUND_TILE_M)
 
 
-def _board_level(image: GreyImage, pad: Pad) -> TextureLevel:
+def _board_level(image: GreyImage, width_m: float, length_m: float) -> TextureLevel:
     rows, columns = image.shape
-    per_x, per_y = rows / pad.length_m, columns / pad.width_m
+    per_x, per_y = rows / length_m, columns / width_m
     affine = np.array(
         [
             [0.0, per_y, 0.5 * columns - 0.5],
@@ -103,7 +107,7 @@ def _board_level(image: GreyImage, pad: Pad) -> TextureLevel:
 def _paint_pad(pad: Pad, texels_per_m: float) -> GreyImage:
     size = (round(pad.length_m * texels_per_m), round(pad.width_m * texels_per_m))
     canvas = np.full(size, PAD_WHITE, np.uint8)
-    plane = _board_level(canvas, pad)
+    plane = _board_level(canvas, pad.width_m, pad.length_m)
     for marker in pad.markers:
         _paint_marker(canvas, plane, marker)
     return canvas

@@ -11,6 +11,7 @@ top-right, bottom-right, bottom-left of the printed code.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -21,17 +22,16 @@ from numpy.typing import NDArray
 from companion.config import VisionConfig
 from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
-from companion.pad import DICTIONARIES, DictionaryName, Marker, Pad
+from companion.pad import DICTIONARIES, Marker, Pad
+from companion.sense.corners import refine_quads
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 11
 # a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
 SHRUNK_SIDE_PX: Final = 17.0
-# corner refinement looks this far, in cells of the code, within these bounds in pixels
-REFINE_CELLS: Final = 0.5
-REFINE_PX: Final = (2, 10)
-REFINE_CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 15, 0.01)
+# corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
+CONTOUR_STD_PX: Final = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,26 @@ class SearchPass:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image."""
+    """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image.
+
+    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell;
+    `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
+    """
 
     marker: Marker
     corners_pad_m: FloatArray
     corners_px: FloatArray
     side_px: float
+    corner_std_px: float = 0.0
+    shrunk_std_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """A printed code: its place in the reader's list, and corners (4, 2) px."""
+
+    number: int
+    corners_px: FloatArray
 
 
 class PadDetector:
@@ -62,7 +76,7 @@ class PadDetector:
     def __init__(self, pad: Pad, config: VisionConfig) -> None:
         self._pad = pad
         self._config = config
-        self._readers: dict[tuple[MarkerGroup, ...], _Reader] = {}
+        self._readers: dict[tuple[MarkerGroup, ...], tuple[tuple[Marker, ...], CodeReader]] = {}
 
     def detect(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
         """Read the markers in one part of an image.
@@ -70,9 +84,7 @@ class PadDetector:
         Of more than `maximum_markers` those that lie farthest apart are kept. Returned in the order of
         the pad's markers.
         """
-        reader = self._readers.get(where.groups)
-        if reader is None:
-            reader = self._readers[where.groups] = _Reader(self._pad, where.groups)
+        markers, reader = self._reader(where.groups)
         part = image[where.top : where.bottom, where.left : where.right]
         s = where.shrink
         if s > 1:
@@ -81,32 +93,50 @@ class PadDetector:
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         smallest_px = max(self._config.minimum_side_px, SHRUNK_SIDE_PX if s > 1 else 0.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
-        found = [
-            Detection(marker, on_pad, (corners + 0.5) * s - 0.5 + origin, _side_px(corners) * s)
-            for marker, on_pad, corners in reader.read(part, smallest_px)
-        ]
+        found = []
+        for code in reader.read(part, smallest_px):
+            marker = markers[code.number]
+            corners = (code.corners_px + 0.5) * s - 0.5 + origin
+            found.append(
+                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * s)
+            )
         return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
 
+    def _reader(self, groups: tuple[MarkerGroup, ...]) -> tuple[tuple[Marker, ...], CodeReader]:
+        made = self._readers.get(groups)
+        if made is None:
+            markers = tuple(m for m in self._pad.markers if m.group in groups)
+            names = sorted({m.dictionary for m in markers})
+            dictionaries = [cv2.aruco.getPredefinedDictionary(DICTIONARIES[name]) for name in names]
+            reader = CodeReader(dictionaries, [(names.index(m.dictionary), m.id) for m in markers])
+            made = self._readers[groups] = (markers, reader)
+        return made
 
-class _Reader:
-    """OpenCV's detector for some groups of the pad's markers."""
 
-    def __init__(self, pad: Pad, groups: tuple[MarkerGroup, ...]) -> None:
-        self._markers = [(m, m.corners_pad_m()) for m in pad.markers if m.group in groups]
-        names = sorted({m.dictionary for m, _ in self._markers})
-        self._order = {(names.index(m.dictionary), m.id): k for k, (m, _) in enumerate(self._markers)}
+class CodeReader:
+    """Reads a list of codes, of any dictionaries, wherever they are in an image.
+
+    `codes` are pairs: which of the dictionaries, and the id in it.
+    """
+
+    def __init__(
+        self, dictionaries: Sequence[cv2.aruco.Dictionary], codes: Sequence[tuple[int, int]]
+    ) -> None:
+        self._order = {code: number for number, code in enumerate(codes)}
         self._parameters = cv2.aruco.DetectorParameters()
         self._parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
         self._parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
         self._parameters.errorCorrectionRate = ERROR_CORRECTION_RATE
-        last = {name: max(m.id for m, _ in self._markers if m.dictionary == name) for name in names}
-        dictionaries = [_cut_dictionary(name, last[name]) for name in names]
-        self._detector = cv2.aruco.ArucoDetector(dictionaries, self._parameters) if dictionaries else None
+        # a dictionary is cut behind the last id of the list
+        last = [max((i for which, i in codes if which == k), default=0) for k in range(len(dictionaries))]
+        cut = [
+            cv2.aruco.Dictionary(full.bytesList[: end + 1], full.markerSize, full.maxCorrectionBits)
+            for full, end in zip(dictionaries, last, strict=True)
+        ]
+        self._detector = cv2.aruco.ArucoDetector(cut, self._parameters) if codes else None
 
-    def read(
-        self, image: NDArray[np.uint8], minimum_side_px: float
-    ) -> list[tuple[Marker, FloatArray, FloatArray]]:
-        """Markers, each at most once, in the pad's order, with their corners on the pad and in the image."""
+    def read(self, image: NDArray[np.uint8], minimum_side_px: float) -> list[Code]:
+        """Codes, each at most once, in the list's order, with the corners of their contours."""
         if self._detector is None or min(image.shape) < minimum_side_px:
             return []
         # OpenCV counts an outline's pixels: a square that stands on its corner has sqrt(2) times fewer
@@ -116,41 +146,40 @@ class _Reader:
         found: dict[int, FloatArray] = {}
         twice: set[int] = set()
         for quad, identity, dictionary in zip(quads, _flat(ids), _flat(which), strict=True):
-            order = self._order.get((dictionary, identity))
+            number = self._order.get((dictionary, identity))
             corners = np.asarray(quad, dtype=np.float64).reshape(4, 2)
-            if order is None or _side_px(corners) < minimum_side_px:
+            if number is None or side_px(corners) < minimum_side_px:
                 continue
-            if order in found:
-                twice.add(order)
-            found[order] = corners
+            if number in found:
+                twice.add(number)
+            found[number] = corners
         # a code seen at two places is a reflection or a forgery: neither is believed
-        return [(*self._markers[k], found[k]) for k in sorted(found) if k not in twice]
+        return [Code(k, found[k]) for k in sorted(found) if k not in twice]
 
 
 def refine_corners(image: NDArray[np.uint8], found: list[Detection]) -> list[Detection]:
-    """Move the corners to sub-pixel places, in a window that suits the size of each marker's cells."""
-    refined = list(found)
-    windows = [round(REFINE_CELLS * d.side_px / cells_across(d.marker)) for d in found]
-    windows = [min(max(w, REFINE_PX[0]), REFINE_PX[1]) for w in windows]
-    for window in sorted(set(windows)):
-        which = [k for k, w in enumerate(windows) if w == window]
-        corners = np.concatenate([found[k].corners_px for k in which]).astype(np.float32).reshape(-1, 1, 2)
-        cv2.cornerSubPix(image, corners, (window, window), (-1, -1), REFINE_CRITERIA)
-        for k, quad in zip(which, corners.astype(np.float64).reshape(-1, 4, 2), strict=True):
-            refined[k] = replace(found[k], corners_px=quad)
-    return refined
+    """The detections with their corners where each marker's sides meet."""
+    if not found:
+        return found
+    quads = np.array([d.corners_px for d in found])
+    corners, std_px, shrunk_px = refine_quads(image, quads, np.array([cells_across(d.marker) for d in found]))
+    return [
+        replace(d, corners_px=quad, corner_std_px=std, shrunk_std_px=shrunk) if math.isfinite(std) else d
+        for d, quad, std, shrunk in zip(found, corners, std_px.tolist(), shrunk_px.tolist(), strict=True)
+    ]
 
 
 def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
     """At most `maximum` of the detections, spread over the image; the order is kept."""
     if len(found) <= maximum:
         return found
-    centres = np.array([d.corners_px.mean(axis=0) for d in found])
-    chosen = [int(np.argmax(np.sum((centres - centres.mean(axis=0)) ** 2, axis=1)))]
-    distance = np.sum((centres - centres[chosen[0]]) ** 2, axis=1)
+    centres = np.array([d.corners_px for d in found]).sum(axis=1)
+    apart = ((centres[:, None] - centres) ** 2).sum(axis=2)
+    chosen = [int(np.argmax(apart.sum(axis=1)))]
+    distance = apart[chosen[0]]
     while len(chosen) < maximum:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.sum((centres - centres[chosen[-1]]) ** 2, axis=1))
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, apart[chosen[-1]])
     return [found[k] for k in sorted(chosen)]
 
 
@@ -159,15 +188,10 @@ def cells_across(marker: Marker) -> int:
     return int(marker.dictionary[0]) + 2
 
 
-def _side_px(corners: FloatArray) -> float:
+def side_px(corners: FloatArray) -> float:
     """Mean length of the two diagonals over sqrt(2)."""
     (a, b), (c, d), (e, f), (g, h) = corners.tolist()
     return 0.5 * math.sqrt(0.5) * (math.hypot(e - a, f - b) + math.hypot(g - c, h - d))
-
-
-def _cut_dictionary(name: DictionaryName, last_id: int) -> cv2.aruco.Dictionary:
-    full = cv2.aruco.getPredefinedDictionary(DICTIONARIES[name])
-    return cv2.aruco.Dictionary(full.bytesList[: last_id + 1], full.markerSize, full.maxCorrectionBits)
 
 
 def _flat(values: Any) -> list[int]:

@@ -5,13 +5,21 @@ gravity direction, which the vehicle knows, takes part: the pad is level to a fe
 starting point (levelled, the pose is a similarity, which has a single, linear solution) and stays in the
 fit as a weak measurement. Without it the better of the two planar solutions (IPPE) starts the fit.
 
-A rolling shutter exposes rows one after another, so that what moves through the image is sheared: by
-25 px at 0.25 m and 1 m/s. The fit therefore has eight unknowns: position, rotation, and the drift of the
-image over the readout, which a plausible speed and rate of turn bound. The position holds at the time of
-the mean row of the corners.
+A rolling shutter exposes rows one after another, so that what moves through the image is bent: sideways
+motion shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a lean of half a
+degree. The fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the
+readout, which what is known of the motion bounds. The position holds at the time of the mean row of the
+corners. What the rotors shake is quicker than that: corners of the same rows are shaken alike, however many
+they are. It is fitted too, as a shift of the image that changes from one knot to the next within the
+readout.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
-reprojection error. Markers that do not agree with the rest are dropped. Camera axes are OpenCV's.
+reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree
+with the rest are dropped. Camera axes are OpenCV's.
+
+What a pose errs by has two parts. One is new in each frame: the corners' noise, by the Jacobian. The other,
+the calibration's error along and across the ray, is the same in all of them: averaging frames does not
+shrink it.
 """
 
 from __future__ import annotations
@@ -24,13 +32,22 @@ import cv2
 import numpy as np
 
 from companion.config import VisionConfig
-from companion.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_rotation_vector, vector3
+from companion.geometry import (
+    FloatArray,
+    Vector3,
+    cross,
+    matrix_from_quat,
+    quat_from_rotation_vector,
+    vector3,
+)
 from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
+from companion.sense.pose_noise import corner_noise_px, shaking, shrinking, whitening
 
 ITERATIONS: Final = 6
-CONVERGED: Final = 1e-5
-NO_DRIFT: Final = 1e-6
+CONVERGED: Final = 1e-4
+# the corners' stated noise is worth as much as this many observed misses
+PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
 # what leans from the level by more than this many standard deviations is not our pad
@@ -41,7 +58,8 @@ MAXIMUM_LEAN_SIGMA: Final = 4.0
 class PadPose:
     """The pad in camera axes; `covariance` is 6x6: position (m), small rotation about camera axes (rad).
 
-    The pose holds when `row_px` is exposed.
+    `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose
+    holds when `row_px` is exposed.
     """
 
     position_camera_m: FloatArray
@@ -50,38 +68,48 @@ class PadPose:
     row_px: float
     used: tuple[Detection, ...]
     reprojection_error_px: float
+    common_variance_m2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Problem:
-    """What is fitted: rays of points, gravity in camera axes if known, and how certain each thing is.
+    """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
-    `turns` is each point's row relative to the mean row, as a share of the image's height.
+    `delay_s` is when each point's row is exposed, after the mean row; `shared` how what the rays' errors
+    have in common (shifts at the knots, sides that lie too far in) moves them. `weight` (6 + c,) holds the
+    inverse variances of velocity, rate of turn and these.
     """
 
     points: FloatArray  # (n, 3)
     rays: FloatArray  # (n, 2)
-    turns: FloatArray  # (n,)
+    delay_s: FloatArray  # (n,)
     down: FloatArray | None  # (3,)
-    ray_sigma: float
+    whitening: FloatArray  # (2n, 2n)
     level_sigma: float
-    readout_s: float
-    speed_sigma: float
-    rate_sigma: float
+    shared: FloatArray  # (2n, c)
+    weight: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A pose with its covariance (6, 6), and each point's miss (n,) as a ray."""
+    """A pose with its covariance (6, 6), each point's miss (2, n) as a ray, and the sum of the misses'
+    squares.
+
+    The latter in terms of what was expected of them.
+    """
 
     rotation: FloatArray
     position: FloatArray
     covariance: FloatArray
     misses: FloatArray
+    squares: float
 
 
 def estimate_pose(
-    found: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
+    found: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
 ) -> PadPose | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
@@ -98,44 +126,55 @@ def estimate_pose(
         fit = _fit(problem)
         if fit is None:
             return None
-        errors_px = fit.misses.reshape(-1, 4) * lens.focal_px
+        errors_px = np.hypot(fit.misses[0], fit.misses[1]).reshape(-1, 4) * lens.focal_px
         limits = [max(config.maximum_reprojection_error_px, RELATIVE_ERROR * d.side_px) for d in candidates]
         excess = np.sqrt((errors_px**2).mean(axis=1)) / limits
         if excess.max() <= 1.0:
-            return None if _leans(problem, fit) else _accept(fit, candidates, errors_px, config)
+            return None if _leans(problem, fit) else _accept(problem, fit, candidates, errors_px, config)
         del candidates[int(np.argmax(excess))]
     return None
 
 
 def _problem(
-    detections: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
+    detections: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
+    delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
+    shake, rays = shaking(delay_s), lens.undistort(pixels)
+    shrunk = shrinking(rays, np.array([d.shrunk_std_px for d in detections]) / lens.focal_px)
+    doubt = [config.relative_speed_std_m_s] * 3 + [config.turn_rate_std_rad_s] * 3
+    doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
-        rays=lens.undistort(pixels),
-        turns=(pixels[:, 1] - pixels[:, 1].mean()) / lens.size_px[1],
+        rays=rays,
+        delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        ray_sigma=config.corner_noise_px / lens.focal_px,
+        whitening=whitening(rays, np.array([corner_noise_px(d, config) for d in detections]) / lens.focal_px),
         level_sigma=math.radians(config.level_std_deg),
-        readout_s=lens.readout_s,
-        speed_sigma=config.relative_speed_std_m_s,
-        rate_sigma=config.turn_rate_std_rad_s,
+        shared=np.concatenate((shake, shrunk), axis=1),
+        weight=np.array(doubt) ** -2,
     )
 
 
-def _accept(fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig) -> PadPose:
-    """The pose with its covariance: corner noise, and the calibration's error along and across the ray.
+def _accept(
+    problem: _Problem, fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig
+) -> PadPose:
+    """The pose with its covariance: the corners' noise as observed, and the calibration's error.
 
-    Corners whose misses are larger than the noise that was assumed make the pose less certain in
-    proportion; smaller misses do not make it more certain (a single marker fits itself well).
+    The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
+    that miss by more or less than was stated say how large the noise is.
     """
-    rms_px = float(np.sqrt((errors_px**2).mean()))
-    worse = max(1.0, rms_px / (math.sqrt(2.0) * config.corner_noise_px))
-    covariance = fit.covariance * worse**2
-    covariance[:3, :3] += np.eye(3) * (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
+    freedom = max(2 * len(problem.points) - 6, 0)
+    scale = (PRIOR_MISSES + fit.squares) / (PRIOR_MISSES + freedom)
+    common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
+    covariance = fit.covariance * scale
+    covariance[:3, :3] += np.eye(3) * common
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
-    return PadPose(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px)
+    rms_px = float(np.sqrt((errors_px**2).mean()))
+    return PadPose(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)
 
 
 def _leans(problem: _Problem, fit: _Fit) -> bool:
@@ -151,80 +190,102 @@ def _fit(problem: _Problem) -> _Fit | None:
     if start is None:
         return None
     rotation, position = start
-    drift = np.zeros(2)
+    moved = np.zeros(len(problem.weight))
     for _ in range(ITERATIONS):
-        information, gradient, _ = _normal_equations(problem, rotation, position, drift)
+        jacobian, misses = _linearised(problem, rotation, position, moved)
+        white, missed = problem.whitening @ jacobian, problem.whitening @ misses
+        information, gradient = _normal_equations(problem, white, missed, rotation, moved)
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
             return None
-        position, drift = position + step[:3], drift + step[6:]
+        position, moved = position + step[:3], moved + step[6:]
         turn = quat_from_rotation_vector(vector3(step[3:6].tolist()))
         rotation = matrix_from_quat(turn) @ rotation
         if not np.isfinite(step).all() or position[2] <= 0.0:
             return None
-        if np.abs(step).max() < CONVERGED:
+        if np.abs(step[:6]).max() < CONVERGED:
             break
-    information, _, misses = _normal_equations(problem, rotation, position, drift)
+    left = (misses - jacobian @ step).reshape(2, -1)
+    squares = float(((missed - white @ step) ** 2).sum())
     covariance = np.linalg.inv(information)[:6, :6]
-    return _Fit(rotation, position, 0.5 * (covariance + covariance.T), misses)
+    return _Fit(rotation, position, 0.5 * (covariance + covariance.T), left, squares)
+
+
+def _linearised(
+    problem: _Problem, rotation: FloatArray, position: FloatArray, moved: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Jacobian (2n, m) and misses (2n,) of the rays, all u and then all v.
+
+    Unknowns: position, rotation (on the left), and in `moved`: velocity of the pad's origin and its rate of
+    turn, and what the errors have in common.
+    """
+    turned = rotation @ problem.points.T
+    a, b, c = turned
+    vx, vy, vz, wx, wy, wz = moved[:6].tolist()
+    delay = problem.delay_s
+    x = a + position[0] + delay * (vx + wy * c - wz * b)
+    y = b + position[1] + delay * (vy + wz * a - wx * c)
+    inverse = 1.0 / np.maximum(c + position[2] + delay * (vz + wx * b - wy * a), NEAREST_M)
+    u, v = x * inverse, y * inverse
+    a, b, c = a * inverse, b * inverse, c * inverse
+    n = len(u)
+    whole = np.empty((2 * n, 12 + problem.shared.shape[1]))
+    whole[:, 12:] = problem.shared
+    jacobian = np.zeros((2, n, 6))
+    along_u, along_v = jacobian
+    # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
+    along_u[:, 0], along_u[:, 2] = inverse, -u * inverse
+    along_u[:, 3], along_u[:, 4], along_u[:, 5] = -u * b, c + u * a, -b
+    along_v[:, 1], along_v[:, 2] = inverse, -v * inverse
+    along_v[:, 3], along_v[:, 4], along_v[:, 5] = -c - v * b, v * a, a
+    whole[:, :6] = jacobian.reshape(-1, 6)
+    whole[:, 6:12] = (jacobian * delay[:, None]).reshape(-1, 6)
+    seen = np.concatenate((problem.rays[:, 0] - u, problem.rays[:, 1] - v))
+    return whole, seen - problem.shared @ moved[6:]
 
 
 def _normal_equations(
-    problem: _Problem, rotation: FloatArray, position: FloatArray, drift: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Information (8, 8), gradient (8,), misses (n,). Unknowns: position, rotation (on the left), drift."""
-    turned = problem.points @ rotation.T
-    x, y, z = (turned + position).T
-    inverse = 1.0 / np.maximum(z, NEAREST_M)
-    u, v = x * inverse, y * inverse
-    n = len(u)
-    jacobian = np.zeros((2, n, 8))
-    jacobian[0, :, 0] = jacobian[1, :, 1] = inverse
-    jacobian[0, :, 2] = -u * inverse
-    jacobian[1, :, 2] = -v * inverse
-    # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
-    a, b, c = turned.T
-    for row in jacobian:
-        p, q, r = row[:, 0], row[:, 1], row[:, 2]
-        row[:, 3], row[:, 4], row[:, 5] = b * r - c * q, c * p - a * r, a * q - b * p
-    jacobian[0, :, 6] = jacobian[1, :, 7] = problem.turns
-    misses = problem.rays.T - np.stack((u, v)) - drift[:, None] * problem.turns
-    stacked, weight = jacobian.reshape(2 * n, 8), problem.ray_sigma**-2
-    information = weight * (stacked.T @ stacked)
-    gradient = weight * (stacked.T @ misses.reshape(2 * n))
+    problem: _Problem, white: FloatArray, missed: FloatArray, rotation: FloatArray, moved: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Information (m, m) and gradient (m,): the corners, gravity, and what is known of the motion.
+
+    Of the corners it takes the Jacobian and the misses, whitened.
+    """
+    information = white.T @ white
+    gradient = white.T @ missed
     if problem.down is not None:
         axis, level = rotation[:, 2], problem.level_sigma**-2
         information[3:6, 3:6] += level * (np.eye(3) - np.outer(axis, axis))
-        gradient[3:6] += level * np.cross(axis, problem.down)
-    rate = math.hypot(problem.speed_sigma / max(position[2], NEAREST_M), problem.rate_sigma)
-    still = max(problem.readout_s * rate, NO_DRIFT) ** -2
-    information[6, 6] += still
-    information[7, 7] += still
-    gradient[6:] -= still * drift
-    return information, gradient, np.hypot(misses[0], misses[1])
+        gradient[3:6] += level * np.array(cross(vector3(axis), vector3(problem.down)))
+    information[6:, 6:] += np.diag(problem.weight)
+    gradient[6:] -= problem.weight * moved
+    return information, gradient
 
 
 def _level_start(problem: _Problem, down: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """The pose of an exactly level pad: in levelled axes the image of the pad is a similarity.
 
     With the rays turned so that z is down, pad point (X, Y) at depth t_z obeys
-    z u = t_x + c X - s Y, z v = t_y + s X + c Y: linear in (c, s, t_x, t_y) / t_z.
+    z u = t_x + c X - s Y, z v = t_y + s X + c Y: as complex numbers w = t + k p, with p = X + iY, all over
+    t_z, and k by least squares about the means.
     """
     level_from_camera = _shortest_turn(down)
-    levelled = np.column_stack((problem.rays, np.ones(len(problem.rays)))) @ level_from_camera.T
+    levelled = problem.rays @ level_from_camera[:, :2].T + level_from_camera[:, 2]
     if levelled[:, 2].min() < 0.05:
         return None
-    u, v = levelled[:, 0] / levelled[:, 2], levelled[:, 1] / levelled[:, 2]
-    x, y = problem.points[:, 0], problem.points[:, 1]
-    one, zero = np.ones_like(x), np.zeros_like(x)
-    equations = np.concatenate((np.column_stack((x, -y, one, zero)), np.column_stack((y, x, zero, one))))
-    c, s, tx, ty = np.linalg.lstsq(equations, np.concatenate((u, v)), rcond=None)[0]
-    scale = math.hypot(c, s)
+    seen = (levelled[:, 0] + 1j * levelled[:, 1]) / levelled[:, 2]
+    printed = problem.points[:, 0] + 1j * problem.points[:, 1]
+    mean_seen, mean_printed = complex(seen.mean()), complex(printed.mean())
+    about = printed - mean_printed
+    k = complex(np.vdot(about, seen - mean_seen) / np.vdot(about, about).real)
+    scale = abs(k)
     if scale < 1e-6:
         return None
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, scale]]) / scale
-    position = np.array([tx, ty, 1.0]) / scale
+    t = mean_seen - k * mean_printed
+    c, s = k.real / scale, k.imag / scale
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    position = np.array([t.real, t.imag, 1.0]) / scale
     return level_from_camera.T @ turn, level_from_camera.T @ position
 
 

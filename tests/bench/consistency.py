@@ -29,9 +29,9 @@ def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     return values
 
 
-def band(dimension: int, count: Any) -> tuple[Any, Any]:
-    """Lower and upper bound that hold 95 % of the mean NEES of `count` flights; a number or an array."""
-    tail, freedom = 0.5 * (1.0 - SHARE), np.asarray(count) * dimension
+def band(dimension: int, count: Any, share: float = SHARE) -> tuple[Any, Any]:
+    """Bounds that hold that share of the mean NEES of `count` flights; a number or an array."""
+    tail, freedom = 0.5 * (1.0 - share), np.asarray(count) * dimension
     return chi2.ppf(tail, freedom) / count, chi2.ppf(1.0 - tail, freedom) / count
 
 
