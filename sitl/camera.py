@@ -225,7 +225,7 @@ class CameraModel:
         s = self._row_time * (2.0 * self._readout_s / max(self.span_s, 1e-6))
         if self._instants > 3:
             nodes = np.linspace(-1.0, 1.0, self._instants)
-            return np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0]))
+            return np.asarray(np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0])))
         return np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
 
     def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
