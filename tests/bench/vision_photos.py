@@ -3,8 +3,9 @@ corners).
 
 Each photo is read as the app reads a frame of the whole pad, with every code of its dictionary allowed, so
 that a false marker can be found. Photos of the marker grid (gb...) show the dictionary that lies beside them;
-the others OpenCV's 6X6_250. The references are whole pixels; as in OpenCV's own test, each coordinate counts
-for itself.
+the others OpenCV's 6X6_250. As in OpenCV's own test, each coordinate counts for itself. The references are
+the outermost dark pixels, as contours have them; the border that they mean runs half a pixel further out, and
+is measured beside.
 """
 
 from __future__ import annotations
@@ -30,11 +31,15 @@ CORNER_PX: Final = 1.0
 
 @dataclass(frozen=True)
 class Photo:
-    """What was found in one: `errors_px` (n, 4, 2) of the markers that are there; ids missed, and false ones."""
+    """What was found in one: ids missed, false ones, and the errors of the others.
+
+    `errors_px` (n, 4, 2) are against the references, `border_errors_px` against the borders that these mean.
+    """
 
     name: str
     printed: int
     errors_px: FloatArray
+    border_errors_px: FloatArray
     missed: tuple[int, ...]
     false: tuple[int, ...]
 
@@ -77,8 +82,18 @@ def _read(path: Path, printed: dict[int, FloatArray]) -> Photo:
     found = dict(zip((code.number for code in codes), corners, strict=True))
     right = sorted(found.keys() & printed.keys())
     errors: FloatArray = np.array([found[k] - printed[k] for k in right]).reshape(-1, 4, 2)
+    border: FloatArray = np.array([found[k] - outer_border(printed[k]) for k in right]).reshape(-1, 4, 2)
     missed, false = sorted(printed.keys() - found.keys()), sorted(found.keys() - printed.keys())
-    return Photo(path.name, len(printed), errors, tuple(missed), tuple(false))
+    return Photo(path.name, len(printed), errors, border, tuple(missed), tuple(false))
+
+
+def outer_border(corners_px: FloatArray) -> FloatArray:
+    """Corners (4, 2) with each side moved outwards by half a pixel; they go round clockwise in the image."""
+    along = np.roll(corners_px, -1, axis=0) - corners_px
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    out = np.stack((along[:, 1], -along[:, 0]), axis=1)
+    before = np.roll(out, 1, axis=0)
+    return np.asarray(corners_px + 0.5 * (out + before) / (1.0 + (out * before).sum(axis=1, keepdims=True)))
 
 
 def _dictionary(path: Path) -> cv2.aruco.Dictionary:
@@ -92,26 +107,34 @@ def _dictionary(path: Path) -> cv2.aruco.Dictionary:
     return dictionary
 
 
+def _rms(errors_px: FloatArray) -> float:
+    return float(np.sqrt(np.mean(errors_px**2))) if errors_px.size else float("nan")
+
+
 def photo_table(photos: list[Photo]) -> tuple[Table, dict[str, bool]]:
     """What was found beside what is there."""
     grid = Table(title="Real photographs")
+    worst = f"worst coordinate px (≤{CORNER_PX:g})"
     for heading in (
         "photo",
         "found",
         "missed",
         "false",
-        "corner rms px",
-        f"worst coordinate px (≤{CORNER_PX:g})",
+        "rms px",
+        worst,
+        "to the border: rms px",
+        "worst px",
     ):
         grid.add_column(heading, justify="right")
     for photo in photos:
-        rms = float(np.sqrt(np.mean(photo.errors_px**2))) if len(photo.errors_px) else float("nan")
         grid.add_row(
             photo.name,
             f"{len(photo.errors_px)} of {photo.printed}",
             " ".join(map(str, photo.missed)) or "-",
             " ".join(map(str, photo.false)) or "-",
-            f"{rms:.2f}",
+            f"{_rms(photo.errors_px):.2f}",
             f"{photo.worst_px:.2f}{'' if photo.holds else ' ✗'}",
+            f"{_rms(photo.border_errors_px):.2f}",
+            f"{np.abs(photo.border_errors_px).max(initial=0.0):.2f}",
         )
     return grid, {"photographs": bool(photos) and all(photo.holds for photo in photos)}
