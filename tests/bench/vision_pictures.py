@@ -43,10 +43,9 @@ def contact_sheet(path: Path) -> None:
     clutter = []
     for chunk in CLUTTER_SHEET_CHUNKS:
         stage, shot, _ = clutter_shots(chunk, 1)[0]
-        middle = (0.5 * stage.camera.width_px, 0.5 * stage.camera.height_px)
-        clutter.append(
-            _cell(shot.frame.image, middle, f"clutter {stage.camera.width_px}x{stage.camera.height_px}")
-        )
+        rows_px, columns_px = shot.frame.image.shape
+        middle = (0.5 * columns_px, 0.5 * rows_px)
+        clutter.append(_cell(shot.frame.image, middle, f"clutter {stage.camera.width_px} px"))
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), np.vstack([*rows, np.hstack(clutter)]))
 
