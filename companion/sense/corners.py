@@ -29,7 +29,7 @@ MOST_ROUNDS: Final = 5
 SETTLED_PX: Final = 0.2
 # how far a normal reaches to either hand at first: in cells of the code, and within these bounds in pixels
 REACH_CELLS: Final = 0.45
-REACH_PX: Final = (2.2, 14.0)
+REACH_PX: Final = (2.5, 14.0)
 # then in terms of how wide the edge is blurred
 REACH_BLURS: Final = 3.0
 # near a corner a normal would see the other side: left out, as a share of the side and at least in pixels

@@ -5,10 +5,12 @@ gravity direction, which the vehicle knows, takes part: the pad is level to a fe
 starting point (levelled, the pose is a similarity, which has a single, linear solution) and stays in the
 fit as a weak measurement. Without it the better of the two planar solutions (IPPE) starts the fit.
 
-A rolling shutter exposes rows one after another, so that what moves through the image is sheared: by
-25 px at 0.25 m and 1 m/s. The fit therefore has eight unknowns: position, rotation, and the drift of the
-image over the readout, which a plausible speed and rate of turn bound. The position holds at the time of
-the mean row of the corners.
+A rolling shutter exposes rows one after another, so that what moves through the image is bent: sideways motion
+shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a lean of half a degree. The
+fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the readout, which
+what is known of the motion bounds. The position holds at the time of the mean row of the corners. What the rotors
+shake is quicker than that: corners of the same rows are shaken alike, however many they are. It is fitted too, as
+a shift of the image that changes from one knot to the next within the readout.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
 reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree with
@@ -41,13 +43,20 @@ from companion.sense.lens import NEAREST_M, Lens
 
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
+# corners of a marker that is large in the image err by this share of its side beyond what its sides tell
+LARGE_SHARE: Final = 3e-4
+# the rotors' shaking is told apart at knots of this distance in the readout, at most so many
+KNOT_S: Final = 0.0025
+MOST_KNOTS: Final = 8
 # the corners' stated noise is worth as much as this many observed misses
 PRIOR_MISSES: Final = 20.0
-NO_DRIFT: Final = 1e-6
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
 # what leans from the level by more than this many standard deviations is not our pad
 MAXIMUM_LEAN_SIGMA: Final = 4.0
+
+# places along a side, as shares of it, at which a fitted line errs independently
+_SHARES: Final = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,48 +77,72 @@ class PadPose:
 
 
 @dataclass(frozen=True, slots=True)
+class PadMotion:
+    """How the pad moves in camera axes: velocity of its origin (m/s), rate of turn (rad/s), and their doubt.
+
+    The doubt is a standard deviation of each axis.
+    """
+
+    velocity_m_s: FloatArray
+    rate_rad_s: FloatArray
+    velocity_std_m_s: float
+    rate_std_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
-    `turns` is each point's row relative to the mean row, as a share of the image's height.
+    `delay_s` is when each point's row is exposed, after the mean row; `motion` holds the velocity and the rate
+    of turn that are expected (6,), and `shake` (2n, 2k) how the image's shifts at the knots of the readout move
+    each ray. `weight` (6 + 2k,) holds the inverse variances of both.
     """
 
     points: FloatArray  # (n, 3)
     rays: FloatArray  # (n, 2)
-    turns: FloatArray  # (n,)
+    delay_s: FloatArray  # (n,)
     down: FloatArray | None  # (3,)
-    ray_sigma: FloatArray  # (n,) in each direction
+    whitening: FloatArray  # (2n, 2n)
     level_sigma: float
-    readout_s: float
-    speed_sigma: float
-    rate_sigma: float
+    motion: FloatArray
+    shake: FloatArray
+    weight: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A pose with its covariance (6, 6), and each point's miss (2, n) as a ray."""
+    """A pose with its covariance (6, 6), each point's miss (2, n) as a ray, and the sum of the misses' squares.
+
+    The latter in terms of what was expected of them.
+    """
 
     rotation: FloatArray
     position: FloatArray
     covariance: FloatArray
     misses: FloatArray
+    squares: float
 
 
 def estimate_pose(
-    found: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
+    found: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
+    motion: PadMotion | None = None,
 ) -> PadPose | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
     Args:
         found: markers with corners in pixels.
         down_camera: gravity's direction (unit) in camera axes, or None when the attitude is unknown.
+        motion: what is known of the pad's motion in camera axes, or None.
 
     Returns:
         None when no majority of the markers agrees on a level pad in front of the camera.
     """
     candidates = list(found)
     while 2 * len(candidates) > len(found):
-        problem = _problem(candidates, lens, config, down_camera)
+        problem = _problem(candidates, lens, config, down_camera, motion or _any_motion(config))
         fit = _fit(problem)
         if fit is None:
             return None
@@ -122,22 +155,76 @@ def estimate_pose(
     return None
 
 
+def _any_motion(config: VisionConfig) -> PadMotion:
+    return PadMotion(np.zeros(3), np.zeros(3), config.relative_speed_std_m_s, config.turn_rate_std_rad_s)
+
+
 def _problem(
-    detections: list[Detection], lens: Lens, config: VisionConfig, down_camera: Vector3 | None
+    detections: list[Detection],
+    lens: Lens,
+    config: VisionConfig,
+    down_camera: Vector3 | None,
+    motion: PadMotion,
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
-    noise_px = [math.hypot(config.corner_noise_px, d.corner_std_px) for d in detections]
+    delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
+    shake, rays = _shake(delay_s), lens.undistort(pixels)
+    doubt = [motion.velocity_std_m_s] * 3 + [motion.rate_std_rad_s] * 3
+    doubt += [1e-3 * config.vibration_mrad] * shake.shape[1]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
-        rays=lens.undistort(pixels),
-        turns=(pixels[:, 1] - pixels[:, 1].mean()) / lens.size_px[1],
+        rays=rays,
+        delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        ray_sigma=np.repeat(noise_px, 4) / lens.focal_px,
+        whitening=_whitening(rays, np.array([_noise_px(d, config) for d in detections]) / lens.focal_px),
         level_sigma=math.radians(config.level_std_deg),
-        readout_s=lens.readout_s,
-        speed_sigma=config.relative_speed_std_m_s,
-        rate_sigma=config.turn_rate_std_rad_s,
+        motion=np.concatenate((motion.velocity_m_s, motion.rate_rad_s)),
+        shake=shake,
+        weight=np.array(doubt) ** -2,
     )
+
+
+def _noise_px(detection: Detection, config: VisionConfig) -> float:
+    """Of each corner in each direction: what its marker's sides tell, and what they cannot."""
+    large = LARGE_SHARE * detection.side_px
+    return math.sqrt(detection.corner_std_px**2 + config.corner_noise_px**2 + large**2)
+
+
+def _whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
+    """What makes the rays' errors independent and of unit variance: (2n, 2n), rows of all u, then of all v.
+
+    Corners are where sides meet, and the sides are what is measured: a straight line through independent
+    places is independent at +-1/sqrt(3) of its half length. There each side's offset counts, and a corner
+    errs by sqrt(2) times as much.
+    """
+    m = len(sigma)
+    corners = rays.reshape(m, 4, 2)
+    along = corners[:, (1, 2, 3, 0)] - corners
+    along /= np.sqrt((along**2).sum(axis=2))[..., None]
+    k, side = np.arange(m)[:, None], np.arange(4)
+    white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, place | direction, marker, corner
+    for direction, normal in enumerate((along[..., 1], -along[..., 0])):
+        scaled = normal * (math.sqrt(2.0) / sigma)[:, None]
+        for place, share in enumerate(_SHARES):
+            white[k, side, place, direction, k, side] = scaled * (1.0 - share)
+            white[k, side, place, direction, k, (side + 1) % 4] = scaled * share
+    return white.reshape(8 * m, 8 * m)
+
+
+def _shake(delay_s: FloatArray) -> FloatArray:
+    """How shifts at the knots, right and down, move the rays (2n, 2k), straight between knots.
+
+    The shift at the mean row is not among them: the pose holds at its time, shaken as the camera is then.
+    """
+    first, span_s = float(delay_s.min()), float(delay_s.max() - delay_s.min())
+    count = min(2 + int(span_s / KNOT_S), MOST_KNOTS)
+    step_s = max(KNOT_S, span_s / (count - 1))
+    times = np.append(delay_s, 0.0)
+    hats = np.maximum(1.0 - np.abs((times[:, None] - first) / step_s - np.arange(count)), 0.0)
+    n = len(delay_s)
+    both = np.zeros((2 * n, 2 * count))
+    both[:n, :count] = both[n:, count:] = hats[:n] - hats[n]
+    return both
 
 
 def _accept(
@@ -148,9 +235,8 @@ def _accept(
     The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
     that miss by more or less than was stated say how large the noise is.
     """
-    squares = float(((fit.misses / problem.ray_sigma) ** 2).sum())
     freedom = max(2 * len(problem.points) - 6, 0)
-    scale = (PRIOR_MISSES + squares) / (PRIOR_MISSES + freedom)
+    scale = (PRIOR_MISSES + fit.squares) / (PRIOR_MISSES + freedom)
     common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
     covariance = fit.covariance * scale
     covariance[:3, :3] += np.eye(3) * common
@@ -172,68 +258,76 @@ def _fit(problem: _Problem) -> _Fit | None:
     if start is None:
         return None
     rotation, position = start
-    drift = np.zeros(2)
+    moved = np.zeros(len(problem.weight))
     for _ in range(ITERATIONS):
-        jacobian, misses = _linearised(problem, rotation, position, drift)
-        information, gradient = _normal_equations(problem, jacobian, misses, rotation, position, drift)
+        jacobian, misses = _linearised(problem, rotation, position, moved)
+        white, missed = problem.whitening @ jacobian, problem.whitening @ misses
+        information, gradient = _normal_equations(problem, white, missed, rotation, moved)
         try:
             step = np.linalg.solve(information, gradient)
         except np.linalg.LinAlgError:
             return None
-        position, drift = position + step[:3], drift + step[6:]
+        position, moved = position + step[:3], moved + step[6:]
         turn = quat_from_rotation_vector(vector3(step[3:6].tolist()))
         rotation = matrix_from_quat(turn) @ rotation
         if not np.isfinite(step).all() or position[2] <= 0.0:
             return None
-        if np.abs(step).max() < CONVERGED:
+        if np.abs(step[:6]).max() < CONVERGED:
             break
-    misses = misses - (jacobian @ step).reshape(2, -1)
+    left = (misses - jacobian @ step).reshape(2, -1)
+    squares = float(((missed - white @ step) ** 2).sum())
     covariance = np.linalg.inv(information)[:6, :6]
-    return _Fit(rotation, position, 0.5 * (covariance + covariance.T), misses)
+    return _Fit(rotation, position, 0.5 * (covariance + covariance.T), left, squares)
 
 
 def _linearised(
-    problem: _Problem, rotation: FloatArray, position: FloatArray, drift: FloatArray
+    problem: _Problem, rotation: FloatArray, position: FloatArray, moved: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Jacobian (2n, 8) and misses (2, n) of the rays. Unknowns: position, rotation (on the left), drift."""
+    """Jacobian (2n, m) and misses (2n,) of the rays, all u and then all v.
+
+    Unknowns: position, rotation (on the left), and in `moved`: velocity of the pad's origin and its rate of
+    turn, both less what is expected, and the shifts at the knots.
+    """
     turned = rotation @ problem.points.T
-    inverse = 1.0 / np.maximum(turned[2] + position[2], NEAREST_M)
-    u, v = (turned[0] + position[0]) * inverse, (turned[1] + position[1]) * inverse
+    a, b, c = turned
+    vx, vy, vz, wx, wy, wz = (problem.motion + moved[:6]).tolist()
+    delay = problem.delay_s
+    x = a + position[0] + delay * (vx + wy * c - wz * b)
+    y = b + position[1] + delay * (vy + wz * a - wx * c)
+    inverse = 1.0 / np.maximum(c + position[2] + delay * (vz + wx * b - wy * a), NEAREST_M)
+    u, v = x * inverse, y * inverse
+    a, b, c = a * inverse, b * inverse, c * inverse
     n = len(u)
-    a, b, c = turned * inverse
-    jacobian = np.zeros((2, n, 8))
+    whole = np.empty((2 * n, 12 + problem.shake.shape[1]))
+    whole[:, 12:] = problem.shake
+    jacobian = np.zeros((2, n, 6))
     along_u, along_v = jacobian
     # a small turn moves a point by turn x point, so a row's rotation part is point x (its position part)
     along_u[:, 0], along_u[:, 2] = inverse, -u * inverse
     along_u[:, 3], along_u[:, 4], along_u[:, 5] = -u * b, c + u * a, -b
     along_v[:, 1], along_v[:, 2] = inverse, -v * inverse
     along_v[:, 3], along_v[:, 4], along_v[:, 5] = -c - v * b, v * a, a
-    along_u[:, 6] = along_v[:, 7] = problem.turns
-    misses = problem.rays.T - np.stack((u, v)) - drift[:, None] * problem.turns
-    return jacobian.reshape(2 * n, 8), misses
+    whole[:, :6] = jacobian.reshape(-1, 6)
+    whole[:, 6:12] = (jacobian * delay[:, None]).reshape(-1, 6)
+    seen = np.concatenate((problem.rays[:, 0] - u, problem.rays[:, 1] - v))
+    return whole, seen - problem.shake @ moved[6:]
 
 
 def _normal_equations(
-    problem: _Problem,
-    jacobian: FloatArray,
-    misses: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    drift: FloatArray,
+    problem: _Problem, white: FloatArray, missed: FloatArray, rotation: FloatArray, moved: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Information (8, 8) and gradient (8,): the corners, gravity, and how far a plausible motion drifts."""
-    weighted = jacobian * np.tile(problem.ray_sigma**-2, 2)[:, None]
-    information = weighted.T @ jacobian
-    gradient = weighted.T @ misses.reshape(-1)
+    """Information (m, m) and gradient (m,): the corners, gravity, and what is known of the motion.
+
+    Of the corners it takes the Jacobian and the misses, whitened.
+    """
+    information = white.T @ white
+    gradient = white.T @ missed
     if problem.down is not None:
         axis, level = rotation[:, 2], problem.level_sigma**-2
         information[3:6, 3:6] += level * (np.eye(3) - np.outer(axis, axis))
         gradient[3:6] += level * np.array(cross(vector3(axis), vector3(problem.down)))
-    rate = math.hypot(problem.speed_sigma / max(float(position[2]), NEAREST_M), problem.rate_sigma)
-    still = max(problem.readout_s * rate, NO_DRIFT) ** -2
-    information[6, 6] += still
-    information[7, 7] += still
-    gradient[6:] -= still * drift
+    information[6:, 6:] += np.diag(problem.weight)
+    gradient[6:] -= problem.weight * moved
     return information, gradient
 
 

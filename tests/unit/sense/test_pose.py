@@ -31,7 +31,7 @@ def detections(
     group: str = "F",
     noise: FloatArray | None = None,
 ) -> list[Detection]:
-    """Corners of a group's markers as that pose shows them; noise is (markers, 4, 2) px."""
+    """Corners of a group's markers as that pose shows them; noise is (markers, 4, 2) px, and is known of."""
     matrix = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]])
     turn, _ = cv2.Rodrigues(rotation)
     found = []
@@ -41,8 +41,19 @@ def detections(
         corners = np.asarray(pixels, dtype=np.float64).reshape(4, 2)
         if noise is not None:
             corners = corners + noise[k]
-        found.append(Detection(marker, points, corners, float(np.linalg.norm(corners[1] - corners[0]))))
+        std_px = 0.0 if noise is None else float(noise.std())
+        side_px = float(np.linalg.norm(corners[1] - corners[0]))
+        found.append(Detection(marker, points, corners, side_px, std_px))
     return found
+
+
+def noise_of_sides(rng: np.random.Generator, corner_std_px: float, markers: int) -> FloatArray:
+    """What corners (markers, 4, 2) miss by when each of an upright square's sides is off, and turned."""
+    normals = np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)])
+    off = rng.normal(0.0, corner_std_px / math.sqrt(2.0), (markers, 4, 2))
+    middle, slope = off.mean(axis=2), math.sqrt(3.0) * 0.5 * (off[..., 1] - off[..., 0])
+    ahead, behind = (middle - slope)[..., None] * normals, (middle + slope)[..., None] * normals
+    return np.asarray(ahead + np.roll(behind, 1, axis=1))
 
 
 @pytest.fixture
@@ -101,14 +112,12 @@ def test_at_seven_metres_the_horizontal_position_is_good_to_a_centimetre(
 def test_the_covariance_says_how_large_the_errors_are(pad: Pad, camera: CameraConfig, lens: Lens) -> None:
     rng = np.random.default_rng(8)
     config = VisionConfig(scale_error=0.0)
-    rotation, position = camera_from_pad_at(0.2), (0.1, 0.2, 4.0)
+    rotation, position = camera_from_pad_at(-0.5 * math.pi), (0.1, 0.2, 4.0)  # its top edge up the image
     normalised = []
     for _ in range(60):
         lean = rng.normal(0.0, math.radians(config.level_std_deg), 2)
         down = matrix_from_quat(quat_from_euler(lean[0], lean[1], 0.0))[:, 2]
-        found = detections(
-            pad, camera, rotation, position, noise=rng.normal(0, config.corner_noise_px, (4, 4, 2))
-        )
+        found = detections(pad, camera, rotation, position, noise=noise_of_sides(rng, 0.2, 4))
         pose = estimate_pose(found, lens, config, vector3(down))
         assert pose is not None
         error = pose.position_camera_m - position
