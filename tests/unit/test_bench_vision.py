@@ -23,7 +23,7 @@ from tests.bench import vision_hover
 from tests.bench.vision_cases import Case, Outcome, miscalibrated, paper_config
 from tests.bench.vision_clutter import clutter_board, random_code
 from tests.bench.vision_hover import Flight, Moment
-from tests.bench.vision_judge import Judged, _errors, _information, bound_m2, noise_px
+from tests.bench.vision_judge import UNKNOWNS, Judged, _errors, _rows, bound_m2, noise_px
 from tests.bench.vision_photos import outer_border
 from tests.bench.vision_shots import Scene, Shot, Stage, camera_named, pad_of, vehicle
 from tests.bench.vision_speed import Follower, Times
@@ -131,7 +131,8 @@ def test_a_flip_is_a_lean_to_the_other_side_or_far_off() -> None:
     stage = Stage("640x480", 18.0, np.random.default_rng(7))
     # it rolls by 4 degrees: mirrored it is off by 8
     moment = Moment(vision_hover.flight(0), 3.2, 0.0, 0.5)
-    scene = Scene(moment, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1.0), 0.0)
+    north, east, down = quat_rotate(moment.at(0.0)[1], (0.0, 0.0, -1.0))
+    scene = Scene(moment, (1.0, 0.0, 0.0, 0.0), (north, east, down), 0.0)
     shot = Shot(stage.frame(scene, 0.0), scene, stage.expectation(scene, 0.0, 1.0))
     assert not _errors(shot, sighting(shot, stage, (0.0, 0.0, 0.0))).flipped
     assert not _errors(shot, sighting(shot, stage, (0.05, 0.0, 0.0))).flipped
@@ -153,10 +154,10 @@ def test_the_bound_is_what_a_fit_of_noisy_corners_reaches() -> None:
         return np.asarray((p[:, :2] / p[:, 2:]).reshape(-1))
 
     jacobian = np.stack([(image(1e-6 * unit) - image(-1e-6 * unit)) / 2e-6 for unit in np.eye(6)], axis=1)
-    information = _information(points, position, np.zeros(4))
-    assert information[:6, :6] == pytest.approx(jacobian.T @ jacobian, rel=1e-5, abs=1e-7)
-    assert not information[6:].any()
-    shot = Judged(True, False, information={"F": information}, known=1e4 * np.eye(12))
+    rows = _rows(points, position, np.zeros(4), np.zeros((4, 2)))
+    assert rows[:, :6] == pytest.approx(jacobian, rel=1e-5, abs=1e-7)
+    assert not rows[:, 6:].any()
+    shot = Judged(True, False, information={"F": rows.T @ rows}, known=1e4 * np.eye(UNKNOWNS))
     noise = 1e-3
     estimates = np.linalg.solve(
         jacobian.T @ jacobian / noise**2 + 1e4 * np.eye(6),
@@ -165,6 +166,17 @@ def test_the_bound_is_what_a_fit_of_noisy_corners_reaches() -> None:
     )
     spread = float((estimates[:3] ** 2).sum(axis=0).mean())
     assert bound_m2(shot, {"F": noise}) == pytest.approx(spread, rel=0.05)
+
+
+def test_vibration_turns_the_camera_about_itself() -> None:
+    points, position = np.array([(0.2, -0.1, 0.0)]), np.array([0.1, -0.1, 2.0])
+    rows = _rows(points, position, np.zeros(1), np.array([(1.0, 0.5)]))
+    away = points[0] + position
+    for k in (0, 1):
+        turned = away + 1e-6 * np.cross(np.eye(3)[k], away)
+        moved = (turned[:2] / turned[2] - away[:2] / away[2]) / 1e-6
+        assert rows[:, 12 + k] == pytest.approx(moved, rel=1e-4)
+        assert rows[:, 14 + k] == pytest.approx(0.5 * moved, rel=1e-4)
 
 
 def test_corner_noise_is_pooled_by_group() -> None:
@@ -230,9 +242,9 @@ def test_the_border_of_dark_pixels_is_half_a_pixel_further_out() -> None:
 def outcome(case: Case, error_m: float, seen: int, missed: int, rng: np.random.Generator) -> Outcome:
     """Shots with errors of that rms, covariances that are right, and corners as noisy as explains them."""
     std = error_m / math.sqrt(3.0)
-    information = np.zeros((12, 12))
+    information = np.zeros((UNKNOWNS, UNKNOWNS))
     information[:3, :3] = np.eye(3) * 0.1**2 / std**2
-    known = np.diag([0.0] * 3 + [1.0] * 9)
+    known = np.diag([0.0] * 3 + [1.0] * (UNKNOWNS - 3))
     shots = [
         Judged(
             True,
