@@ -68,7 +68,7 @@ class Amount:
     timed: int
 
 
-FULL: Final = Amount(marker=1000, pad=2000, clutter=10_000, flips=10_000, timed=150)
+FULL: Final = Amount(marker=1000, pad=1000, clutter=10_000, flips=10_000, timed=150)
 QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20)
 
 
