@@ -139,8 +139,11 @@ class VisionConfig(StrictModel):
     unstamped_latency_s: float = Field(
         default=0.045, ge=0.0, le=0.5
     )  # age, when it comes, of another process's frame that does not say when it was exposed
+    pose: Literal["joint", "paper"] = (
+        "joint"  # one fit to all corners; or each marker by itself, extraction by eq. 1, mean: to compare
+    )
     minimum_side_px: float = Field(default=12.0, ge=8.0, le=100.0)  # smaller markers are not looked for
-    maximum_markers: int = Field(default=12, ge=1, le=100)  # refined and used in one frame
+    maximum_markers: int = Field(default=8, ge=1, le=100)  # refined and used in one frame
     region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected
     region_margin_sigma: float = Field(default=3.0, ge=1.0, le=10.0)  # of the expected position
     corner_noise_px: float = Field(default=0.025, gt=0.0, le=5.0)

@@ -171,12 +171,13 @@ def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
     """At most `maximum` of the detections, spread over the image; the order is kept."""
     if len(found) <= maximum:
         return found
-    centres = np.array([d.corners_px.mean(axis=0) for d in found])
-    chosen = [int(np.argmax(np.sum((centres - centres.mean(axis=0)) ** 2, axis=1)))]
-    distance = np.sum((centres - centres[chosen[0]]) ** 2, axis=1)
+    centres = np.array([d.corners_px for d in found]).sum(axis=1)
+    apart = ((centres[:, None] - centres) ** 2).sum(axis=2)
+    chosen = [int(np.argmax(apart.sum(axis=1)))]
+    distance = apart[chosen[0]]
     while len(chosen) < maximum:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.sum((centres - centres[chosen[-1]]) ** 2, axis=1))
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, apart[chosen[-1]])
     return [found[k] for k in sorted(chosen)]
 
 

@@ -1,13 +1,13 @@
 """A marker's corners where its four sides meet.
 
-The usual refinement looks at a corner's own neighbourhood, and blur rounds a corner off: it is drawn inwards by
-a third of the blur's sigma, and the marker seems farther away than it is. A side is not moved by a blur that is
-the same to both hands, and it is long. So the brightness is sampled along many normals of each side, the place
-where it changes is found on each, and a curve is laid through these places: a straight line that may bow as much
-as a lens bends it. How far the places lie from the curve says how certain the corners are.
+The usual refinement looks at a corner's own neighbourhood, and blur rounds a corner off: it is drawn inwards
+by a third of the blur's sigma, and the marker seems farther away than it is. A side is not moved by a blur
+that is the same to both hands, and it is long. So the brightness is sampled along many normals of each side,
+the place where it changes is found on each, and a curve is laid through these places: a straight line that
+may bow as much as a lens bends it. How far the places lie from the curve says how certain the corners are.
 
-Pixels: u right, v down, whole numbers at pixel centres. Corners go round clockwise in the image, four a marker,
-and side k runs from corner k to the next.
+Pixels: u right, v down, whole numbers at pixel centres. Corners go round clockwise in the image, four a
+marker, and side k runs from corner k to the next.
 """
 
 from __future__ import annotations
@@ -56,13 +56,14 @@ _WINDOW: Final = 1.0 - _BETWEEN**2
 # what a normal's differences are summed with: their weight, mean and mean square (12, 3)
 _MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2), axis=1)
 _PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
-# orthonormal polynomials over the places (12, 3), and what they are at any u: (u^0, u^1, u^2) times this (3, 3)
+# orthonormal polynomials over the places (12, 3), and what they are at any u: (u^0, u^1, u^2) times this
+# (3, 3)
 _BASIS, _TRIANGLE = np.linalg.qr(np.stack((np.ones(NORMALS), _PLACES, _PLACES**2), axis=1))
 _POLYNOMIALS: Final = np.linalg.inv(_TRIANGLE)
 
 
 class _Sides(NamedTuple):
-    """Straight sides (m, 4) of markers: directions, outward normals (m, 4, 2), lengths, and each marker's end."""
+    """Straight sides (m, 4) of markers, their directions and outward normals (m, 4, 2)."""
 
     start: FloatArray
     along: FloatArray
@@ -72,7 +73,7 @@ class _Sides(NamedTuple):
 
 
 class _Places(NamedTuple):
-    """Where the sides cross normals (m, 4, NORMALS), px outwards; contrasts alike; the blur of each marker."""
+    """Where the sides cross normals (m, 4, NORMALS), px outwards, contrasts alike, blur of each marker."""
 
     offset: FloatArray
     contrast: FloatArray
@@ -80,7 +81,7 @@ class _Places(NamedTuple):
 
 
 class _Curves(NamedTuple):
-    """Curves through the places: coefficients (m, 4, 3), scatter (m,) px, and the share of places used (m,)."""
+    """Curves through places: coefficients (m, 4, 3), scatter (m,) px, share of the places used (m,)."""
 
     coefficients: FloatArray
     scatter_px: FloatArray

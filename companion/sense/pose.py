@@ -5,19 +5,21 @@ gravity direction, which the vehicle knows, takes part: the pad is level to a fe
 starting point (levelled, the pose is a similarity, which has a single, linear solution) and stays in the
 fit as a weak measurement. Without it the better of the two planar solutions (IPPE) starts the fit.
 
-A rolling shutter exposes rows one after another, so that what moves through the image is bent: sideways motion
-shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a lean of half a degree. The
-fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the readout, which
-what is known of the motion bounds. The position holds at the time of the mean row of the corners. What the rotors
-shake is quicker than that: corners of the same rows are shaken alike, however many they are. It is fitted too, as
-a shift of the image that changes from one knot to the next within the readout.
+A rolling shutter exposes rows one after another, so that what moves through the image is bent: sideways
+motion shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a lean of half a
+degree. The fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the
+readout, which what is known of the motion bounds. The position holds at the time of the mean row of the
+corners. What the rotors shake is quicker than that: corners of the same rows are shaken alike, however many
+they are. It is fitted too, as a shift of the image that changes from one knot to the next within the
+readout.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
-reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree with
-the rest are dropped. Camera axes are OpenCV's.
+reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree
+with the rest are dropped. Camera axes are OpenCV's.
 
-What a pose errs by has two parts. One is new in each frame: the corners' noise, by the Jacobian. The other, the
-calibration's error along and across the ray, is the same in all of them: averaging frames does not shrink it.
+What a pose errs by has two parts. One is new in each frame: the corners' noise, by the Jacobian. The other,
+the calibration's error along and across the ray, is the same in all of them: averaging frames does not
+shrink it.
 """
 
 from __future__ import annotations
@@ -63,8 +65,8 @@ _SHARES: Final = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
 class PadPose:
     """The pad in camera axes; `covariance` is 6x6: position (m), small rotation about camera axes (rad).
 
-    `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose holds
-    when `row_px` is exposed.
+    `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose
+    holds when `row_px` is exposed.
     """
 
     position_camera_m: FloatArray
@@ -93,9 +95,9 @@ class PadMotion:
 class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
-    `delay_s` is when each point's row is exposed, after the mean row; `motion` holds the velocity and the rate
-    of turn that are expected (6,), and `shake` (2n, 2k) how the image's shifts at the knots of the readout move
-    each ray. `weight` (6 + 2k,) holds the inverse variances of both.
+    `delay_s` is when each point's row is exposed, after the mean row; `motion` holds the velocity and the
+    rate of turn that are expected (6,), and `shake` (2n, 2k) how the image's shifts at the knots of the
+    readout move each ray. `weight` (6 + 2k,) holds the inverse variances of both.
     """
 
     points: FloatArray  # (n, 3)
@@ -111,7 +113,8 @@ class _Problem:
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """A pose with its covariance (6, 6), each point's miss (2, n) as a ray, and the sum of the misses' squares.
+    """A pose with its covariance (6, 6), each point's miss (2, n) as a ray, and the sum of the misses'
+    squares.
 
     The latter in terms of what was expected of them.
     """

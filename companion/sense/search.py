@@ -22,9 +22,8 @@ from companion.sense.lens import Lens
 # pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
 CELL_PX: Final = 3.1
 SHRINKINGS: Final = (6, 4, 3, 2, 1)
-# markers of the preferred group that should be whole in the image, and how many to look for at most
+# markers of the preferred group that should be whole in the image
 ENOUGH_MARKERS: Final = 2
-MOST_MARKERS: Final = 12
 # a pad expected with a standard deviation above this share of its distance is searched for everywhere
 VAGUE: Final = 0.25
 EDGE_PX: Final = 4.0
@@ -46,6 +45,8 @@ class SearchPlanner:
     def __init__(self, pad: Pad, lens: Lens, config: VisionConfig) -> None:
         self._lens = lens
         self._config = config
+        self._middle = 0.5 * np.array(lens.size_px)
+        self._far = np.tile(lens.size_px, 4) - EDGE_PX
         self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
         self._members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
         self._cells = {
@@ -102,23 +103,26 @@ class SearchPlanner:
     def _view(self, group: MarkerGroup, pixels: FloatArray) -> _View | None:
         """The group's readable markers: whole in the image and large enough."""
         corners = pixels[self._members[group]]
-        low, high = np.array([EDGE_PX, EDGE_PX]), np.array(self._lens.size_px) - EDGE_PX
-        with np.errstate(invalid="ignore"):
-            inside = ((corners > low) & (corners < high)).all(axis=(1, 2))
+        flat = corners.reshape(-1, 8)
+        inside = ((flat > EDGE_PX) & (flat < self._far)).all(axis=1)
         whole = corners[inside]
         if len(whole) == 0:
             return None
-        side = float(np.median(np.linalg.norm(whole[:, 1] - whole[:, 0], axis=1)))
+        top = whole[:, 1] - whole[:, 0]
+        sides = np.sort(np.sqrt((top**2).sum(axis=1)))
+        side = float(sides[len(sides) // 2])
         if side < self._config.minimum_side_px:
             return None
         return _View(group, whole, side, side / self._cells[group])
 
     def _pass(self, view: _View, margin_px: float) -> SearchPass:
         """The rectangle about the group's markers nearest to the image's middle."""
-        middle = 0.5 * np.array(self._lens.size_px)
-        away = np.sum((view.whole.mean(axis=1) - middle) ** 2, axis=1)
-        near = view.whole[np.argsort(away, kind="stable")[:MOST_MARKERS]].reshape(-1, 2)
+        near, most = view.whole, self._config.maximum_markers
+        if len(near) > most:
+            away = ((0.25 * near.sum(axis=1) - self._middle) ** 2).sum(axis=1)
+            near = near[np.argsort(away, kind="stable")[:most]]
         margin = margin_px + 0.2 * view.side_px
+        near = near.reshape(-1, 2)
         low = np.floor(near.min(axis=0) - margin).astype(int).clip(0)
         high = np.ceil(near.max(axis=0) + margin).astype(int) + 1
         width, height = self._lens.size_px

@@ -30,7 +30,9 @@ from companion.messages import Frame, MarkerGroup, PadPrior, PadSighting
 from companion.pad import Pad
 from companion.sense.aruco import GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.lens import Lens
+from companion.sense.paper_pose import paper_pose
 from companion.sense.pose import PadPose, estimate_pose
+from companion.sense.print_check import PrintCheck
 from companion.sense.search import SearchPlanner
 
 
@@ -59,6 +61,7 @@ class Vision:
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
         self._detector = PadDetector(pad, config)
+        self._print = PrintCheck(pad, self._lens)
         self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)
         self._mount = np.array(vehicle.camera_position_body_m)
@@ -82,7 +85,7 @@ class Vision:
         found: list[Detection] = []
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
-            pose = estimate_pose(found, self._lens, self._config, down) if found else None
+            pose = self._pose(frame, found, down) if found else None
             if pose is not None:
                 sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
                 return VisionResult(sighting, count_groups(pose.used), number >= len(looks), pose.used)
@@ -91,6 +94,15 @@ class Vision:
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
         return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
+
+    def _pose(self, frame: Frame, found: list[Detection], down: Vector3 | None) -> PadPose | None:
+        """The pose as the settings have it; one marker alone is believed when the print about it fits."""
+        if self._config.pose == "paper":
+            return paper_pose(found, self._lens, self._config)
+        pose = estimate_pose(found, self._lens, self._config, down)
+        if pose is not None and len(pose.used) == 1 and not self._print.bears_out(frame.image, pose):
+            return None
+        return pose
 
     def _whole_frame(self) -> tuple[SearchPass, ...]:
         self._turn += 1
