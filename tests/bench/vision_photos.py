@@ -4,8 +4,9 @@ corners).
 Each photo is read as the app reads a frame of the whole pad, with every code of its dictionary allowed, so
 that a false marker can be found. Photos of the marker grid (gb...) show the dictionary that lies beside them;
 the others OpenCV's 6X6_250. As in OpenCV's own test, each coordinate counts for itself. The references are
-the outermost dark pixels, as contours have them; the border that they mean runs half a pixel further out, and
-is measured beside.
+the outermost dark pixels, as contours have them, and the contours' corners that the app starts from are
+judged by them; the border that they mean runs half a pixel further out, and what the app refines the corners
+to is measured against that.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ CORNER_PX: Final = 1.0
 class Photo:
     """What was found in one: ids missed, false ones, and the errors of the others.
 
-    `errors_px` (n, 4, 2) are against the references, `border_errors_px` against the borders that these mean.
+    `errors_px` (n, 4, 2) are the contours' corners less the references, which are contours' corners too;
+    `border_errors_px` what the pose is made of, the refined corners, less the borders that these mean.
     """
 
     name: str
@@ -76,13 +78,16 @@ def _read(path: Path, printed: dict[int, FloatArray]) -> Photo:
     codes = CodeReader([dictionary], [(0, k) for k in range(count)]).read(
         grey, VisionConfig().minimum_side_px
     )
-    corners: FloatArray = np.array([code.corners_px for code in codes]).reshape(-1, 4, 2)
-    if codes:
-        corners, _ = refine_quads(grey, corners, np.full(len(codes), dictionary.markerSize + 2))
-    found = dict(zip((code.number for code in codes), corners, strict=True))
+    contours: FloatArray = np.array([code.corners_px for code in codes]).reshape(-1, 4, 2)
+    refined = (
+        refine_quads(grey, contours, np.full(len(codes), dictionary.markerSize + 2.0))[0]
+        if codes
+        else contours
+    )
+    found = {code.number: both for code, *both in zip(codes, contours, refined, strict=True)}
     right = sorted(found.keys() & printed.keys())
-    errors: FloatArray = np.array([found[k] - printed[k] for k in right]).reshape(-1, 4, 2)
-    border: FloatArray = np.array([found[k] - outer_border(printed[k]) for k in right]).reshape(-1, 4, 2)
+    errors: FloatArray = np.array([found[k][0] - printed[k] for k in right]).reshape(-1, 4, 2)
+    border: FloatArray = np.array([found[k][1] - outer_border(printed[k]) for k in right]).reshape(-1, 4, 2)
     missed, false = sorted(printed.keys() - found.keys()), sorted(found.keys() - printed.keys())
     return Photo(path.name, len(printed), errors, border, tuple(missed), tuple(false))
 
@@ -122,7 +127,7 @@ def photo_table(photos: list[Photo]) -> tuple[Table, dict[str, bool]]:
         "false",
         "rms px",
         worst,
-        "to the border: rms px",
+        "refined, to the border: rms px",
         "worst px",
     ):
         grid.add_column(heading, justify="right")
