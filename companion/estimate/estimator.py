@@ -47,7 +47,7 @@ from companion.messages import (
     VehicleState,
 )
 
-CALIBRATION_SHARE = 0.99  # of a sighting's least variance; the rest keeps its covariance positive
+CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 tells 35 rad/s and 157 m/s² at most: more is a fault of the line
 LARGEST_FORCE_M_S2 = 320.0
 
@@ -256,8 +256,9 @@ class Estimator:
         x, y, z = position
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         covariance: FloatArray = rotation @ sighting.covariance[0:3, 0:3] @ rotation.T
-        # what is alike in all directions is the calibration's share: it does not change from frame to frame
-        slow = CALIBRATION_SHARE * max(float(np.linalg.eigvalsh(covariance)[0]), 0.0)
+        # the calibration's share does not change from frame to frame; what is left has to be a covariance
+        slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
+        slow = max(slow, 0.0)
         turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
         return PadFix(
             position_ned_m=position,

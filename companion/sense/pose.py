@@ -42,23 +42,16 @@ from companion.geometry import (
 )
 from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
+from companion.sense.pose_noise import corner_noise_px, shaking, whitening
 
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
-# corners of a marker that is large in the image err by this share of its side beyond what its sides tell
-LARGE_SHARE: Final = 3e-4
-# the rotors' shaking is told apart at knots of this distance in the readout, at most so many
-KNOT_S: Final = 0.0025
-MOST_KNOTS: Final = 8
 # the corners' stated noise is worth as much as this many observed misses
 PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
 # what leans from the level by more than this many standard deviations is not our pad
 MAXIMUM_LEAN_SIGMA: Final = 4.0
-
-# places along a side, as shares of it, at which a fitted line errs independently
-_SHARES: Final = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,25 +72,11 @@ class PadPose:
 
 
 @dataclass(frozen=True, slots=True)
-class PadMotion:
-    """How the pad moves in camera axes: velocity of its origin (m/s), rate of turn (rad/s), and their doubt.
-
-    The doubt is a standard deviation of each axis.
-    """
-
-    velocity_m_s: FloatArray
-    rate_rad_s: FloatArray
-    velocity_std_m_s: float
-    rate_std_rad_s: float
-
-
-@dataclass(frozen=True, slots=True)
 class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
-    `delay_s` is when each point's row is exposed, after the mean row; `motion` holds the velocity and the
-    rate of turn that are expected (6,), and `shake` (2n, 2k) how the image's shifts at the knots of the
-    readout move each ray. `weight` (6 + 2k,) holds the inverse variances of both.
+    `delay_s` is when each point's row is exposed, after the mean row; `whitening` and `shake` are of
+    `pose_noise`. `weight` (6 + 2k,) holds the inverse variances of velocity, rate of turn, and shifts.
     """
 
     points: FloatArray  # (n, 3)
@@ -106,7 +85,6 @@ class _Problem:
     down: FloatArray | None  # (3,)
     whitening: FloatArray  # (2n, 2n)
     level_sigma: float
-    motion: FloatArray
     shake: FloatArray
     weight: FloatArray
 
@@ -131,21 +109,19 @@ def estimate_pose(
     lens: Lens,
     config: VisionConfig,
     down_camera: Vector3 | None,
-    motion: PadMotion | None = None,
 ) -> PadPose | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
     Args:
         found: markers with corners in pixels.
         down_camera: gravity's direction (unit) in camera axes, or None when the attitude is unknown.
-        motion: what is known of the pad's motion in camera axes, or None.
 
     Returns:
         None when no majority of the markers agrees on a level pad in front of the camera.
     """
     candidates = list(found)
     while 2 * len(candidates) > len(found):
-        problem = _problem(candidates, lens, config, down_camera, motion or _any_motion(config))
+        problem = _problem(candidates, lens, config, down_camera)
         fit = _fit(problem)
         if fit is None:
             return None
@@ -158,76 +134,27 @@ def estimate_pose(
     return None
 
 
-def _any_motion(config: VisionConfig) -> PadMotion:
-    return PadMotion(np.zeros(3), np.zeros(3), config.relative_speed_std_m_s, config.turn_rate_std_rad_s)
-
-
 def _problem(
     detections: list[Detection],
     lens: Lens,
     config: VisionConfig,
     down_camera: Vector3 | None,
-    motion: PadMotion,
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
-    shake, rays = _shake(delay_s), lens.undistort(pixels)
-    doubt = [motion.velocity_std_m_s] * 3 + [motion.rate_std_rad_s] * 3
+    shake, rays = shaking(delay_s), lens.undistort(pixels)
+    doubt = [config.relative_speed_std_m_s] * 3 + [config.turn_rate_std_rad_s] * 3
     doubt += [1e-3 * config.vibration_mrad] * shake.shape[1]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=rays,
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        whitening=_whitening(rays, np.array([_noise_px(d, config) for d in detections]) / lens.focal_px),
+        whitening=whitening(rays, np.array([corner_noise_px(d, config) for d in detections]) / lens.focal_px),
         level_sigma=math.radians(config.level_std_deg),
-        motion=np.concatenate((motion.velocity_m_s, motion.rate_rad_s)),
         shake=shake,
         weight=np.array(doubt) ** -2,
     )
-
-
-def _noise_px(detection: Detection, config: VisionConfig) -> float:
-    """Of each corner in each direction: what its marker's sides tell, and what they cannot."""
-    large = LARGE_SHARE * detection.side_px
-    return math.sqrt(detection.corner_std_px**2 + config.corner_noise_px**2 + large**2)
-
-
-def _whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
-    """What makes the rays' errors independent and of unit variance: (2n, 2n), rows of all u, then of all v.
-
-    Corners are where sides meet, and the sides are what is measured: a straight line through independent
-    places is independent at +-1/sqrt(3) of its half length. There each side's offset counts, and a corner
-    errs by sqrt(2) times as much.
-    """
-    m = len(sigma)
-    corners = rays.reshape(m, 4, 2)
-    along = corners[:, (1, 2, 3, 0)] - corners
-    along /= np.sqrt((along**2).sum(axis=2))[..., None]
-    k, side = np.arange(m)[:, None], np.arange(4)
-    white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, place | direction, marker, corner
-    for direction, normal in enumerate((along[..., 1], -along[..., 0])):
-        scaled = normal * (math.sqrt(2.0) / sigma)[:, None]
-        for place, share in enumerate(_SHARES):
-            white[k, side, place, direction, k, side] = scaled * (1.0 - share)
-            white[k, side, place, direction, k, (side + 1) % 4] = scaled * share
-    return white.reshape(8 * m, 8 * m)
-
-
-def _shake(delay_s: FloatArray) -> FloatArray:
-    """How shifts at the knots, right and down, move the rays (2n, 2k), straight between knots.
-
-    The shift at the mean row is not among them: the pose holds at its time, shaken as the camera is then.
-    """
-    first, span_s = float(delay_s.min()), float(delay_s.max() - delay_s.min())
-    count = min(2 + int(span_s / KNOT_S), MOST_KNOTS)
-    step_s = max(KNOT_S, span_s / (count - 1))
-    times = np.append(delay_s, 0.0)
-    hats = np.maximum(1.0 - np.abs((times[:, None] - first) / step_s - np.arange(count)), 0.0)
-    n = len(delay_s)
-    both = np.zeros((2 * n, 2 * count))
-    both[:n, :count] = both[n:, count:] = hats[:n] - hats[n]
-    return both
 
 
 def _accept(
@@ -289,11 +216,11 @@ def _linearised(
     """Jacobian (2n, m) and misses (2n,) of the rays, all u and then all v.
 
     Unknowns: position, rotation (on the left), and in `moved`: velocity of the pad's origin and its rate of
-    turn, both less what is expected, and the shifts at the knots.
+    turn, and the shifts at the knots.
     """
     turned = rotation @ problem.points.T
     a, b, c = turned
-    vx, vy, vz, wx, wy, wz = (problem.motion + moved[:6]).tolist()
+    vx, vy, vz, wx, wy, wz = moved[:6].tolist()
     delay = problem.delay_s
     x = a + position[0] + delay * (vx + wy * c - wz * b)
     y = b + position[1] + delay * (vy + wz * a - wx * c)
