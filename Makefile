@@ -13,6 +13,7 @@
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
 # make bench-calibration DATA=DIR  the calibration tools on made-up truth, and on real logs and photos
 # make bench-experiments     Fig. 14 over twenty seeds: MPC, the paper's recursion and PID on one reference
+# make bench-vision DATA=DIR the eyes: recall, errors, clutter, flips, speed; on real photos with DATA
 # make bench-ahrs DATA=DIR   orientation over trials of BROAD, beside other projects' filters
 PYTHON ?= python3
 VENV   ?= .venv
@@ -27,7 +28,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-sitl clean
+.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -104,6 +105,11 @@ bench-calibration: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_camera $(DATA) || status=1; \
 	$(BIN)/python -m tests.bench.bench_mount || status=1; \
 	exit $$status
+
+# ten minutes on two cores, the timing alone at the end; real photos are in DATA's folder aruco; QUICK=--quick
+# looks at few frames
+bench-vision: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_vision $(DATA) $(QUICK)
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev

@@ -84,6 +84,7 @@ class CameraModel:
         mount_error_deg: Vector3 = ZERO3,
         board: Texture | None = None,
         instants: int = 3,
+        finer: int = 1,
     ) -> None:
         """Prepare it.
 
@@ -91,9 +92,12 @@ class CameraModel:
             mount_error_deg: a further turn (roll, pitch, yaw) about the body's axes that `vehicle` lacks.
             board: what is printed on the board, if it is not the pad's markers.
             instants: at how many times within a frame the scene is looked at; odd, 3 or more.
+            finer: each pixel is the mean of so many by so many places. With one, an edge is drawn by up to
+                0.06 px where the print's texels are as large as pixels; with two, by a quarter of that.
         """
         self._camera = camera
         self._instants = instants
+        self._finer = finer
         self._settings = settings
         self._rng = rng
         self.position_body_m = vehicle.camera_position_body_m
@@ -147,7 +151,8 @@ class CameraModel:
         scenes = [scene_at(time_s + half * (k / middle - 1.0)) for k in range(self._instants)]
         grounds = [(ZERO3, IDENTITY)] * self._instants
         pads = [(s.pad_position_ned_m, _pad_attitude(s)) for s in scenes]
-        image = np.empty((self._camera.height_px, self._camera.width_px), np.uint8)
+        size = (self._camera.width_px, self._camera.height_px)
+        image = np.empty((size[1] * self._finer, size[0] * self._finer), np.uint8)
         pad = self._surface(self._pad_texture, scenes, pads)
         pad_map = self._node_map(pad) if pad.height_m > 0.0 else None
         part = None if pad_map is None else visible_part(pad_map, pad.level.image.shape)
@@ -158,6 +163,8 @@ class CameraModel:
             seen = pad if part is not None else ground
         if part is not None and pad_map is not None:
             self._draw(image, pad, pad_map, part)
+        if self._finer > 1:
+            image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         glow = None
         if self._metering is not None:
             inside = None if pad_map is None else within_board(pad_map, pad.level.image.shape)
@@ -188,7 +195,7 @@ class CameraModel:
             *(self._plane_from_ray(s, *plane) for s, plane in zip(scenes, planes, strict=True)), strict=True
         )
         height = heights[len(heights) // 2]
-        level = texture.level_for(self._camera.fx_px / max(height, 1e-3))
+        level = texture.level_for(self._finer * self._camera.fx_px / max(height, 1e-3))
         return _Surface(level, level.texel_from_plane @ np.array(rays), height)
 
     def _plane_from_ray(
@@ -225,7 +232,7 @@ class CameraModel:
         s = self._row_time * (2.0 * self._readout_s / max(self.span_s, 1e-6))
         if self._instants > 3:
             nodes = np.linspace(-1.0, 1.0, self._instants)
-            return np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0]))
+            return np.asarray(np.maximum(0.0, 1.0 - np.abs(s[:, None] - nodes) / (nodes[1] - nodes[0])))
         return np.stack((0.5 * s * (s - 1.0), 1.0 - s * s, 0.5 * s * (s + 1.0)), axis=1)
 
     def _draw(self, image: GreyImage, surface: _Surface, nodes: FloatArray, part: Part | None) -> None:
@@ -238,10 +245,11 @@ class CameraModel:
             mesh = mesh - np.floor((mesh[..., 0].min() / period, mesh[..., 1].min() / period)) * period
         mesh = mesh.astype(np.float32)
         np.clip(mesh, -FARTHEST_TEXEL, FARTHEST_TEXEL, out=mesh)
-        size = (mesh.shape[1] * NODE_PX, mesh.shape[0] * NODE_PX)
+        cell = NODE_PX * self._finer
+        size = (mesh.shape[1] * cell, mesh.shape[0] * cell)
         full = cv2.resize(mesh, size, interpolation=cv2.INTER_LINEAR)
-        view = image[top * NODE_PX : bottom * NODE_PX, left * NODE_PX : right * NODE_PX]
-        texels = full[NODE_PX : NODE_PX + view.shape[0], NODE_PX : NODE_PX + view.shape[1]]
+        view = image[top * cell : bottom * cell, left * cell : right * cell]
+        texels = full[cell : cell + view.shape[0], cell : cell + view.shape[1]]
         border = cv2.BORDER_WRAP if part is None else cv2.BORDER_TRANSPARENT
         # both coordinates are in the first map: OpenCV's type stubs do not know that there may be no second
         cv2.remap(tile, texels, None, cv2.INTER_LINEAR, dst=view, borderMode=border)  # type: ignore[call-overload]

@@ -35,6 +35,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 
 from tests.bench.vision_cases import SEED, Case, Outcome, run_chunk
 from tests.bench.vision_clutter import SHOTS_OF_A_BOARD, false_pads
+from tests.bench.vision_photos import photo_table, read_photos
 from tests.bench.vision_pictures import contact_sheet
 from tests.bench.vision_speed import HEIGHTS_M, Times, measure
 from tests.bench.vision_tables import (
@@ -67,7 +68,7 @@ class Amount:
     timed: int
 
 
-FULL: Final = Amount(marker=1000, pad=2000, clutter=10_000, flips=10_000, timed=150)
+FULL: Final = Amount(marker=1000, pad=1000, clutter=10_000, flips=10_000, timed=150)
 QUICK: Final = Amount(marker=40, pad=60, clutter=200, flips=200, timed=20)
 
 
@@ -186,6 +187,10 @@ def report(parts: Sequence[str], amount: Amount, jobs: int, data: Path | None, c
         grid, held = speed_table(timed(amount.timed, console))
         console.print(grid)
         bars |= held
+    if "photos" in parts and data is not None:
+        grid, held = photo_table(read_photos(data / DATA_FOLDER))
+        console.print(grid)
+        bars |= held
     return bars
 
 
@@ -201,6 +206,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--clutter", type=int, help=f"frames of clutter (default {FULL.clutter})")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write a contact sheet there")
     chosen = parser.parse_args(arguments)
+    if chosen.data is not None and not (chosen.data / DATA_FOLDER).is_dir():
+        parser.error(f"{chosen.data}: expected a folder with {DATA_FOLDER} in it")
     amount = QUICK if chosen.quick else FULL
     if chosen.clutter is not None:
         amount = Amount(amount.marker, amount.pad, chosen.clutter, amount.flips, amount.timed)

@@ -27,6 +27,8 @@ from tests.bench.vision_judge import Judged, bound_m2, eyes, judge, noise_px
 from tests.bench.vision_shots import Stage
 
 SEED: Final = 7
+# places a pixel, each way, where the position's error is measured
+FINER: Final = 2
 MOST_TILT_RAD: Final = math.radians(10.0)
 # fewer sightings say nothing about errors
 FEW: Final = 10
@@ -131,7 +133,8 @@ def paper_config(config: VisionConfig) -> VisionConfig | None:
 def run_chunk(case: Case, chunk: int, shots: int) -> Outcome:
     """Render and judge some shots of a case."""
     rng = case.rng(chunk)
-    stage, outcome = Stage(case.size, case.side_cm, rng), Outcome(case)
+    finer = 1 if case.tilted else FINER
+    stage, outcome = Stage(case.size, case.side_cm, rng, finer=finer), Outcome(case)
     stated = VisionConfig()
     exact = VisionConfig(scale_error=0.0)
     if case.tilted:

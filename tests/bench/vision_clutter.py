@@ -9,13 +9,13 @@ the board is, as after a pad that has been taken away.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from companion.config import VisionConfig
 from companion.messages import PadPrior
@@ -30,6 +30,7 @@ BOARD_M: Final = (0.5, 6.0)
 HEIGHTS_M: Final = (0.15, 12.0)
 SHOTS_OF_A_BOARD: Final = 50
 THINGS: Final = 60
+THING_SHARE: Final = (0.02, 0.3)
 # every so many frames the pad is expected where it is not
 EXPECTED_EVERY: Final = 3
 FOREIGN: Final = (
@@ -91,7 +92,7 @@ def random_code(pad: Pad) -> Painter:
     return paint
 
 
-def _printed_on(pad: Pad, code: GreyImage) -> bool:
+def _printed_on(pad: Pad, code: NDArray[Any]) -> bool:
     """Whether a code (one pixel a cell) is one of the pad's, whichever side is up."""
     return any(np.array_equal(np.rot90(code, k), printed) for printed in _codes(pad) for k in range(4))
 
@@ -145,7 +146,7 @@ def soil(rng: np.random.Generator, side: int) -> GreyImage:
     return np.asarray(((rough - rough.mean()) * 3.0 + 128.0).clip(0, 255), dtype=np.uint8)
 
 
-def _framed(image: GreyImage) -> GreyImage:
+def _framed(image: NDArray[Any]) -> GreyImage:
     """With white around, as markers need."""
     return np.pad(np.asarray(image, dtype=np.uint8), max(2, image.shape[0] // 7), constant_values=255)
 
@@ -160,7 +161,7 @@ def clutter_board(rng: np.random.Generator, pad: Pad) -> tuple[Texture, float]:
     if rng.random() < 0.3:
         canvas = soil(rng, 600).repeat(4, axis=0).repeat(4, axis=1)[:BOARD_PX, :BOARD_PX].copy()
     for _ in range(THINGS):
-        side = round(BOARD_PX * math.exp(rng.uniform(math.log(0.02), math.log(0.3))))
+        side = round(BOARD_PX * _drawn(rng, THING_SHARE))
         thing = chosen[int(rng.integers(len(chosen)))](rng, side)
         if rng.random() < 0.5:
             thing = np.ascontiguousarray(np.rot90(thing, int(rng.integers(4))))
@@ -170,8 +171,14 @@ def clutter_board(rng: np.random.Generator, pad: Pad) -> tuple[Texture, float]:
         row, column = int(rng.integers(BOARD_PX - rows)), int(rng.integers(BOARD_PX - columns))
         canvas[row : row + rows, column : column + columns] = thing
     grey = np.asarray(PAD_BLACK + canvas.astype(float) / 255.0 * (PAD_WHITE - PAD_BLACK), dtype=np.uint8)
-    side_m = math.exp(rng.uniform(*(math.log(m) for m in BOARD_M)))
+    side_m = _drawn(rng, BOARD_M)
     return board_texture(grey, side_m, side_m), side_m
+
+
+def _drawn(rng: np.random.Generator, between: tuple[float, float]) -> float:
+    """Small and large alike."""
+    low, high = between
+    return float(low * (high / low) ** rng.uniform())
 
 
 def clutter_shots(chunk: int, shots: int) -> list[tuple[Stage, Shot, PadPrior]]:
@@ -182,7 +189,7 @@ def clutter_shots(chunk: int, shots: int) -> list[tuple[Stage, Shot, PadPrior]]:
     stage = Stage(size, 0.0, rng, board)
     made = []
     for k in range(shots):
-        shot = stage.shoot(math.exp(rng.uniform(*(math.log(m) for m in HEIGHTS_M))))
+        shot = stage.shoot(_drawn(rng, HEIGHTS_M))
         prior = shot.prior if k % EXPECTED_EVERY == 0 else PadPrior(0.0, shot.prior.down_body)
         made.append((stage, shot, prior))
     return made

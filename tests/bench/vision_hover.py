@@ -125,6 +125,16 @@ class Moment:
         time_s = rng.uniform(MARGIN_S, chosen.length_s - MARGIN_S - follows_s)
         return cls(chosen, float(time_s), float(rng.uniform(0.0, math.tau)), vehicle.hover_thrust)
 
+    @property
+    def rotor_rate_rad_s(self) -> float:
+        """How fast the rotors turn, which is how fast they shake."""
+        return math.tau * ImuErrors().full_rotor_hz * math.sqrt(self.throttle)
+
+    @property
+    def shaken_rad(self) -> float:
+        """How far to either hand they turn the vehicle about roll and pitch."""
+        return math.sqrt(2.0) * self.throttle * ImuErrors().vibration_rad_s / self.rotor_rate_rad_s
+
     def at(self, since_s: float) -> tuple[Vector3, Quaternion]:
         """How far the vehicle is from where it was, and its attitude."""
         here, attitude = self.flight.at(self.time_s + since_s)
@@ -136,12 +146,9 @@ class Moment:
 
     def _vibration(self, since_s: float) -> tuple[Vector3, Vector3]:
         """Displacement (m) and small turn (rad), body axes, by integrals of what `sitl.inertial` adds."""
-        imu = ImuErrors()
-        turn_rate = math.tau * imu.full_rotor_hz * math.sqrt(self.throttle)
+        turn_rate, turn = self.rotor_rate_rad_s, self.shaken_rad
         phase = self.rotor_phase_rad + turn_rate * since_s
         s, c, s2, c2 = math.sin(phase), math.cos(phase), math.sin(2.0 * phase), math.cos(2.0 * phase)
-        k = math.sqrt(2.0) * self.throttle
-        far = -k * imu.vibration_m_s2 / turn_rate**2
-        turn = k * imu.vibration_rad_s / turn_rate
+        far = -math.sqrt(2.0) * self.throttle * ImuErrors().vibration_m_s2 / turn_rate**2
         displaced = (far * s, far * c, far * (0.5 * s + 0.1875 * s2))
         return displaced, (turn * s, -turn * c, -0.25 * turn * c2)

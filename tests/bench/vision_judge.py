@@ -2,11 +2,12 @@
 used.
 
 The Cramér-Rao bound of a shot is that of the position at the sighting's time, from the corners that were
-used, as a corner's noise really is (measured over all shots of a case: the detected corners
-less the true ones, rolling shutter included). Known beside the corners: gravity to the attitude's error; and
-the motion within the frame, of which only its spread over the hover is known. With p = R x + t for a corner
-x, a speed v and a rate w shift it by (v + w x R x) times the time from the sighting to the corner's row, so
-the motion's columns are the pose's times that time.
+used, as a corner's noise really is (measured over all shots of a case: the detected corners less the true
+ones, rolling shutter included). Known beside the corners: gravity to the attitude's error; of the motion
+within the frame how it spreads over the hover; of the rotors' vibration its frequency and how far it goes,
+not its phase. With p = R x + t for a corner x, a speed v and a rate w shift it by (v + w x R x) times the
+time from the sighting to the corner's row, so the motion's columns are the pose's times that time; a turn d
+of the camera shifts it by p x d.
 
 Camera axes for the bound, body axes for errors and covariances; the trace is the same.
 """
@@ -32,11 +33,15 @@ FLIP_RAD: Final = math.radians(10.0)
 CLEAR_LEAN_RAD: Final = 5.0 * ATTITUDE_STD_RAD
 
 
+# place, orientation, speed, rate; sine and cosine of the vibration about the camera's x and y
+UNKNOWNS: Final = 16
+
+
 @dataclass
 class Judged:
     """One shot's outcome; without a sighting only the first three say something.
 
-    `information` is of the pose and the motion (12, 12), for each group of markers, at a noise of 1 px;
+    `information` is of pose, motion and vibration (16, 16), for each group of markers, at a noise of 1 px;
     `misses_px` (n, 2) are the detected corners less the true ones, by group.
     """
 
@@ -49,7 +54,7 @@ class Judged:
     flipped: bool = False
     misses_px: dict[str, FloatArray] = field(default_factory=dict)
     information: dict[str, FloatArray] = field(default_factory=dict)
-    known: FloatArray = field(default_factory=lambda: np.zeros((12, 12)))
+    known: FloatArray = field(default_factory=lambda: np.zeros((UNKNOWNS, UNKNOWNS)))
 
     @property
     def squared_m2(self) -> float:
@@ -108,37 +113,53 @@ def _corners(found: Judged, stage: Stage, shot: Shot, time_s: float, used: Itera
         by_group.setdefault(detection.marker.group, []).append(detection)
     rotation, position = stage.pose_in_camera(shot.scene, time_s)
     focal_px = 0.5 * (stage.camera.fx_px + stage.camera.fy_px)
+    rotor_rate = shot.scene.moment.rotor_rate_rad_s
     for group, markers in by_group.items():
         points = np.concatenate([d.marker.corners_pad_m() for d in markers])
         true_px, row_s = stage.pixels(shot.scene, points, shot.frame.time_s)
         found.misses_px[group] = np.concatenate([d.corners_px for d in markers]) - true_px
-        found.information[group] = _information(points @ rotation.T, position, row_s - time_s) * focal_px**2
+        swing = np.stack([f(rotor_rate * row_s) - f(rotor_rate * time_s) for f in (np.sin, np.cos)], axis=1)
+        rows = _rows(points @ rotation.T, position, row_s - time_s, swing)
+        found.information[group] = focal_px**2 * rows.T @ rows
     found.known = _known(rotation, shot)
 
 
-def _information(turned: FloatArray, position: FloatArray, after_s: FloatArray) -> FloatArray:
-    """Of ideal image coordinates (unit noise): t, R, speed, rate; points less the pad's place, (n, 3)."""
-    x, y, z = (turned + position).T
+def _rows(turned: FloatArray, position: FloatArray, after_s: FloatArray, swing: FloatArray) -> FloatArray:
+    """By how much each unknown moves ideal image coordinates: (2n, 16).
+
+    Args:
+        turned: the corners (n, 3) less the pad's place, camera axes (m).
+        position: the pad's place (3,).
+        after_s: when each corner's row is exposed (n,), since the sighting.
+        swing: how far sine and cosine of the vibration (n, 2) have gone since then.
+    """
+    points = turned + position
+    x, y, z = points.T
     n = len(z)
     to_image = np.zeros((n, 2, 3))
     to_image[:, 0, 0] = to_image[:, 1, 1] = 1.0 / z
     to_image[:, 0, 2], to_image[:, 1, 2] = -x / z**2, -y / z**2
-    a, b, c = turned.T
-    zero = np.zeros(n)
-    # a small turn d moves a point by d x turned
-    crossed = np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=1).reshape(n, 3, 3)
-    pose = np.concatenate([to_image, to_image @ crossed], axis=2)
-    rows = np.concatenate([pose, pose * after_s[:, None, None]], axis=2).reshape(2 * n, 12)
-    return np.asarray(rows.T @ rows)
+    pose = np.concatenate([to_image, to_image @ _crossed(turned)], axis=2)
+    shaken = (to_image @ _crossed(points))[:, :, :2]
+    moving = [pose * after_s[:, None, None], *(shaken * swing[:, k, None, None] for k in (0, 1))]
+    return np.concatenate([pose, *moving], axis=2).reshape(2 * n, UNKNOWNS)
+
+
+def _crossed(points: FloatArray) -> FloatArray:
+    """What a small turn moves points (n, 3) by: d x p as matrices (n, 3, 3)."""
+    a, b, c = points.T
+    zero = np.zeros(len(points))
+    return np.stack([zero, c, -b, -c, zero, a, b, -a, zero], axis=1).reshape(-1, 3, 3)
 
 
 def _known(rotation: FloatArray, shot: Shot) -> FloatArray:
-    """Gravity, which the attitude tells, and how fast the hover's motion goes."""
-    known = np.zeros((12, 12))
+    """Gravity, which the attitude tells, and how far the hover's motion and the rotors' vibration go."""
+    known = np.zeros((UNKNOWNS, UNKNOWNS))
     normal, flight = rotation[:, 2], shot.scene.moment.flight
     known[3:6, 3:6] = (np.eye(3) - np.outer(normal, normal)) / ATTITUDE_STD_RAD**2
     known[6:9, 6:9] = np.eye(3) / flight.speed_std_m_s**2
-    known[9:, 9:] = np.eye(3) / flight.rate_std_rad_s**2
+    known[9:12, 9:12] = np.eye(3) / flight.rate_std_rad_s**2
+    known[12:, 12:] = np.eye(4) / (0.5 * shot.scene.moment.shaken_rad**2)
     return known
 
 
@@ -156,7 +177,7 @@ def noise_px(shots: Iterable[Judged]) -> dict[str, float]:
 
 def bound_m2(shot: Judged, noise: dict[str, float]) -> float:
     """Cramér-Rao: the least mean square of the position's error."""
-    information = shot.known + sum(
-        (found / noise[group] ** 2 for group, found in shot.information.items()), np.zeros((12, 12))
-    )
+    information = shot.known.copy()
+    for group, found in shot.information.items():
+        information += found / noise[group] ** 2
     return float(np.trace(np.linalg.inv(information)[:3, :3]))

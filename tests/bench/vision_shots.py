@@ -133,15 +133,23 @@ class Stage:
     """One pad (or another print) before one camera."""
 
     def __init__(
-        self, size: str, side_cm: float, rng: np.random.Generator, board: Texture | None = None
+        self,
+        size: str,
+        side_cm: float,
+        rng: np.random.Generator,
+        board: Texture | None = None,
+        *,
+        finer: int = 1,
     ) -> None:
+        """`finer`: each pixel is the mean of so many by so many places, for corners to a hundredth of one."""
         self.camera = camera_named(size)
         self.pad = pad_of(side_cm)
         self._single = side_cm > 0.0
         self._rng = rng
         settings = CameraSettings()
+        noise = rng.spawn(1)[0]
         self._model = CameraModel(
-            self.camera, vehicle(), self.pad, settings, rng.spawn(1)[0], board=board, instants=INSTANTS
+            self.camera, vehicle(), self.pad, settings, noise, board=board, instants=INSTANTS, finer=finer
         )
         self.body_from_camera = self._model.body_from_camera
         self._sequence = 0
