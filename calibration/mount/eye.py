@@ -26,13 +26,17 @@ from companion.sense.vision import body_from_camera, sighting_of
 
 # how far the pad may have moved since the last sighting, of its distance
 STRAYED: Final = 0.06
+# a vehicle in the hands is moved more quickly than it flies
+HAND_SPEED_M_S: Final = 1.0
+HAND_RATE_RAD_S: Final = 1.0
 
 
 class GravityFreeEye:
     """One frame in, one sighting out, in body axes by the vehicle's settings (time offset not applied)."""
 
     def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:
-        self._camera, self._config = camera, config
+        by_hand = {"relative_speed_std_m_s": HAND_SPEED_M_S, "turn_rate_std_rad_s": HAND_RATE_RAD_S}
+        self._camera, self._config = camera, config.model_copy(update=by_hand)
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
         self._detector = PadDetector(pad, config)

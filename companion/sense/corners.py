@@ -167,7 +167,7 @@ def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Plac
     mean = moments[..., 1] / sure
     width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
     blur_px = _median(width.reshape(m, -1)) * reach
-    full = _median(brightness[:, -1].reshape(m, -1)) >= FULL_GREY
+    full = _median(brightness[:, -1].astype(np.float64).reshape(m, -1)) >= FULL_GREY
     return _Places(mean * reach[:, None, None], contrast, blur_px, full)
 
 

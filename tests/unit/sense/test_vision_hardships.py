@@ -63,7 +63,7 @@ def expected(truth: Vector3, std_m: float = 0.05) -> PadPrior:
 
 
 def is_true(sighting: PadSighting, truth: Vector3, moved_m: float = 0.0) -> bool:
-    """Whether the error is one that the covariance admits; `moved_m`: how far the pad moves in the readout."""
+    """Whether the covariance admits the error; `moved_m`: how far the pad moves in the readout."""
     error = np.array(sighting.pad_position_body_m) - truth
     covariance = sighting.covariance[:3, :3] + np.eye(3) * moved_m**2
     return bool(error @ np.linalg.solve(covariance, error) < IMPOSSIBLE)
