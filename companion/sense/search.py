@@ -90,21 +90,27 @@ class SearchPlanner:
             return ()
         points = self._corners.reshape(-1, 3) @ camera_from_pad.T + pad_position_camera_m
         pixels, depth = self._lens.project(points)
-        views = [v for v in (self._view(g, pixels.reshape(-1, 4, 2)) for g in GROUPS) if v is not None]
+        nearest = max(float(depth.min()), 0.05)
+        margin = self._config.region_margin_sigma * position_std_m * self._lens.focal_px / nearest
+        pixels = pixels.reshape(-1, 4, 2)
+        # what should be cut off by the frame's edge may be whole by the expectation's doubt
+        views = self._views(pixels, 0.0) or self._views(pixels, margin)
         good = [v for v in views if len(v.whole) >= ENOUGH_MARKERS]
         first = good[0] if good else (views[0] if views else None)
         if first is None:
             return ()
         later = [v for v in views if GROUPS.index(v.group) > GROUPS.index(first.group)]
-        nearest = max(float(depth.min()), 0.05)
-        margin = self._config.region_margin_sigma * position_std_m * self._lens.focal_px / nearest
         return tuple(self._pass(v, margin + self._config.region_margin_px) for v in [first, *later[:1]])
 
-    def _view(self, group: MarkerGroup, pixels: FloatArray) -> _View | None:
-        """The group's readable markers: whole in the image and large enough."""
+    def _views(self, pixels: FloatArray, slack_px: float) -> list[_View]:
+        views = (self._view(group, pixels, slack_px) for group in GROUPS)
+        return [view for view in views if view is not None]
+
+    def _view(self, group: MarkerGroup, pixels: FloatArray, slack_px: float) -> _View | None:
+        """The group's readable markers: whole in the image, to so many pixels, and large enough."""
         corners = pixels[self._members[group]]
         flat = corners.reshape(-1, 8)
-        inside = ((flat > EDGE_PX) & (flat < self._far)).all(axis=1)
+        inside = ((flat > EDGE_PX - slack_px) & (flat < self._far + slack_px)).all(axis=1)
         whole = corners[inside]
         if len(whole) == 0:
             return None

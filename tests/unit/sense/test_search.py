@@ -65,3 +65,13 @@ def test_widening_reaches_the_whole_frame_once(planner: SearchPlanner) -> None:
     assert (wide.left, wide.top, wide.right, wide.bottom) == (0, 0, 640, 480)
     assert (wide.shrink, wide.groups) == (look.shrink, look.groups)
     assert planner.widened(wide) == ()
+
+
+def test_what_may_be_whole_in_the_frame_is_looked_for_at_its_edge(planner: SearchPlanner) -> None:
+    # the nearest far marker's outer corner is expected 10 px outside
+    away = np.array([0.0, -1.56, 3.0])
+    surely_cut = planner.expected(np.eye(3), away + np.array([0.0, -1.5, 0.0]), 0.02)
+    perhaps = planner.expected(np.eye(3), away, 0.1)
+    assert surely_cut == ()
+    assert perhaps
+    assert all(0 <= look.left < look.right <= 640 and 0 <= look.top < look.bottom <= 480 for look in perhaps)
