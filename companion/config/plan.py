@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from companion.config.obstacles import MOST_OBSTACLES, Place, Shape
 from companion.config.reading import StrictModel
@@ -118,6 +118,20 @@ class TouchdownConfig(StrictModel):
     contact_s: float = Field(default=0.15, ge=0.0, le=1.0)
     land_after_s: float = Field(default=2.0, ge=0.5, le=30.0)
 
+    @property
+    def giving_up_s(self) -> float:
+        """So long a try may last until it has failed; the last way down may still follow."""
+        return 6.0 * self.patience_s
+
+    @model_validator(mode="after")
+    def _goes_on_from_where_it_commits(self) -> TouchdownConfig:
+        if self.break_off_lateral_m < self.lateral_m:
+            raise ValueError(
+                f"break_off_lateral_m {self.break_off_lateral_m:g}: expected no less than lateral_m, "
+                f"{self.lateral_m:g}"
+            )
+        return self
+
 
 class PlanConfig(StrictModel):
     """The planner."""
@@ -134,3 +148,15 @@ class PlanConfig(StrictModel):
     search: SearchConfig = SearchConfig()
     landing: LandingConfig = LandingConfig()
     touchdown: TouchdownConfig = TouchdownConfig()
+
+    @model_validator(mode="after")
+    def _a_try_fits_its_phase(self) -> PlanConfig:
+        """Else the phase's time hands back in the middle of a try, however many are left."""
+        c, limit_s = self.touchdown, self.mission.phases.touchdown_s
+        down_s = c.blend_s + self.landing.wait_height_m / c.contact_speed_m_s + c.overdue_s + c.land_after_s
+        if c.giving_up_s + down_s > limit_s:
+            raise ValueError(
+                f"mission.phases.touchdown_s {limit_s:g}: expected at least {c.giving_up_s + down_s:.1f}, "
+                f"six times touchdown.patience_s ({c.patience_s:g}) and the way down"
+            )
+        return self

@@ -31,7 +31,7 @@ from companion.control.setpoints import (
 )
 from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.tracker import make_tracker
-from companion.geometry import FloatArray, add, scale, subtract, vector3, yaw_from_quat
+from companion.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
 from companion.messages import ControlReport, Manner, PadState, PlanStep, Reference, Setpoint, VehicleState
 
 # a pause after which what was commanded before no longer says anything
@@ -75,6 +75,7 @@ class Controller:
         """
         self._config = config = resolved(config, manner)
         self._lags_s = lags(vehicle, config, manner)
+        self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s)
@@ -222,11 +223,11 @@ class Controller:
         """What thrust lacks while the lean lags; by velocity setpoints the autopilot leans as it likes."""
         if self._stopped or self._config.setpoint == "velocity":
             return 1.0
-        asked = vector3(solution.inputs_m_s2[0].tolist())
+        asked, push = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
         period_s = 0.5 / self._config.rate_hz
-        push = add(asked, self._plant.disturbance_ned_m_s2)
-        flown = advance(motion, push, period_s, self._lags_s).acceleration_m_s2
-        return lean_boost(subtract(flown, self._plant.disturbance_ned_m_s2), asked)
+        flown = advance(motion, add(asked, push), period_s, self._lags_s).acceleration_m_s2
+        lean = ZERO3 if self._raises_thrust else subtract(flown, push)
+        return lean_boost(lean, asked, math.radians(self._config.limits.tilt_deg))
 
     def _look(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)

@@ -13,6 +13,7 @@ NED and FRD, SI units.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from companion.config import ControlConfig
@@ -99,15 +100,16 @@ def attitude_setpoint(
     )
 
 
-def lean_boost(lean_m_s2: Vector3, asked_m_s2: Vector3) -> float:
+def lean_boost(lean_m_s2: Vector3, asked_m_s2: Vector3, most_rad: float) -> float:
     """By how much to scale the thrust because the lean is not yet what is asked for.
 
-    Autopilots divide the wanted upward force by the cosine of the lean they ask for; while the vehicle still
-    leans as in `lean_m_s2` (m/s2, NED; what its thrust makes) that is too little when it goes level, and too
-    much when it leans over.
+    The upward force was divided by the cosine of the lean asked for; while the vehicle still leans as in
+    `lean_m_s2` (m/s2, NED; what its thrust makes) that is too little when it goes level, and too much when it
+    leans over. Neither counts for more than `most_rad`: an upset or falling vehicle tells nothing by its
+    acceleration. ArduPilot divides by the cosine of the lean that it flies: for it, lean zero.
     """
-    cosines = [_upward_share(a) for a in (asked_m_s2, lean_m_s2)]
-    return cosines[0] / cosines[1]
+    least = math.cos(most_rad)
+    return max(least, _upward_share(asked_m_s2)) / max(least, _upward_share(lean_m_s2))
 
 
 def boosted(setpoint: Setpoint, boost: float) -> Setpoint:

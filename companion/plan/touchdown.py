@@ -41,12 +41,10 @@ _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
 _FOOT_DROP_M = 0.02
 _TOO_MUCH_LEAN = 1.3
-# In units of the patience: until then nothing widens, from then on more lean is borne by and by, at last the
-# try has failed.
+# In units of the patience: until then nothing widens, from then on more lean is borne by and by.
 _PATIENT_TIMES = 2.0
-_GIVING_UP_TIMES = 6.0
 _LEAN_PER_TIME = 0.35
-# However impatient, nobody goes on down from farther aside than this.
+# However impatient, nobody goes on down from farther aside than this, unless the setting says so.
 _FARTHEST_ASIDE_M = 0.12
 
 Finding = tuple[Event, str] | None
@@ -212,16 +210,17 @@ class Touchdown:
         slack = self._slack_by_now(now_s)
         ready = (
             aligned(sight, self._wait_height_m, slack, c)
+            and sight.lateral_m <= self._farthest_aside_m(now_s)
             and (impatience >= 1.0 or gentle(sight, c))
             and self._lean_m_s2_now() <= self._most_lean_m_s2(now_s)
             and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if self._settled.for_s(ready, now_s) >= c.settled_s:
             self._commit(now_s)
-        elif impatience >= _GIVING_UP_TIMES:
+        elif waited_s >= c.giving_up_s:
             return (
                 Event.MISALIGNED,
-                f"{100.0 * sight.lateral_m:.0f} cm aside after {waited_s:.0f} s of waiting",
+                f"no moment to land in {waited_s:.0f} s, {100.0 * sight.lateral_m:.0f} cm aside at last",
             )
         return None
 
@@ -279,11 +278,15 @@ class Touchdown:
         """Why this will not be a landing on the mark; "" while it may be."""
         if self._lean_m_s2_now() > _TOO_MUCH_LEAN * self._most_lean_m_s2(now_s):
             return "leaning too far"
-        farthest_m = min(_FARTHEST_ASIDE_M, self._config.break_off_lateral_m * self._slack_by_now(now_s))
-        far = sight.age_s <= _FRESH_S and sight.lateral_m > farthest_m
+        far = sight.age_s <= _FRESH_S and sight.lateral_m > self._farthest_aside_m(now_s)
         if self._far_aside.for_s(far, now_s) >= _TOO_FAST_S:
             return f"{100.0 * sight.lateral_m:.0f} cm aside"
         return ""
+
+    def _farthest_aside_m(self, now_s: float) -> float:
+        """Farther aside than this it neither starts down nor goes on."""
+        setting_m = self._config.break_off_lateral_m
+        return min(max(setting_m, _FARTHEST_ASIDE_M), setting_m * self._slack_by_now(now_s))
 
     def _impatience(self, now_s: float) -> float:
         """How often the patience has run out in this try."""

@@ -83,6 +83,7 @@ ARDUPILOT = Manner(
     takes_off_by_setpoint=False,
     take_off_needs_guided=True,
     thrust_is_climb_rate=True,
+    thrust_is_upward=True,
     forward_is_low=True,
     turns_by_command=True,
     refused_mode=Result.FAILED,

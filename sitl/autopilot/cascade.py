@@ -16,6 +16,7 @@ from sitl.autopilot.estimator import Estimator
 from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.manners import Manner
 from sitl.autopilot.mixer import Mixer, Motors
+from sitl.autopilot.position_control import lean_cosine
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
 
 STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
@@ -38,6 +39,7 @@ class Cascade:
         self._hover = hover_thrust(airframe)
         gains = manner.attitude_gains
         self._position = manner.position_control(self._hover)
+        self._thrust_is_upward = manner.thrust_is_upward
         self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates)
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = Mixer(airframe, _IDLE)
@@ -167,7 +169,8 @@ class Cascade:
             self.attitude_setpoint = setpoint.attitude
         share = min(max(setpoint.thrust, 0.0), 1.0)
         if not thrust_is_climb_rate:
-            self.thrust = share
+            upward = self._thrust_is_upward and setpoint.attitude is not None
+            self.thrust = min(1.0, share / lean_cosine(estimate.attitude)) if upward else share
             return share < 0.85 * self._hover
         climb = 2.0 * (share - 0.5)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S

@@ -91,6 +91,8 @@ class Manner:
     means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control`
     makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
     hover.
+    A thrust that comes with an attitude and `thrust_is_upward` is raised for the lean that is flown, as
+    ArduPilot's ATC_ANGLE_BOOST does.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
     register value that the simulated IMU knows.
     """
@@ -120,6 +122,7 @@ class Manner:
     takes_off_by_setpoint: bool
     take_off_needs_guided: bool
     thrust_is_climb_rate: bool
+    thrust_is_upward: bool
     forward_is_low: bool
     turns_by_command: bool
     refused_arming: Result

@@ -29,6 +29,11 @@ _STEEPEST_COSINE: Final = 0.5  # below it thrust is no longer raised for the lea
 SLEW_RAD_S: Final = math.radians(60.0)  # of headings in modes of its own: MPC_YAWRAUTO_MAX, ATC_SLEW_YAW
 
 
+def lean_cosine(attitude: Quaternion) -> float:
+    """What an upward thrust is divided by for the lean; never less than the steepest one's."""
+    return max(_STEEPEST_COSINE, math.cos(tilt_from_quat(attitude)))
+
+
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
     """What a law may ask for: lean, share of full thrust."""
@@ -86,8 +91,8 @@ class PositionControl(ABC):
         """Only the height: thrust for a climb rate at an attitude that someone else commands."""
         setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
         down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
-        lean = max(_STEEPEST_COSINE, math.cos(tilt_from_quat(attitude)))
-        self.thrust = self._bounded_thrust(self._hover * (1.0 - down / GRAVITY_M_S2) / lean)
+        upward = self._hover * (1.0 - down / GRAVITY_M_S2)
+        self.thrust = self._bounded_thrust(upward / lean_cosine(attitude))
 
     def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
         """Somebody else commands the attitude: start from heading and velocity as they are by then."""

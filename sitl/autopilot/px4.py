@@ -126,6 +126,7 @@ PX4 = Manner(
     takes_off_by_setpoint=True,
     take_off_needs_guided=False,
     thrust_is_climb_rate=False,
+    thrust_is_upward=False,
     forward_is_low=False,
     turns_by_command=False,
     refused_mode=Result.TEMPORARILY_REJECTED,

@@ -116,6 +116,8 @@ def test_every_shipped_settings_file_loads() -> None:
         ("estimate: {magnetic_field_ned_ut: [20900, 600, 42900]}\n", "expected a size of 15 to 100 µT"),
         ("sense: {range: {minimum_m: 0.5, maximum_m: 0.5}}\n", "expected more than minimum_m"),
         ("control: {rate_hz: 50}\n", "expected that of plan.rate_hz, 30"),
+        ("plan: {touchdown: {lateral_m: 0.15}}\n", "expected no less than lateral_m, 0.15"),
+        ("plan: {touchdown: {patience_s: 9}}\n", "mission.phases.touchdown_s 45: expected at least 60.1"),
         ("sense: 3\n", "sense: expected keys with values, found 3"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.controller import FAILURES_TO_STOP
+from companion.control.controller import FAILURES_TO_STOP, Controller
 from companion.geometry import (
     IDENTITY,
     ZERO3,
@@ -19,7 +19,7 @@ from companion.geometry import (
     yaw_from_quat,
 )
 from companion.messages import PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
-from tests.unit.control.control_plants import controller, reference_rows
+from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
 
 PERIOD_S = 1.0 / 30.0
 
@@ -311,3 +311,17 @@ def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(k
         assert answer is not None
         assert answer[0].acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
         assert answer[1].obeyed is obeyed
+
+
+def test_by_attitude_ardupilot_gets_the_upward_part_alone_since_it_raises_it_itself() -> None:
+    vehicle = _vehicle(0.0, attitude=quat_from_euler(0.0, -0.4, 0.0))
+    stay = reference_rows(0.0, lambda _t: (vehicle.position_ned_m, ZERO3, ZERO3), origin="local")
+    thrust: dict[str, float] = {}
+    for manner in ("px4", "ardupilot"):
+        flown = Controller(ControlConfig(setpoint="attitude"), vehicle_config(), manner=manner)
+        step = flown.step(_plan(0.0, stay), vehicle, None, 0.0)
+        assert step is not None
+        assert step[0].thrust is not None
+        thrust[manner] = step[0].thrust
+    assert thrust["ardupilot"] == pytest.approx(0.5, abs=0.005)
+    assert thrust["px4"] == pytest.approx(0.5 / math.cos(0.4), abs=0.01)

@@ -28,10 +28,10 @@ def sight(
     return Sight((aside, 0.0, -height), velocity, ZERO3, pad_acceleration, 0.0, age)
 
 
-def fresh(slack: float = 1.0) -> Touchdown:
+def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Touchdown:
     guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
     guide.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
-    touchdown = Touchdown(CONFIG, VEHICLE, 0.35, guide)
+    touchdown = Touchdown(config, VEHICLE, 0.35, guide)
     touchdown.begin(0.0, slack)
     return touchdown
 
@@ -357,6 +357,38 @@ def test_the_most_patient_of_tries_goes_on_from_no_farther_aside_than_twelve_cen
         for k in range(6):
             touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
         assert touchdown.committed is goes_on
+
+
+def test_it_does_not_start_down_from_where_it_would_break_off() -> None:
+    touchdown = fresh(slack=1.6)
+    at, found = wait(touchdown, sight(0.13), 40.0)
+    assert found is Event.MISALIGNED
+    assert at == pytest.approx(CONFIG.giving_up_s, abs=0.08)
+
+
+@pytest.mark.parametrize(("aside", "goes_on"), [(0.24, True), (0.26, False)])
+def test_for_a_larger_pad_it_may_be_farther_aside(aside: float, goes_on: bool) -> None:
+    wide = TouchdownConfig(lateral_m=0.2, break_off_lateral_m=0.25, escape_lateral_m=0.5)
+    touchdown = fresh(config=wide)
+    wait(touchdown, sight(), 5.0)
+    for k in range(6):
+        touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed is goes_on
+
+
+def test_each_break_off_uses_up_the_same_try() -> None:
+    touchdown, commits, found, k = fresh(), 0, None, 0
+    while found is None and k * CYCLE_S < 60.0:
+        was = touchdown.committed
+        seen = sight(0.2, LEG_M + 0.2) if was else sight()
+        found = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        found = None if found and found[0] is Event.MISALIGNED and was else found
+        commits += touchdown.committed and not was
+        k += 1
+    assert commits > 5
+    assert found is not None
+    assert found[0] is Event.MISALIGNED
+    assert k * CYCLE_S == pytest.approx(CONFIG.giving_up_s, abs=0.6)
 
 
 def test_a_gust_on_the_way_down_breaks_it_off() -> None:

@@ -167,6 +167,18 @@ def test_the_thrust_field_is_thrust_to_px4_and_a_climb_rate_to_ardupilot() -> No
     assert -flight.run(1.5, AttitudeSetpoint(level, 0.6))[-1].velocity[2] > 1.5
 
 
+def test_ardupilot_raises_thrust_for_the_lean_it_flies_and_px4_does_not() -> None:
+    leaning, sank = quat_from_euler(0.0, -0.5, 0.0), {}
+    for manner in MANNERS:
+        flight = in_the_air(manner)
+        if manner == "ardupilot":
+            flight.autopilot.parameters.set("GUID_OPTIONS", 8)
+        thrust = flight.autopilot.thrust
+        sank[manner] = flight.run(1.5, AttitudeSetpoint(leaning, thrust))[-1].velocity[2]
+    assert sank["ardupilot"] == pytest.approx(0.0, abs=0.3)
+    assert sank["px4"] > 0.8
+
+
 # ---------------------------------------------------------------- its own idea of the world
 
 
