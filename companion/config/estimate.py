@@ -81,7 +81,7 @@ class PadFilterConfig(StrictModel):
     steady_time_constant_s: float = Field(default=1.0, ge=0.1, le=100.0)
     manoeuvre_jerk_m_s3_rthz: float = Field(default=1.0, gt=0.0, le=50.0)
     manoeuvre_time_constant_s: float = Field(default=1.5, ge=0.1, le=100.0)
-    turn_jerk_m_s3_rthz: float = Field(default=0.3, gt=0.0, le=50.0)
+    turn_jerk_m_s3_rthz: float = Field(default=0.25, gt=0.0, le=50.0)
     turn_time_constant_s: float = Field(default=20.0, ge=0.1, le=1000.0)
     sway_period_s: WavePeriod = 3.5
     sway_damping: float = Field(default=0.2, gt=0.0, lt=1.0)

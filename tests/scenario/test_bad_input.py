@@ -218,7 +218,7 @@ def test_a_udp_port_in_use_is_said(tmp_path: Path, pty: str, companion: Companio
         ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"),
         ("vision", {"source": "v4l2:99"}, "sense.vision.source: v4l2:99: no camera at /dev/video99"),
         ("vision", {"source": "socket:/nowhere"}, "sense.vision.source: socket:/nowhere: No such file"),
-        ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER, socket:PATH"),
+        ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER, picamera2:NUMBER"),
     ],
 )
 def test_hardware_that_is_missing_is_named(
