@@ -27,6 +27,7 @@ from companion.replay.flight_record import (
 from companion.replay.run import Replayed
 from companion.result import settled
 
+_STATES_OF_AN_ANSWER: Final = 2  # the vehicle's and the pad's
 _DIGITS: Final = 6
 
 
@@ -172,10 +173,15 @@ def build_result(
 
 
 def repetition(record: FlightRecord, replayed: Replayed) -> Repetition:
-    """Compare the states as they stand in a log, digit by digit."""
+    """Compare the states as they stand in a log, digit by digit.
+
+    A log that was cut short may lack what the last question in it was answered with.
+    """
     pairs = zip(record.states, replayed.states, strict=False)
     first = next((old.time_s for old, new in pairs if encode(old) != encode(new)), None)
-    if first is None and len(record.states) != len(replayed.states):
+    missing = len(replayed.states) - len(record.states)
+    cut_off = record.cut is not None and 0 <= missing <= _STATES_OF_AN_ANSWER
+    if first is None and missing != 0 and not cut_off:
         longer = max(record.states, replayed.states, key=len)
         first = longer[min(len(record.states), len(replayed.states))].time_s
     return Repetition(identical=first is None, states=len(record.states), differs_from_s=first)
