@@ -85,7 +85,6 @@ class MavsdkActions:
 
     async def start(self) -> None:
         """Start MAVSDK; it finds the autopilot by what `receive` hands on."""
-        # a connection and its subscriber come one after the other, and MAVSDK warns of what is between
         _log_lines.hush()
         configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
         configuration.system_id = self._session.system_id or 1
@@ -98,10 +97,11 @@ class MavsdkActions:
             with contextlib.suppress(RuntimeError):  # the loop has ended before we were closed
                 loop.call_soon_threadsafe(self._pass_out, data)
 
-        # the raw bytes are the plain wrapper's business: the asyncio one does not pass them through
-        await self._mavsdk.add_any_connection("raw://")
+        # the subscriber first, of which MAVSDK warns: a connection without one fails to send, and its threads
+        # say so whenever they come to it; the raw bytes are not passed through by the asyncio wrapper
         self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
         _log_lines.pass_on()
+        await self._mavsdk.add_any_connection("raw://")
 
     def receive(self, data: bytes) -> None:
         """Hand on what the transport received."""
@@ -129,6 +129,7 @@ class MavsdkActions:
             if plugin is not None:
                 plugin.destroy()
         if mavsdk is not None:
+            _log_lines.hush()  # it takes its subscriber away before the connection, as in `start`
             # it joins threads of its own that may be calling us just now
             await asyncio.to_thread(mavsdk.destroy)
 

@@ -234,3 +234,15 @@ def test_its_log_is_subscribed_once_since_its_threads_may_be_calling(
     lines.hush()
     assert len(subscribed) == 1
     assert [record.getMessage() for record in caplog.records] == ["mavsdk: heard"]
+
+
+async def test_its_first_bytes_find_someone_to_send_them(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its threads say that sending failed whenever they come to it: nothing may fail, heard or not."""
+    mavsdk_link._log_lines.hush()  # subscribed, whichever test runs first
+    monkeypatch.setattr(mavsdk_link._log_lines, "hush", mavsdk_link._log_lines.pass_on)
+    for _ in range(4):
+        async with connected(autopilot_of("px4")):
+            said = [record.getMessage() for record in caplog.records]
+    assert "mavsdk: Sending message failed" not in said
