@@ -77,7 +77,8 @@ class Page:
         grey: float = 0.0,
     ) -> None:
         """Words; `ha` and `va` say which part of them is at the point; `grey` 0 is black, 1 white."""
-        self._axes.text(*at, words, fontsize=size_pt, ha=ha, va=va, color=str(grey))
+        # a $ in a pad's name is no formula
+        self._axes.text(*at, words, fontsize=size_pt, ha=ha, va=va, color=str(grey), parse_math=False)
 
     def ruler(self, left: float, bottom: float) -> None:
         """A ruler of `RULER_MM` with a mark each millimetre, to be held against a real one."""

@@ -11,7 +11,8 @@ from companion.messages import Frame, PadPrior
 from companion.sense.vision import Vision, VisionResult
 
 UNSEEN_FRAMES: Final = 12  # so many in a row without the pad before its mirror image is looked for
-EVERY: Final = 3
+# even: with the mirrored look the search's turns then alternate between far and near there, too
+EVERY: Final = 4
 ENOUGH: Final = 4
 
 

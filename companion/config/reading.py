@@ -128,7 +128,7 @@ def _one_line(error: ValidationError, source: str, data: Any) -> str:
     same = [e for e in errors if _key(e["loc"], data) == key]
     more = len({_key(e["loc"], data) for e in errors}) - 1
     tail = f" (and {more} more)" if more else ""
-    where = f"{source}: {key or '(top)'}"
+    where = f"{source}: {key}" if key else source
     if first["type"] == "extra_forbidden":
         return f"{source}: unknown key '{key}'"
     if first["type"].startswith("union_tag"):

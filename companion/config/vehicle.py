@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from companion.config.calibration import CameraCalibration
 from companion.config.reading import StrictModel, Vector
+
+# no lens sits farther off its image's middle, as a share of the image; half or double the size does that
+OFF_CENTRE: Final = 0.2
 
 
 class CaptureConfig(StrictModel):
@@ -57,6 +60,18 @@ class CameraConfig(CaptureConfig):
         if len(numbers) not in {5, 8}:
             raise ValueError(f"expected 5 numbers (k1 k2 p1 p2 k3) or 8 (and k4 k5 k6), found {len(numbers)}")
         return numbers
+
+    @model_validator(mode="after")
+    def _of_the_calibrated_size(self) -> CameraConfig:
+        """A size that was edited by hand leaves a focal length of another: every height would be wrong."""
+        pairs = (("cx_px", self.cx_px, self.width_px), ("cy_px", self.cy_px, self.height_px))
+        for name, centre_px, size_px in pairs:
+            if abs(centre_px - 0.5 * size_px) > OFF_CENTRE * size_px:
+                raise ValueError(
+                    f"{name} {centre_px:g}: expected near the middle of {size_px} px; "
+                    "an image of another size needs a calibration of its own"
+                )
+        return self
 
 
 Inertia = Annotated[float, Field(gt=1e-5, le=10.0)]

@@ -146,7 +146,8 @@ class PadFilter:
     def _take_sighting(self, time_s: float, fix: PadFix) -> None:
         R = self._config.sighting_noise_scale**2 * fix.covariance_ned_m2
         R = R + self._config.sighting_noise_floor_m**2 * _EYE3
-        if not self.started:
+        if not self.started or time_s - self.seen_time_s > self._config.forget_s:
+            # of a pad that is forgotten nothing is expected, and the vehicle's way since then is, too
             self._start(time_s, fix, R)
         elif self._passes_sighting(fix, R):
             z = np.array(fix.position_ned_m)

@@ -56,7 +56,9 @@ class Sheet(StrictModel):
     @property
     def tile_words(self) -> str:
         """How much of the board a sheet of the paper can hold, for messages."""
-        return " or ".join(f"{1e3 * w:g}x{1e3 * h:g} mm" for w, h in map(self.room_m, self.pages_m()))
+        # a square sheet holds the same on its side
+        rooms = dict.fromkeys(map(self.room_m, self.pages_m()))
+        return " or ".join(f"{1e3 * w:g}x{1e3 * h:g} mm" for w, h in rooms)
 
     def pages_m(self) -> tuple[tuple[float, float], ...]:
         """Width and height of the sheet, upright and on its side; none: a large one as the board needs it."""

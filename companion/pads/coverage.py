@@ -19,15 +19,15 @@ from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
 from companion.pad import Pad
 from companion.pads.recall import FITTED, Optics, RecallModel
+from companion.sense.aruco import GROUPS
 from companion.sense.lens import Lens
+from companion.sense.search import EDGE_PX
 
-GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 LOWEST_M: Final = 0.03
 HIGHEST_M: Final = 30.0
 HEIGHTS: Final = 81
 # poses at each height: a power of two, as Sobol's sequence has it
 POSES_LOG2: Final = 8
-EDGE_PX: Final = 4.0
 # below this recall the pad is called blind
 BLIND_RECALL: Final = 0.5
 

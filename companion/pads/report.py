@@ -13,7 +13,8 @@ from companion.config import CameraConfig, ConfigError
 from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
 from companion.pad import Pad
-from companion.pads.coverage import BLIND_RECALL, GROUPS, Coverage, seen_between
+from companion.pads.coverage import BLIND_RECALL, Coverage, seen_between
+from companion.sense.aruco import GROUPS
 
 TABLE_HEIGHTS_M: Final = (0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 15.0)
 TICKS_M: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -24,7 +25,7 @@ NAMES: Final[dict[MarkerGroup, str]] = {"F": "F (far)", "M": "M (medium)", "C": 
 
 def coverage_table(coverage: Coverage) -> Table:
     """Recall in per cent, a row a height."""
-    made = Table(title="predicted recall (%) by the camera's height", title_justify="left")
+    made = Table(title="predicted recall (%) by height", title_justify="left")
     for name in ("m", *(NAMES[g] for g in GROUPS if g in coverage.groups), "pad"):
         made.add_column(name, justify="right")
     columns = [

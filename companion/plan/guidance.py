@@ -27,8 +27,8 @@ from companion.plan.min_jerk import Motion, Trajectory, brake, carried, plan
 Origin = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
 
-_DIPS_AT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
-_MOST_DIP_M = 0.3
+_STRAYS_AT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
+_MOST_STRAY_M = 0.3
 _CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 _MOST_STRETCHES = 4
 _KEPT_SHARE = 0.9
@@ -185,25 +185,34 @@ class Guide:
             direct, target, now_s, level=level, may_wait=self.origin == "pad" and not level
         )
         # a way round obstacles has its heights for a reason, and goes on in the next cycle
-        self._level = self._without_dip(direct, start, target, now_s) if way is direct else None
+        self._level = self._between_ends(direct, start, target, now_s) if way is direct else None
         self._trajectory = way
         self.speed_m_s = speed
         self.time_to_go_s = relative.duration_s if way is direct else max(0.0, way.end_s - now_s)
 
-    def _without_dip(self, way: Trajectory, start: Motion, target: Motion, now_s: float) -> Trajectory | None:
-        """Levelling off first, where the way would sink below both its ends; None where it does not.
+    def _between_ends(
+        self, way: Trajectory, start: Motion, target: Motion, now_s: float
+    ) -> Trajectory | None:
+        """Levelling off first, where the way would sink below both its ends or rise above both; else None.
 
-        A long way from a state that sinks, or is about to, ends at rest but goes metres down meanwhile.
+        A long way from a state that sinks or climbs, or is about to, ends at rest but goes on for metres: and
+        planned anew from there it is longer still. No climb over an obstacle is meant, where the way is
+        free for a cycle.
         """
         lasts_s = way.end_s - now_s
-        lowest_m = max(start.position_m[2], target.position_m[2]) + _MOST_DIP_M
-        drift = target.velocity_m_s[2]
-        if all(
-            way.at(now_s + s * lasts_s).position_m[2] - max(0.0, drift * s * lasts_s) <= lowest_m
-            for s in _DIPS_AT
-        ):
+        z, goal, drift = start.position_m[2], target.position_m[2], target.velocity_m_s[2]
+        over_something = isinstance(self._trajectory, Course)
+        beyond_m = 0.0
+        for after_s in (share * lasts_s for share in _STRAYS_AT):
+            there = way.at(now_s + after_s).position_m[2]
+            goal_then = goal + drift * after_s
+            above_m = 0.0 if over_something else min(z, goal, goal_then) - there
+            beyond_m = max(beyond_m, there - max(z, goal, goal_then), above_m)
+        if beyond_m <= _MOST_STRAY_M:
             return None
-        return brake(_upright(start), now_s, _LEVEL_OFF_M_S2)
+        level = brake(_upright(start), now_s, _LEVEL_OFF_M_S2)
+        stopped_m = abs(level.at(level.end_s).position_m[2] - z)
+        return level if stopped_m < beyond_m else None
 
     def fly_level(self, target: Motion, lowest_down_m: float, now_s: float) -> float:
         """As `fly_to`, but the height is kept: any climb or sink is stopped, at once and by itself.

@@ -162,7 +162,7 @@ def refine_corners(image: NDArray[np.uint8], found: list[Detection]) -> list[Det
     if not found:
         return found
     quads = np.array([d.corners_px for d in found])
-    corners, std_px, shrunk_px = refine_quads(image, quads, np.array([cells_across(d.marker) for d in found]))
+    corners, std_px, shrunk_px = refine_quads(image, quads, np.array([d.marker.cells for d in found]))
     return [
         replace(d, corners_px=quad, corner_std_px=std, shrunk_std_px=shrunk) if math.isfinite(std) else d
         for d, quad, std, shrunk in zip(found, corners, std_px.tolist(), shrunk_px.tolist(), strict=True)
@@ -181,11 +181,6 @@ def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, apart[chosen[-1]])
     return [found[k] for k in sorted(chosen)]
-
-
-def cells_across(marker: Marker) -> int:
-    """Cells along a marker's side, the black border included."""
-    return int(marker.dictionary[0]) + 2
 
 
 def side_px(corners: FloatArray) -> float:

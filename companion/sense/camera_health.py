@@ -191,6 +191,8 @@ class CameraHealth:
         if now_s - self._frame_s > patience.silent_s:
             return "silent"
         good_s = self._opened_s if self._good_s is None else self._good_s
-        if self._fault is not None and now_s - good_s > patience.content_s:
-            return self._fault.kind
+        fault = self._fault
+        # one whose frames are of use is not taken from the eyes: in the dark, black is what empty looks like
+        if fault is not None and not fault.usable and now_s - good_s > patience.content_s:
+            return fault.kind
         return None

@@ -81,6 +81,7 @@ class KeptCamera:
         self._told: set[str] = set()  # of the present trouble
         self._told_notes: set[str] = set()  # a camera that is opened again has the same to say
         self._trouble_s = 0.0
+        self._pause_s = FIRST_PAUSE_S
         self._last_sequence = -1
         self._content_patience_s = patience.content_s
         self._task = asyncio.create_task(self._keep(), name="camera's keeper")
@@ -177,18 +178,17 @@ class KeptCamera:
 
     async def _open_anew(self) -> LiveSource:
         """Try until it opens, with longer and longer pauses."""
-        pause_s = FIRST_PAUSE_S
         while True:
-            await asyncio.sleep(pause_s)
-            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+            await asyncio.sleep(self._pause_s)
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
             self._hanging = [source for source in self._hanging if source.held]
             if len(self._hanging) >= MOST_HANGING:
                 self._set_trouble("its driver hangs, and does not let go of it")
                 continue
             try:
                 return await self._reopen()
-            except (OSError, ConfigError) as error:
-                self._set_trouble(str(error))
+            except Exception as error:  # no memory, no thread: whatever it is, the next try may do
+                self._set_trouble(str(error) or type(error).__name__)
                 if isinstance(error, OpeningHangs):
                     self._hanging.append(error.camera)
 
@@ -208,6 +208,7 @@ class KeptCamera:
             self._set_trouble(trouble)
         elif self._problem is not None and good_s is not None and now_s - good_s >= GOOD_AGAIN_S:
             self._problem = None
+            self._pause_s = FIRST_PAUSE_S
             self._told.clear()
             text = f"camera: frames again after {good_s - self._trouble_s:.1f} s"
             self._reports.put_nowait(CameraReport(text, "info"))

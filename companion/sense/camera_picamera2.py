@@ -27,6 +27,7 @@ from companion.sense.camera_thread import ReadBack, Shot, check_size
 from companion.sense.stamps import StampPoint, StampReader
 
 BUFFERS: Final = 4
+WAIT_S: Final = 2.0  # for a frame; picamera2 by itself waits for ever, and a stalled camera stays taken
 # controls hold a few frames after they were given; then it is looked whether they were taken
 SETTLED_FRAMES: Final = 15
 TOLERANCE: Final = 0.1  # a sensor's lines and gain steps round by less
@@ -70,7 +71,7 @@ class Picamera2Device:
 
     def read(self) -> Shot:
         """See `camera_thread.Device`."""
-        request = self._camera.capture_request()
+        request = self._request()
         received_s = self._clock.now_s()
         try:
             planes = np.asarray(request.make_array("main"), dtype=np.uint8)
@@ -87,8 +88,23 @@ class Picamera2Device:
 
     def close(self) -> None:
         """See `camera_thread.Device`."""
-        self._camera.stop()
-        self._camera.close()
+        try:
+            self._camera.stop()
+        finally:  # one that is gone may not let itself be stopped, but stays taken until it is closed
+            self._camera.close()
+
+    def _request(self) -> Any:
+        """The next frame.
+
+        Raises:
+            OSError: it stalls; it may be closed then.
+        """
+        try:
+            return self._camera.capture_request(wait=WAIT_S)
+        except TimeoutError as error:
+            # in picamera2's queue the stop would stand behind what never comes
+            self._camera.cancel_all_and_flush()
+            raise OSError(f"libcamera gives no frame in {WAIT_S:g} s: a loose cable, or it hangs") from error
 
     def _start(self) -> None:
         config, mode = self._config, self._config.sensor_mode_px

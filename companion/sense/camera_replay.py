@@ -68,6 +68,11 @@ class ReplayDevice:
             self._shown = True
             self._stop.wait(max(0.0, due_s - self._clock.now_s()))
             return Shot(due_s, self._clock.now_s(), grey(image))
+        if not self._shown and self._begun_s is not None:
+            raise ConfigError(
+                f"sense.vision.source: {self._name}: none of its frames can be read; "
+                f"expected images of {self._camera.width_px}x{self._camera.height_px}"
+            )
         raise EndOfFrames(f"{self._name} has ended")
 
     def close(self) -> None:

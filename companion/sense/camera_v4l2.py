@@ -35,6 +35,8 @@ DRIVERS: Final = Path("/sys/class/video4linux")
 # how long OpenCV waits for a frame, in whole seconds; so long a stalled camera stays taken: by itself 10 s
 WAIT_VARIABLE: Final = "OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT"
 WAIT_S: Final = "1"
+# a read that fails after so long has waited in vain: another would hold the camera longer
+STALLED_S: Final = 0.9
 
 
 class Capture(Protocol):
@@ -69,10 +71,10 @@ class V4l2Device:
         self._point = stamp_point(camera, driver_name(number))
         try:
             self._choose_format()
-        except ConfigError:
+            self.read_back = self._choose_exposure()
+        except BaseException:
             self._capture.release()
             raise
-        self.read_back = self._choose_exposure()
 
     def read(self) -> Shot:
         """See `camera_thread.Device`."""
@@ -95,10 +97,13 @@ class V4l2Device:
         self._capture.release()
 
     def _grab(self) -> Any:
+        until_s = self._clock.now_s() + STALLED_S
         for _ in range(MOST_FAILURES):
             good, image = self._capture.read()
             if good and image is not None:
                 return image
+            if self._clock.now_s() > until_s:
+                break
         raise OSError("the driver gives no frames any more: unplugged, or it hangs")
 
     # ------------------------------------------------------------ setting up

@@ -27,11 +27,15 @@ TAPS: Final = 13  # along each normal
 MOST_ROUNDS: Final = 5
 # corners that moved by less are within a few hundredths of a pixel of where they would end up
 SETTLED_PX: Final = 0.2
+# and those that still move by more are nowhere
+UNSETTLED_PX: Final = 0.3
 # how far a normal reaches to either hand at first: in cells of the code, and within these bounds in pixels
 REACH_CELLS: Final = 0.45
 REACH_PX: Final = (2.5, 14.0)
 # then in terms of how wide the edge is blurred
 REACH_BLURS: Final = 3.0
+# and of how far the corners still moved
+REACH_MOVES: Final = 2.0
 # near a corner a normal would see the other side: left out, as a share of the side and at least in pixels
 END_SHARE: Final = 0.1
 END_PX: Final = 1.5
@@ -45,6 +49,7 @@ OUTLIER_SIGMA: Final = 3.0
 REFITS: Final = 1
 LEAST_SPREAD_PX: Final = 0.02
 LEAST_USED: Final = 0.5
+LEAST_USED_OF_A_SIDE: Final = 0.25
 # pixels share light with their neighbours: places nearer to one another than this do not err independently
 CORRELATED_PX: Final = 1.5
 # white that is brighter is cut off, and then eats into the black
@@ -84,11 +89,15 @@ class _Places(NamedTuple):
 
 
 class _Curves(NamedTuple):
-    """Curves through places: coefficients (m, 4, 3), scatter (m,) px, share of the places used (m,)."""
+    """Curves through places: coefficients (m, 4, 3), scatter (m,) px, share of the places used (m,).
+
+    Then that of the side (m,) with the fewest.
+    """
 
     coefficients: FloatArray
     scatter_px: FloatArray
     used: FloatArray
+    least_used: FloatArray
 
 
 def refine_quads(
@@ -114,14 +123,17 @@ def refine_quads(
         sides = _sides(corners)
         places = _places(image, sides, reach)
         curves = _curves(places, sides, image.shape[1])
-        moved = _meeting(sides, curves)
-        corners = corners + moved
-        reach = np.clip(REACH_BLURS * places.blur_px, REACH_PX[0], farthest)
-        if np.abs(moved).max(initial=0.0) < SETTLED_PX:
+        moves = _meeting(sides, curves)
+        corners = corners + moves
+        moved = np.abs(moves).max(axis=(1, 2))
+        # a side that is still on its way must not leave the edge behind
+        reach = np.clip(np.maximum(REACH_BLURS * places.blur_px, REACH_MOVES * moved), REACH_PX[0], farthest)
+        if moved.max(initial=0.0) < SETTLED_PX:
             break
     std = _corner_std(sides, curves)
     lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
-    lost |= ~np.isfinite(std) | (curves.used < LEAST_USED)
+    lost |= ~np.isfinite(std) | (moved > UNSETTLED_PX)
+    lost |= (curves.used < LEAST_USED) | (curves.least_used < LEAST_USED_OF_A_SIDE)
     corners[lost], std[lost] = quads[lost], np.inf
     return corners, std, np.where(places.full, places.blur_px, 0.0)
 
@@ -194,9 +206,11 @@ def _curves(places: _Places, sides: _Sides, image_width_px: int) -> _Curves:
         filled = np.where(keep, offset, fitted)
     coefficients = (filled @ _BASIS) * gain
     away = np.where(keep, offset - coefficients @ _BASIS.T, 0.0)
-    count = keep.reshape(m, -1).sum(axis=1)
+    of_a_side = keep.sum(axis=2)
+    count = of_a_side.sum(axis=1)
     variance = np.einsum("ijk,ijk->i", away, away) / np.maximum(count - PARAMETERS, 1)
-    return _Curves(coefficients, np.sqrt(variance), count / (4 * NORMALS))
+    used, least_used = count / (4 * NORMALS), of_a_side.min(axis=1) / NORMALS
+    return _Curves(coefficients, np.sqrt(variance), used, least_used)
 
 
 def _median(values: FloatArray) -> FloatArray:

@@ -42,7 +42,7 @@ from companion.geometry import (
 )
 from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
-from companion.sense.pose_noise import corner_noise_px, shaking, shrinking, whitening
+from companion.sense.pose_noise import corner_noise_px, edge_std_px, shaking, shrinking, unseen_m2, whitening
 
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
@@ -88,6 +88,7 @@ class _Problem:
     level_sigma: float
     shared: FloatArray  # (2n, c)
     weight: FloatArray
+    focal_px: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,7 @@ def _problem(
     pixels = np.concatenate([d.corners_px for d in detections])
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
     shake, rays = shaking(delay_s), lens.undistort(pixels)
-    shrunk = shrinking(rays, np.array([d.shrunk_std_px for d in detections]) / lens.focal_px)
+    shrunk = shrinking(rays, np.array([edge_std_px(d) for d in detections]) / lens.focal_px)
     doubt = [config.relative_speed_std_m_s] * 3 + [config.turn_rate_std_rad_s] * 3
     doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
     return _Problem(
@@ -156,13 +157,14 @@ def _problem(
         level_sigma=math.radians(config.level_std_deg),
         shared=np.concatenate((shake, shrunk), axis=1),
         weight=np.array(doubt) ** -2,
+        focal_px=lens.focal_px,
     )
 
 
 def _accept(
     problem: _Problem, fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig
 ) -> PadPose:
-    """The pose with its covariance: the corners' noise as observed, and the calibration's error.
+    """The pose with its covariance: the corners' noise as observed, and what they do not tell.
 
     The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
     that miss by more or less than was stated say how large the noise is.
@@ -171,7 +173,8 @@ def _accept(
     scale = (PRIOR_MISSES + fit.squares) / (PRIOR_MISSES + freedom)
     common = (config.scale_error * float(np.linalg.norm(fit.position))) ** 2
     covariance = fit.covariance * scale
-    covariance[:3, :3] += np.eye(3) * common
+    unseen = unseen_m2(float(fit.position[2]), problem.delay_s, problem.focal_px)
+    covariance[:3, :3] += np.eye(3) * (common + unseen)
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
     rms_px = float(np.sqrt((errors_px**2).mean()))
     return PadPose(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)

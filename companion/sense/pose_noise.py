@@ -17,7 +17,12 @@ from companion.geometry import FloatArray
 from companion.sense.aruco import Detection
 
 # corners of a marker that is large in the image err by this share of its side beyond what its sides tell
-LARGE_SHARE: Final = 3e-4
+LARGE_SHARE: Final = 1e-4
+# how far all sides of all markers may lie too far in or out: black and white blur unlike
+EDGE_STD_PX: Final = 0.006
+# a shift of the whole picture that no corner tells, and how hard the camera is pushed during the readout
+SHIFT_STD_PX: Final = 0.008
+PUSH_STD_M_S2: Final = 0.7
 # the rotors' shaking is told apart at knots of this distance in the readout, at most so many
 KNOT_S: Final = 0.0025
 MOST_KNOTS: Final = 8
@@ -29,6 +34,11 @@ def corner_noise_px(detection: Detection, config: VisionConfig) -> float:
     """Of each corner in each direction: what its marker's sides tell, and what they cannot."""
     large = LARGE_SHARE * detection.side_px
     return math.sqrt(detection.corner_std_px**2 + config.corner_noise_px**2 + large**2)
+
+
+def edge_std_px(detection: Detection) -> float:
+    """Of how far all sides of all markers lie too far in."""
+    return math.hypot(EDGE_STD_PX, detection.shrunk_std_px)
 
 
 def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
@@ -60,6 +70,16 @@ def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
     inward = np.stack((-along[..., 1], along[..., 0]), axis=2)
     both = std[:, None, None] * (inward + inward[:, (3, 0, 1, 2)])
     return np.asarray(both.reshape(-1, 2).T.reshape(-1, 1))
+
+
+def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:
+    """Variance (m2) of the place, along each axis, of what no fit to the corners can tell.
+
+    The picture as a whole may be shifted. And what is pushed by a does not keep its velocity through the
+    readout: about its mean over rows that are read in a time T, a t^2 / 2 comes to a T^2 / 24.
+    """
+    span_s = float(delay_s.max() - delay_s.min())
+    return (SHIFT_STD_PX * distance_m / focal_px) ** 2 + (PUSH_STD_M_S2 * span_s**2 / 24.0) ** 2
 
 
 def shaking(delay_s: FloatArray) -> FloatArray:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from companion.geometry import FloatArray
 from companion.pad import DICTIONARIES, Marker, Pad
-from companion.sense.aruco import cells_across
 from companion.sense.lens import Lens
 from companion.sense.pose import PadPose
 
@@ -67,7 +66,7 @@ def _cells(marker: Marker) -> tuple[FloatArray, FloatArray]:
     """Middles of a marker's cells on the pad (k * k, 3), a row of the white around it included; and how white
     they are (k, k).
     """
-    count = cells_across(marker)
+    count = marker.cells
     dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
     code = cv2.aruco.generateImageMarker(dictionary, marker.id, count)
     white = np.pad(code.astype(np.float64), 1, constant_values=255.0)

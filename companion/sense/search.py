@@ -16,7 +16,7 @@ from companion.config import VisionConfig
 from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
 from companion.pad import Pad
-from companion.sense.aruco import GROUPS, SearchPass, cells_across
+from companion.sense.aruco import GROUPS, SearchPass
 from companion.sense.lens import Lens
 
 # pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
@@ -49,9 +49,10 @@ class SearchPlanner:
         self._far = np.tile(lens.size_px, 4) - EDGE_PX
         self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
         self._members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
-        self._cells = {
-            g: max((cells_across(m) for m in pad.markers if m.group == g), default=1) for g in GROUPS
-        }
+        # a pad of close markers alone is looked for by these from afar, too
+        far: tuple[MarkerGroup, ...] = ("F", "M")
+        self._far_groups = far if any(m.group in far for m in pad.markers) else GROUPS
+        self._cells = {g: max((m.cells for m in pad.markers if m.group == g), default=1) for g in GROUPS}
 
     def whole_frame(self, turn: int) -> tuple[SearchPass, ...]:
         """Looks over the whole frame when nothing is known: in turn for what is far and for what is near.
@@ -61,15 +62,20 @@ class SearchPlanner:
         is found a frame later at worst.
         """
         if turn % 2 == 0:
-            return (self._whole(1, ("F", "M")),)
+            return (self._whole(1, self._far_groups),)
         return (self._whole(4, GROUPS), self._whole(2, GROUPS))
 
     def widened(self, look: SearchPass) -> tuple[SearchPass, ...]:
-        """The same look over the whole frame; nothing when it covered most of the frame already."""
+        """A look at the whole frame after one in vain, and at what was shrunk much a closer one.
+
+        Nothing when that would be the same again.
+        """
         width, height = self._lens.size_px
-        if 2 * (look.right - look.left) * (look.bottom - look.top) > width * height:
+        closer = max(look.shrink // 2, min(look.shrink, 2))
+        covered = 2 * (look.right - look.left) * (look.bottom - look.top) > width * height
+        if covered and closer == look.shrink:
             return ()
-        return (self._whole(look.shrink, look.groups),)
+        return (self._whole(closer, look.groups),)
 
     def _whole(self, shrink: int, groups: tuple[MarkerGroup, ...]) -> SearchPass:
         width, height = self._lens.size_px
@@ -99,8 +105,15 @@ class SearchPlanner:
         first = good[0] if good else (views[0] if views else None)
         if first is None:
             return ()
-        later = [v for v in views if GROUPS.index(v.group) > GROUPS.index(first.group)]
-        return tuple(self._pass(v, margin + self._config.region_margin_px) for v in [first, *later[:1]])
+        rank = GROUPS.index(first.group)
+        wide = margin + self._config.region_margin_px
+        look = self._pass(first, wide)
+        if first.cell_px < CELL_PX:
+            # hardly legible: one larger marker that may be in view is worth more than all of these
+            for view in self._views(pixels, margin):
+                look = _both(look, self._pass(view, wide)) if GROUPS.index(view.group) < rank else look
+        later = [v for v in views if GROUPS.index(v.group) > rank]
+        return (look, *(self._pass(v, wide) for v in later[:1]))
 
     def _views(self, pixels: FloatArray, slack_px: float) -> list[_View]:
         views = (self._view(group, pixels, slack_px) for group in GROUPS)
@@ -135,3 +148,11 @@ class SearchPlanner:
         shrink = next((s for s in SHRINKINGS if view.cell_px >= CELL_PX * s), 1)
         right, bottom = min(int(high[0]), width), min(int(high[1]), height)
         return SearchPass(int(low[0]), int(low[1]), right, bottom, shrink, (view.group,))
+
+
+def _both(a: SearchPass, b: SearchPass) -> SearchPass:
+    """One look for what two look for, no coarser than either."""
+    left, top = min(a.left, b.left), min(a.top, b.top)
+    right, bottom = max(a.right, b.right), max(a.bottom, b.bottom)
+    groups = tuple(g for g in GROUPS if g in a.groups or g in b.groups)
+    return SearchPass(left, top, right, bottom, min(a.shrink, b.shrink), groups)

@@ -112,7 +112,7 @@ def recall_tables(outcomes: Outcomes) -> tuple[list[Table], Bars]:
         for height_m, bar in PAD_RECALL.items():
             outcome = outcomes[Case(size, 0.0, height_m)]
             pad_held.append(outcome.recall >= bar)
-            wide = sum(shot.seen and shot.whole_frame for shot in outcome.exact)
+            wide = sum(shot.seen and shot.whole_frame for shot in outcome.calibrated)
             row.append(
                 f"{100.0 * outcome.recall:.2f} (≥{100.0 * bar:g}) {outcome.missed}/{outcome.shots} w{wide}"
                 f"{_mark(pad_held[-1])}"
@@ -222,7 +222,7 @@ def flips_table(outcomes: Outcomes) -> tuple[Table, Bars]:
             shot
             for case, outcome in outcomes.items()
             if bool(case.side_cm) == single
-            for shot in outcome.exact
+            for shot in outcome.calibrated
         ]
         turns = np.degrees([shot.turn_error_rad for shot in shots if shot.seen])
         flips = sum(shot.flipped for shot in shots)

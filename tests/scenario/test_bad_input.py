@@ -157,10 +157,10 @@ def test_a_pad_that_the_app_does_not_look_for_is_refused(tmp_path: Path, compani
 
 def test_a_camera_of_another_size_is_refused(tmp_path: Path, companion: Companion) -> None:
     camera = yaml.safe_load((CONFIG_FOLDER / "cameras" / "sitl_640x480.yaml").read_text())
-    path = settings(tmp_path, {**camera, "name": "wide", "width_px": 1280, "height_px": 720})
+    path = settings(tmp_path, {**camera, "name": "wide", "width_px": 700, "height_px": 500})
     scenario = scenario_file(tmp_path, "line", {"camera": {"config": str(path)}})
     line = refused(companion(*DESK, "--scenario", scenario))
-    assert "camera.config 'wide' is 1280x720 px but the app's camera 'sitl_640x480' 640x480 px" in line
+    assert "camera.config 'wide' is 700x500 px but the app's camera 'sitl_640x480' 640x480 px" in line
 
 
 def test_a_simulator_that_cannot_start_says_why(tmp_path: Path, companion: Companion) -> None:

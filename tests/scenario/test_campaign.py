@@ -95,7 +95,7 @@ def other_camera(folder: Path) -> Path:
     """A camera of another size."""
     path = folder / "wide.yaml"
     text = (ROOT / "configs" / "cameras" / "sitl_640x480.yaml").read_text()
-    path.write_text(text.replace("width_px: 640", "width_px: 320"))
+    path.write_text(text.replace("width_px: 640", "width_px: 600"))
     return path
 
 

@@ -18,9 +18,10 @@ from companion.geometry import (
 )
 from companion.messages import PadSighting
 from companion.sense.aruco import GROUPS, PadDetector, SearchPass
+from sitl.scene_camera import ground_otherwise
 from sitl.simulation import PHYSICS_STEP_S
 from tests.bench import vision_hover
-from tests.bench.vision_cases import Case, Outcome, miscalibrated, paper_config
+from tests.bench.vision_cases import Case, Outcome
 from tests.bench.vision_clutter import clutter_board, random_code
 from tests.bench.vision_hover import Flight, Moment
 from tests.bench.vision_judge import UNKNOWNS, Judged, _errors, _rows, bound_m2, noise_px
@@ -187,14 +188,9 @@ def test_corner_noise_is_pooled_by_group() -> None:
 
 def test_a_wrong_calibration_is_wrong_by_what_is_stated() -> None:
     rng, camera = np.random.default_rng(9), camera_named("1280x720")
-    drawn = [miscalibrated(camera, 0.003, rng) for _ in range(2000)]
+    drawn = [ground_otherwise(camera, 0.003, rng) for _ in range(2000)]
     assert np.std([c.fx_px / camera.fx_px for c in drawn]) == pytest.approx(0.003, rel=0.06)
     assert np.std([c.cy_px for c in drawn]) == pytest.approx(0.003 * camera.fx_px, rel=0.06)
-
-
-def test_the_papers_way_is_taken_when_there_is_a_setting_for_it() -> None:
-    paper = paper_config(VisionConfig())
-    assert (paper is None) == ("pose" not in VisionConfig.model_fields)
 
 
 # ---------------------------------------------------------------- clutter
@@ -258,7 +254,8 @@ def outcome(case: Case, error_m: float, seen: int, missed: int, rng: np.random.G
         )
         for _ in range(seen)
     ]
-    return Outcome(case, shots + [Judged(False, True) for _ in range(missed)], list(shots))
+    with_misses = shots + [Judged(False, True) for _ in range(missed)]
+    return Outcome(case, list(shots), with_misses)
 
 
 def outcomes(rng: np.random.Generator, missed: int = 0, error_m: float = 0.001) -> dict[Case, Outcome]:
@@ -293,9 +290,9 @@ def test_the_tables_cover_the_papers_cells_and_both_resolutions() -> None:
 
 def test_a_flip_fails_its_bar() -> None:
     case = Case("640x480", 0.0, 1.0, tilted=True)
-    found = Outcome(case, [Judged(True, False, turn_error_rad=0.01) for _ in range(10)])
+    found = Outcome(case, calibrated=[Judged(True, False, turn_error_rad=0.01) for _ in range(10)])
     assert flips_table({case: found})[1] == {"flips": True}
-    found.exact[3].flipped = True
+    found.calibrated[3].flipped = True
     assert flips_table({case: found})[1] == {"flips": False}
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from companion.config import (
     CONFIG_FOLDER,
@@ -96,6 +97,15 @@ def test_overrides_lie_over_the_file_and_leave_the_rest(tmp_path: Path) -> None:
     assert config.plan.rate_hz == 40.0
     assert config.plan.fuzzy == "landing"
     assert merge({"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}) == {"a": {"b": 3, "c": 2}}
+
+
+@pytest.mark.parametrize("size", ["{width_px: 1280, height_px: 960}", "{width_px: 320, height_px: 240}"])
+def test_a_camera_whose_size_was_edited_without_its_calibration_is_refused(tmp_path: Path, size: str) -> None:
+    shipped = yaml.safe_load((CONFIG_FOLDER / "cameras" / "sitl_640x480.yaml").read_text(encoding="utf-8"))
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump({**shipped, **yaml.safe_load(size)}), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"cx_px 321.4: expected near the middle of \d+ px"):
+        load_model(CameraConfig, path)
 
 
 def test_every_shipped_settings_file_loads() -> None:

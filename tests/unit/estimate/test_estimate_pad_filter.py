@@ -81,6 +81,21 @@ def test_vehicles_own_acceleration_is_not_taken_for_the_pads(acceleration: Vecto
     assert estimate.x[6:9] == pytest.approx([0.0, 0.0, 0.0], abs=0.25)
 
 
+def test_a_forgotten_pad_is_believed_at_its_first_sighting_whatever_was_flown_meanwhile() -> None:
+    bench = Bench()
+    config = PadFilterConfig()
+    bench.see(0.0, 4.0)
+    bench.motion = bench.filter._motion = MotionHistory(config.forget_s + 1.0)
+    for k in range(61 * 200):
+        push = math.copysign(1.5, math.sin(0.5 * k / 200))
+        bench.motion.add(k / 200, IDENTITY, (push, 0.0, 0.0))
+    bench.timeline.add(60.0, PadFix((30.0, -4.0, 6.0), 1e-4 * np.eye(3), 2.0, 0.01, (0.5, 0.0, 0.0)))
+    estimate = bench.at(60.0)
+    assert estimate.seen_time_s == 60.0
+    assert estimate.x[0:6] == pytest.approx([30.0, -4.0, 6.0, -0.5, 0.0, 0.0])
+    assert estimate.heading_rad == pytest.approx(2.0)
+
+
 def test_blind_for_two_seconds_it_predicts_and_says_how_well() -> None:
     bench = Bench((0.8, 0.0, 0.0))
     bench.see(0.0, 4.0)

@@ -124,7 +124,18 @@ def test_the_board_fits_its_large_sheet_either_way(tmp_path: Path, size_m: list[
     if fits:
         load(tmp_path, marker(0), sheet=sheet)
     else:
-        assert "sheet: no room for a board of 400 mm x 400 mm" in refusal(tmp_path, marker(0), sheet=sheet)
+        line = refusal(tmp_path, marker(0), sheet=sheet)
+        assert "sheet: no room for a board of 400 mm x 400 mm" in line
+
+
+def test_a_square_sheet_that_is_too_small_tells_its_room_once(tmp_path: Path) -> None:
+    # 10 mm of margin, 14 mm for the foot
+    line = refusal(tmp_path, marker(0), sheet={"paper": "large", "size_m": [0.4, 0.4]})
+    assert line.endswith("expected one of at most 380x366 mm")
+
+
+def test_a_rule_of_the_whole_pad_is_told_without_a_key(tmp_path: Path) -> None:
+    assert ".yaml: markers repeated" in refusal(tmp_path, marker(0), marker(0, 0.15))
 
 
 @pytest.mark.parametrize(("side_m", "fits"), [(0.188, True), (0.1885, False)])

@@ -109,6 +109,12 @@ def test_a_png_has_its_resolution_and_nothing_in_the_quiet_zones(tmp_path: Path)
         assert image[ring > 0].min() == 255, marker.name
 
 
+def test_a_name_is_printed_as_it_is_and_no_formula(tmp_path: Path) -> None:
+    named = TURNED.model_copy(update={"name": r"the $\frac$ pad"})
+    (path,) = save(draw_pad(named), tmp_path / "pad.svg")
+    assert path.is_file()
+
+
 def test_the_same_pad_gives_the_same_file(tmp_path: Path) -> None:
     for kind in ("pdf", "svg", "png"):
         first, second = (save(draw_pad(TURNED), tmp_path / f"{k}.{kind}")[0].read_bytes() for k in (1, 2))

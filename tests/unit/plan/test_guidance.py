@@ -252,3 +252,19 @@ def test_a_way_round_obstacles_keeps_its_own_heights() -> None:
         now_s = 0.1 * k
         led.fly_to(target, now_s)
         assert led.at(now_s).position_m == pytest.approx(course.at(now_s).position_m)
+
+
+@pytest.mark.parametrize("upwards", [1.0, -1.0])
+def test_a_climb_or_sink_at_the_start_is_stopped_before_the_way_to_a_goal_on_the_other_side(
+    upwards: float,
+) -> None:
+    g = guide()
+    # as after a hold that stopped a descent: pushed up, harder than the plan may, the pad far below
+    g.start("pad", Motion((0.2, -0.1, -5.0), (0.3, 0.2, -0.9 * upwards), (-0.5, 0.4, -2.6 * upwards)), 0.0)
+    farthest_m = 0.0
+    for k in range(1, 600):
+        now = k * CYCLE_S
+        g.fly_to(Motion((0.0, 0.0, -5.0 + 4.0 * upwards)), now)
+        farthest_m = max(farthest_m, upwards * (-5.0 - g.at(now).position_m[2]))
+    assert farthest_m < 1.0
+    assert g.at(600 * CYCLE_S).position_m == pytest.approx((0.0, 0.0, -5.0 + 4.0 * upwards), abs=0.02)

@@ -105,6 +105,14 @@ def test_what_lasts_makes_the_camera_lost(fed: Fed) -> None:
     assert fed.health.lost(fed.now_s) == "content"
 
 
+def test_a_camera_that_still_shows_something_is_told_and_kept(fed: Fed) -> None:
+    torn = with_lower_part(lambda _: 0)  # a hood, a leg or a marker's black in the dark looks the same
+    while fed.now_s < fed.spoilt_s + 40.0:
+        fed.feed(PERIOD_S, torn)
+        assert fed.health.lost(fed.now_s) is None
+    assert "the lower part is empty" in (fed.health.trouble(fed.now_s) or "")
+
+
 @pytest.mark.parametrize(
     "spoil",
     [

@@ -143,6 +143,19 @@ def test_an_unplugged_camera_is_tried_again_and_again_with_a_bounded_pause(camer
     assert seen.problems[-1] is None
 
 
+def test_whatever_opening_raises_it_is_tried_again(camera: CameraConfig) -> None:
+    seen = run(camera, [until(1.0, gone), RuntimeError("can't start new thread"), good], 6.0)
+    assert len(seen.told("can't start new thread")) == 1
+    assert seen.frames_between(3.0, 6.0) > 60
+
+
+def test_a_camera_that_opens_and_gives_nothing_is_tried_with_growing_pauses_too(camera: CameraConfig) -> None:
+    seen = run(camera, [until(1.0, gone), gone], 40.0)
+    assert np.diff(seen.openings[-5:]) == pytest.approx(camera_keeper.LONGEST_PAUSE_S, abs=0.1)
+    seen = run(camera, [until(1.0, gone), gone, gone, gone, until(15.0, gone), good], 20.0)
+    assert seen.openings[-1] < 15.5  # after good ones the first pause is short again
+
+
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [

@@ -31,7 +31,7 @@ class FakePi:
         if number > 0:
             raise RuntimeError("Camera __init__ sequence did not complete.")
         self.camera_controls: dict[str, Any] = {"ColourGains": (), "AfMode": (), "LensPosition": ()}
-        self.started = self.closed = False
+        self.started = self.closed = self.stalled = self.waiting = False
         self.released = self.taken = 0
         self.metadata: dict[str, Any] = {}
         self.video: dict[str, Any] = {}
@@ -50,13 +50,22 @@ class FakePi:
         self.started = True
 
     def stop(self) -> None:
+        assert not self.waiting  # the real one would wait behind the frame that does not come
         self.started = False
 
     def close(self) -> None:
         self.closed = True
 
-    def capture_request(self) -> SimpleNamespace:
+    def cancel_all_and_flush(self) -> None:
+        self.waiting = False
+
+    def capture_request(self, wait: float | None = None) -> SimpleNamespace:
         time.sleep(0.005)
+        if self.stalled:
+            self.waiting = True
+            while wait is None:
+                time.sleep(1.0)
+            raise TimeoutError
         self.taken += 1
         width, height = self.video["main"]["size"]
         planes = np.full((height * 3 // 2, PADDED), 128, np.uint8)
@@ -190,6 +199,35 @@ async def test_frames_come_through_and_closing_gives_the_camera_back(camera: Cam
     assert second.time_s > first.time_s
     assert kept.read_back.gain == 4.0
     kept.close()
+    assert FakePi.made[-1].closed
+
+
+@pytest.mark.usefixtures("module")
+async def test_a_camera_that_stalls_is_given_back_and_does_not_hold_its_thread(camera: CameraConfig) -> None:
+    source = await open_camera("picamera2:0", camera)
+    await asyncio.wait_for(source.next(), 5.0)
+    FakePi.made[-1].stalled = True
+
+    async def watch() -> None:
+        while True:
+            await source.next()
+
+    with pytest.raises(OSError, match="no frame in 2 s"):
+        await asyncio.wait_for(watch(), 5.0)
+    source.close()
+    assert FakePi.made[-1].closed
+    assert not FakePi.made[-1].started
+
+
+@pytest.mark.usefixtures("module")
+async def test_a_camera_that_cannot_be_stopped_is_closed_all_the_same(camera: CameraConfig) -> None:
+    class Gone(FakePi):
+        def stop(self) -> None:
+            raise RuntimeError("Camera frontend has timed out!")
+
+    sys.modules["picamera2"].Picamera2 = Gone  # type: ignore[attr-defined]
+    source = await open_camera("picamera2:0", camera)
+    source.close()
     assert FakePi.made[-1].closed
 
 

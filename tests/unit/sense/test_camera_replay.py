@@ -158,6 +158,18 @@ async def test_a_recording_that_is_not_there_is_one_line(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("names", [["1.png"], ["1.png", "2.png", "3.png"]])
+async def test_a_folder_whose_images_all_are_broken_does_not_open(
+    camera: CameraConfig, tmp_path: Path, names: list[str]
+) -> None:
+    for name in names:
+        (tmp_path / name).write_bytes(b"no image")
+    kept = await keep_camera(f"images:{tmp_path}", camera)
+    with pytest.raises(ConfigError, match="none of its frames can be read; expected images of 640x480"):
+        await asyncio.wait_for(kept.next(), 5.0)
+    kept.close()
+
+
 async def test_a_video_of_another_size_is_refused(camera: CameraConfig, video: Path) -> None:
     wider = camera.model_copy(update={"width_px": 1280})
     with pytest.raises(ConfigError, match="640x480, expected the calibration's 1280x480"):

@@ -225,6 +225,33 @@ async def test_a_camera_that_stops_is_an_error_and_not_silence(
     assert video.released.is_set()
 
 
+async def test_a_camera_that_stalls_is_waited_for_once(camera: CameraConfig, plug_in: Install) -> None:
+    asked: list[int] = []
+
+    def stalled(number: int) -> Any:
+        asked.append(number)
+        time.sleep(1.0)
+
+    plug_in(stalled)
+    source = await open_camera("v4l2:0", camera)
+    with pytest.raises(OSError, match="no frames any more"):
+        await asyncio.wait_for(source.next(), 5.0)
+    assert len(asked) == 1
+
+
+async def test_whatever_a_driver_raises_while_it_is_set_up_the_camera_is_released(
+    camera: CameraConfig, plug_in: Install, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> float:
+        raise cv2.error("gone")
+
+    video = plug_in()
+    monkeypatch.setattr(V4l2Device, "_choose_exposure", broken)
+    with pytest.raises(ConfigError, match="gone"):
+        await open_camera("v4l2:0", camera)
+    assert video.released.is_set()
+
+
 async def test_whatever_a_driver_raises_is_a_camera_that_is_gone(
     camera: CameraConfig, plug_in: Install
 ) -> None:

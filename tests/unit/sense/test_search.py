@@ -7,6 +7,7 @@ import pytest
 
 from companion.config import CameraConfig, VisionConfig
 from companion.pad import Pad
+from companion.sense.aruco import SearchPass
 from companion.sense.lens import Lens
 from companion.sense.search import SearchPlanner
 
@@ -65,6 +66,30 @@ def test_widening_reaches_the_whole_frame_once(planner: SearchPlanner) -> None:
     assert (wide.left, wide.top, wide.right, wide.bottom) == (0, 0, 640, 480)
     assert (wide.shrink, wide.groups) == (look.shrink, look.groups)
     assert planner.widened(wide) == ()
+
+
+def test_what_was_shrunk_much_is_looked_at_more_closely_after_a_look_in_vain(planner: SearchPlanner) -> None:
+    for shrink, closer in ((6, 3), (4, 2), (3, 2)):
+        look = SearchPass(0, 0, 640, 480, shrink, ("C",))
+        assert planner.widened(look) == (SearchPass(0, 0, 640, 480, closer, ("C",)),)
+    assert planner.widened(SearchPass(0, 0, 640, 480, 2, ("M",))) == ()
+
+
+def test_beside_markers_that_are_hardly_legible_a_larger_one_in_view_is_looked_for(
+    planner: SearchPlanner,
+) -> None:
+    # at the frame's left edge, one of F is whole; M has cells of 1.9 px at 4.3 m and of 6 at 1.3 m
+    cut = planner.expected(np.eye(3), np.array([-2.8, 0.0, 4.3]), 0.02)
+    assert cut[0].groups == ("F", "M")
+    legible = planner.expected(np.eye(3), np.array([-0.6, 0.0, 1.3]), 0.02)
+    assert legible[0].groups == ("M",)
+
+
+def test_a_pad_of_close_markers_alone_is_looked_for_in_full_as_well(pad: Pad, camera: CameraConfig) -> None:
+    close = pad.model_copy(update={"markers": tuple(m for m in pad.markers if m.group == "C")})
+    planner = SearchPlanner(close, Lens(camera), VisionConfig())
+    looks = [look for turn in (1, 2) for look in planner.whole_frame(turn)]
+    assert any(look.shrink == 1 and "C" in look.groups for look in looks)
 
 
 def test_what_may_be_whole_in_the_frame_is_looked_for_at_its_edge(planner: SearchPlanner) -> None:

@@ -163,6 +163,8 @@ def started(folder: Path, *words: str) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        # tests started in a script's background have it ignored, and so would all that they start
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509 - no threads here
     )
     path = folder / CSV_NAME
     wait(lambda: path.exists() and path.read_text().count("\n") == 23)
