@@ -183,7 +183,7 @@ class GustObserver:
     mean wind too: they are left to `DisturbanceObserver`, which takes this part as known. NED, m/s2.
     """
 
-    SMOOTHING_S = 0.1
+    SMOOTHING_S = 0.06
     FORGETTING_S = 5.0
 
     def __init__(self, sensor_lag_s: float) -> None:

@@ -41,11 +41,13 @@ _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
 _FOOT_DROP_M = 0.02
 _TOO_MUCH_LEAN = 1.3
-# In units of the patience: until then nothing widens, from then on more lean is borne by and by.
+# In units of the patience: until then nothing widens, from then on more is borne by and by.
 _PATIENT_TIMES = 2.0
-_LEAN_PER_TIME = 0.35
+_BORNE_PER_TIME = 0.35
 # However impatient, nobody goes on down from farther aside than this, unless the setting says so.
 _FARTHEST_ASIDE_M = 0.12
+# A gust that has just begun shows in the speed first; a correction takes about so long to tell.
+_DRIFT_S = 0.3
 
 Finding = tuple[Event, str] | None
 
@@ -278,9 +280,12 @@ class Touchdown:
         """Why this will not be a landing on the mark; "" while it may be."""
         if self._lean_m_s2_now() > _TOO_MUCH_LEAN * self._most_lean_m_s2(now_s):
             return "leaning too far"
-        far = sight.age_s <= _FRESH_S and sight.lateral_m > self._farthest_aside_m(now_s)
-        if self._far_aside.for_s(far, now_s) >= _TOO_FAST_S:
-            return f"{100.0 * sight.lateral_m:.0f} cm aside"
+        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
+        soon_m = math.hypot(x + _DRIFT_S * vx, y + _DRIFT_S * vy)
+        drifts = soon_m > max(self._config.break_off_lateral_m, _FARTHEST_ASIDE_M) * self._borne(now_s)
+        far = sight.lateral_m > self._farthest_aside_m(now_s)
+        if self._far_aside.for_s(sight.age_s <= _FRESH_S and (far or drifts), now_s) >= _TOO_FAST_S:
+            return f"{100.0 * sight.lateral_m:.0f} cm aside at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
 
     def _farthest_aside_m(self, now_s: float) -> float:
@@ -299,9 +304,12 @@ class Touchdown:
         return math.hypot(*self._lean_m_s2)
 
     def _most_lean_m_s2(self, now_s: float) -> float:
-        """How much lean can be levelled off, and by and by how much is borne because it will not get less."""
-        over = max(0.0, self._impatience(now_s) - _PATIENT_TIMES)
-        return self._config.gentle_lean_m_s2 * (1.0 + _LEAN_PER_TIME * over)
+        """How much lean can be levelled off, and by and by how much is borne."""
+        return self._config.gentle_lean_m_s2 * self._borne(now_s)
+
+    def _borne(self, now_s: float) -> float:
+        """By how much more lean and drift are borne by and by, because they will not get less."""
+        return 1.0 + _BORNE_PER_TIME * max(0.0, self._impatience(now_s) - _PATIENT_TIMES)
 
     def _expect_contact(self, sight: Sight, now_s: float) -> None:
         """When the feet will touch, by the height as seen and the speed as planned."""

@@ -1,4 +1,4 @@
-"""The app lands in the five standard scenarios under every seed tried, and in some with more in their way.
+"""The app lands in the five standard scenarios under two seeds, and in some with more in their way.
 
 How it fares in the other shipped ones, docs/scenarios.md says.
 """
@@ -13,7 +13,7 @@ from sitl.scenario import load_scenario
 from tests.scenario.flying import fly, scenario_file
 
 HARDER = ("deck", "glare", "random_turns", "waypoints", "weak_motor")
-FLOWN = [(scenario, seed) for scenario in SCENARIOS for seed in (0, 1, 2)] + [(name, 0) for name in HARDER]
+FLOWN = [(scenario, seed) for scenario in SCENARIOS for seed in (0, 1)] + [(name, 0) for name in HARDER]
 LATERAL_M = 0.15
 ATTITUDE: dict[str, Any] = {
     "companion": {"control": {"setpoint": "attitude"}, "link": {"set_parameters": True}}

@@ -249,8 +249,8 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
     [
         (LEG_M + 0.2, 0.36, True),
         (LEG_M + 0.2, 0.34, False),
-        (LEG_M + 0.09, 0.36, False),
-        (LEG_M + 0.11, 0.36, True),
+        (LEG_M + CONFIG.break_off_above_m - 0.01, 0.36, False),
+        (LEG_M + CONFIG.break_off_above_m + 0.01, 0.36, True),
     ],
 )
 def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
@@ -328,8 +328,8 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
     [
         (0.088, LEG_M + 0.2, False),
         (0.092, LEG_M + 0.2, True),
-        (0.092, LEG_M + 0.11, True),
-        (0.092, LEG_M + 0.09, False),
+        (0.092, LEG_M + CONFIG.break_off_above_m + 0.01, True),
+        (0.092, LEG_M + CONFIG.break_off_above_m - 0.01, False),
     ],
 )
 def test_aside_on_the_last_way_down_it_waits_again_over_the_pad(
@@ -340,6 +340,36 @@ def test_aside_on_the_last_way_down_it_waits_again_over_the_pad(
         assert touchdown.step(sight(aside, height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
     assert touchdown.committed is not broken
     assert ("9 cm aside" in touchdown.broken_off_by) is broken
+
+
+@pytest.mark.parametrize(
+    ("aside", "speed_m_s", "broken"),
+    [(0.05, 0.22, False), (0.05, 0.25, True), (0.0, 0.42, True), (-0.08, 0.4, False), (-0.08, -0.15, True)],
+)
+def test_a_gust_that_will_carry_it_aside_breaks_it_off_before_it_has(
+    aside: float, speed_m_s: float, broken: bool
+) -> None:
+    touchdown = sinking()
+    drifting = sight(aside, LEG_M + 0.2, velocity=(speed_m_s, 0.0, 0.19))
+    for k in range(6):
+        assert touchdown.step(drifting, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+    assert touchdown.committed is not broken
+    assert (f"at {abs(speed_m_s):.2f} m/s" in touchdown.broken_off_by) is broken
+
+
+def test_drift_that_does_not_get_less_is_borne_by_and_by() -> None:
+    committed = []
+    for waited_s in (0.0, 4.0 * CONFIG.patience_s):
+        touchdown, now_s = fresh(), 0.0
+        while not touchdown.committed and now_s < waited_s + 1.0:
+            touchdown.step(sight(0.2 if now_s < waited_s else 0.0), None, LandedState.IN_AIR, now_s)
+            now_s += CYCLE_S
+        # 15 cm in 0.3 s
+        drifting = sight(0.06, LEG_M + 0.2, velocity=(0.3, 0.0, 0.19))
+        for k in range(6):
+            touchdown.step(drifting, None, LandedState.IN_AIR, now_s + k * CYCLE_S)
+        committed.append(touchdown.committed)
+    assert committed == [False, True]
 
 
 def test_a_moment_aside_is_no_reason_to_break_off() -> None:
