@@ -103,7 +103,7 @@ class TouchdownConfig(StrictModel):
     settled_s: float = Field(default=0.2, ge=0.0, le=5.0)
     gentle_horizontal_m_s2: float = Field(default=1.2, gt=0.0, le=5.0)
     gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
-    contact_tilt_deg: float = Field(default=6.5, ge=1.0, le=30.0)  # levelled off to this as the feet touch
+    contact_tilt_deg: float = Field(default=7.0, ge=1.0, le=30.0)  # levelled off to this as the feet touch
     gentle_lean_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)  # what leaning it takes to go with the pad
     patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
