@@ -28,6 +28,8 @@ from companion.sense.corners import refine_quads
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 11
+# an outline on the outermost pixels is cut off; OpenCV's usual 3 px of a shrunk image are up to 18 px in full
+BORDER_PX: Final = 1
 # a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
 SHRUNK_SIDE_PX: Final = 17.0
 # corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
@@ -36,7 +38,7 @@ CONTOUR_STD_PX: Final = 0.7
 
 @dataclass(frozen=True, slots=True)
 class SearchPass:
-    """One look: which part of the image, shrunk how many times, for which groups of markers."""
+    """One look: which part of the image, shrunk or enlarged how many times, for which groups of markers."""
 
     left: int
     top: int
@@ -44,6 +46,7 @@ class SearchPass:
     bottom: int
     shrink: int
     groups: tuple[MarkerGroup, ...]
+    enlarge: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,14 +94,18 @@ class PadDetector:
             size = (part.shape[1] // s, part.shape[0] // s)
             part = part[: size[1] * s, : size[0] * s]
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        smallest_px = max(self._config.minimum_side_px, SHRUNK_SIDE_PX if s > 1 else 0.0)
+        if where.enlarge > 1:
+            size = (part.shape[1] * where.enlarge, part.shape[0] * where.enlarge)
+            part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        scale = s / where.enlarge
+        smallest_px = max(self._config.minimum_side_px / min(scale, 1.0), SHRUNK_SIDE_PX if s > 1 else 0.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
         found = []
         for code in reader.read(part, smallest_px):
             marker = markers[code.number]
-            corners = (code.corners_px + 0.5) * s - 0.5 + origin
+            corners = (code.corners_px + 0.5) * scale - 0.5 + origin
             found.append(
-                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * s)
+                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
             )
         return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
 
@@ -127,6 +134,7 @@ class CodeReader:
         self._parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
         self._parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
         self._parameters.errorCorrectionRate = ERROR_CORRECTION_RATE
+        self._parameters.minDistanceToBorder = BORDER_PX
         # a dictionary is cut behind the last id of the list
         last = [max((i for which, i in codes if which == k), default=0) for k in range(len(dictionaries))]
         cut = [
