@@ -82,13 +82,16 @@ class SearchPlanner:
     def widened(self, look: SearchPass) -> tuple[SearchPass, ...]:
         """A look at the whole frame after one in vain, and at what was shrunk much closer ones.
 
+        Larger markers, though none was expected, can be read in them as well, and are worth little more time.
         Nothing when that would be the same again.
         """
         width, height = self._lens.size_px
+        groups = GROUPS[: 1 + max(GROUPS.index(group) for group in look.groups)]
         covered = 2 * (look.right - look.left) * (look.bottom - look.top) > width * height
         # what is much shrunk loses most by the frame's edge, and what is blurred most when it is not shrunk
         closer = sorted({max(look.shrink // 2, 2), 2} if look.shrink > 1 else {1}, reverse=True)
-        return tuple(self._whole(s, look.groups) for s in closer if not covered or s != look.shrink)
+        same = look.shrink if covered and look.groups == groups else None
+        return tuple(self._whole(s, groups) for s in closer if s != same)
 
     def _whole(self, shrink: int, groups: tuple[MarkerGroup, ...]) -> SearchPass:
         width, height = self._lens.size_px

@@ -72,9 +72,17 @@ def test_widening_reaches_the_whole_frame_once(planner: SearchPlanner) -> None:
 
 def test_what_was_shrunk_much_is_looked_at_more_closely_after_a_look_in_vain(planner: SearchPlanner) -> None:
     for shrink, closer in ((6, (3, 2)), (4, (2,)), (3, (2,))):
-        look = SearchPass(0, 0, 640, 480, shrink, ("C",))
-        assert planner.widened(look) == tuple(SearchPass(0, 0, 640, 480, s, ("C",)) for s in closer)
-    assert planner.widened(SearchPass(0, 0, 640, 480, 2, ("M",))) == ()
+        look = SearchPass(0, 0, 640, 480, shrink, ("F",))
+        assert planner.widened(look) == tuple(SearchPass(0, 0, 640, 480, s, ("F",)) for s in closer)
+    assert planner.widened(SearchPass(0, 0, 640, 480, 2, ("F", "M"))) == ()
+
+
+def test_larger_markers_that_were_not_expected_are_looked_for_after_a_look_in_vain(
+    planner: SearchPlanner,
+) -> None:
+    for group, groups in (("C", ("F", "M", "C")), ("M", ("F", "M"))):
+        look = SearchPass(0, 0, 640, 480, 2, (group,))
+        assert planner.widened(look) == (replace(look, groups=groups),)
 
 
 def test_what_is_hardly_legible_is_looked_at_enlarged(planner: SearchPlanner) -> None:
