@@ -144,7 +144,7 @@ class VisionConfig(StrictModel):
     maximum_markers: int = Field(default=8, ge=1, le=100)  # refined and used in one frame
     region_margin_px: float = Field(default=14.0, ge=4.0, le=200.0)  # about where the pad is expected
     region_margin_sigma: float = Field(default=3.0, ge=1.0, le=10.0)  # of the expected position
-    corner_noise_px: float = Field(default=0.02, gt=0.0, le=5.0)
+    corner_noise_px: float = Field(default=0.005, gt=0.0, le=5.0)
     scale_error: float = Field(
         default=0.003, ge=0.0, le=0.1
     )  # of the calibration, as a share of the distance

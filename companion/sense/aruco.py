@@ -24,6 +24,7 @@ from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
 from companion.pad import DICTIONARIES, Marker, Pad
 from companion.sense.corners import refine_quads
+from companion.sense.lens import Lens
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
@@ -34,6 +35,8 @@ BORDER_PX: Final = 1
 SHRUNK_SIDE_PX: Final = 17.0
 # corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
 CONTOUR_STD_PX: Final = 0.7
+# of the variance at a side's ends, when it is a straight line through places that err independently
+STRAIGHT_SHARE: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,8 @@ class SearchPass:
 class Detection:
     """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image.
 
-    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell;
+    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell, and
+    `offset_share` the share of its square by which a side errs as a whole, and not by being turned;
     `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
     """
 
@@ -62,6 +66,7 @@ class Detection:
     corners_px: FloatArray
     side_px: float
     corner_std_px: float = 0.0
+    offset_share: float = STRAIGHT_SHARE
     shrunk_std_px: float = 0.0
 
 
@@ -76,9 +81,11 @@ class Code:
 class PadDetector:
     """Reads the markers of one pad. It keeps no memory of earlier frames."""
 
-    def __init__(self, pad: Pad, config: VisionConfig) -> None:
+    def __init__(self, pad: Pad, config: VisionConfig, lens: Lens | None = None) -> None:
+        """`lens`: how sides bow in the image, for better corners."""
         self._pad = pad
         self._config = config
+        self._lens = lens
         self._readers: dict[tuple[MarkerGroup, ...], tuple[tuple[Marker, ...], CodeReader]] = {}
 
     def detect(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
@@ -107,7 +114,7 @@ class PadDetector:
             found.append(
                 Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
             )
-        return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
+        return refine_corners(image, farthest_apart(found, self._config.maximum_markers), self._lens)
 
     def _reader(self, groups: tuple[MarkerGroup, ...]) -> tuple[tuple[Marker, ...], CodeReader]:
         made = self._readers.get(groups)
@@ -165,15 +172,27 @@ class CodeReader:
         return [Code(k, found[k]) for k in sorted(found) if k not in twice]
 
 
-def refine_corners(image: NDArray[np.uint8], found: list[Detection]) -> list[Detection]:
+def refine_corners(
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None = None
+) -> list[Detection]:
     """The detections with their corners where each marker's sides meet."""
     if not found:
         return found
     quads = np.array([d.corners_px for d in found])
-    corners, std_px, shrunk_px = refine_quads(image, quads, np.array([d.marker.cells for d in found]))
+    bows = None if lens is None else lens.bows(quads)
+    refined = refine_quads(image, quads, np.array([d.marker.cells for d in found]), bows)
+    by_marker = (part.tolist() for part in refined[1:])
     return [
-        replace(d, corners_px=quad, corner_std_px=std, shrunk_std_px=shrunk) if math.isfinite(std) else d
-        for d, quad, std, shrunk in zip(found, corners, std_px.tolist(), shrunk_px.tolist(), strict=True)
+        replace(
+            d,
+            corners_px=quad,
+            corner_std_px=math.hypot(offset, turn),
+            offset_share=offset**2 / max(offset**2 + turn**2, 1e-12),
+            shrunk_std_px=shrunk,
+        )
+        if math.isfinite(offset)
+        else d
+        for d, quad, offset, turn, shrunk in zip(found, refined.corners, *by_marker, strict=True)
     ]
 
 

@@ -60,7 +60,7 @@ class Vision:
         self._camera = camera
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
-        self._detector = PadDetector(pad, config)
+        self._detector = PadDetector(pad, config, self._lens)
         self._print = PrintCheck(pad, self._lens)
         self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)

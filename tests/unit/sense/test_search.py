@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from companion.config import CameraConfig, VisionConfig
+from companion.messages import MarkerGroup
 from companion.pad import Pad
 from companion.sense.aruco import GROUPS, SearchPass
 from companion.sense.lens import Lens
@@ -80,7 +81,8 @@ def test_what_was_shrunk_much_is_looked_at_more_closely_after_a_look_in_vain(pla
 def test_larger_markers_that_were_not_expected_are_looked_for_after_a_look_in_vain(
     planner: SearchPlanner,
 ) -> None:
-    for group, groups in (("C", ("F", "M", "C")), ("M", ("F", "M"))):
+    cases: list[tuple[MarkerGroup, tuple[MarkerGroup, ...]]] = [("C", ("F", "M", "C")), ("M", ("F", "M"))]
+    for group, groups in cases:
         look = SearchPass(0, 0, 640, 480, 2, (group,))
         assert planner.widened(look) == (replace(look, groups=groups),)
 
