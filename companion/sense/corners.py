@@ -48,7 +48,7 @@ MOST_END_SHARE: Final = 0.25
 # the lens's bow of a side, at its ends: a standard deviation in pixels, times the image's width over length^2
 BOW: Final = 0.03
 # and what is left of it when the lens is known, times the length^2: a rolling shutter bends what moves
-BOW_LEFT_PER_PX: Final = 5e-7
+BOW_LEFT_PER_PX: Final = 2e-7
 PLACE_STD_PX: Final = 0.1
 # a normal with less than this share of its marker's contrast tells nothing: glare, dirt, something in the way
 LEAST_CONTRAST: Final = 0.4

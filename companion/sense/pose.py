@@ -45,6 +45,8 @@ from companion.sense.pose_noise import edge_std_px, shaking, shrinking, side_noi
 
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
+# a landing's speed of approach, as a share of the distance a second
+APPROACH_PER_S: Final = 0.2
 # the corners' stated noise is worth as much as this many observed misses
 PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
@@ -145,7 +147,8 @@ def _problem(
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
     shake, rays = shaking(delay_s), lens.undistort(pixels)
     shrunk = shrinking(rays, np.array([edge_std_px(d) for d in detections]) / lens.focal_px)
-    doubt = [config.relative_speed_std_m_s] * 3 + [config.turn_rate_std_rad_s] * 3
+    speed, climb = config.relative_speed_std_m_s, _climb_std_m_s(detections, lens, config)
+    doubt = [speed, speed, min(climb, speed)] + [config.turn_rate_std_rad_s] * 3
     doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
@@ -158,6 +161,15 @@ def _problem(
         weight=np.array(doubt) ** -2,
         focal_px=lens.focal_px,
     )
+
+
+def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig) -> float:
+    """How fast the pad may plausibly come nearer: what is near comes slowly.
+
+    The distance is what the markers' sizes say.
+    """
+    distance_m = max(lens.focal_px * d.marker.side_m / d.side_px for d in detections)
+    return math.hypot(config.relative_climb_std_m_s, APPROACH_PER_S * distance_m)
 
 
 def _accept(

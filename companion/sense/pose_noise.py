@@ -16,8 +16,6 @@ from companion.config import VisionConfig
 from companion.geometry import FloatArray
 from companion.sense.aruco import STRAIGHT_SHARE, Detection
 
-# corners of a marker that is large in the image err by this share of its side beyond what its sides tell
-LARGE_SHARE: Final = 1e-4
 # how far all sides of all markers may lie too far in or out: black and white blur unlike
 EDGE_STD_PX: Final = 0.006
 # a shift of the whole picture that no corner tells, and how hard the camera is pushed during the readout
@@ -31,7 +29,7 @@ APART_S: Final = 0.005
 def side_noise_px(detection: Detection, config: VisionConfig) -> tuple[float, float]:
     """By which a side errs as a whole, and its ends by its turn: what it tells, and what it cannot."""
     share, told = detection.offset_share, detection.corner_std_px**2
-    untold = config.corner_noise_px**2 + (LARGE_SHARE * detection.side_px) ** 2
+    untold = config.corner_noise_px**2
     offset = share * told + STRAIGHT_SHARE * untold
     return math.sqrt(offset), math.sqrt(told + untold - offset)
 
