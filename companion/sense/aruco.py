@@ -24,19 +24,24 @@ from companion.geometry import FloatArray
 from companion.messages import MarkerGroup
 from companion.pad import DICTIONARIES, Marker, Pad
 from companion.sense.corners import refine_quads
+from companion.sense.lens import Lens
 
 GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
 ERROR_CORRECTION_RATE: Final = 0.5
 THRESHOLD_WINDOW_PX: Final = 11
+# an outline on the outermost pixels is cut off; OpenCV's usual 3 px of a shrunk image are up to 18 px in full
+BORDER_PX: Final = 1
 # a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
 SHRUNK_SIDE_PX: Final = 17.0
 # corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
 CONTOUR_STD_PX: Final = 0.7
+# of the variance at a side's ends, when it is a straight line through places that err independently
+STRAIGHT_SHARE: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
 class SearchPass:
-    """One look: which part of the image, shrunk how many times, for which groups of markers."""
+    """One look: which part of the image, shrunk or enlarged how many times, for which groups of markers."""
 
     left: int
     top: int
@@ -44,13 +49,15 @@ class SearchPass:
     bottom: int
     shrink: int
     groups: tuple[MarkerGroup, ...]
+    enlarge: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Detection:
     """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image.
 
-    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell;
+    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell, and
+    `offset_share` the share of its square by which a side errs as a whole, and not by being turned;
     `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
     """
 
@@ -59,6 +66,7 @@ class Detection:
     corners_px: FloatArray
     side_px: float
     corner_std_px: float = 0.0
+    offset_share: float = STRAIGHT_SHARE
     shrunk_std_px: float = 0.0
 
 
@@ -73,9 +81,11 @@ class Code:
 class PadDetector:
     """Reads the markers of one pad. It keeps no memory of earlier frames."""
 
-    def __init__(self, pad: Pad, config: VisionConfig) -> None:
+    def __init__(self, pad: Pad, config: VisionConfig, lens: Lens | None = None) -> None:
+        """`lens`: how sides bow in the image, for better corners."""
         self._pad = pad
         self._config = config
+        self._lens = lens
         self._readers: dict[tuple[MarkerGroup, ...], tuple[tuple[Marker, ...], CodeReader]] = {}
 
     def detect(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
@@ -91,16 +101,20 @@ class PadDetector:
             size = (part.shape[1] // s, part.shape[0] // s)
             part = part[: size[1] * s, : size[0] * s]
             part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        smallest_px = max(self._config.minimum_side_px, SHRUNK_SIDE_PX if s > 1 else 0.0)
+        if where.enlarge > 1:
+            size = (part.shape[1] * where.enlarge, part.shape[0] * where.enlarge)
+            part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        scale = s / where.enlarge
+        smallest_px = max(self._config.minimum_side_px / min(scale, 1.0), SHRUNK_SIDE_PX if s > 1 else 0.0)
         origin = np.array([where.left, where.top], dtype=np.float64)
         found = []
         for code in reader.read(part, smallest_px):
             marker = markers[code.number]
-            corners = (code.corners_px + 0.5) * s - 0.5 + origin
+            corners = (code.corners_px + 0.5) * scale - 0.5 + origin
             found.append(
-                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * s)
+                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
             )
-        return refine_corners(image, farthest_apart(found, self._config.maximum_markers))
+        return refine_corners(image, farthest_apart(found, self._config.maximum_markers), self._lens)
 
     def _reader(self, groups: tuple[MarkerGroup, ...]) -> tuple[tuple[Marker, ...], CodeReader]:
         made = self._readers.get(groups)
@@ -127,6 +141,7 @@ class CodeReader:
         self._parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
         self._parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
         self._parameters.errorCorrectionRate = ERROR_CORRECTION_RATE
+        self._parameters.minDistanceToBorder = BORDER_PX
         # a dictionary is cut behind the last id of the list
         last = [max((i for which, i in codes if which == k), default=0) for k in range(len(dictionaries))]
         cut = [
@@ -157,15 +172,27 @@ class CodeReader:
         return [Code(k, found[k]) for k in sorted(found) if k not in twice]
 
 
-def refine_corners(image: NDArray[np.uint8], found: list[Detection]) -> list[Detection]:
+def refine_corners(
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None = None
+) -> list[Detection]:
     """The detections with their corners where each marker's sides meet."""
     if not found:
         return found
     quads = np.array([d.corners_px for d in found])
-    corners, std_px, shrunk_px = refine_quads(image, quads, np.array([d.marker.cells for d in found]))
+    bows = None if lens is None else lens.bows(quads)
+    refined = refine_quads(image, quads, np.array([d.marker.cells for d in found]), bows)
+    by_marker = (part.tolist() for part in refined[1:])
     return [
-        replace(d, corners_px=quad, corner_std_px=std, shrunk_std_px=shrunk) if math.isfinite(std) else d
-        for d, quad, std, shrunk in zip(found, corners, std_px.tolist(), shrunk_px.tolist(), strict=True)
+        replace(
+            d,
+            corners_px=quad,
+            corner_std_px=math.hypot(offset, turn),
+            offset_share=offset**2 / max(offset**2 + turn**2, 1e-12),
+            shrunk_std_px=shrunk,
+        )
+        if math.isfinite(offset)
+        else d
+        for d, quad, offset, turn, shrunk in zip(found, refined.corners, *by_marker, strict=True)
     ]
 
 

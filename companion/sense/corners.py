@@ -3,8 +3,9 @@
 The usual refinement looks at a corner's own neighbourhood, and blur rounds a corner off: it is drawn inwards
 by a third of the blur's sigma, and the marker seems farther away than it is. A side is not moved by a blur
 that is the same to both hands, and it is long. So the brightness is sampled along many normals of each side,
-the place where it changes is found on each, and a curve is laid through these places: a straight line that
-may bow as much as a lens bends it. How far the places lie from the curve says how certain the corners are.
+the place where it changes is found on each, and a curve is laid through these places: a straight line with
+the bow that the lens gives it, or, without a lens, one that may bow as much as a lens bends it. How far the
+places lie from the curve says how certain the corners are.
 
 Pixels: u right, v down, whole numbers at pixel centres. Corners go round clockwise in the image, four a
 marker, and side k runs from corner k to the next.
@@ -12,6 +13,7 @@ marker, and side k runs from corner k to the next.
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 import cv2
@@ -27,11 +29,14 @@ TAPS: Final = 13  # along each normal
 MOST_ROUNDS: Final = 5
 # corners that moved by less are within a few hundredths of a pixel of where they would end up
 SETTLED_PX: Final = 0.2
+# unless they were looked at with so many times the reach that they need
+COARSE: Final = 2.0
 # and those that still move by more are nowhere
 UNSETTLED_PX: Final = 0.3
 # how far a normal reaches to either hand at first: in cells of the code, and within these bounds in pixels
 REACH_CELLS: Final = 0.45
 REACH_PX: Final = (2.5, 14.0)
+LEAST_REACH_PX: Final = 1.6
 # then in terms of how wide the edge is blurred
 REACH_BLURS: Final = 3.0
 # and of how far the corners still moved
@@ -42,6 +47,8 @@ END_PX: Final = 1.5
 MOST_END_SHARE: Final = 0.25
 # the lens's bow of a side, at its ends: a standard deviation in pixels, times the image's width over length^2
 BOW: Final = 0.03
+# and what is left of it when the lens is known, times the length^2: a rolling shutter bends what moves
+BOW_LEFT_PER_PX: Final = 2e-7
 PLACE_STD_PX: Final = 0.1
 # a normal with less than this share of its marker's contrast tells nothing: glare, dirt, something in the way
 LEAST_CONTRAST: Final = 0.4
@@ -57,11 +64,36 @@ FULL_GREY: Final = 250.0
 # more than two parameters a side is what the fit takes from the places' scatter
 PARAMETERS: Final = 10
 
+# the least share of an edge's way that is believed to be seen through the window
+LEAST_GAIN: Final = 0.4
+
 _TAPS: Final = np.linspace(-1.0, 1.0, TAPS, dtype=np.float32)
 _BETWEEN: Final = 0.5 * (_TAPS[1:] + _TAPS[:-1])
 _WINDOW: Final = 1.0 - _BETWEEN**2
 # what a normal's differences are summed with: their weight, mean and mean square (12, 3)
 _MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2), axis=1)
+
+
+def _gains() -> tuple[FloatArray, FloatArray]:
+    """How wide an edge near the window's middle seems, and by which share of its way a moved one does.
+
+    The window draws the centre of a rise towards its own middle, the more the wider the rise is. By Gaussian
+    rises of each width, in terms of the reach, half a tap's distance to either hand of the middle: the mean
+    over a tap's distance is 1 for a step, wherever between two taps it is.
+    """
+    step = 1.0 / (TAPS - 1)
+    widths, gains = [], []
+    for sigma in np.linspace(0.01, 1.5, 150):
+        below = np.array(
+            [[math.erf((tap - at) / sigma / math.sqrt(2.0)) for tap in _TAPS] for at in (0.0, step)]
+        )
+        weight, mean, square = (np.diff(below, axis=1) @ _MOMENTS).T
+        widths.append(math.sqrt(float(np.mean(square / weight - (mean / weight) ** 2))))
+        gains.append(float(mean[1] / weight[1]) / step)
+    return np.array(widths), np.array(gains)
+
+
+_WIDTHS, _GAINS = _gains()
 _PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
 # orthonormal polynomials over the places (12, 3), and what they are at any u: (u^0, u^1, u^2) times this
 # (3, 3)
@@ -77,6 +109,8 @@ class _Sides(NamedTuple):
     normal: FloatArray
     length: FloatArray
     span: FloatArray  # (m,) half the share of the side's length that is looked at, twice
+    bow: FloatArray  # (m, 4) how far outwards the lens moves their middles, px
+    bow_std: FloatArray  # (m, 4) of what is not known of it
 
 
 class _Places(NamedTuple):
@@ -100,42 +134,59 @@ class _Curves(NamedTuple):
     least_used: FloatArray
 
 
+class Refined(NamedTuple):
+    """Corners (m, 4, 2) px, and how sides err (m,) px: as wholes, and at their ends by being turned.
+
+    A marker whose sides cannot be followed keeps its corners, and its deviations are infinite. `shrunk_px`:
+    by how much all sides together may lie too far in, because the white is too bright: as much as they are
+    blurred, or nothing.
+    """
+
+    corners: FloatArray
+    offset_std_px: FloatArray
+    turn_std_px: FloatArray
+    shrunk_px: FloatArray
+
+    @property
+    def corner_std_px(self) -> FloatArray:
+        """Of each corner across each of its sides (m,)."""
+        return np.hypot(self.offset_std_px, self.turn_std_px)
+
+
 def refine_quads(
-    image: NDArray[np.uint8], quads: FloatArray, cells: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    image: NDArray[np.uint8], quads: FloatArray, cells: FloatArray, bow_px: FloatArray | None = None
+) -> Refined:
     """Move the corners of markers to where their sides meet.
 
     Args:
         image: (height, width).
         quads: (m, 4, 2) px, within half a cell of the true ones.
         cells: (m,) across each marker, the black border included.
-
-    Returns:
-        Corners (m, 4, 2) px, and their standard deviations (m,) px in each direction. A marker whose sides
-        cannot be followed keeps its corners, and its deviation is infinite. Then by how much (m,) px all
-        sides together may lie too far in, because the white is too bright: as much as they are blurred, or
-        nothing.
+        bow_px: (m, 4) how far outwards the middle of each side lies from between its corners, by the lens;
+            without it sides bow as lenses bend them.
     """
     corners = np.array(quads, dtype=np.float64)
     farthest = np.clip(REACH_CELLS * _lengths(corners) / cells, *REACH_PX)
     reach = farthest
     for _ in range(MOST_ROUNDS):
-        sides = _sides(corners)
+        sides = _sides(corners, image.shape[1], bow_px)
         places = _places(image, sides, reach)
-        curves = _curves(places, sides, image.shape[1])
+        curves = _curves(places, sides)
         moves = _meeting(sides, curves)
         corners = corners + moves
         moved = np.abs(moves).max(axis=(1, 2))
         # a side that is still on its way must not leave the edge behind
-        reach = np.clip(np.maximum(REACH_BLURS * places.blur_px, REACH_MOVES * moved), REACH_PX[0], farthest)
-        if moved.max(initial=0.0) < SETTLED_PX:
+        looked, wanted = reach, np.maximum(REACH_BLURS * places.blur_px, REACH_MOVES * moved)
+        reach = np.clip(wanted, LEAST_REACH_PX, farthest)
+        # nor is one at rest that was last looked at with taps far apart
+        if ((moved < SETTLED_PX) & (looked < COARSE * reach)).all():
             break
-    std = _corner_std(sides, curves)
+    offset_std, turn_std = _side_std(sides, curves)
     lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
-    lost |= ~np.isfinite(std) | (moved > UNSETTLED_PX)
+    lost |= ~np.isfinite(offset_std + turn_std) | (moved > UNSETTLED_PX)
     lost |= (curves.used < LEAST_USED) | (curves.least_used < LEAST_USED_OF_A_SIDE)
-    corners[lost], std[lost] = quads[lost], np.inf
-    return corners, std, np.where(places.full, places.blur_px, 0.0)
+    corners[lost], offset_std[lost], turn_std[lost] = quads[lost], np.inf, np.inf
+    return Refined(corners, offset_std, turn_std, np.where(places.full, places.blur_px, 0.0))
 
 
 def _lengths(corners: FloatArray) -> FloatArray:
@@ -144,13 +195,17 @@ def _lengths(corners: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((across**2).sum(axis=2)).mean(axis=1))
 
 
-def _sides(corners: FloatArray) -> _Sides:
+def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> _Sides:
     across = corners[:, (1, 2, 3, 0)] - corners
     length = np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0)
     along = across / length[..., None]
     normal = np.stack((along[..., 1], -along[..., 0]), axis=2)
     end = np.maximum(END_SHARE, END_PX / length.mean(axis=1))
-    return _Sides(corners, along, normal, length, 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE))
+    span = 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE)
+    if bow_px is None:
+        bow_std = BOW / image_width_px * length**2
+        return _Sides(corners, along, normal, length, span, np.zeros_like(length), bow_std)
+    return _Sides(corners, along, normal, length, span, bow_px, BOW_LEFT_PER_PX * length**2)
 
 
 def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Places:
@@ -178,24 +233,26 @@ def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Plac
     sure = np.maximum(contrast, 1.0)
     mean = moments[..., 1] / sure
     width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
-    blur_px = _median(width.reshape(m, -1)) * reach
+    blur = _median(width.reshape(m, -1))
+    gain = np.maximum(np.interp(blur, _WIDTHS, _GAINS), LEAST_GAIN)
+    offset = np.clip(mean / gain[:, None, None], -1.0, 1.0) * reach[:, None, None]
     full = _median(brightness[:, -1].astype(np.float64).reshape(m, -1)) >= FULL_GREY
-    return _Places(mean * reach[:, None, None], contrast, blur_px, full)
+    return _Places(offset, contrast, blur * reach, full)
 
 
-def _curves(places: _Places, sides: _Sides, image_width_px: int) -> _Curves:
+def _curves(places: _Places, sides: _Sides) -> _Curves:
     """Least squares with a prior on the bow; places without contrast or far from the curve are left out.
+
+    They are of what is left when the lens's bow is taken out.
 
     A place that is left out is put on the curve and the fit repeated: with few of them that is as good as to
     weigh them with nothing, and one small product does for all sides.
     """
-    offset = places.offset
+    offset = places.offset - sides.bow[..., None] * (1.0 - (sides.span[:, None] * _PLACES) ** 2)[:, None]
     m = len(offset)
     usual = _median(places.contrast.reshape(m, -1))
     keep = places.contrast > LEAST_CONTRAST * usual[:, None, None]
-    # the third orthonormal polynomial's coefficient for a bow of one pixel at the ends
-    bow = BOW * sides.length**2 / image_width_px * _TRIANGLE[2, 2]
-    shrink = bow**2 / (bow**2 + PLACE_STD_PX**2)
+    shrink = _shrink(sides)
     gain = np.stack((np.ones_like(shrink), np.ones_like(shrink), shrink), axis=2)
     filled = offset if keep.all() else np.where(keep, offset, _median(offset)[..., None])
     for _ in range(REFITS):
@@ -213,6 +270,17 @@ def _curves(places: _Places, sides: _Sides, image_width_px: int) -> _Curves:
     return _Curves(coefficients, np.sqrt(variance), used, least_used)
 
 
+def _shrink(sides: _Sides) -> FloatArray:
+    """By how much (m, 4) the bow's coefficient is drawn to what is expected of it: 0 wholly, 1 not at all."""
+    bow = _bow_std(sides)
+    return np.asarray(bow**2 / (bow**2 + PLACE_STD_PX**2))
+
+
+def _bow_std(sides: _Sides) -> FloatArray:
+    """Of the third orthonormal polynomial's coefficient (m, 4)."""
+    return np.asarray(sides.bow_std * _TRIANGLE[2, 2])
+
+
 def _median(values: FloatArray) -> FloatArray:
     """Along the last axis, the upper one of two: a fraction of what numpy's own costs for so few."""
     half = values.shape[-1] // 2
@@ -225,6 +293,8 @@ def _meeting(sides: _Sides, curves: _Curves) -> FloatArray:
     u = (1.0 / sides.span)[:, None]
     slope = 2.0 * u / sides.length
     c0, c1, c2 = plain[..., 0], plain[..., 1], plain[..., 2]
+    # the lens's bow belongs to the curve, and vanishes at the corners
+    c0, c2 = c0 + sides.bow, c2 - sides.bow / u**2
     ahead, behind = c0 + u * (c1 + u * c2), c0 - u * (c1 - u * c2)
     # tangents at a side's start and, of the side before, at its end: lines a . x = offset
     a = sides.normal - ((c1 - 2.0 * u * c2) * slope)[..., None] * sides.along
@@ -237,12 +307,19 @@ def _meeting(sides: _Sides, curves: _Curves) -> FloatArray:
     return np.stack((x, y), axis=2)
 
 
-def _corner_std(sides: _Sides, curves: _Curves) -> FloatArray:
-    """Standard deviation (m,) px of the corners across each side, from the scatter of the places."""
+def _side_std(sides: _Sides, curves: _Curves) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations (m,) px of a side's ends from the scatter of the places.
+
+    What both ends have in common, by the curve's height and what is not known of its bow, and what they have
+    with opposite signs, by its turn: that is how a straight line's ends err independently of each other.
+    """
     u = 1.0 / sides.span
     ends = np.stack((np.ones_like(u), u, u**2), axis=1) @ _POLYNOMIALS
     length = sides.length.mean(axis=1)
     spacing = length * sides.span / (NORMALS - 1)
     alike = np.maximum(CORRELATED_PX / spacing, 1.0)
-    share = (ends**2).sum(axis=1) / np.maximum(curves.used, 0.1)
-    return np.asarray(curves.scatter_px * np.sqrt(share * alike))
+    place = curves.scatter_px**2 * alike / np.maximum(curves.used, 0.1)
+    shrink = _shrink(sides)
+    bow = (shrink**2).mean(axis=1) * place + (((1.0 - shrink) * _bow_std(sides)) ** 2).mean(axis=1)
+    offset = ends[:, 0] ** 2 * place + ends[:, 2] ** 2 * bow
+    return np.sqrt(offset), np.sqrt(ends[:, 1] ** 2 * place)

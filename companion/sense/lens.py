@@ -69,6 +69,16 @@ class Lens:
         pixels = self._distort(ideal) * self._scale + self._centre
         return np.where(seen[:, None], pixels, np.nan), depth
 
+    def bows(self, quads: FloatArray) -> FloatArray:
+        """How far (m, 4) px outwards a straight side's middle is from between its corners (m, 4, 2) px."""
+        rays = self.undistort(quads.reshape(-1, 2)).reshape(-1, 4, 2)
+        middles = 0.5 * (rays + rays[:, (1, 2, 3, 0)])
+        seen = (self._distort(middles.reshape(-1, 2)) * self._scale + self._centre).reshape(-1, 4, 2)
+        across = quads[:, (1, 2, 3, 0)] - quads
+        away = seen - 0.5 * (quads + quads[:, (1, 2, 3, 0)])
+        cross = away[..., 0] * across[..., 1] - away[..., 1] * across[..., 0]
+        return np.asarray(cross / np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0))
+
     def _distort(self, ideal: FloatArray) -> FloatArray:
         _, _, p1, p2, *_ = self._distortion.tolist()
         x, y = ideal[:, 0], ideal[:, 1]

@@ -10,8 +10,7 @@ motion shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m 
 degree. The fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the
 readout, which what is known of the motion bounds. The position holds at the time of the mean row of the
 corners. What the rotors shake is quicker than that: corners of the same rows are shaken alike, however many
-they are. It is fitted too, as a shift of the image that changes from one knot to the next within the
-readout.
+they are. It is fitted too, as a shift of the image that goes to and fro at the rotors' frequencies.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
 reprojection error, each marker's corners weighted by what its sides say of them. Markers that do not agree
@@ -42,10 +41,12 @@ from companion.geometry import (
 )
 from companion.sense.aruco import Detection
 from companion.sense.lens import NEAREST_M, Lens
-from companion.sense.pose_noise import corner_noise_px, edge_std_px, shaking, shrinking, unseen_m2, whitening
+from companion.sense.pose_noise import edge_std_px, shaking, shrinking, side_noise_px, unseen_m2, whitening
 
 ITERATIONS: Final = 6
 CONVERGED: Final = 1e-4
+# a landing's speed of approach, as a share of the distance a second
+APPROACH_PER_S: Final = 0.2
 # the corners' stated noise is worth as much as this many observed misses
 PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
@@ -76,7 +77,7 @@ class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
     `delay_s` is when each point's row is exposed, after the mean row; `shared` how what the rays' errors
-    have in common (shifts at the knots, sides that lie too far in) moves them. `weight` (6 + c,) holds the
+    have in common (the rotors' shaking, sides that lie too far in) moves them. `weight` (6 + c,) holds the
     inverse variances of velocity, rate of turn and these.
     """
 
@@ -146,19 +147,29 @@ def _problem(
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
     shake, rays = shaking(delay_s), lens.undistort(pixels)
     shrunk = shrinking(rays, np.array([edge_std_px(d) for d in detections]) / lens.focal_px)
-    doubt = [config.relative_speed_std_m_s] * 3 + [config.turn_rate_std_rad_s] * 3
+    speed, climb = config.relative_speed_std_m_s, _climb_std_m_s(detections, lens, config)
+    doubt = [speed, speed, min(climb, speed)] + [config.turn_rate_std_rad_s] * 3
     doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=rays,
         delay_s=delay_s,
         down=None if down_camera is None else np.array(down_camera),
-        whitening=whitening(rays, np.array([corner_noise_px(d, config) for d in detections]) / lens.focal_px),
+        whitening=whitening(rays, np.array([side_noise_px(d, config) for d in detections]) / lens.focal_px),
         level_sigma=math.radians(config.level_std_deg),
         shared=np.concatenate((shake, shrunk), axis=1),
         weight=np.array(doubt) ** -2,
         focal_px=lens.focal_px,
     )
+
+
+def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig) -> float:
+    """How fast the pad may plausibly come nearer: what is near comes slowly.
+
+    The distance is what the markers' sizes say.
+    """
+    distance_m = max(lens.focal_px * d.marker.side_m / d.side_px for d in detections)
+    return math.hypot(config.relative_climb_std_m_s, APPROACH_PER_S * distance_m)
 
 
 def _accept(

@@ -14,26 +14,24 @@ import numpy as np
 
 from companion.config import VisionConfig
 from companion.geometry import FloatArray
-from companion.sense.aruco import Detection
+from companion.sense.aruco import STRAIGHT_SHARE, Detection
 
-# corners of a marker that is large in the image err by this share of its side beyond what its sides tell
-LARGE_SHARE: Final = 1e-4
 # how far all sides of all markers may lie too far in or out: black and white blur unlike
 EDGE_STD_PX: Final = 0.006
 # a shift of the whole picture that no corner tells, and how hard the camera is pushed during the readout
-SHIFT_STD_PX: Final = 0.008
-PUSH_STD_M_S2: Final = 0.7
-# the rotors' shaking is told apart at knots of this distance in the readout, at most so many
-KNOT_S: Final = 0.0025
-MOST_KNOTS: Final = 8
-# places along a side, as shares of it, at which a fitted line errs independently
-_SHARES: Final = (0.5 - 0.5 / math.sqrt(3.0), 0.5 + 0.5 / math.sqrt(3.0))
+SHIFT_STD_PX: Final = 0.003
+PUSH_STD_M_S2: Final = 0.4
+# rotors shake at some frequency between 40 and 160 Hz: more are told apart the longer the readout is
+ROTOR_HZ: Final = ((100.0,), (70.0, 130.0), (60.0, 100.0, 140.0))
+APART_S: Final = 0.005
 
 
-def corner_noise_px(detection: Detection, config: VisionConfig) -> float:
-    """Of each corner in each direction: what its marker's sides tell, and what they cannot."""
-    large = LARGE_SHARE * detection.side_px
-    return math.sqrt(detection.corner_std_px**2 + config.corner_noise_px**2 + large**2)
+def side_noise_px(detection: Detection, config: VisionConfig) -> tuple[float, float]:
+    """By which a side errs as a whole, and its ends by its turn: what it tells, and what it cannot."""
+    share, told = detection.offset_share, detection.corner_std_px**2
+    untold = config.corner_noise_px**2
+    offset = share * told + STRAIGHT_SHARE * untold
+    return math.sqrt(offset), math.sqrt(told + untold - offset)
 
 
 def edge_std_px(detection: Detection) -> float:
@@ -44,21 +42,21 @@ def edge_std_px(detection: Detection) -> float:
 def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
     """What makes the rays' errors independent and of unit variance: (2n, 2n), rows of all u, then of all v.
 
-    Corners are where sides meet, and the sides are what is measured: a straight line through independent
-    places is independent at +-1/sqrt(3) of its half length. There each side's offset counts, and a corner
-    errs by sqrt(2) times as much.
+    Corners are where sides meet, and the sides are what is measured: what both ends of one are off by, and
+    what they are off by with opposite signs, err independently by `sigma` (m, 2), that of a side as a whole
+    and that of its ends by its turn.
     """
     m = len(sigma)
     corners = rays.reshape(m, 4, 2)
     along = corners[:, (1, 2, 3, 0)] - corners
     along /= np.sqrt((along**2).sum(axis=2))[..., None]
     k, side = np.arange(m)[:, None], np.arange(4)
-    white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, place | direction, marker, corner
+    white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, kind | direction, marker, corner
     for direction, normal in enumerate((along[..., 1], -along[..., 0])):
-        scaled = normal * (math.sqrt(2.0) / sigma)[:, None]
-        for place, share in enumerate(_SHARES):
-            white[k, side, place, direction, k, side] = scaled * (1.0 - share)
-            white[k, side, place, direction, k, (side + 1) % 4] = scaled * share
+        for kind, sign in enumerate((1.0, -1.0)):
+            scaled = normal * (0.5 / sigma[:, kind, None])
+            white[k, side, kind, direction, k, side] = scaled
+            white[k, side, kind, direction, k, (side + 1) % 4] = sign * scaled
     return white.reshape(8 * m, 8 * m)
 
 
@@ -83,16 +81,16 @@ def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:
 
 
 def shaking(delay_s: FloatArray) -> FloatArray:
-    """How shifts at the knots, right and down, move the rays (2n, 2k), straight between knots.
+    """How what the rotors shake moves the rays (2n, 4k): sine and cosine of k frequencies, right and down.
 
-    The shift at the mean row is not among them: the pose holds at its time, shaken as the camera is then.
+    At each moment they add up to the variance that each column is given. The shift at the mean row is not
+    among them: the pose holds at its time, shaken as the camera is then.
     """
-    first, span_s = float(delay_s.min()), float(delay_s.max() - delay_s.min())
-    count = min(2 + int(span_s / KNOT_S), MOST_KNOTS)
-    step_s = max(KNOT_S, span_s / (count - 1))
-    times = np.append(delay_s, 0.0)
-    hats = np.maximum(1.0 - np.abs((times[:, None] - first) / step_s - np.arange(count)), 0.0)
-    n = len(delay_s)
+    span_s = float(delay_s.max() - delay_s.min())
+    frequencies = ROTOR_HZ[min(int(span_s / APART_S), len(ROTOR_HZ) - 1)]
+    angle = math.tau * delay_s[:, None] * np.array(frequencies)
+    waves = np.concatenate((np.sin(angle), np.cos(angle) - 1.0), axis=1) / math.sqrt(len(frequencies))
+    n, count = waves.shape
     both = np.zeros((2 * n, 2 * count))
-    both[:n, :count] = both[n:, count:] = hats[:n] - hats[n]
+    both[:n, :count] = both[n:, count:] = waves
     return both

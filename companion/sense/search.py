@@ -7,7 +7,7 @@ second look, so that there is no height at which the eyes depend on a single gro
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -22,6 +22,8 @@ from companion.sense.lens import Lens
 # pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
 CELL_PX: Final = 3.1
 SHRINKINGS: Final = (6, 4, 3, 2, 1)
+# cells of fewer pixels are read with luck: outlines are of whole ones. A look in vain is repeated enlarged so
+ENLARGED: Final = 2
 # markers of the preferred group that should be whole in the image
 ENOUGH_MARKERS: Final = 2
 # a pad expected with a standard deviation above this share of its distance is searched for everywhere
@@ -53,29 +55,43 @@ class SearchPlanner:
         far: tuple[MarkerGroup, ...] = ("F", "M")
         self._far_groups = far if any(m.group in far for m in pad.markers) else GROUPS
         self._cells = {g: max((m.cells for m in pad.markers if m.group == g), default=1) for g in GROUPS}
+        self._finest_m = min((m.side_m / m.cells for m in pad.markers), default=0.0)
 
-    def whole_frame(self, turn: int) -> tuple[SearchPass, ...]:
-        """Looks over the whole frame when nothing is known: in turn for what is far and for what is near.
+    def whole_frame(self, turn: int, *, near: bool = False) -> tuple[SearchPass, ...]:
+        """Looks over the whole frame when no marker is expected in it: in turn for what is far and is near.
 
         In full for what is far, and that dear look leaves the close markers out: where they are that
         small the medium ones are in view. Shrunk for what is near. Half of the cost a frame, and the pad
-        is found a frame later at worst.
+        is found a frame later at worst. A pad that is known to be `near` is looked for in every frame.
         """
+        close = (self._whole(4, GROUPS), self._whole(2, GROUPS))
+        far = (self._whole(1, self._far_groups),)
         if turn % 2 == 0:
-            return (self._whole(1, self._far_groups),)
-        return (self._whole(4, GROUPS), self._whole(2, GROUPS))
+            return (*close, *far) if near else far
+        return close
+
+    def is_near(self, pad_position_camera_m: FloatArray, position_std_m: float) -> bool:
+        """Whether the pad is so near that its smallest marker can be read in an image shrunk to half.
+
+        Of the pad's centre (3,) and its standard deviation, each axis: it may be farther than expected.
+        """
+        distance = float(np.linalg.norm(pad_position_camera_m))
+        distance += self._config.region_margin_sigma * position_std_m
+        return self._lens.focal_px * self._finest_m >= 2.0 * CELL_PX * distance
 
     def widened(self, look: SearchPass) -> tuple[SearchPass, ...]:
-        """A look at the whole frame after one in vain, and at what was shrunk much a closer one.
+        """A look at the whole frame after one in vain, and at what was shrunk much closer ones.
 
+        Larger markers, though none was expected, can be read in them as well, and are worth little more time.
         Nothing when that would be the same again.
         """
         width, height = self._lens.size_px
-        closer = max(look.shrink // 2, min(look.shrink, 2))
+        groups = GROUPS[: 1 + max(GROUPS.index(group) for group in look.groups)]
         covered = 2 * (look.right - look.left) * (look.bottom - look.top) > width * height
-        if covered and closer == look.shrink:
-            return ()
-        return (self._whole(closer, look.groups),)
+        # what is much shrunk loses most by the frame's edge, and what is blurred most when it is not shrunk
+        closer = sorted({max(look.shrink // 2, 2), 2} if look.shrink > 1 else {1}, reverse=True)
+        same = look.shrink if covered and look.groups == groups else None
+        return tuple(self._whole(s, groups) for s in closer if s != same)
 
     def _whole(self, shrink: int, groups: tuple[MarkerGroup, ...]) -> SearchPass:
         width, height = self._lens.size_px
@@ -84,7 +100,7 @@ class SearchPlanner:
     def expected(
         self, camera_from_pad: FloatArray, pad_position_camera_m: FloatArray, position_std_m: float
     ) -> tuple[SearchPass, ...]:
-        """At most two looks at where the pad should be; none when it should be out of view or is vague.
+        """At most three looks at where the pad should be; none when it should be out of view or is vague.
 
         Args:
             camera_from_pad: rotation (3, 3).
@@ -113,7 +129,15 @@ class SearchPlanner:
             for view in self._views(pixels, margin):
                 look = _both(look, self._pass(view, wide)) if GROUPS.index(view.group) < rank else look
         later = [v for v in views if GROUPS.index(v.group) > rank]
-        return (look, *(self._pass(v, wide) for v in later[:1]))
+        return (look, *self._enlarged(look, first), *(self._pass(v, wide) for v in later[:1]))
+
+    def _enlarged(self, look: SearchPass, view: _View) -> tuple[SearchPass, ...]:
+        """What is hardly legible is looked at enlarged, where that costs no more than the frame in full."""
+        width, height = self._lens.size_px
+        area = (look.right - look.left) * (look.bottom - look.top) * ENLARGED**2
+        if view.cell_px >= CELL_PX or area > width * height:
+            return ()
+        return (replace(look, enlarge=ENLARGED),)
 
     def _views(self, pixels: FloatArray, slack_px: float) -> list[_View]:
         views = (self._view(group, pixels, slack_px) for group in GROUPS)

@@ -60,7 +60,7 @@ class Vision:
         self._camera = camera
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
-        self._detector = PadDetector(pad, config)
+        self._detector = PadDetector(pad, config, self._lens)
         self._print = PrintCheck(pad, self._lens)
         self._body_from_camera = body_from_camera(vehicle)
         self._rotation = matrix_from_quat(self._body_from_camera)
@@ -70,7 +70,8 @@ class Vision:
     def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
         """Look where the pad is expected, then everywhere; for any marker when nothing is expected.
 
-        Without an expectation, far and near pads are looked for in turn, in every other frame each.
+        Without an expectation, far and near pads are looked for in turn, in every other frame each; one
+        that is near, but with no marker whole in view, in every frame.
 
         Raises:
             ValueError: the image is not of the calibrated camera's size.
@@ -81,7 +82,7 @@ class Vision:
             raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
         down = None if prior is None else self._to_camera(prior.down_body)
         looks = self._expected(prior)
-        wide = self._planner.widened(looks[0]) if looks else self._whole_frame()
+        wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
         found: list[Detection] = []
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
@@ -104,9 +105,16 @@ class Vision:
             return None
         return pose
 
-    def _whole_frame(self) -> tuple[SearchPass, ...]:
+    def _whole_frame(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
         self._turn += 1
-        return self._planner.whole_frame(self._turn)
+        if prior is None or prior.pad_position_body_m is None:
+            return self._planner.whole_frame(self._turn)
+        near = self._planner.is_near(self._position(prior.pad_position_body_m), prior.position_std_m)
+        return self._planner.whole_frame(self._turn, near=near)
+
+    def _position(self, pad_position_body_m: Vector3) -> FloatArray:
+        """The pad's place in camera axes (3,)."""
+        return np.asarray(self._rotation.T @ (np.array(pad_position_body_m) - self._mount))
 
     def _to_camera(self, v_body: Vector3) -> Vector3:
         return quat_rotate(quat_conjugate(self._body_from_camera), v_body)
@@ -114,7 +122,7 @@ class Vision:
     def _expected(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
         if prior is None or prior.pad_position_body_m is None or prior.body_from_pad is None:
             return ()
-        position = self._rotation.T @ (np.array(prior.pad_position_body_m) - self._mount)
+        position = self._position(prior.pad_position_body_m)
         camera_from_pad = self._rotation.T @ matrix_from_quat(prior.body_from_pad)
         return self._planner.expected(camera_from_pad, position, prior.position_std_m)
 

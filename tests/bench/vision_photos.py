@@ -80,7 +80,7 @@ def _read(path: Path, printed: dict[int, FloatArray]) -> Photo:
     )
     contours: FloatArray = np.array([code.corners_px for code in codes]).reshape(-1, 4, 2)
     refined = (
-        refine_quads(grey, contours, np.full(len(codes), dictionary.markerSize + 2.0))[0]
+        refine_quads(grey, contours, np.full(len(codes), dictionary.markerSize + 2.0)).corners
         if codes
         else contours
     )

@@ -80,12 +80,29 @@ def test_small_markers_are_read_at_any_angle(
     assert len(found) >= 4
 
 
+@pytest.mark.parametrize("yaw_deg", [0.0, 15.0, 30.0, 45.0, 60.0, 75.0])
+def test_hardly_legible_markers_are_read_enlarged(
+    detector: PadDetector, take_picture: TakePicture, yaw_deg: float
+) -> None:
+    # cells of 2.5 px: as they are, one at most is read at some of these angles
+    attitude = quat_from_euler(0.0, 0.0, math.radians(yaw_deg))
+    frame, _, _ = take_picture((0.0, 0.0, -13.0), attitude)
+    found = detector.detect(frame.image, SearchPass(220, 140, 420, 340, 1, ("F",), enlarge=2))
+    assert len(found) >= 2
+    for detection in found:
+        assert detection.corner_std_px < 0.35
+
+
 def test_corners_are_those_of_the_whole_image_whatever_part_or_size_was_searched(
     detector: PadDetector, take_picture: TakePicture
 ) -> None:
     frame, _, _ = take_picture((0.0, 0.0, -3.0), LEVEL)
     whole = detector.detect(frame.image, WHOLE)
-    for look in (SearchPass(131, 57, 601, 470, 1, ("F",)), SearchPass(3, 5, 640, 480, 2, ("F",))):
+    for look in (
+        SearchPass(131, 57, 601, 470, 1, ("F",)),
+        SearchPass(3, 5, 640, 480, 2, ("F",)),
+        SearchPass(131, 57, 601, 470, 1, ("F",), enlarge=2),
+    ):
         part = detector.detect(frame.image, look)
         assert [d.marker.id for d in part] == [0, 1, 2, 3]
         for a in part:
@@ -99,6 +116,18 @@ def test_corners_go_round_from_the_top_left_of_the_code(detector: PadDetector) -
         np.array([(199.5, 149.5), (295.5, 149.5), (295.5, 245.5), (199.5, 245.5)]), abs=0.6
     )
     assert found.side_px == pytest.approx(96.0, abs=2.0)
+
+
+@pytest.mark.parametrize("shrink", [2, 4])
+def test_what_is_whole_is_read_up_to_the_frames_edge_and_what_is_cut_off_is_not(
+    detector: PadDetector, shrink: int
+) -> None:
+    # OpenCV's usual distance to the border, 3 px of the shrunk image, loses the first
+    image = drawn([("4x4_50", 2, 2 * shrink, 150)], side=240)
+    look = SearchPass(0, 0, 640, 480, shrink, GROUPS)
+    assert [d.marker.id for d in detector.detect(image, look)] == [2]
+    for cut in (2 * shrink + 2, 3 * shrink, 5 * shrink):
+        assert detector.detect(np.ascontiguousarray(np.roll(image, -cut, axis=1)), look) == []
 
 
 def test_markers_that_are_not_on_the_pad_are_not_reported(detector: PadDetector) -> None:

@@ -56,7 +56,8 @@ def test_every_marker_of_a_photograph_is_found_and_no_other(
     expected = np.array([reference[code.number] for code in codes], dtype=np.float64)
     assert np.abs(quads - expected).max() <= 1.0
     # the reference are outermost black pixels: the print ends half a pixel farther out
-    corners, std_px, _ = refine_quads(np.asarray(image, np.uint8), quads, np.full(count, 8.0))
+    refined = refine_quads(np.asarray(image, np.uint8), quads, np.full(count, 8.0))
+    corners, std_px = refined.corners, refined.corner_std_px
     outward = np.sign(expected - expected.mean(axis=1, keepdims=True))
     missed = np.linalg.norm(corners - expected - 0.5 * outward, axis=2)
     assert missed.mean(axis=1).max() <= 1.0

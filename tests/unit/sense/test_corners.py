@@ -25,12 +25,18 @@ def square(turn_rad: float) -> FloatArray:
     return np.asarray(SIDE_PX * unit @ np.array([[c, s], [-s, c]])) + 120.3
 
 
-def drawn(corners: FloatArray) -> NDArray[np.uint8]:
-    """A marker that is black all through on white, blurred by its pixels and a little more."""
+def drawn(corners: FloatArray, bow_px: float = 0.0) -> NDArray[np.uint8]:
+    """A marker that is black all through on white, blurred by its pixels and a little more.
+
+    `bow_px`: how far outwards the middles of its sides lie from between its corners.
+    """
     places = (np.arange(SIZE * FINER) + 0.5) / FINER - 0.5
     inside = np.ones((SIZE * FINER, SIZE * FINER), bool)
     for (x, y), (u, v) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        inside &= (u - x) * (places[:, None] - y) - (v - y) * (places - x) > 0.0
+        length = math.hypot(u - x, v - y)
+        inwards = ((u - x) * (places[:, None] - y) - (v - y) * (places - x)) / length
+        ahead = ((u - x) * (places - x) + (v - y) * (places[:, None] - y)) / length**2
+        inside &= inwards > -bow_px * (1.0 - (2.0 * ahead - 1.0) ** 2)
     fine = np.where(inside, 25, 225).astype(np.uint8)
     small = cv2.resize(fine, (SIZE, SIZE), interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (0, 0), 0.6), np.uint8)
@@ -44,7 +50,8 @@ def test_a_corner_that_the_contour_cut_off_is_found(turn_deg: float, cut: int) -
     # a third of a cell along each side, and an eighth inwards for the others
     start[cut] += (120.3 - truth[cut]) / np.linalg.norm(120.3 - truth[cut]) * 9.0
     start[(cut + 1) % 4] += 2.0
-    corners, std_px, _ = refine_quads(drawn(truth), start[None], np.array([CELLS]))
+    refined = refine_quads(drawn(truth), start[None], np.array([CELLS]))
+    corners, std_px = refined.corners, refined.corner_std_px
     assert np.abs(corners[0] - truth).max() < 0.1
     assert std_px[0] < 0.1
 
@@ -54,6 +61,66 @@ def test_a_side_that_is_out_of_reach_is_not_claimed(turn_deg: float) -> None:
     truth = square(math.radians(turn_deg))
     start = truth.copy()
     start[2:] += 0.3 * (truth[1:2] - truth[2:3])
-    corners, std_px, _ = refine_quads(drawn(truth), start[None], np.array([CELLS]))
+    refined = refine_quads(drawn(truth), start[None], np.array([CELLS]))
+    corners, std_px = refined.corners, refined.corner_std_px
     assert np.isinf(std_px[0])
     assert np.array_equal(corners[0], start)
+
+
+def small(corners: FloatArray, side_px: float) -> FloatArray:
+    """The same square with sides of so many pixels."""
+    return np.asarray((corners - 120.3) * (side_px / SIDE_PX) + 120.3)
+
+
+def along_sides(corners: FloatArray, truth: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far outwards each side (4,) lies as a whole, and its end by its turn."""
+    across = np.roll(truth, -1, axis=0) - truth
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    outward = np.stack((across[:, 1], -across[:, 0]), axis=1)
+    start = ((corners - truth) * outward).sum(axis=1)
+    end = ((np.roll(corners - truth, -1, axis=0)) * outward).sum(axis=1)
+    return 0.5 * (start + end), 0.5 * (end - start)
+
+
+@pytest.mark.parametrize("side_px", [22.0, 40.0, 118.0])
+def test_a_side_does_not_stay_where_its_contour_began(side_px: float) -> None:
+    # a contour runs through the outermost black pixels: half a pixel further in
+    offsets = []
+    for turn_deg in np.arange(2.0, 90.0, 8.0):
+        truth = small(square(math.radians(turn_deg)), side_px)
+        start = small(truth, SIDE_PX * (1.0 - 1.0 / side_px))
+        refined = refine_quads(drawn(truth), start[None], np.array([CELLS]), np.zeros((1, 4)))
+        offsets.append(along_sides(refined.corners[0], truth)[0])
+    assert abs(float(np.mean(offsets))) < 0.004
+
+
+@pytest.mark.parametrize("side_px", [22.0, 40.0, 118.0])
+def test_the_stated_deviations_are_those_of_the_errors(side_px: float) -> None:
+    rng = np.random.default_rng(3)
+    offsets, turns, stated = [], [], []
+    for turn_deg in np.arange(2.0, 90.0, 8.0):
+        truth = small(square(math.radians(turn_deg)), side_px)
+        image = drawn(truth).astype(np.float64)
+        for _ in range(8):
+            noisy = np.clip(np.rint(image + rng.normal(0.0, 3.0, image.shape)), 0, 255).astype(np.uint8)
+            refined = refine_quads(noisy, truth[None], np.array([CELLS]), np.zeros((1, 4)))
+            offset, turn = along_sides(refined.corners[0], truth)
+            offsets.append(offset)
+            turns.append(turn)
+            stated.append((refined.offset_std_px[0], refined.turn_std_px[0]))
+    offset_std, turn_std = np.sqrt(np.mean(np.square(stated), axis=0))
+    assert np.std(offsets) / offset_std == pytest.approx(1.0, abs=0.25)
+    assert np.std(turns) / turn_std == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_known_bow_is_taken_out_and_an_unknown_one_costs_certainty() -> None:
+    # sides that bulge by 0.4 px, as a lens draws a marker of that size away from the image's middle
+    truth = square(math.radians(20.0))
+    image = drawn(truth, 0.4)
+    start = small(truth, SIDE_PX - 1.0)
+    known = refine_quads(image, start[None], np.array([CELLS]), np.full((1, 4), 0.4))
+    unknown = refine_quads(image, start[None], np.array([CELLS]))
+    ignored = refine_quads(image, start[None], np.array([CELLS]), np.zeros((1, 4)))
+    assert np.abs(known.corners[0] - truth).max() < 0.06
+    assert np.abs(ignored.corners[0] - truth).max() > 0.25
+    assert unknown.offset_std_px[0] > 1.5 * unknown.turn_std_px[0]

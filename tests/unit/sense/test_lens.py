@@ -63,3 +63,19 @@ def test_what_a_distortion_folds_into_the_image_is_nowhere(camera: CameraConfig)
     folded = Lens(camera.model_copy(update={"distortion": (-1.0, 0.0, 0.0, 0.0, 0.0)}))
     pixels, _ = folded.project(np.array([[0.5, 0.0, 1.0], [0.95, 0.0, 1.0]]))
     assert np.isnan(pixels).any(axis=1).tolist() == [False, True]
+
+
+def test_straight_sides_bow_as_the_lens_draws_them(camera: CameraConfig) -> None:
+    lens = Lens(camera)
+    corners = np.array([(40.0, 60.0), (300.0, 30.0), (330.0, 290.0), (70.0, 320.0)])
+    (bows,) = lens.bows(corners[None])
+    rays = lens.undistort(corners)
+    for k, bow in enumerate(bows):
+        start, end = corners[k], corners[(k + 1) % 4]
+        shares = np.linspace(0.0, 1.0, 101)[:, None]
+        line = (1.0 - shares) * rays[k] + shares * rays[(k + 1) % 4]
+        seen, _ = lens.project(np.column_stack((line, np.ones(len(line)))))
+        across = (end - start) / np.linalg.norm(end - start)
+        outward = (seen - start) @ np.array([across[1], -across[0]])
+        assert bow == pytest.approx(outward[50], abs=0.01)
+    assert np.abs(bows).max() > 0.3

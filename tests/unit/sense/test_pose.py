@@ -185,3 +185,22 @@ def test_a_rolling_shutters_shear_is_told_apart_from_the_pose(
     still = Lens(camera.model_copy(update={"readout_s": 0.0}))
     bent = estimate_pose(sheared, still, CONFIG, (0.0, 0.0, 1.0))
     assert bent is None or bent.reprojection_error_px > 3.0 * pose.reprojection_error_px
+
+
+def test_a_climb_is_bounded_by_how_near_the_pad_is(pad: Pad, camera: CameraConfig, lens: Lens) -> None:
+    # seen from 1 m, half of the pad is out of view: a lean that is a climb moves its middle
+    rotation, position = camera_from_pad_at(0.3), (0.02, -0.12, 1.0)
+    found = [
+        d
+        for d in detections(pad, camera, rotation, position, group="M")
+        if d.corners_px.min() > 5 and (d.corners_px < (635, 475)).all()
+    ]
+    assert found
+    config = VisionConfig(scale_error=0.0, level_std_deg=0.7)
+    near = estimate_pose(found, lens, config, (0.0, 0.0, 1.0))
+    vague = config.model_copy(update={"relative_climb_std_m_s": 20.0})
+    any_climb = estimate_pose(found, lens, vague, (0.0, 0.0, 1.0))
+    assert near is not None
+    assert any_climb is not None
+    assert near.covariance[2, 2] < 0.6 * any_climb.covariance[2, 2]
+    assert near.position_camera_m == pytest.approx(position, abs=1e-3)

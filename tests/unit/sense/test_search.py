@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from companion.config import CameraConfig, VisionConfig
+from companion.messages import MarkerGroup
 from companion.pad import Pad
-from companion.sense.aruco import SearchPass
+from companion.sense.aruco import GROUPS, SearchPass
 from companion.sense.lens import Lens
 from companion.sense.search import SearchPlanner
 
@@ -69,10 +72,38 @@ def test_widening_reaches_the_whole_frame_once(planner: SearchPlanner) -> None:
 
 
 def test_what_was_shrunk_much_is_looked_at_more_closely_after_a_look_in_vain(planner: SearchPlanner) -> None:
-    for shrink, closer in ((6, 3), (4, 2), (3, 2)):
-        look = SearchPass(0, 0, 640, 480, shrink, ("C",))
-        assert planner.widened(look) == (SearchPass(0, 0, 640, 480, closer, ("C",)),)
-    assert planner.widened(SearchPass(0, 0, 640, 480, 2, ("M",))) == ()
+    for shrink, closer in ((6, (3, 2)), (4, (2,)), (3, (2,))):
+        look = SearchPass(0, 0, 640, 480, shrink, ("F",))
+        assert planner.widened(look) == tuple(SearchPass(0, 0, 640, 480, s, ("F",)) for s in closer)
+    assert planner.widened(SearchPass(0, 0, 640, 480, 2, ("F", "M"))) == ()
+
+
+def test_larger_markers_that_were_not_expected_are_looked_for_after_a_look_in_vain(
+    planner: SearchPlanner,
+) -> None:
+    cases: list[tuple[MarkerGroup, tuple[MarkerGroup, ...]]] = [("C", ("F", "M", "C")), ("M", ("F", "M"))]
+    for group, groups in cases:
+        look = SearchPass(0, 0, 640, 480, 2, (group,))
+        assert planner.widened(look) == (replace(look, groups=groups),)
+
+
+def test_what_is_hardly_legible_is_looked_at_enlarged(planner: SearchPlanner) -> None:
+    # F has cells of 2.7 px at 12 m and of 4 at 8 m
+    plain, enlarged = planner.expected(np.eye(3), np.array([0.0, 0.0, 12.0]), 0.05)
+    assert (plain.enlarge, enlarged) == (1, replace(plain, enlarge=2))
+    assert [look.enlarge for look in planner.expected(np.eye(3), np.array([0.0, 0.0, 8.0]), 0.05)] == [1]
+    # but not most of the frame
+    assert [look.enlarge for look in planner.expected(np.eye(3), np.array([0.0, 0.0, 12.0]), 2.5)] == [1]
+
+
+def test_a_pad_that_is_near_is_looked_for_in_every_frame(planner: SearchPlanner) -> None:
+    far = SearchPass(0, 0, 640, 480, 1, ("F", "M"))
+    close = tuple(SearchPass(0, 0, 640, 480, shrink, GROUPS) for shrink in (4, 2))
+    assert [planner.whole_frame(turn) for turn in (1, 2)] == [close, (far,)]
+    assert [planner.whole_frame(turn, near=True) for turn in (1, 2)] == [close, (*close, far)]
+    assert planner.is_near(np.array([0.1, 0.0, 0.1]), 0.05)
+    assert not planner.is_near(np.array([0.1, 0.0, 0.1]), 0.4)
+    assert not planner.is_near(np.array([0.0, 0.0, 2.0]), 0.1)
 
 
 def test_beside_markers_that_are_hardly_legible_a_larger_one_in_view_is_looked_for(

@@ -175,6 +175,15 @@ def test_a_pad_that_is_not_where_it_was_expected_is_found_all_the_same(
     assert norm(subtract(result.sighting.pad_position_body_m, truth)) < 0.05
 
 
+def test_a_pad_that_is_near_but_not_known_well_enough_is_seen_in_every_frame(
+    vision: Vision, take_picture: TakePicture
+) -> None:
+    frame, truth, body_from_pad = take_picture((0.0, 0.0, -0.2), LEVEL, 0.3)
+    vague = prior_of(LEVEL, truth, body_from_pad, 0.05)
+    results = [vision.step(frame, vague) for _ in range(2)]
+    assert all(result.sighting is not None and result.searched_whole_frame for result in results)
+
+
 def test_without_any_prior_the_pose_comes_from_the_corners_alone(
     vision: Vision, take_picture: TakePicture
 ) -> None:
