@@ -9,6 +9,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from companion.config.near_names import near_name
+
 # pydantic's words for these name its own types
 _EXPECTED = {
     "missing": "expected a value, found none",
@@ -96,7 +98,7 @@ def validate(model: type[Model], data: dict[str, Any], source: str) -> Model:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(_one_line(error, source, data)) from error
+        raise ConfigError(_one_line(error, source, data, model)) from error
 
 
 def load_model(model: type[Model], path: Path) -> Model:
@@ -119,7 +121,7 @@ def merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _one_line(error: ValidationError, source: str, data: Any) -> str:
+def _one_line(error: ValidationError, source: str, data: Any, model: type[BaseModel]) -> str:
     """What is wrong first of all: a key that nobody knows, since what it was meant to be is then missing."""
     errors = error.errors(include_url=False)
     first = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
@@ -130,7 +132,8 @@ def _one_line(error: ValidationError, source: str, data: Any) -> str:
     tail = f" (and {more} more)" if more else ""
     where = f"{source}: {key}" if key else source
     if first["type"] == "extra_forbidden":
-        return f"{source}: unknown key '{key}'"
+        meant = near_name(model, key.split("."))
+        return f"{source}: unknown key '{key}'" + (f"; did you mean '{meant}'?" if meant else "")
     if first["type"].startswith("union_tag"):
         context = first["ctx"]
         kind, tags = context["discriminator"].strip("'"), context.get("expected_tags")

@@ -33,6 +33,9 @@ def write(folder: Path, text: str) -> Path:
         ("pad: [", "broken YAML"),
         ("- 1\n- 2\n", "expected a mapping"),
         ("wings: 2\n", "unknown key 'wings'"),
+        ("estimat: {}\n", "unknown key 'estimat'; did you mean 'estimate'?"),
+        ("plan: {touchdown: {contact_speed: 0.2}}\n", "did you mean 'contact_speed_m_s'?"),
+        ("sense: {imu: {buss: 'i2c:1'}}\n", "unknown key 'sense.imu.buss'; did you mean 'bus'?"),
         ("plan: {rate_hz: 1000}\n", "plan.rate_hz: expected less than or equal to 100, found 1000"),
         ("plan: {rate_hz: fast}\n", "plan.rate_hz"),
         ("control: {limits: {tilt_deg: .nan}}\n", "control.limits.tilt_deg"),
@@ -46,6 +49,14 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, expected: 
     assert expected in line
     assert str(path) in line
     assert "\n" not in line
+
+
+def test_a_key_like_none_that_is_known_there_gets_no_guess(tmp_path: Path) -> None:
+    # there is a rate_hz, but not in this place
+    for text in ("wings: 2\n", "rate_hz: 30\n"):
+        with pytest.raises(ConfigError) as caught:
+            load_config(write(tmp_path, text))
+        assert "did you mean" not in str(caught.value)
 
 
 def test_the_files_that_settings_name_are_looked_for_beside_them(

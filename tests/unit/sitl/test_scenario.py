@@ -88,7 +88,10 @@ def written(tmp_path: Path, **values: Any) -> Path:
             ["arc_s", "shortest"],
         ),
         ({"colour": "red"}, ["unknown key", "colour"]),
-        ({"pad": {"motion": {"kind": "circle", "radus_m": 5}}}, ["unknown key 'pad.motion.radus_m'"]),
+        (
+            {"pad": {"motion": {"kind": "circle", "radus_m": 5}}},
+            ["unknown key 'pad.motion.radus_m'; did you mean 'radius_m'?"],
+        ),
         (
             {"pad": {"motion": {"kind": "circel", "radius_m": 5}}},
             ["pad.motion.kind: expected one of 'static', 'line', 'circle'", "found 'circel'"],
