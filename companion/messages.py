@@ -91,7 +91,8 @@ class PadPrior:
     """What the estimators expect of the pad at a frame's exposure; guides search and ambiguity, not pose.
 
     `pad_position_body_m`/`body_from_pad` are None when the pad's place is unknown; `down_body` is the
-    gravity direction, a unit vector, and is known as soon as there is an attitude.
+    gravity direction, a unit vector, and is known as soon as there is an attitude. `climb_m_s` is how fast
+    the height over the pad is expected to change.
     """
 
     time_s: float
@@ -99,6 +100,7 @@ class PadPrior:
     pad_position_body_m: Vector3 | None = None
     body_from_pad: Quaternion | None = None
     position_std_m: float = 1.0
+    climb_m_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

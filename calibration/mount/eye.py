@@ -39,7 +39,7 @@ class GravityFreeEye:
         self._camera, self._config = camera, config.model_copy(update=by_hand)
         self._lens = Lens(camera)
         self._planner = SearchPlanner(pad, self._lens, config)
-        self._detector = PadDetector(pad, config)
+        self._detector = PadDetector(pad, config, self._lens)
         self._rotation = matrix_from_quat(body_from_camera(vehicle))
         self._mount = np.array(vehicle.camera_position_body_m)
         self._last: PadPose | None = None

@@ -130,6 +130,11 @@ class TouchdownConfig(StrictModel):
                 f"break_off_lateral_m {self.break_off_lateral_m:g}: expected no less than lateral_m, "
                 f"{self.lateral_m:g}"
             )
+        if self.break_off_above_m <= 2.0 * self.contact_margin_m:
+            raise ValueError(
+                f"break_off_above_m {self.break_off_above_m:g}: expected more than twice contact_margin_m, "
+                f"{self.contact_margin_m:g}; so low the feet may stand"
+            )
         return self
 
 

@@ -198,6 +198,7 @@ class Estimator:
             pad_position_body_m=quat_rotate_inverse(attitude, position),
             body_from_pad=quat_multiply(quat_conjugate(attitude), level_pad),
             position_std_m=estimate.position_std_m,
+            climb_m_s=float(estimate.x[5]),
         )
 
     @property

@@ -131,7 +131,10 @@ class MavsdkActions:
         if mavsdk is not None:
             _log_lines.hush()  # it takes its subscriber away before the connection, as in `start`
             # it joins threads of its own that may be calling us just now
-            await asyncio.to_thread(mavsdk.destroy)
+            try:
+                await asyncio.to_thread(mavsdk.destroy)
+            finally:
+                _log_lines.pass_on()
 
     # ------------------------------------------------------------ parameters
 

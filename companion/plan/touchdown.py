@@ -48,6 +48,9 @@ _BORNE_PER_TIME = 0.35
 _FARTHEST_ASIDE_M = 0.12
 # A gust that has just begun shows in the speed first; a correction takes about so long to tell.
 _DRIFT_S = 0.3
+# A sink is stopped within this delay and at this rate: a break-off that would not do must not begin.
+_STOPS_AFTER_S = 0.2
+_STOPS_M_S2 = 2.5
 
 Finding = tuple[Event, str] | None
 
@@ -212,18 +215,18 @@ class Touchdown:
         slack = self._slack_by_now(now_s)
         ready = (
             aligned(sight, self._wait_height_m, slack, c)
-            and sight.lateral_m <= self._farthest_aside_m(now_s)
+            and not self._aside(sight, now_s)
             and (impatience >= 1.0 or gentle(sight, c))
             and self._lean_m_s2_now() <= self._most_lean_m_s2(now_s)
             and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
-        if self._settled.for_s(ready, now_s) >= c.settled_s:
-            self._commit(now_s)
-        elif waited_s >= c.giving_up_s:
+        if waited_s >= c.giving_up_s:
             return (
                 Event.MISALIGNED,
                 f"no moment to land in {waited_s:.0f} s, {100.0 * sight.lateral_m:.0f} cm aside at last",
             )
+        if self._settled.for_s(ready, now_s) >= c.settled_s:
+            self._commit(now_s)
         return None
 
     def _way_down_s(self) -> float:
@@ -264,7 +267,10 @@ class Touchdown:
         sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
         wrong = "sinking too fast" if sinks_fast else self._off_the_mark(sight, now_s)
-        if above_m > c.break_off_above_m and wrong:
+        stops_m = max(0.0, sight.velocity_m_s[2]) * _STOPS_AFTER_S + sight.velocity_m_s[2] ** 2 / (
+            2.0 * _STOPS_M_S2
+        )
+        if above_m > max(c.break_off_above_m, stops_m) and wrong:
             self._break_off(wrong)
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
@@ -280,13 +286,17 @@ class Touchdown:
         """Why this will not be a landing on the mark; "" while it may be."""
         if self._lean_m_s2_now() > _TOO_MUCH_LEAN * self._most_lean_m_s2(now_s):
             return "leaning too far"
-        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
-        soon_m = math.hypot(x + _DRIFT_S * vx, y + _DRIFT_S * vy)
-        drifts = soon_m > max(self._config.break_off_lateral_m, _FARTHEST_ASIDE_M) * self._borne(now_s)
-        far = sight.lateral_m > self._farthest_aside_m(now_s)
-        if self._far_aside.for_s(sight.age_s <= _FRESH_S and (far or drifts), now_s) >= _TOO_FAST_S:
+        far = sight.age_s <= _FRESH_S and self._aside(sight, now_s)
+        if self._far_aside.for_s(far, now_s) >= _TOO_FAST_S:
             return f"{100.0 * sight.lateral_m:.0f} cm aside at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
+
+    def _aside(self, sight: Sight, now_s: float) -> bool:
+        """Whether it is too far aside to start down or go on, or will be."""
+        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
+        soon_m = math.hypot(x + _DRIFT_S * vx, y + _DRIFT_S * vy)
+        borne_m = max(self._config.break_off_lateral_m, _FARTHEST_ASIDE_M) * self._borne(now_s)
+        return soon_m > borne_m or sight.lateral_m > self._farthest_aside_m(now_s)
 
     def _farthest_aside_m(self, now_s: float) -> float:
         """Farther aside than this it neither starts down nor goes on."""

@@ -64,6 +64,10 @@ FULL_GREY: Final = 250.0
 # more than two parameters a side is what the fit takes from the places' scatter
 PARAMETERS: Final = 10
 
+# blurred by more than this share of a cell, an edge is drawn to its neighbours' in the code and beside it:
+# by as much more, half
+CROWDED_CELL: Final = 0.2
+CROWDED_SHARE: Final = 0.5
 # the least share of an edge's way that is believed to be seen through the window
 LEAST_GAIN: Final = 0.4
 
@@ -138,8 +142,8 @@ class Refined(NamedTuple):
     """Corners (m, 4, 2) px, and how sides err (m,) px: as wholes, and at their ends by being turned.
 
     A marker whose sides cannot be followed keeps its corners, and its deviations are infinite. `shrunk_px`:
-    by how much all sides together may lie too far in, because the white is too bright: as much as they are
-    blurred, or nothing.
+    by how much all sides together may lie too far in or out: as much as they are blurred where the white is
+    too bright, and by a share of the blur where cells are as small.
     """
 
     corners: FloatArray
@@ -186,7 +190,9 @@ def refine_quads(
     lost |= ~np.isfinite(offset_std + turn_std) | (moved > UNSETTLED_PX)
     lost |= (curves.used < LEAST_USED) | (curves.least_used < LEAST_USED_OF_A_SIDE)
     corners[lost], offset_std[lost], turn_std[lost] = quads[lost], np.inf, np.inf
-    return Refined(corners, offset_std, turn_std, np.where(places.full, places.blur_px, 0.0))
+    crowded = CROWDED_SHARE * np.maximum(places.blur_px - CROWDED_CELL * _lengths(corners) / cells, 0.0)
+    shrunk = np.hypot(np.where(places.full, places.blur_px, 0.0), crowded)
+    return Refined(corners, offset_std, turn_std, shrunk)
 
 
 def _lengths(corners: FloatArray) -> FloatArray:
@@ -229,7 +235,8 @@ def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Plac
     # what falls is another edge: of the code inside, or of what lies beside the marker
     rise = np.maximum(brightness[:, 1:] - brightness[:, :-1], 0.0)
     moments = (rise @ _MOMENTS).astype(np.float64).reshape(m, 4, NORMALS, 3)
-    contrast = moments[..., 0]
+    contrast = np.where(_within(maps, image.shape), moments[..., 0].reshape(m * 4, NORMALS), 0.0)
+    contrast = contrast.reshape(m, 4, NORMALS)
     sure = np.maximum(contrast, 1.0)
     mean = moments[..., 1] / sure
     width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
@@ -238,6 +245,13 @@ def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Plac
     offset = np.clip(mean / gain[:, None, None], -1.0, 1.0) * reach[:, None, None]
     full = _median(brightness[:, -1].astype(np.float64).reshape(m, -1)) >= FULL_GREY
     return _Places(offset, contrast, blur * reach, full)
+
+
+def _within(maps: list[NDArray[np.float32]], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which normals (4m, NORMALS) end in the image; beyond, its last pixels are repeated: a rise is cut."""
+    ends = [each.reshape(-1, NORMALS, TAPS)[..., :: TAPS - 1] for each in maps]
+    inside = [((x >= 0.0) & (x <= n - 1.0)).all(axis=2) for x, n in zip(ends, shape[::-1], strict=True)]
+    return np.asarray(inside[0] & inside[1])
 
 
 def _curves(places: _Places, sides: _Sides) -> _Curves:

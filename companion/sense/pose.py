@@ -112,19 +112,21 @@ def estimate_pose(
     lens: Lens,
     config: VisionConfig,
     down_camera: Vector3 | None,
+    climb_m_s: float = 0.0,
 ) -> PadPose | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
     Args:
         found: markers with corners in pixels.
         down_camera: gravity's direction (unit) in camera axes, or None when the attitude is unknown.
+        climb_m_s: how fast the height over the pad is expected to change.
 
     Returns:
         None when no majority of the markers agrees on a level pad in front of the camera.
     """
     candidates = list(found)
     while 2 * len(candidates) > len(found):
-        problem = _problem(candidates, lens, config, down_camera)
+        problem = _problem(candidates, lens, config, down_camera, climb_m_s)
         fit = _fit(problem)
         if fit is None:
             return None
@@ -142,13 +144,15 @@ def _problem(
     lens: Lens,
     config: VisionConfig,
     down_camera: Vector3 | None,
+    climb_m_s: float,
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
     shake, rays = shaking(delay_s), lens.undistort(pixels)
     shrunk = shrinking(rays, np.array([edge_std_px(d) for d in detections]) / lens.focal_px)
-    speed, climb = config.relative_speed_std_m_s, _climb_std_m_s(detections, lens, config)
-    doubt = [speed, speed, min(climb, speed)] + [config.turn_rate_std_rad_s] * 3
+    speed = config.relative_speed_std_m_s
+    climb = math.hypot(_climb_std_m_s(detections, lens, config), climb_m_s)
+    doubt = [speed, speed, climb] + [config.turn_rate_std_rad_s] * 3
     doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
@@ -169,7 +173,8 @@ def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig
     The distance is what the markers' sizes say.
     """
     distance_m = max(lens.focal_px * d.marker.side_m / d.side_px for d in detections)
-    return math.hypot(config.relative_climb_std_m_s, APPROACH_PER_S * distance_m)
+    near = math.hypot(config.relative_climb_std_m_s, APPROACH_PER_S * distance_m)
+    return min(near, config.relative_speed_std_m_s)
 
 
 def _accept(

@@ -1,8 +1,9 @@
 """Where in a frame to look for which markers, from where the pad is expected to be.
 
 Far markers (F) are read from afar, medium (M) and close ones (C) as they grow; a group that is seen
-whole, with cells of a few pixels after shrinking the image, is enough. The next smaller group is the
-second look, so that there is no height at which the eyes depend on a single group.
+whole, with cells of a few pixels after shrinking the image, is enough. What is hardly legible is looked at
+enlarged as well, and the next smaller group is the last look, so that there is no height at which the eyes
+depend on a single group.
 """
 
 from __future__ import annotations

@@ -81,12 +81,13 @@ class Vision:
             expected = "x".join(str(n) for n in self._lens.size_px)
             raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
         down = None if prior is None else self._to_camera(prior.down_body)
+        climb_m_s = 0.0 if prior is None else prior.climb_m_s
         looks = self._expected(prior)
         wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
         found: list[Detection] = []
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
-            pose = self._pose(frame, found, down) if found else None
+            pose = self._pose(frame, found, down, climb_m_s) if found else None
             if pose is not None:
                 sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
                 return VisionResult(sighting, count_groups(pose.used), number >= len(looks), pose.used)
@@ -96,11 +97,13 @@ class Vision:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
         return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
 
-    def _pose(self, frame: Frame, found: list[Detection], down: Vector3 | None) -> PadPose | None:
+    def _pose(
+        self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float
+    ) -> PadPose | None:
         """The pose as the settings have it; one marker alone is believed when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
-        pose = estimate_pose(found, self._lens, self._config, down)
+        pose = estimate_pose(found, self._lens, self._config, down, climb_m_s)
         if pose is not None and len(pose.used) == 1 and not self._print.bears_out(frame.image, pose):
             return None
         return pose

@@ -249,8 +249,10 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
     [
         (LEG_M + 0.2, 0.36, True),
         (LEG_M + 0.2, 0.34, False),
-        (LEG_M + CONFIG.break_off_above_m - 0.01, 0.36, False),
-        (LEG_M + CONFIG.break_off_above_m + 0.01, 0.36, True),
+        # it needs some 10 cm to stop from that, and 20 from half a metre a second
+        (LEG_M + 0.09, 0.36, False),
+        (LEG_M + 0.11, 0.36, True),
+        (LEG_M + 0.14, 0.5, False),
     ],
 )
 def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
@@ -355,6 +357,19 @@ def test_a_gust_that_will_carry_it_aside_breaks_it_off_before_it_has(
         assert touchdown.step(drifting, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
     assert touchdown.committed is not broken
     assert (f"at {abs(speed_m_s):.2f} m/s" in touchdown.broken_off_by) is broken
+
+
+def test_it_does_not_start_down_into_a_drift_that_would_break_it_off() -> None:
+    touchdown, told = fresh(slack=1.6), 0
+    drifting = sight(0.088, velocity=(0.17, 0.0, 0.0))
+    for k in range(round(15.0 / CYCLE_S)):
+        was = touchdown.committed
+        touchdown.step(drifting, None, LandedState.IN_AIR, k * CYCLE_S)
+        told += touchdown.committed is not was
+        if touchdown.committed:
+            break
+    assert told == 1
+    assert k * CYCLE_S > 2.0 * CONFIG.patience_s
 
 
 def test_drift_that_does_not_get_less_is_borne_by_and_by() -> None:

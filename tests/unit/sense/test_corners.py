@@ -124,3 +124,21 @@ def test_a_known_bow_is_taken_out_and_an_unknown_one_costs_certainty() -> None:
     assert np.abs(known.corners[0] - truth).max() < 0.06
     assert np.abs(ignored.corners[0] - truth).max() > 0.25
     assert unknown.offset_std_px[0] > 1.5 * unknown.turn_std_px[0]
+
+
+@pytest.mark.parametrize("white_px", [0, 1, 2])
+def test_a_side_whose_white_the_frame_cuts_off_is_not_claimed(white_px: int) -> None:
+    """Its rise is cut off alike on all normals, so that their scatter would tell nothing of it."""
+    truth = square(0.0)
+    edge = round(truth[0, 0]) - white_px
+    image = cv2.GaussianBlur(drawn(truth), (0, 0), 1.5)[:, edge:]
+    seen = truth - (edge, 0.0)
+    refined = refine_quads(np.ascontiguousarray(image), seen[None] + 0.2, np.array([CELLS]))
+    assert np.isinf(refined.corner_std_px[0])
+
+
+@pytest.mark.parametrize(("cells", "crowded"), [(6, False), (60, True)])
+def test_sides_blurred_by_much_of_a_cell_are_less_sure_as_wholes(cells: int, crowded: bool) -> None:
+    truth = square(0.2)
+    refined = refine_quads(drawn(truth), truth[None], np.array([cells]))
+    assert bool(refined.shrunk_px[0] > 0.1) is crowded

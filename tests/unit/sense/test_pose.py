@@ -204,3 +204,7 @@ def test_a_climb_is_bounded_by_how_near_the_pad_is(pad: Pad, camera: CameraConfi
     assert any_climb is not None
     assert near.covariance[2, 2] < 0.6 * any_climb.covariance[2, 2]
     assert near.position_camera_m == pytest.approx(position, abs=1e-3)
+    # one that is expected is no reason to be sure that there is none
+    climbing = estimate_pose(found, lens, config, (0.0, 0.0, 1.0), climb_m_s=-1.0)
+    assert climbing is not None
+    assert climbing.covariance[2, 2] > 1.5 * near.covariance[2, 2]
