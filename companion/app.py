@@ -148,6 +148,7 @@ class App:
         self._phase = Phase.CONNECT
         self._new_notices: list[Notice] = []
         self._latency_ms: float | None = None
+        self._cycles = self._late_cycles = 0
         self._last_exposure_s: float | None = None
         self._stop_requested = False
         self._log_problem_told = False
@@ -229,6 +230,11 @@ class App:
                     self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
             raise
 
+    @property
+    def late_share(self) -> float:
+        """Share of the control cycles so far that came late by more than half a period."""
+        return self._late_cycles / max(1, self._cycles)
+
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
         period_s = 1.0 / self._config.plan.rate_hz
@@ -240,7 +246,10 @@ class App:
             if ended_s is None and self._phase in END_PHASES:
                 ended_s = self._clock.now_s()
             # a cycle that came late is not made up for: the next one works with what is true then
-            next_s = max(next_s + period_s, self._clock.now_s())
+            due_s = next_s + period_s
+            next_s = max(due_s, self._clock.now_s())
+            self._cycles += 1
+            self._late_cycles += next_s > due_s + 0.5 * period_s
             await self._clock.sleep_until(next_s)
         return self._phase
 

@@ -63,6 +63,8 @@ EXIT_CODES: Final = {
 }
 # a simulator in real time that falls behind by this much hands out frames and samples too late to fly by
 LATE_S: Final = 0.1
+# and an app whose cycles come late more often than this has no time for its samples either
+LATE_SHARE: Final = 0.01
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 cli.command("replay", help=REPLAY_HELP, short_help="Run the estimators again over a log.")(replay_command)
@@ -247,6 +249,12 @@ def publish(trial: Trial, result: Result, flight: DeskFlight, output: Output) ->
     if late_s > LATE_S:
         print(
             f"companion: the simulator ran up to {late_s:.1f} s late: too busy a machine for real time",
+            file=sys.stderr,
+        )
+    elif flight.late_share > LATE_SHARE:
+        print(
+            f"companion: {100.0 * flight.late_share:.0f} % of the control cycles came late: "
+            "too busy a machine for real time",
             file=sys.stderr,
         )
     if result.outcome is not Outcome.LANDED:

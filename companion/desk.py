@@ -110,10 +110,11 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class DeskFlight:
-    """A flight that has ended: what the simulator reports, and how fast it ran."""
+    """A flight that has ended: what the simulator reports, how fast it ran, how often the app was late."""
 
     report: SimulationReport
     real_time_factor: float
+    late_share: float
 
 
 def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionConfig:
@@ -261,7 +262,8 @@ async def _virtual_flight(
         phase = await _fly(app, trial.scenario.time_limit_s, world)
     finally:
         await _cancel(world)
-    return DeskFlight(vehicle.simulation.report(phase), Clock().now_s() / (wall_clock_s() - started_s))
+    factor = Clock().now_s() / (wall_clock_s() - started_s)
+    return DeskFlight(vehicle.simulation.report(phase), factor, app.late_share)
 
 
 # ---------------------------------------------------------------- real time
@@ -298,7 +300,7 @@ async def _fly_against(
     report = await simulator.finish(phase)
     # both processes count by the same clock of the kernel's
     elapsed_s = Clock().now_s() - report.truth[0].time_s
-    return DeskFlight(report, report.duration_s / elapsed_s)
+    return DeskFlight(report, report.duration_s / elapsed_s, app.late_share)
 
 
 def _world_options(external: External | None) -> tuple[str, ...]:
