@@ -134,6 +134,12 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
     return echo is not None and now_s - echo.time_s <= _FRESH_S and echo.distance_m <= distance_m
 
 
+def _stopping_m(sink_m_s: float) -> float:
+    """How much lower a vehicle that sinks so fast gets before it rises."""
+    sink = max(0.0, sink_m_s)
+    return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2)
+
+
 class Touchdown:
     """One attempt after another; `begin` at each. Steers the guide in the pad's frame."""
 
@@ -267,10 +273,7 @@ class Touchdown:
         sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
         wrong = "sinking too fast" if sinks_fast else self._off_the_mark(sight, now_s)
-        stops_m = max(0.0, sight.velocity_m_s[2]) * _STOPS_AFTER_S + sight.velocity_m_s[2] ** 2 / (
-            2.0 * _STOPS_M_S2
-        )
-        if above_m > max(c.break_off_above_m, stops_m) and wrong:
+        if wrong and above_m > max(c.break_off_above_m, _stopping_m(sight.velocity_m_s[2])):
             self._break_off(wrong)
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
