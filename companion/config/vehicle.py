@@ -111,6 +111,7 @@ class VehicleConfig(StrictModel):
     range_position_body_m: Vector
     radius_m: float = Field(default=0.4, gt=0.0, le=3.0)  # to the farthest rotor's tip, for obstacles
     leg_height_m: float = Field(ge=0.02, le=1.0)
+    foot_reach_m: float = Field(default=0.18, ge=0.0, le=2.0)  # aside of the middle, to the farthest foot
     acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)
     thrust_time_constant_s: float = Field(default=0.04, ge=0.01, le=1.0)
     hover_thrust: float = Field(ge=0.1, le=0.9)

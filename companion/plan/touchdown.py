@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 from companion.config import TouchdownConfig, VehicleConfig
-from companion.geometry import Quaternion, level_acceleration
+from companion.geometry import Quaternion, level_acceleration, tilt_from_quat
 from companion.messages import LandedState, LevelOff, RangeSample
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
@@ -51,6 +51,8 @@ _DRIFT_S = 0.3
 # A sink is stopped within this delay and at this rate: a break-off that would not do must not begin.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
+# It leans more while it corrects, and a foot hangs lower by that.
+_LEANS_MORE_RAD = math.radians(3.0)
 
 Finding = tuple[Event, str] | None
 
@@ -134,10 +136,11 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
     return echo is not None and now_s - echo.time_s <= _FRESH_S and echo.distance_m <= distance_m
 
 
-def _stopping_m(sink_m_s: float) -> float:
-    """How much lower a vehicle that sinks so fast gets before it rises."""
+def _stopping_m(sink_m_s: float, lean_rad: float, foot_reach_m: float) -> float:
+    """How much lower the lowest foot of a vehicle that sinks and leans so gets before it rises."""
     sink = max(0.0, sink_m_s)
-    return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2)
+    below_m = foot_reach_m * math.sin(lean_rad + _LEANS_MORE_RAD)
+    return sink * _STOPS_AFTER_S + sink * sink / (2.0 * _STOPS_M_S2) + below_m
 
 
 class Touchdown:
@@ -158,7 +161,7 @@ class Touchdown:
         self._settled, self._touching, self._away = Held(), Held(), Held()
         self._too_fast, self._far_aside = Held(), Held()
         self._sunk_s = now_s
-        self._lean_m_s2 = (0.0, 0.0)
+        self._lean_m_s2, self._tilt_rad = (0.0, 0.0), 0.0
         self.broken_off_by = ""
         self._felt_s: float | None = None
         self._level_due_s: float | None = None
@@ -183,6 +186,7 @@ class Touchdown:
     def feel(self, attitude: Quaternion, now_s: float) -> None:
         """Take in how the vehicle leans: what it takes to go with the pad and against the wind."""
         x, y = level_acceleration(attitude)
+        self._tilt_rad = tilt_from_quat(attitude)
         share = 1.0 if self._felt_s is None else -math.expm1(-max(0.0, now_s - self._felt_s) / _LEAN_S)
         self._felt_s = now_s
         lx, ly = self._lean_m_s2
@@ -273,7 +277,8 @@ class Touchdown:
         sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
         wrong = "sinking too fast" if sinks_fast else self._off_the_mark(sight, now_s)
-        if wrong and above_m > max(c.break_off_above_m, _stopping_m(sight.velocity_m_s[2])):
+        room_m = _stopping_m(sight.velocity_m_s[2], self._tilt_rad, v.foot_reach_m)
+        if wrong and above_m > max(c.break_off_above_m, room_m):
             self._break_off(wrong)
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"

@@ -328,10 +328,10 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
 @pytest.mark.parametrize(
     ("aside", "height", "broken"),
     [
-        (0.088, LEG_M + 0.2, False),
-        (0.092, LEG_M + 0.2, True),
-        (0.092, LEG_M + CONFIG.break_off_above_m + 0.01, True),
-        (0.092, LEG_M + CONFIG.break_off_above_m - 0.01, False),
+        (CONFIG.break_off_lateral_m - 0.002, LEG_M + 0.2, False),
+        (CONFIG.break_off_lateral_m + 0.002, LEG_M + 0.2, True),
+        (CONFIG.break_off_lateral_m + 0.002, LEG_M + CONFIG.break_off_above_m + 0.01, True),
+        (CONFIG.break_off_lateral_m + 0.002, LEG_M + CONFIG.break_off_above_m - 0.01, False),
     ],
 )
 def test_aside_on_the_last_way_down_it_waits_again_over_the_pad(
@@ -341,7 +341,18 @@ def test_aside_on_the_last_way_down_it_waits_again_over_the_pad(
     for k in range(6):
         assert touchdown.step(sight(aside, height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
     assert touchdown.committed is not broken
-    assert ("9 cm aside" in touchdown.broken_off_by) is broken
+    assert (f"{100.0 * aside:.0f} cm aside" in touchdown.broken_off_by) is broken
+
+
+@pytest.mark.parametrize(("lean_deg", "broken"), [(0.0, True), (5.0, True), (12.0, False)])
+def test_a_break_off_keeps_room_for_the_foot_that_hangs_lower(lean_deg: float, broken: bool) -> None:
+    touchdown = sinking()
+    # GIVEN 9 cm under the feet, of which a sink of 0.2 m/s takes 5 before it ends
+    low = sight(0.1, LEG_M + 0.09, velocity=(0.0, 0.0, 0.2))
+    for k in range(6):
+        touchdown.feel(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
+        touchdown.step(low, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed is not broken
 
 
 @pytest.mark.parametrize(
