@@ -161,7 +161,7 @@ class Search:
 
     def _target(self, now_s: float) -> Motion:
         """The pad's likely place first, then the corners of a spiral about it, moving as it does."""
-        centre = self.whereabouts.likely(now_s)
+        centre = self.whereabouts.meeting(now_s)
         reference = self._guide.at(now_s).position_m
         place = self._corner_of(centre)
         # a corner that cannot be had for an obstacle is as good as looked at, once a way to it was sought

@@ -17,6 +17,9 @@ from companion.plan.min_jerk import Motion
 # Slower than this a pad has no course to speak of; turning faster than that is noise.
 _COURSE_M_S = 0.3
 _FASTEST_TURN_RAD_S = 1.0
+# A pad this fast and on a smaller circle than this comes by again sooner than it is caught up with.
+_CIRCLES_FROM_M_S = 1.0
+_TIGHT_M = 5.0
 # A sight this much older than the beacon's word still says how far the beacon is off; farther is no offset.
 _COMPARABLE_S = 1.5
 _LARGEST_OFFSET_M = 10.0
@@ -44,6 +47,14 @@ class Lead:
             return Motion(place)
         c, s = math.cos(angle), math.sin(angle)
         return Motion(place, (c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0))
+
+    def round(self) -> Vector3 | None:
+        """The middle of the tight circle on which it goes; None when it does not."""
+        (vx, vy, _), w = self.velocity_ned_m_s, self.turn_rate_rad_s
+        speed = math.hypot(vx, vy)
+        if speed < _CIRCLES_FROM_M_S or speed > abs(w) * _TIGHT_M:
+            return None
+        return (self.position_ned_m[0] - vy / w, self.position_ned_m[1] + vx / w, 0.0)
 
 
 def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
@@ -125,6 +136,14 @@ class Whereabouts:
         if newest is self.start:
             return Motion(newest.position_ned_m)
         return newest.at(now_s, self._config.lead_s)
+
+    def meeting(self, now_s: float) -> Motion:
+        """Where to look for the pad: where it should be, or the middle of a tight circle, at rest.
+
+        On a tight circle it turns away from wherever a vehicle that comes after it aims, for ever.
+        """
+        middle = self._newest(now_s).round()
+        return self.likely(now_s) if middle is None else Motion(middle)
 
     def source(self, now_s: float) -> str:
         """What it goes by, in words."""

@@ -85,6 +85,51 @@ def test_a_word_is_led_for_a_while_only() -> None:
     assert lead.at(60.0, 5.0) == Motion((10.0, 0.0, 0.0))
 
 
+@pytest.mark.parametrize(
+    ("speed_m_s", "radius_m", "tight"),
+    [
+        (2.4, 3.8, True),
+        (2.4, -3.8, True),
+        (2.4, 4.9, True),
+        (2.4, 5.1, False),
+        (1.1, 1.5, True),
+        (0.9, 1.5, False),
+    ],
+)
+def test_the_middle_of_a_tight_circle_alone_is_where_to_look(
+    speed_m_s: float, radius_m: float, tight: bool
+) -> None:
+    # GIVEN a pad that goes east and turns right (to the south), or left
+    lead = Lead(1.0, (10.0, 20.0, 0.0), (0.0, speed_m_s, 0.0), speed_m_s / radius_m)
+    assert (lead.round() is not None) is tight
+    if tight:
+        assert lead.round() == pytest.approx((10.0 - radius_m, 20.0, 0.0))
+
+
+def test_a_pad_that_goes_straight_has_no_circle() -> None:
+    assert Lead(1.0, (0.0, 0.0, 0.0), (3.0, 0.0, 0.0), 0.0).round() is None
+
+
+def test_the_search_waits_in_the_middle_of_a_tight_circle_and_chases_other_pads() -> None:
+    for radius_m, waits in ((3.0, True), (12.0, False)):
+        search, guide = searching()
+        for k in range(round(8.0 * 30.0)):
+            now_s = k / 30.0
+            if k % 45 == 0:
+                angle = 2.4 / radius_m * now_s
+                place = (8.0 + radius_m * math.cos(angle), radius_m * math.sin(angle))
+                course = (-2.4 * math.sin(angle), 2.4 * math.cos(angle), 0.0)
+                search.hear(beacon(now_s, *place, course), ORIGIN)
+            search.step(guide.at(now_s), True, UNSEEN, now_s)
+            if search._corner > 0:
+                break
+        # THEN it comes to rest there, where the other pad is met on its way
+        here = guide.at(now_s)
+        near = math.dist(here.position_m[:2], (8.0, 0.0)) < 1.0
+        assert near is waits
+        assert (math.hypot(*here.velocity_m_s[:2]) < 0.5) is waits
+
+
 def test_the_turn_rate_comes_from_two_words_across_south_too() -> None:
     old = Lead(0.0, (0.0, 0.0, 0.0), (-1.0, 0.1, 0.0))
     rate = turn_rate(old, 2.0, (-1.0, -0.1, 0.0))

@@ -276,6 +276,32 @@ def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
         assert wait(touchdown, sight(), 9.0)[1] is None
 
 
+def test_a_break_off_climbs_at_once() -> None:
+    touchdown = sinking()
+    now_s, low = 1.0, sight(0.1, LEG_M + 0.25, velocity=(0.0, 0.0, 0.19))
+    while touchdown.committed:
+        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+        now_s += CYCLE_S
+    begun_s = now_s - CYCLE_S
+    start = touchdown._guide.at(begun_s)
+    lowest_m = start.position_m[2]
+    while now_s < begun_s + 0.3:
+        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+        lowest_m = max(lowest_m, touchdown._guide.at(now_s).position_m[2])
+        now_s += CYCLE_S
+    assert start.velocity_m_s[2] == pytest.approx(CONFIG.contact_speed_m_s, abs=0.02)
+    assert lowest_m - start.position_m[2] < 0.03
+    assert touchdown._guide.at(now_s).velocity_m_s[2] < -0.25
+    # and comes to rest where it waits, not far over it
+    highest_m = 0.0
+    while now_s < begun_s + 3.0:
+        touchdown.step(sight(0.1), None, LandedState.IN_AIR, now_s)
+        highest_m = min(highest_m, touchdown._guide.at(now_s).position_m[2])
+        now_s += CYCLE_S
+    assert -highest_m < WAIT_M + 0.1
+    assert touchdown._guide.at(now_s).position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
+
+
 def test_one_fast_sample_is_no_reason_to_break_off() -> None:
     touchdown = sinking()
     for k in range(9):
