@@ -29,6 +29,9 @@ SpeedLaw = Callable[[float, float, float], float]
 
 _STRAYS_AT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
 _MOST_STRAY_M = 0.3
+# How a descent that is broken off close to the pad begins to climb.
+_RISES_M_S = 0.3
+_RISES_WITHIN_S = 0.3
 _CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
 _MOST_STRETCHES = 4
 _KEPT_SHARE = 0.9
@@ -59,6 +62,7 @@ class Guide:
         self._along: Course | None = None
         self._pad = STILL
         self._level: Trajectory | None = None
+        self._rise: Trajectory | None = None
         self.heading_rad = 0.0
         self._turned_s: float | None = None
         self.speed_m_s = 0.0
@@ -162,8 +166,12 @@ class Guide:
         self._along = course
 
     def fly_to(self, target: Motion, now_s: float) -> None:
-        """Replan towards a point that moves on at its velocity, by eqs. 37 and 29, clear of obstacles."""
-        self._fly_to(target, now_s, level=False)
+        """Replan towards a point that moves on at its velocity, by eqs. 37 and 29, clear of obstacles.
+
+        A `rise` is flown to its end first.
+        """
+        if not self._rising(now_s):
+            self._fly_to(target, now_s, level=False)
 
     def _fly_to(self, target: Motion, now_s: float, *, level: bool) -> None:
         start = self.at(now_s)
@@ -218,8 +226,10 @@ class Guide:
         """As `fly_to`, but the height is kept: any climb or sink is stopped, at once and by itself.
 
         Once level, it climbs to `lowest_down_m` (of the present frame) if it is lower than that; returns the
-        climb (m) that begins with this cycle, else 0.
+        climb (m) that begins with this cycle, else 0. A `rise` is flown to its end first.
         """
+        if self._rising(now_s):
+            return 0.0
         climb_m = 0.0
         start, level = self.at(now_s), self._level
         x, y, _ = target.position_m
@@ -243,6 +253,21 @@ class Guide:
         self._follow(plan(start, final, now_s, blend_s), now_s)
         self.speed_m_s = speed_m_s
         return depth_m
+
+    def rise(self, now_s: float) -> None:
+        """Come to a climb at once, straight up from where the reference goes; `fly_to` goes on from there.
+
+        A smooth way from a sink to somewhere above begins by sinking on.
+        """
+        start, half_s = self.at(now_s), 0.5 * _RISES_WITHIN_S
+        (x, y, z), (vx, vy, vz) = start.position_m, start.velocity_m_s
+        place = (x + half_s * vx, y + half_s * vy, z + half_s * (vz - _RISES_M_S))
+        self._rise = plan(start, Motion(place, (0.0, 0.0, -_RISES_M_S)), now_s, _RISES_WITHIN_S)
+        self._follow(self._rise, now_s)
+
+    def _rising(self, now_s: float) -> bool:
+        rise = self._rise
+        return rise is not None and self._trajectory is rise and now_s < rise.end_s
 
     def shift_down(self, depth_m: float) -> None:
         """Move the reference down as a whole; its speed and acceleration stay."""

@@ -51,11 +51,7 @@ _DRIFT_S = 0.3
 # A sink is stopped within this delay and at this rate: a break-off that would not do must not begin.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
-# Breaking off it first comes to a climb as quickly as this: the smooth way back to where it waits would begin
-# by sinking on for a hand's breadth.
-_RISES_M_S = 0.3
-_RISES_WITHIN_S = 0.3
-# It leans more while it corrects, and a foot hangs lower by that.
+# It leans more while it corrects, by so much over what it has or may have at contact: a foot hangs lower.
 _LEANS_MORE_RAD = math.radians(3.0)
 
 Finding = tuple[Event, str] | None
@@ -164,7 +160,7 @@ class Touchdown:
         self.contact_s: float | None = None
         self._settled, self._touching, self._away = Held(), Held(), Held()
         self._too_fast, self._far_aside = Held(), Held()
-        self._sunk_s, self._rises_until_s = now_s, now_s
+        self._sunk_s = now_s
         self._lean_m_s2, self._tilt_rad = (0.0, 0.0), 0.0
         self.broken_off_by = ""
         self._felt_s: float | None = None
@@ -222,8 +218,7 @@ class Touchdown:
     def _wait(self, sight: Sight | None, now_s: float) -> Finding:
         c = self._config
         waited_s = now_s - self._since_s
-        if now_s >= self._rises_until_s:
-            self._guide.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
+        self._guide.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         if sight is None or sight.age_s > c.blind_s:
             return Event.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above it"
         impatience = self._impatience(now_s)
@@ -273,6 +268,7 @@ class Touchdown:
         if sight is None or sight.age_s > c.blind_s:
             return Event.PAD_LOST, f"not seen for {c.blind_s:.1f} s on the last way down"
         if now_s > self._contact_due_s + c.overdue_s:
+            self._guide.rise(now_s)
             return Event.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > v.leg_height_m + 2.0 * c.contact_margin_m
@@ -282,17 +278,19 @@ class Touchdown:
         sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
         wrong = "sinking too fast" if sinks_fast else self._off_the_mark(sight, now_s)
-        room_m = _stopping_m(sight.velocity_m_s[2], self._tilt_rad, v.foot_reach_m)
+        lean_rad = max(self._tilt_rad, math.radians(c.contact_tilt_deg))
+        room_m = _stopping_m(sight.velocity_m_s[2], lean_rad, v.foot_reach_m)
         if wrong and above_m > max(c.break_off_above_m, room_m):
             self._break_off(wrong, now_s)
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
+            # without room for it: a foot that touches on the way up is better than one beside a small pad
+            self._guide.rise(now_s)
             return Event.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
         return None
 
     def _break_off(self, reason: str, now_s: float) -> None:
         """Rise, at once, and wait again: `_wait` goes on from the reference's own state."""
-        self._guide.sink(-_RISES_M_S, _RISES_WITHIN_S, now_s)
-        self._rises_until_s = now_s + _RISES_WITHIN_S
+        self._guide.rise(now_s)
         self.broken_off_by = reason
         self._contact_due_s = self._level_due_s = self._level_from_s = None
         self._settled, self._too_fast, self._far_aside = Held(), Held(), Held()
