@@ -166,7 +166,7 @@ class Guide:
         self._along = course
 
     def fly_to(self, target: Motion, now_s: float) -> None:
-        """Replan towards a point that moves on at its velocity, by eqs. 37 and 29, clear of obstacles.
+        """Replan towards a point that moves on as it does, by eqs. 37 and 29, clear of obstacles.
 
         A `rise` is flown to its end first.
         """
@@ -179,8 +179,9 @@ class Guide:
         closing = subtract(start.velocity_m_s, target.velocity_m_s)
         distance = norm(offset)
         unit = scale(offset, 1.0 / distance) if distance > 1e-6 else (0.0, 0.0, 0.0)
-        speed = self._law(distance, dot(closing, unit), dot(start.acceleration_m_s2, unit))
-        moving = Motion(scale(offset, -1.0), closing, start.acceleration_m_s2)
+        gaining = subtract(start.acceleration_m_s2, target.acceleration_m_s2)
+        speed = self._law(distance, dot(closing, unit), dot(gaining, unit))
+        moving = Motion(scale(offset, -1.0), closing, gaining)
         duration_s = distance / speed + self._config.minimum_time_s
         asked_s = max(duration_s, self._left_s(now_s))
         slowest_s = distance / min(speed, self._config.vertical_speed_m_s)
@@ -233,8 +234,8 @@ class Guide:
         climb_m = 0.0
         start, level = self.at(now_s), self._level
         x, y, _ = target.position_m
-        vx, vy, _ = target.velocity_m_s
-        self._fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0)), now_s, level=True)
+        (vx, vy, _), (ax, ay, _) = target.velocity_m_s, target.acceleration_m_s2
+        self._fly_to(Motion((x, y, start.position_m[2]), (vx, vy, 0.0), (ax, ay, 0.0)), now_s, level=True)
         z, upright = start.position_m[2], _upright(start)
         if level is None:
             level = brake(upright, now_s, _LEVEL_OFF_M_S2)

@@ -141,11 +141,17 @@ def brake(start: Motion, start_s: float, deceleration_m_s2: float, shortest_s: f
 
 
 def carried(trajectory: Trajectory, by: Motion, at_s: float) -> Trajectory:
-    """A trajectory seen from the frame in which its own is at `by` at a time and moves on at its velocity."""
-    t = trajectory.start_s - at_s
-    p, v = by.position_m, by.velocity_m_s
+    """A trajectory seen from the frame in which its own is at `by` at a time, gaining speed steadily."""
+    t, lasts_s = trajectory.start_s - at_s, trajectory.duration_s
     x, y, z = (
-        (c[0] + place + rate * t, c[1] + rate * trajectory.duration_s, *c[2:])
-        for c, place, rate in zip(trajectory.axes, p, v, strict=True)
+        (
+            c[0] + place + (rate + 0.5 * gain * t) * t,
+            c[1] + (rate + gain * t) * lasts_s,
+            c[2] + 0.5 * gain * lasts_s * lasts_s,
+            *c[3:],
+        )
+        for c, place, rate, gain in zip(
+            trajectory.axes, by.position_m, by.velocity_m_s, by.acceleration_m_s2, strict=True
+        )
     )
     return Trajectory(trajectory.start_s, trajectory.duration_s, (x, y, z))

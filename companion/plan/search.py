@@ -67,7 +67,6 @@ class Search:
         self._begun_s = self._control_s = self._next_request_s = self._told_s = self._turned_s = -math.inf
         self._had_control = False
         self._in_view = Held()
-        self._dwell_s = config.dwell_s
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
         """Take in the beacon; one that is far from where the pad was thought starts the spiral again."""
@@ -161,13 +160,8 @@ class Search:
         return SearchStep(request_pad=request, worth_telling=tell, flying=flying)
 
     def _target(self, now_s: float) -> Motion:
-        """The pad's likely place first, then the corners of a spiral about it, moving as it does.
-
-        Or the middle of a tight circle, for a round, and the corners of a spiral that stays.
-        """
-        circle = self.whereabouts.circle(now_s)
-        centre = self.whereabouts.likely(now_s) if circle is None else Motion(circle.middle_ned_m)
-        self._dwell_s = max(self._config.dwell_s, 0.0 if circle is None else circle.period_s)
+        """The pad's likely place first, then the corners of a spiral about it, moving as it does."""
+        centre = self.whereabouts.likely(now_s)
         reference = self._guide.at(now_s).position_m
         place = self._corner_of(centre)
         # a corner that cannot be had for an obstacle is as good as looked at, once a way to it was sought
@@ -175,13 +169,13 @@ class Search:
         if math.dist(reference[:2], place) < _CORNER_M or (sought and self._guide.avoidance.blocked):
             self._at_corner(now_s)
             place = self._corner_of(centre)
-        return Motion((*place, self._down_m), centre.velocity_m_s)
+        return Motion((*place, self._down_m), centre.velocity_m_s, centre.acceleration_m_s2)
 
     def _at_corner(self, now_s: float) -> None:
         """Go on to the next corner; at the centre look about for a moment first."""
         if self._arrived_s is None:
             self._arrived_s = now_s
-        if self._corner == 0 and now_s - self._arrived_s < self._dwell_s:
+        if self._corner == 0 and now_s - self._arrived_s < self._config.dwell_s:
             return
         north, east = square_spiral(self._corner + 1, self._config.spacing_m)
         # beyond the radius it begins anew: the pad may have come closer meanwhile

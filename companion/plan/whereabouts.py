@@ -19,10 +19,6 @@ _COURSE_M_S = 0.3
 _FASTEST_TURN_RAD_S = 1.0
 # A course is compared with one that is so much older: nearer ones differ by their noise.
 _TURN_OVER_S = 1.0
-# A pad this fast and on a smaller circle than this comes by again sooner than it is caught up with; once it
-# is taken for one, up to the wider circle.
-_CIRCLES_FROM_M_S = 1.0
-_TIGHT_M, _STILL_TIGHT_M = 4.5, 6.0
 # A sight this much older than the beacon's word still says how far the beacon is off; farther is no offset.
 _COMPARABLE_S = 1.5
 _LARGEST_OFFSET_M = 10.0
@@ -49,24 +45,8 @@ class Lead:
         if age_s >= longest_s:
             return Motion(place)
         c, s = math.cos(angle), math.sin(angle)
-        return Motion(place, (c * v[0] - s * v[1], s * v[0] + c * v[1], 0.0))
-
-    def middle(self, tight_m: float) -> Vector3 | None:
-        """The middle of the circle on which it goes; None when it is wider than `tight_m`, or it is slow."""
-        (vx, vy, _), w = self.velocity_ned_m_s, self.turn_rate_rad_s
-        speed = math.hypot(vx, vy)
-        if speed < _CIRCLES_FROM_M_S or speed > abs(w) * tight_m:
-            return None
-        return (self.position_ned_m[0] - vy / w, self.position_ned_m[1] + vx / w, 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Circle:
-    """A circle on which the pad goes: when that was known, its middle (EKF's NED), and how long a round."""
-
-    time_s: float
-    middle_ned_m: Vector3
-    period_s: float
+        vx, vy = c * v[0] - s * v[1], s * v[0] + c * v[1]
+        return Motion(place, (vx, vy, 0.0), (-w * vy, w * vx, 0.0))
 
 
 def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
@@ -94,7 +74,6 @@ class Whereabouts:
         self._config = config
         self._beacon: Lead | None = None
         self._compared: Lead | None = None  # the beacon's word that the next course is compared with
-        self._circle: Circle | None = None
         self._beacon_heard: PadBeacon | None = None
         self._sight: Lead | None = None
         self._offset_m: tuple[float, float] | None = None
@@ -110,12 +89,10 @@ class Whereabouts:
             ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, origin),
         )
         velocity = beacon.velocity_ned_m_s
-        before = self._compared
-        rate = turn_rate(before, beacon.time_s, velocity)
+        rate = turn_rate(self._compared, beacon.time_s, velocity)
         expected = self.likely(beacon.time_s).position_m
         self._beacon = word = Lead(beacon.time_s, position, velocity, rate)
-        if before is None or word.time_s - before.time_s >= _TURN_OVER_S:
-            self._heed_circle(before, word)
+        if self._compared is None or word.time_s - self._compared.time_s >= _TURN_OVER_S:
             self._compared = word
         return math.dist(expected[:2], position[:2]) > self._config.spacing_m
 
@@ -157,26 +134,6 @@ class Whereabouts:
         if newest is self.start:
             return Motion(newest.position_ned_m)
         return newest.at(now_s, self._config.lead_s)
-
-    def _heed_circle(self, before: Lead | None, word: Lead) -> None:
-        """Take the pad for one that circles when two words on end say so; one that does not ends it."""
-        tight_m = _TIGHT_M if self._circle is None else _STILL_TIGHT_M
-        middle = word.middle(tight_m)
-        turned = 0.0 if before is None else before.turn_rate_rad_s * word.turn_rate_rad_s
-        agreed = self._circle is not None or (before is not None and before.middle(tight_m) is not None)
-        self._circle = (
-            Circle(word.time_s, middle, math.tau / abs(word.turn_rate_rad_s))
-            if middle is not None and agreed and turned > 0.0
-            else None
-        )
-
-    def circle(self, now_s: float) -> Circle | None:
-        """The tight circle on which the pad goes by its beacon's last words, if it does.
-
-        On such a one it turns away from wherever a vehicle that comes after it aims, for ever.
-        """
-        known = self._circle
-        return known if known is not None and now_s - known.time_s <= self._config.trust_s else None
 
     def source(self, now_s: float) -> str:
         """What it goes by, in words."""

@@ -5,7 +5,7 @@ import pytest
 
 from companion.config import GuidanceConfig
 from companion.plan.course import Course, halting, paced, through
-from companion.plan.min_jerk import Motion, Trajectory, plan
+from companion.plan.min_jerk import Motion, Trajectory, carried, plan
 
 START = Motion((0.0, 1.0, -5.0), (1.0, -0.5, 0.2), (0.3, 0.1, -0.2))
 FINAL = Motion((9.0, 4.0, -3.0), (0.0, 1.0, 0.0), (0.1, 0.0, 0.0))
@@ -129,3 +129,16 @@ def test_seen_from_a_moving_frame_it_is_the_same_motion() -> None:
         )
         assert seen.at(t).position_m == pytest.approx(expected)
         assert seen.at(t).acceleration_m_s2 == pytest.approx(course.at(t).acceleration_m_s2)
+
+
+def test_a_leg_is_carried_along_with_a_frame_that_gains_speed() -> None:
+    leg = plan(Motion((1.0, 2.0, -3.0), (0.5, 0.0, 0.2)), Motion((4.0, 0.0, -5.0)), 10.0, 4.0)
+    by = Motion((2.0, -1.0, 0.5), (0.5, -0.25, 0.1), (0.4, 0.3, -0.2))
+    seen = carried(leg, by, 9.0)
+    for time_s in (10.0, 11.5, 14.0):
+        t, own, there = time_s - 9.0, leg.at(time_s), seen.at(time_s)
+        for k in range(3):
+            p, v, a = by.position_m[k], by.velocity_m_s[k], by.acceleration_m_s2[k]
+            assert there.position_m[k] == pytest.approx(own.position_m[k] + p + v * t + 0.5 * a * t * t)
+            assert there.velocity_m_s[k] == pytest.approx(own.velocity_m_s[k] + v + a * t)
+            assert there.acceleration_m_s2[k] == pytest.approx(own.acceleration_m_s2[k] + a)

@@ -85,99 +85,34 @@ def test_a_word_is_led_for_a_while_only() -> None:
     assert lead.at(60.0, 5.0) == Motion((10.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize(
-    ("speed_m_s", "radius_m", "tight"),
-    [
-        (2.4, 3.8, True),
-        (2.4, -3.8, True),
-        (2.4, 4.4, True),
-        (2.4, 4.6, False),
-        (1.1, 1.5, True),
-        (0.9, 1.5, False),
-    ],
-)
-def test_only_a_tight_circle_that_is_flown_fast_has_a_middle(
-    speed_m_s: float, radius_m: float, tight: bool
-) -> None:
-    # GIVEN a pad that goes east and turns right (to the south), or left
-    lead = Lead(1.0, (10.0, 20.0, 0.0), (0.0, speed_m_s, 0.0), speed_m_s / radius_m)
-    middle = lead.middle(4.5)
-    assert (middle is not None) is tight
-    if middle is not None:
-        assert middle == pytest.approx((10.0 - radius_m, 20.0, 0.0))
+def on_circle(radius_m: float, now_s: float) -> tuple[tuple[float, float], tuple[float, float, float]]:
+    """Where a pad is that goes round through (8, 0) at 2.4 m/s, and its velocity; right for radii over 0."""
+    angle = 2.4 / radius_m * now_s
+    place = (8.0 - radius_m + radius_m * math.cos(angle), radius_m * math.sin(angle))
+    return place, (-2.4 * math.sin(angle), 2.4 * math.cos(angle), 0.0)
 
 
-def test_a_pad_that_goes_straight_has_no_circle() -> None:
-    assert Lead(1.0, (0.0, 0.0, 0.0), (3.0, 0.0, 0.0), 0.0).middle(4.5) is None
-
-
-def hear_circling(w: Whereabouts, radius_m: float, times_s: list[float], clockwise: bool = True) -> None:
-    """Tell where a pad is that goes at 2.4 m/s about (8, 0)."""
-    sign = 1.0 if clockwise else -1.0
-    for time_s in times_s:
-        angle = sign * 2.4 / radius_m * time_s
-        place = (8.0 + radius_m * math.cos(angle), radius_m * math.sin(angle))
-        course = (-sign * 2.4 * math.sin(angle), sign * 2.4 * math.cos(angle), 0.0)
-        w.hear(beacon(time_s, *place, course), ORIGIN)
-
-
-@pytest.mark.parametrize("clockwise", [True, False])
-@pytest.mark.parametrize("gap_s", [0.2, 0.6, 1.5, 2.5])
-def test_a_circle_is_known_from_words_however_often_they_come(gap_s: float, clockwise: bool) -> None:
-    w = Whereabouts(CONFIG)
-    hear_circling(w, 3.8, [gap_s * k for k in range(round(8.0 / gap_s))], clockwise)
-    circle = w.circle(8.0)
-    assert circle is not None
-    assert circle.middle_ned_m[:2] == pytest.approx((8.0, 0.0), abs=0.05)
-    assert circle.period_s == pytest.approx(math.tau * 3.8 / 2.4, rel=0.02)
-    # THEN not when the last word is old
-    assert w.circle(8.0 + CONFIG.trust_s) is None
-
-
-def test_one_turn_is_no_circle_and_a_straight_way_ends_one() -> None:
-    w = Whereabouts(CONFIG)
-    hear_circling(w, 3.8, [0.0, 1.5])
-    assert w.circle(1.5) is None
-    hear_circling(w, 3.8, [3.0])
-    assert w.circle(3.0) is not None
-    # GIVEN it goes on straight from there
-    w.hear(beacon(4.5, 6.0, 6.0, (-2.3, -0.7, 0.0)), ORIGIN)
-    w.hear(beacon(6.0, 2.6, 5.0, (-2.3, -0.7, 0.0)), ORIGIN)
-    assert w.circle(6.0) is None
-
-
-def test_a_circle_told_a_little_wider_stays_one() -> None:
-    for first_m, then_m, known in ((3.8, 5.5, True), (3.8, 6.5, False), (5.5, 5.5, False)):
-        w = Whereabouts(CONFIG)
-        hear_circling(w, first_m, [0.0, 1.5, 3.0])
-        course = math.remainder(2.4 / first_m * 3.0 + 0.5 * math.pi + 2.4 / then_m * 1.5, math.tau)
-        w.hear(beacon(4.5, 8.0, 3.0, (2.4 * math.cos(course), 2.4 * math.sin(course), 0.0)), ORIGIN)
-        assert (w.circle(4.5) is not None) is known
-
-
-def test_turns_to_and_fro_are_no_circle() -> None:
-    w = Whereabouts(CONFIG)
-    for k, course in enumerate((0.0, 1.2, 0.0, 1.2, 0.0)):
-        w.hear(beacon(1.5 * k, 3.0 * k, 0.0, (2.0 * math.cos(course), 2.0 * math.sin(course), 0.0)), ORIGIN)
-        assert w.circle(1.5 * k) is None
-
-
-def test_the_search_waits_in_the_middle_of_a_tight_circle_for_a_round_and_chases_other_pads() -> None:
-    for radius_m, waits in ((3.0, True), (12.0, False)):
-        search, guide = searching()
-        waited_s = 0.0
-        for k in range(round(20.0 * 30.0)):
-            now_s = k / 30.0
-            if k % 45 == 0:
-                hear_circling(search.whereabouts, radius_m, [now_s])
-            search.step(guide.at(now_s), True, UNSEEN, now_s)
-            here = guide.at(now_s)
-            near = math.dist(here.position_m[:2], (8.0, 0.0)) < 1.0
-            still = math.hypot(*here.velocity_m_s[:2]) < 0.5
-            waited_s += (near and still) / 30.0
-        # THEN it rests there for a round at least, where the other pad is met on its way
-        assert (waited_s > math.tau * radius_m / 2.4 - 0.5) is waits
-        assert (waited_s == 0.0) is not waits
+@pytest.mark.parametrize("radius_m", [3.8, -3.8, 6.0, 30.0])
+@pytest.mark.parametrize("gap_s", [0.2, 0.6, 1.5])
+def test_a_pad_that_turns_is_caught_up_with(radius_m: float, gap_s: float) -> None:
+    # GIVEN a search that dwells over where the pad should be
+    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
+    guide.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
+    search = Search(CONFIG.model_copy(update={"dwell_s": 30.0}), guide)
+    search.begin(0.0, math.inf, 0.0)
+    heard_s, farthest_m = -math.inf, 0.0
+    for k in range(round(24.0 * 30.0)):
+        now_s = k / 30.0
+        if now_s - heard_s >= gap_s:
+            heard_s = now_s
+            place, velocity = on_circle(radius_m, now_s)
+            search.hear(beacon(now_s, *place, velocity), ORIGIN)
+        search.step(guide.at(now_s), True, UNSEEN, now_s)
+        if now_s > 14.0:
+            here = guide.at(now_s).position_m
+            farthest_m = max(farthest_m, math.dist(here[:2], on_circle(radius_m, now_s)[0]))
+    # THEN it is well within what is seen from there: behind, and not opposite to it on its circle
+    assert farthest_m < 1.5
 
 
 def test_the_turn_rate_comes_from_two_words_across_south_too() -> None:
