@@ -51,6 +51,8 @@ _DRIFT_S = 0.3
 # A sink is stopped within this delay and at this rate: a break-off that would not do must not begin.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
+# Further than this it is not about to stand, whatever is near.
+_MOST_FOOT_LEAN_RAD = math.radians(15.0)
 # It leans more while it corrects, by so much over what it has or may have at contact: a foot hangs lower.
 _LEANS_MORE_RAD = math.radians(3.0)
 
@@ -116,9 +118,15 @@ def contact_signs(
     *,
     config: TouchdownConfig,
     vehicle: VehicleConfig,
+    lean_rad: float = 0.0,
 ) -> ContactSigns:
-    """Read the signs; `reference` is vehicle minus pad, as `sight` is."""
-    feet_m = vehicle.leg_height_m + config.contact_margin_m
+    """Read the signs; `reference` is vehicle minus pad, as `sight` is.
+
+    The lowest foot counts: one that holds a leaning vehicle up is dragged over the pad by what that vehicle
+    does to come back over the middle.
+    """
+    hangs_m = vehicle.foot_reach_m * math.sin(min(lean_rad, _MOST_FOOT_LEAN_RAD))
+    feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
     low = sight is not None and sight.height_m <= feet_m
     # the reference goes on down and the vehicle does not
     stalled = (
@@ -257,7 +265,16 @@ class Touchdown:
     ) -> Finding:
         c, v = self._config, self._vehicle
         assert self._contact_due_s is not None
-        signs = contact_signs(sight, self._guide.at(now_s), echo, landed, now_s, config=c, vehicle=v)
+        signs = contact_signs(
+            sight,
+            self._guide.at(now_s),
+            echo,
+            landed,
+            now_s,
+            config=c,
+            vehicle=v,
+            lean_rad=self._tilt_rad,
+        )
         if self._touching.for_s(signs.count >= _SIGNS_NEEDED, now_s) >= c.contact_s:
             self.contact_s = now_s
             self._stay_down(now_s)

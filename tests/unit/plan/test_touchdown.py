@@ -177,6 +177,28 @@ def test_an_old_echo_and_a_hover_are_no_signs() -> None:
     assert signs.count == 0
 
 
+@pytest.mark.parametrize(
+    ("lean_deg", "above_m", "signs"),
+    [(0.0, 0.015, 2), (0.0, 0.025, 0), (8.0, 0.04, 2), (8.0, 0.05, 0), (40.0, 0.06, 2), (40.0, 0.08, 0)],
+)
+def test_the_foot_that_hangs_lowest_is_the_one_that_touches(
+    lean_deg: float, above_m: float, signs: int
+) -> None:
+    hover = Motion((0.0, 0.0, -LEG_M - above_m))
+    echo = RangeSample(10.0, LEG_M + above_m - VEHICLE.range_position_body_m[2])
+    found = contact_signs(
+        sight(height=LEG_M + above_m),
+        hover,
+        echo,
+        LandedState.IN_AIR,
+        10.0,
+        config=CONFIG,
+        vehicle=VEHICLE,
+        lean_rad=math.radians(lean_deg),
+    )
+    assert found.count == signs
+
+
 def test_contact_needs_two_signs_for_a_moment() -> None:
     touchdown = sinking()
     down = sight(height=0.18, velocity=(0.0, 0.0, 0.2))
