@@ -265,6 +265,8 @@ class Touchdown:
     ) -> Finding:
         c, v = self._config, self._vehicle
         assert self._contact_due_s is not None
+        # one that leans so far aside is on its way back, or will escape: it is not about to stand
+        far_aside = sight is not None and sight.lateral_m > c.escape_lateral_m * self._slack
         signs = contact_signs(
             sight,
             self._guide.at(now_s),
@@ -273,7 +275,7 @@ class Touchdown:
             now_s,
             config=c,
             vehicle=v,
-            lean_rad=self._tilt_rad,
+            lean_rad=0.0 if far_aside else self._tilt_rad,
         )
         if self._touching.for_s(signs.count >= _SIGNS_NEEDED, now_s) >= c.contact_s:
             self.contact_s = now_s

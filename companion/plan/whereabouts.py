@@ -14,11 +14,14 @@ from companion.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angle
 from companion.messages import PadBeacon
 from companion.plan.min_jerk import Motion
 
-# Slower than this a pad has no course to speak of; turning faster than that is noise.
+# Slower than this a pad has no course to speak of; turning faster than that is noise, or turning back.
 _COURSE_M_S = 0.3
 _FASTEST_TURN_RAD_S = 1.0
-# A course is compared with one that is so much older: nearer ones differ by their noise.
+# Courses are compared over so long: nearer ones differ by their noise, in longer it may have gone round.
 _TURN_OVER_S = 1.0
+_LONGEST_TURN_OVER_S = 3.0
+# What accelerates more in its turn is not followed all the way: the vehicle has to lean for it as well.
+_MOST_ACCELERATION_M_S2 = 2.0
 # A sight this much older than the beacon's word still says how far the beacon is off; farther is no offset.
 _COMPARABLE_S = 1.5
 _LARGEST_OFFSET_M = 10.0
@@ -46,25 +49,28 @@ class Lead:
             return Motion(place)
         c, s = math.cos(angle), math.sin(angle)
         vx, vy = c * v[0] - s * v[1], s * v[0] + c * v[1]
-        return Motion(place, (vx, vy, 0.0), (-w * vy, w * vx, 0.0))
+        push = math.copysign(min(abs(w), _MOST_ACCELERATION_M_S2 / max(math.hypot(vx, vy), 1e-6)), w)
+        return Motion(place, (vx, vy, 0.0), (-push * vy, push * vx, 0.0))
 
 
 def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
     """Rate (rad/s, clockwise from above) at which the course turned since an earlier word.
 
-    A word that came too lately keeps the rate that there was.
+    A word that came too lately keeps the rate that there was; 0 where there is none to tell.
     """
     if before is None or time_s - before.time_s < _TURN_OVER_S:
         return 0.0 if before is None else before.turn_rate_rad_s
+    if time_s - before.time_s > _LONGEST_TURN_OVER_S:
+        return 0.0
     old = before.velocity_ned_m_s
     if min(math.hypot(old[0], old[1]), math.hypot(velocity[0], velocity[1])) < _COURSE_M_S:
         return 0.0
     turned = wrap_angle(math.atan2(velocity[1], velocity[0]) - math.atan2(old[1], old[0]))
-    return _bounded(turned / (time_s - before.time_s))
+    return _believed(turned / (time_s - before.time_s))
 
 
-def _bounded(rate_rad_s: float) -> float:
-    return max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, rate_rad_s))
+def _believed(rate_rad_s: float) -> float:
+    return rate_rad_s if abs(rate_rad_s) <= _FASTEST_TURN_RAD_S else 0.0
 
 
 class Whereabouts:
@@ -97,11 +103,16 @@ class Whereabouts:
         return math.dist(expected[:2], position[:2]) > self._config.spacing_m
 
     def remember(self, pad: Motion, seen_s: float, now_s: float) -> None:
-        """Keep the last sight of the pad; `pad` is what the filter leads it to now."""
+        """Keep the last sight of the pad; `pad` is what the filter leads it to now.
+
+        One that is kept already is not led back once more: the filter has led it straight on since.
+        """
+        if self._sight is not None and seen_s <= self._sight.time_s:
+            return
         p, v, a = pad.position_m, pad.velocity_m_s, pad.acceleration_m_s2
         age_s = now_s - seen_s
         flat = v[0] * v[0] + v[1] * v[1]
-        rate = _bounded((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
+        rate = _believed((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
         self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
 
     @property

@@ -121,7 +121,9 @@ def test_the_turn_rate_comes_from_two_words_across_south_too() -> None:
     assert rate == pytest.approx(2.0 * math.atan(0.1) / 2.0)
     assert turn_rate(old, 2.0, (0.01, 0.0, 0.0)) == 0.0
     assert turn_rate(None, 2.0, (1.0, 0.0, 0.0)) == 0.0
-    assert abs(turn_rate(old, 1.1, (1.0, 0.0, 0.0))) == 1.0
+    # a pad that turned back, or words between which it may have gone round, tell no turn
+    assert turn_rate(old, 1.1, (1.0, 0.0, 0.0)) == 0.0
+    assert turn_rate(old, 3.1, (-1.0, -0.1, 0.0)) == 0.0
     # two words close to one another say nothing of a turn: what was known stays
     assert turn_rate(replace(old, turn_rate_rad_s=0.4), 0.9, (1.0, 0.0, 0.0)) == 0.4
 
@@ -144,6 +146,27 @@ def test_the_last_sight_counts_from_when_it_was_seen_not_from_what_the_filter_ma
     w.remember(Motion((14.0, 0.0, 0.0), (2.0, 0.0, 0.0)), 1.0, 3.0)
     assert w.likely(3.0).position_m[0] == pytest.approx(14.0)
     assert w.likely(1.0).position_m[0] == pytest.approx(10.0)
+
+
+def test_a_sight_that_is_kept_is_not_led_on_a_second_time() -> None:
+    w = Whereabouts(CONFIG)
+    # GIVEN a pad on a circle of 4 m at 2 m/s, seen at 1 s, when it went north
+    w.remember(Motion((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 1.0, 0.0)), 1.0, 1.0)
+    for k in range(1, 4):
+        # WHEN the filter leads it on, and turns it
+        now_s, turned = 1.0 + 0.5 * k, 0.25 * k
+        course = (2.0 * math.cos(turned), 2.0 * math.sin(turned), 0.0)
+        w.remember(Motion((2.0 * k * 0.5, 0.0, 0.0), course, (0.0, 1.0, 0.0)), 1.0, now_s)
+    # THEN it is still where its circle says, seen from the sight
+    assert w.likely(2.5).position_m[:2] == pytest.approx(
+        (4.0 * math.sin(0.75), 4.0 - 4.0 * math.cos(0.75)), abs=1e-6
+    )
+
+
+def test_no_more_acceleration_is_followed_than_a_vehicle_can_lean_for() -> None:
+    for speed_m_s, followed_m_s2 in ((1.5, 1.5), (2.5, 2.0), (10.0, 2.0)):
+        pad = Lead(0.0, (0.0, 0.0, 0.0), (speed_m_s, 0.0, 0.0), -1.0).at(0.0, 5.0)
+        assert pad.acceleration_m_s2 == pytest.approx((0.0, -followed_m_s2, 0.0))
 
 
 def test_setpoints_stream_before_control_is_asked_for() -> None:

@@ -543,3 +543,16 @@ def test_who_gives_the_last_way_down_up_climbs_at_once(lateral_m: float) -> None
     lowest_m = max(touchdown._guide.at(late_s + 0.01 * k).position_m[2] for k in range(30))
     assert lowest_m < before.position_m[2] + 0.03
     assert touchdown._guide.at(late_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3, abs=0.01)
+
+
+def test_leaning_back_from_far_aside_a_low_foot_is_no_contact() -> None:
+    for aside_m, found in ((0.25, Event.MISALIGNED), (0.08, Event.CONTACT)):
+        touchdown, finding = sinking(), None
+        low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
+        for k in range(12):
+            now_s = 1.0 + k * CYCLE_S
+            touchdown.feel(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
+            echo = RangeSample(now_s, LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
+            finding = finding or touchdown.step(low, echo, LandedState.IN_AIR, now_s)
+        assert finding is not None
+        assert finding[0] is found
