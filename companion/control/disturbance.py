@@ -29,8 +29,9 @@ VELOCITY_NOISE_M_S = 0.03
 ACCELERATION_NOISE_M_S2 = 0.4
 # random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
 DISTURBANCE_WALK = 0.3
-# sideways, where gusts are told from the lean: what is left changes with the mean wind
-CALM_DISTURBANCE_WALK = 0.1
+# where we make the lean: sideways, where gusts are told from it, the rest changes with the mean wind; down,
+# air blows through a rotor that leans into the wind, and thrust goes and comes with the lean
+LEANING_DISTURBANCE_WALKS = (0.1, 0.1, 2.0)
 BIAS_WALK = 0.03
 MODEL_ACCELERATION_WALK = 0.3
 MODEL_VELOCITY_WALK = 0.01
@@ -115,10 +116,9 @@ class DisturbanceObserver:
         lags_s: Vector3,
         sensor_lag_s: float,
         maximum_m_s2: float,
-        sideways_walk: float = DISTURBANCE_WALK,
+        walks: Vector3 = (DISTURBANCE_WALK,) * 3,
     ) -> None:
-        """`sideways_walk`: how fast the disturbance sideways may walk; the vertical one always as fast."""
-        walks = (sideways_walk, sideways_walk, DISTURBANCE_WALK)
+        """`walks`: how fast the disturbance may walk along each axis, m/s2 per square root of a second."""
         self._gains = tuple(
             tuple((float(v), float(a)) for v, a in stationary_gain(period_s, lag_s, sensor_lag_s, walk))
             for lag_s, walk in zip(lags_s, walks, strict=True)

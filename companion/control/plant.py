@@ -10,8 +10,8 @@ import math
 
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance import (
-    CALM_DISTURBANCE_WALK,
     DISTURBANCE_WALK,
+    LEANING_DISTURBANCE_WALKS,
     DisturbanceObserver,
     GustObserver,
     ThrustScale,
@@ -47,7 +47,7 @@ class Plant:
             self._lags_s,
             config.acceleration_estimate_lag_s,
             config.maximum_disturbance_m_s2,
-            CALM_DISTURBANCE_WALK if self._by_lean else DISTURBANCE_WALK,
+            LEANING_DISTURBANCE_WALKS if self._by_lean else (DISTURBANCE_WALK,) * 3,
         )
         self._maximum_m_s2 = config.maximum_disturbance_m_s2
         self._gusts = GustObserver(config.acceleration_estimate_lag_s)
