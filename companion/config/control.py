@@ -16,7 +16,7 @@ class LimitsConfig(StrictModel):
     climb_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
     descent_speed_m_s: float = Field(default=1.5, gt=0.0, le=5.0)
     horizontal_acceleration_m_s2: float = Field(default=5.5, gt=0.0, le=10.0)
-    vertical_acceleration_m_s2: float = Field(default=4.0, gt=0.0, le=8.0)
+    vertical_acceleration_m_s2: float = Field(default=3.0, gt=0.0, le=8.0)
     tilt_deg: float = Field(default=30.0, gt=0.0, le=45.0)
     jerk_m_s3: float = Field(default=20.0, gt=0.0, le=200.0)
     heading_rate_deg_s: float = Field(default=45.0, gt=0.0, le=180.0)
