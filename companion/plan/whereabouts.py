@@ -49,8 +49,8 @@ class Lead:
             return Motion(place)
         c, s = math.cos(angle), math.sin(angle)
         vx, vy = c * v[0] - s * v[1], s * v[0] + c * v[1]
-        push = math.copysign(min(abs(w), _MOST_ACCELERATION_M_S2 / max(math.hypot(vx, vy), 1e-6)), w)
-        return Motion(place, (vx, vy, 0.0), (-push * vy, push * vx, 0.0))
+        followed = math.copysign(min(abs(w), _MOST_ACCELERATION_M_S2 / max(math.hypot(vx, vy), 1e-6)), w)
+        return Motion(place, (vx, vy, 0.0), (-followed * vy, followed * vx, 0.0))
 
 
 def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:

@@ -111,8 +111,8 @@ def test_a_pad_that_turns_is_caught_up_with(radius_m: float, gap_s: float) -> No
         if now_s > 14.0:
             here = guide.at(now_s).position_m
             farthest_m = max(farthest_m, math.dist(here[:2], on_circle(radius_m, now_s)[0]))
-    # THEN it is well within what is seen from there: behind, and not opposite to it on its circle
-    assert farthest_m < 1.5
+    # THEN it does not lag; planned towards a point that goes straight on it did, by a metre on the tightest
+    assert farthest_m < 0.5
 
 
 def test_the_turn_rate_comes_from_two_words_across_south_too() -> None:
