@@ -108,7 +108,7 @@ class TouchdownConfig(StrictModel):
     patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
     fastest_contact_m_s: float = Field(default=0.35, ge=0.05, le=1.0)  # sinking faster,
-    break_off_lateral_m: float = Field(default=0.08, gt=0.0, le=0.5)  # or farther aside, higher up than this:
+    break_off_lateral_m: float = Field(default=0.07, gt=0.0, le=0.5)  # or farther aside, higher up than this:
     break_off_above_m: float = Field(default=0.06, ge=0.03, le=1.0)  # rise and wait again
     blend_s: float = Field(default=0.8, ge=0.2, le=3.0)
     blind_s: float = Field(default=1.5, ge=0.1, le=5.0)
