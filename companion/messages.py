@@ -92,7 +92,7 @@ class PadPrior:
 
     `pad_position_body_m`/`body_from_pad` are None when the pad's place is unknown; `down_body` is the
     gravity direction, a unit vector, and is known as soon as there is an attitude. `climb_m_s` is how fast
-    the height over the pad is expected to change.
+    the height over the pad is expected to change, `rate_body_rad_s` how the vehicle turns meanwhile.
     """
 
     time_s: float
@@ -101,6 +101,7 @@ class PadPrior:
     body_from_pad: Quaternion | None = None
     position_std_m: float = 1.0
     climb_m_s: float = 0.0
+    rate_body_rad_s: Vector3 = ZERO3
 
 
 @dataclass(frozen=True, slots=True)

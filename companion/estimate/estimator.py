@@ -47,6 +47,7 @@ from companion.messages import (
     VehicleState,
 )
 
+READOUT_S = 0.02  # about what a camera takes from its first row to its last
 CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
 LARGEST_RATE_RAD_S = 70.0  # an MPU9250 tells 35 rad/s and 157 m/s² at most: more is a fault of the line
 LARGEST_FORCE_M_S2 = 320.0
@@ -188,8 +189,9 @@ class Estimator:
             return None
         down = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))
         estimate = self._pad_at(time_s)
+        rate = self._motion.rate_body_rad_s(time_s, READOUT_S)
         if estimate is None:
-            return PadPrior(time_s, down)
+            return PadPrior(time_s, down, rate_body_rad_s=rate)
         position = vector3(estimate.x[0:3])
         level_pad = quat_from_euler(0.0, 0.0, estimate.heading_rad)
         return PadPrior(
@@ -199,6 +201,7 @@ class Estimator:
             body_from_pad=quat_multiply(quat_conjugate(attitude), level_pad),
             position_std_m=estimate.position_std_m,
             climb_m_s=float(estimate.x[5]),
+            rate_body_rad_s=rate,
         )
 
     @property

@@ -83,6 +83,15 @@ class MotionHistory:
             return 0.0
         return 0.5 * norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after)))
 
+    def rate_body_rad_s(self, time_s: float, span_s: float) -> Vector3:
+        """Mean rate of turn (rad/s, body axes) over `span_s` about a time, or the last that is known."""
+        newest_s = self.newest_s
+        end_s = time_s + 0.5 * span_s if newest_s is None else min(time_s + 0.5 * span_s, newest_s)
+        before, after = self.attitude(end_s - span_s), self.attitude(end_s)
+        if before is None or after is None:
+            return ZERO3
+        return scale(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after)), 1.0 / span_s)
+
     def moved(self, start_s: float, end_s: float) -> tuple[Vector3, Vector3]:
         """Change of position (m) beyond constant velocity's, and of velocity (m/s), between two times."""
         (vx, vy, vz), (px, py, pz) = self._at(start_s)

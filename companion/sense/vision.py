@@ -15,6 +15,7 @@ import numpy as np
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
+    ZERO3,
     FloatArray,
     Quaternion,
     Vector3,
@@ -82,12 +83,13 @@ class Vision:
             raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
         down = None if prior is None else self._to_camera(prior.down_body)
         climb_m_s = 0.0 if prior is None else prior.climb_m_s
+        rate = ZERO3 if prior is None else self._to_camera(prior.rate_body_rad_s)
         looks = self._expected(prior)
         wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
         found: list[Detection] = []
         for number, look in enumerate((*looks, *wide)):
             found = self._detector.detect(frame.image, look)
-            pose = self._pose(frame, found, down, climb_m_s) if found else None
+            pose = self._pose(frame, found, down, climb_m_s, rate) if found else None
             if pose is not None:
                 sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
                 return VisionResult(sighting, count_groups(pose.used), number >= len(looks), pose.used)
@@ -98,12 +100,12 @@ class Vision:
         return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
 
     def _pose(
-        self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float
+        self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float, rate: Vector3
     ) -> PadPose | None:
         """The pose as the settings have it; one marker alone is believed when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
-        pose = estimate_pose(found, self._lens, self._config, down, climb_m_s)
+        pose = estimate_pose(found, self._lens, self._config, down, climb_m_s, rate)
         if pose is not None and len(pose.used) == 1 and not self._print.bears_out(frame.image, pose):
             return None
         return pose

@@ -3,7 +3,7 @@
 The camera is over the pad at a height over its surface; where, which heading, which moment of the hover and
 which attitude error is drawn anew for every shot, so that shots are independent. The app is told what it
 would know and nothing else: gravity by an attitude that is wrong by `ATTITUDE_STD_RAD` about each level axis,
-and the pad's last estimate, wrong by as much as it says.
+how it turns by a gyroscope, and the pad's last estimate, wrong by as much as it says.
 
 Where corners truly are in the image is worked out here with OpenCV's projection, apart from the app's lens:
 each at the moment at which its row is exposed.
@@ -33,6 +33,7 @@ from companion.geometry import (
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
+    rotation_vector_from_quat,
     scale,
     subtract,
     vector3,
@@ -50,6 +51,9 @@ VEHICLE: Final = "x500"
 # 0.7 degrees about each level axis, 1 degree in all
 ATTITUDE_STD_RAD: Final = math.radians(0.7)
 HEADING_STD_RAD: Final = math.radians(1.0)
+# what is left of the gyroscope's bias
+RATE_STD_RAD_S: Final = 0.005
+READOUT_S: Final = 0.02
 SURFACE_M: Final = 0.05
 # the camera's place over the pad: so far, and so much more a metre of height
 AIM_STD_M: Final = 0.02
@@ -110,6 +114,11 @@ class Scene:
         attitude = quat_multiply(self.lean, attitude)
         place = add(self.start_ned_m, quat_rotate(self.lean, away))
         return ScenePose(place, attitude, (0.0, 0.0, -SURFACE_M), self.pad_heading_rad)
+
+    def rate_body_rad_s(self, time_s: float) -> Vector3:
+        """Mean rate of turn, body axes, while a picture is read out."""
+        before, after = (self.pose(time_s + sign * 0.5 * READOUT_S).vehicle_attitude for sign in (-1.0, 1.0))
+        return scale(rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after)), 1.0 / READOUT_S)
 
     def pad_in_body(self, time_s: float) -> tuple[Vector3, Quaternion]:
         """The pad's place in body axes (m), and body-from-pad."""
@@ -191,7 +200,15 @@ class Stage:
         level_pad = quat_from_euler(0.0, 0.0, scene.pad_heading_rad)
         to_body = quat_conjugate(quat_multiply(wrong, pose.vehicle_attitude))
         missed = vector3(rng.normal(0.0, std_m, 3).tolist())
-        return PadPrior(time_s, down, add(place, missed), quat_multiply(to_body, level_pad), std_m)
+        rate = add(scene.rate_body_rad_s(time_s), vector3(rng.normal(0.0, RATE_STD_RAD_S, 3).tolist()))
+        return PadPrior(
+            time_s,
+            down,
+            add(place, missed),
+            quat_multiply(to_body, level_pad),
+            std_m,
+            rate_body_rad_s=rate,
+        )
 
     # ------------------------------------------------------------ the truth
 

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from companion.config import EstimateConfig, OrientationConfig
-from companion.geometry import quat_rotate, quat_rotate_inverse, subtract, vector3, yaw_from_quat
+from companion.geometry import (
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+    rotation_vector_from_quat,
+    scale,
+    subtract,
+    vector3,
+    yaw_from_quat,
+)
 from companion.messages import GpsFix, ImuSample, MagSample, PadSighting, RangeSample
 from tests.unit.estimate.estimate_flight import (
     ANTENNA,
@@ -209,6 +219,11 @@ def test_prior_points_where_the_pad_will_be_seen() -> None:
     relative = subtract(flight.pad_path(exposure_s), flight.path(exposure_s))
     assert prior.pad_position_body_m == pytest.approx(quat_rotate_inverse(q, relative), abs=0.2)
     assert prior.down_body == pytest.approx(quat_rotate_inverse(q, (0.0, 0.0, 1.0)), abs=0.02)
+    ahead = flight.attitude(exposure_s + 0.01)
+    turned = rotation_vector_from_quat(
+        quat_multiply(quat_conjugate(flight.attitude(exposure_s - 0.01)), ahead)
+    )
+    assert prior.rate_body_rad_s == pytest.approx(scale(turned, 50.0), abs=0.02)
     nose_ned = quat_rotate(q, quat_rotate(prior.body_from_pad, (1.0, 0.0, 0.0)))
     assert math.atan2(nose_ned[1], nose_ned[0]) == pytest.approx(flight.pad_heading(exposure_s), abs=0.06)
 

@@ -40,6 +40,12 @@ def test_attitude_outside_the_history_is_the_nearest() -> None:
     assert history.attitude(3.0) == history.attitude(2.0)
 
 
+@pytest.mark.parametrize("time_s", [0.1, 1.234, 1.995, 2.3])
+def test_the_rate_of_turn_is_the_last_that_is_known(time_s: float) -> None:
+    assert filled().rate_body_rad_s(time_s, 0.02) == pytest.approx((0.0, 0.0, 0.5), abs=1e-9)
+    assert MotionHistory(1.0).rate_body_rad_s(time_s, 0.02) == (0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(("start_s", "end_s"), [(0.0, 2.0), (0.5, 1.2034), (0.7513, 0.7514), (1.0, 1.0)])
 def test_motion_between_two_times_is_the_integral(start_s: float, end_s: float) -> None:
     dt = end_s - start_s

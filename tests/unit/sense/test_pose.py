@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from companion.config import CameraConfig, VisionConfig
-from companion.geometry import FloatArray, Vector3, matrix_from_quat, quat_from_euler, vector3
+from companion.geometry import ZERO3, FloatArray, Vector3, matrix_from_quat, quat_from_euler, vector3
 from companion.pad import Pad
 from companion.sense.aruco import Detection
 from companion.sense.lens import Lens
 from companion.sense.pose import estimate_pose
 
 CONFIG = VisionConfig()
+# corners that are taken for this uncertain, px
+STATED_NOISE = np.random.default_rng(3).normal(0.0, 0.3, (8, 4, 2))
 
 
 def camera_from_pad_at(yaw: float, roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
@@ -153,29 +156,37 @@ def test_no_markers_is_no_pose(lens: Lens) -> None:
     assert estimate_pose([], lens, CONFIG, (0.0, 0.0, 1.0)) is None
 
 
-def test_a_rolling_shutters_shear_is_told_apart_from_the_pose(
-    pad: Pad, camera: CameraConfig, lens: Lens
-) -> None:
-    rotation, position, velocity = (
-        camera_from_pad_at(0.3),
-        np.array([0.01, 0.02, 0.25]),
-        np.array([1.0, -0.5, 0.0]),
-    )
-    found = detections(pad, camera, rotation, vector3(position), group="C")
-    found = [d for d in found if d.corners_px.min() > 5 and (d.corners_px < (635, 475)).all()]
+def rolled(
+    found: list[Detection],
+    camera: CameraConfig,
+    rotation: FloatArray,
+    position: FloatArray,
+    velocity: Vector3 = ZERO3,
+    rate: Vector3 = ZERO3,
+) -> list[Detection]:
+    """The same corners as a rolling shutter shows them: of a pad that moves, by a camera that turns."""
     rows = np.concatenate([d.corners_px[:, 1] for d in found])
     matrix = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]])
-    turn, _ = cv2.Rodrigues(rotation)
     sheared = []
     for d in found:
         corners = np.empty((4, 2))
         for k, row in enumerate(d.corners_px[:, 1]):
-            at = position + velocity * camera.readout_s * (row - rows.mean()) / camera.height_px
-            pixel, _ = cv2.projectPoints(
-                d.corners_pad_m[k : k + 1], turn, at, matrix, np.array(camera.distortion)
-            )
+            delay_s = camera.readout_s * (row - rows.mean()) / camera.height_px
+            seen = rotation @ d.corners_pad_m[k] + position + np.array(velocity) * delay_s
+            back = -np.array(rate) * delay_s
+            pixel, _ = cv2.projectPoints(seen[None], back, np.zeros(3), matrix, np.array(camera.distortion))
             corners[k] = np.asarray(pixel).reshape(2)
-        sheared.append(Detection(d.marker, d.corners_pad_m, corners, d.side_px))
+        sheared.append(replace(d, corners_px=corners))
+    return sheared
+
+
+def test_a_rolling_shutters_shear_is_told_apart_from_the_pose(
+    pad: Pad, camera: CameraConfig, lens: Lens
+) -> None:
+    rotation, position = camera_from_pad_at(0.3), np.array([0.01, 0.02, 0.25])
+    found = detections(pad, camera, rotation, vector3(position), group="C")
+    found = [d for d in found if d.corners_px.min() > 5 and (d.corners_px < (635, 475)).all()]
+    sheared = rolled(found, camera, rotation, position, velocity=(1.0, -0.5, 0.0))
     moved = max(float(np.abs(a.corners_px - b.corners_px).max()) for a, b in zip(found, sheared, strict=True))
     assert moved > 8.0
     pose = estimate_pose(sheared, lens, CONFIG, (0.0, 0.0, 1.0))
@@ -185,6 +196,26 @@ def test_a_rolling_shutters_shear_is_told_apart_from_the_pose(
     still = Lens(camera.model_copy(update={"readout_s": 0.0}))
     bent = estimate_pose(sheared, still, CONFIG, (0.0, 0.0, 1.0))
     assert bent is None or bent.reprojection_error_px > 3.0 * pose.reprojection_error_px
+
+
+@pytest.mark.parametrize("rate", [(0.6, 0.1, 0.2), (0.8, 0.4, -0.3), (-0.8, -0.3, 0.2)])
+def test_how_the_camera_turns_is_told_apart_from_how_far_the_pad_is(
+    pad: Pad, camera: CameraConfig, lens: Lens, rate: Vector3
+) -> None:
+    # GIVEN two markers of a pad 8 m off, near the edge of the view, that pass at up to 6 m/s
+    rotation, position = camera_from_pad_at(0.3), np.array([1.0, -3.0, 7.0])
+    still = detections(pad, camera, rotation, vector3(position), noise=STATED_NOISE)
+    found = rolled(still[:2], camera, rotation, position, rate=rate)
+    down = vector3(rotation[:, 2])
+    # WHEN the gyroscope's word is taken
+    told = estimate_pose(found, lens, CONFIG, down, rate_camera_rad_s=rate)
+    untold = estimate_pose(found, lens, CONFIG, down)
+    # THEN the distance is right, which otherwise is off by centimetres
+    assert told is not None
+    assert untold is not None
+    errors = [float(np.linalg.norm(pose.position_camera_m - position)) for pose in (told, untold)]
+    assert errors[0] < 0.002
+    assert errors[1] > 0.01
 
 
 def test_a_climb_is_bounded_by_how_near_the_pad_is(pad: Pad, camera: CameraConfig, lens: Lens) -> None:
