@@ -62,6 +62,8 @@ def find_file(folder: str, name: str | Path) -> Path:
     shipped = CONFIG_FOLDER / folder / f"{name}.yaml"
     if path.suffix == "" and shipped.is_file():
         return shipped
+    if path.suffix in YAML_SUFFIXES:
+        raise ConfigError(f"{folder}: no file '{name}'; expected the path of one that there is, or a name")
     names = ", ".join(sorted(p.stem for p in (CONFIG_FOLDER / folder).glob("*.yaml")))
     raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
 

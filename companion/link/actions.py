@@ -192,7 +192,7 @@ class PymavlinkActions:
         if not options & THRUST_IS_THRUST:
             raise Refused(
                 f"{GUIDED_OPTIONS} is {options}: thrust is read as climb rate; expected {wanted}, "
-                "or control.setpoint velocity"
+                "which link.set_parameters lets us set, or control.setpoint velocity"
             )
 
     # ------------------------------------------------------------ where

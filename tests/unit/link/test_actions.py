@@ -385,7 +385,7 @@ def test_without_the_thrust_bit_attitude_setpoints_are_refused_before_anything_h
     assert not result.accepted
     assert result.text == (
         f"GUID_OPTIONS is {options}: thrust is read as climb rate; expected {options + 8}, "
-        "or control.setpoint velocity"
+        "which link.set_parameters lets us set, or control.setpoint velocity"
     )
     assert (autopilot.mode, autopilot.armed) == ("STABILIZE", False)
     assert sent(autopilot, "PARAM_SET") == []
