@@ -151,7 +151,7 @@ class VisionConfig(StrictModel):
     level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of the pad and of our attitude together
     relative_speed_std_m_s: float = Field(default=0.5, gt=0.0, le=20.0)  # for a rolling shutter's shear
     relative_climb_std_m_s: float = Field(default=0.2, gt=0.0, le=20.0)  # near the pad, for the same
-    turn_rate_std_rad_s: float = Field(default=0.25, gt=0.0, le=10.0)
+    turn_rate_std_rad_s: float = Field(default=0.1, gt=0.0, le=10.0)
     vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
     maximum_reprojection_error_px: float = Field(default=2.0, gt=0.0, le=10.0)
 
