@@ -54,7 +54,7 @@ def find_file(folder: str, name: str | Path) -> Path:
     """Path of a settings file given by path, or by name within configs/<folder>.
 
     Raises:
-        ConfigError: no such file; the line lists the names there are.
+        ConfigError: no such file; for a name the line lists those that there are.
     """
     path = Path(name)
     if path.suffix in YAML_SUFFIXES and path.is_file():

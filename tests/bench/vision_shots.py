@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
+from companion.estimate.estimator import READOUT_S
 from companion.geometry import (
     FloatArray,
     Quaternion,
@@ -53,7 +54,6 @@ ATTITUDE_STD_RAD: Final = math.radians(0.7)
 HEADING_STD_RAD: Final = math.radians(1.0)
 # what is left of the gyroscope's bias
 RATE_STD_RAD_S: Final = 0.005
-READOUT_S: Final = 0.02
 SURFACE_M: Final = 0.05
 # the camera's place over the pad: so far, and so much more a metre of height
 AIM_STD_M: Final = 0.02
