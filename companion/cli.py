@@ -51,6 +51,8 @@ from companion.replay.command import replay_command
 from companion.report import result_table, write_plots
 from companion.result import Result, from_start
 from companion.terminal import StatusView
+from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
+from sitl.firmware.spec import FirmwareSpec
 
 USER_ERROR: Final = 2
 SIMULATOR_FAILED: Final = 1
@@ -116,6 +118,9 @@ def companion(
             metavar="CONNECTION",
         ),
     ] = None,
+    firmware: FirmwareOption = None,
+    firmware_path: FirmwarePathOption = None,
+    firmware_param: FirmwareParamOption = None,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="With --sitl: write the result here.", metavar="FILE")
     ] = None,
@@ -133,10 +138,18 @@ def companion(
     try:
         theirs = {"--autopilot": autopilot, "--connect": connect, "--connect-world": connect_world}
         if sitl:
-            trial = Trial.load(scenario or "line", seed or 0, External.of(theirs, fast=fast))
+            flown = FirmwareSpec.of(firmware, firmware_path, firmware_param or ())
+            trial = Trial.load(scenario or "line", seed or 0, External.of(theirs, fast=fast), flown)
             code = fly_on_the_desk(config, trial, output, fast=fast)
         else:
-            ours = {"--scenario": scenario, "--seed": seed, "--fast": fast or None, "--json": json_file}
+            ours = {
+                "--scenario": scenario,
+                "--seed": seed,
+                "--fast": fast or None,
+                "--firmware": firmware,
+                "--firmware-path": firmware_path,
+                "--json": json_file,
+            }
             refuse({**ours, **theirs})
             code = fly_the_vehicle(config, output)
     except ConfigError as error:

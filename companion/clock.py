@@ -103,6 +103,11 @@ def wall_clock_s() -> float:
     return time.perf_counter()
 
 
+def sleep_s(duration_s: float) -> None:
+    """Let real time pass, with everything on this thread standing still; not at all for what is past."""
+    time.sleep(max(0.0, duration_s))
+
+
 def boot_clock_ahead_s() -> float:
     """How far (s) CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC: as long as the machine has been suspended."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)

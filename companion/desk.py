@@ -41,6 +41,7 @@ from companion.hardware import Hardware, make_actions, make_own_actions, open_ha
 from companion.link.transport import memory_pair
 from companion.messages import Phase
 from companion.record import FlightLog
+from sitl.firmware.spec import FirmwareSpec
 from sitl.in_process import InProcess
 from sitl.report import SimulationReport, read_report
 from sitl.scenario import Scenario, load_scenario
@@ -90,16 +91,25 @@ class Trial:
     scenario: Scenario
     seed: int
     external: External | None = None
+    firmware: FirmwareSpec | None = None
 
     @classmethod
-    def load(cls, name: str, seed: int, external: External | None = None) -> Trial:
-        """Take a scenario by name or path.
+    def load(
+        cls, name: str, seed: int, external: External | None = None, firmware: FirmwareSpec | None = None
+    ) -> Trial:
+        """Take a scenario by name or path; a firmware flies as itself, whatever the scenario says.
 
         Raises:
-            ConfigError: no such scenario, or its file breaks a rule.
+            ConfigError: no such scenario, its file breaks a rule, or somebody else's vehicle is to fly by a
+                firmware of ours.
         """
+        if external is not None and firmware is not None:
+            raise ConfigError("--firmware: expected to be left out with --autopilot external")
         path = find_file("scenarios", name)
-        return cls(path, load_scenario(path), seed, external)
+        scenario = load_scenario(path)
+        if firmware is not None:
+            scenario = scenario.model_copy(update={"autopilot": firmware.kind})
+        return cls(path, scenario, seed, external, firmware)
 
     @property
     def time_limit_s(self) -> float:
@@ -123,8 +133,11 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     Raises:
         ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
     """
-    # somebody's own autopilot has the number that their settings give
-    link = {} if trial.external is not None else {"link": {"system_id": 1}}
+    link: dict[str, Any] = {"link": {"system_id": 1}}
+    if trial.external is not None:
+        link = {}  # somebody's own autopilot has the number that their settings give
+    elif trial.firmware is not None:
+        link = {"link": {"system_id": 0}}  # PX4 numbers itself by its instance
     hardware = merge(merge(SIMULATED_HARDWARE, link), _wiring(trial.scenario))
     overrides = merge(hardware, trial.scenario.companion)
     if fast:
@@ -246,6 +259,7 @@ async def _virtual_flight(
         link=vehicle_end,
         gps_baud=config.sense.gps.baud,
         range_baud=config.sense.range.baud,
+        firmware=trial.firmware,
     )
     boards = config.sense.source == "boards"
     hardware = Hardware(
@@ -262,6 +276,7 @@ async def _virtual_flight(
         phase = await _fly(app, trial.scenario.time_limit_s, world)
     finally:
         await _cancel(world)
+        vehicle.simulation.close()
     factor = Clock().now_s() / (wall_clock_s() - started_s)
     return DeskFlight(vehicle.simulation.report(phase), factor, app.late_share)
 
@@ -303,9 +318,11 @@ async def _fly_against(
     return DeskFlight(report, report.duration_s / elapsed_s, app.late_share)
 
 
-def _world_options(external: External | None) -> tuple[str, ...]:
-    """How the simulator is told of the user's autopilot."""
-    return () if external is None else ("--external", external.world or external.app)
+def _world_options(trial: Trial) -> tuple[str, ...]:
+    """How the simulator is told of the user's autopilot, or of the firmware that flies."""
+    if trial.external is not None:
+        return ("--external", trial.external.world or trial.external.app)
+    return () if trial.firmware is None else trial.firmware.options
 
 
 class SimulatorProcess:
@@ -329,7 +346,7 @@ class SimulatorProcess:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "sitl.cli", "--child", "--scenario", str(trial.path)),
                 *("--seed", str(trial.seed), "--folder", str(folder)),
-                *_world_options(trial.external),
+                *_world_options(trial),
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=stderr,
@@ -339,7 +356,9 @@ class SimulatorProcess:
         simulator = cls(process, {}, words)
         try:
             if trial.external is None:
-                simulator.endpoints = await simulator._listen(START_TIMEOUT_S)
+                # a firmware boots before it is served
+                patience_s = START_TIMEOUT_S if trial.firmware is None else EXTERNAL_START_TIMEOUT_S
+                simulator.endpoints = await simulator._listen(patience_s)
             else:
                 simulator.endpoints = await simulator._find(trial.external)
         except BaseException as error:

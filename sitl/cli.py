@@ -19,6 +19,8 @@ from companion.messages import Manner
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
 from sitl.external_server import serve_external
+from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
+from sitl.firmware.spec import FirmwareSpec
 from sitl.hold_command import HELP as HOLD_HELP
 from sitl.hold_command import hold_command
 from sitl.orders import socket_folder, terminated_as_interrupted
@@ -31,7 +33,9 @@ from sitl.view import HELP as VIEW_HELP
 from sitl.view import view_command
 
 USER_ERROR: Final = 2
-WITH_CHILD: Final = ("scenario", "seed", "autopilot", "folder", "child")
+WITH_CHILD: Final = (
+    "scenario", "seed", "autopilot", "folder", "child", "firmware", "firmware_path", "firmware_param",
+)  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
 
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -76,6 +80,9 @@ def companion_sitl(
     serve_truth: Annotated[
         bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION when asked for.")
     ] = False,
+    firmware: FirmwareOption = None,
+    firmware_path: FirmwarePathOption = None,
+    firmware_param: FirmwareParamOption = None,
     child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
     """Serve a simulated quadrotor with a camera over a pad that moves."""
@@ -90,15 +97,18 @@ def companion_sitl(
     loaded = load_scenario(scenario)
     if autopilot is not None:
         loaded = loaded.model_copy(update={"autopilot": autopilot})
+    flown = FirmwareSpec.of(firmware, firmware_path, firmware_param or ())
+    if flown is not None:
+        loaded = loaded.model_copy(update={"autopilot": flown.kind})
     key = None if signing_key is None else read_key(signing_key)
     with terminated_as_interrupted(), socket_folder(folder) as place:
         if external is not None:
             asyncio.run(serve_external(loaded, seed, place, external, child=child))
         elif child:
-            asyncio.run(serve_child(loaded, seed, place))
+            asyncio.run(serve_child(loaded, seed, place, firmware=flown))
         else:
             service = Service(bind, port, gcs_port, tcp_port)
-            asyncio.run(serve(loaded, seed, place, service, key, serve_truth=serve_truth))
+            asyncio.run(serve(loaded, seed, place, service, key, serve_truth=serve_truth, firmware=flown))
 
 
 def refuse(context: typer.Context, goes: Collection[str], why: str) -> None:

@@ -22,6 +22,7 @@ from typing import Any, Final
 
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
+from sitl.firmware.spec import FirmwareSpec
 from sitl.hand_paths import HandMotion
 from sitl.scenario import Scenario, load_scenario
 from sitl.simulation import ByteLink, MemoryFrames, Simulation
@@ -45,8 +46,11 @@ class InProcess:
         link: ByteLink | None = None,
         gps_baud: int = GPS_BAUD,
         range_baud: int = RANGE_BAUD,
+        firmware: FirmwareSpec | None = None,
     ) -> None:
         """Build it; `motion`: it is carried by hand; `link` is the vehicle's end of the MAVLink line.
+
+        A `firmware` flies it in lockstep; `simulation.close` ends that.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -65,6 +69,7 @@ class InProcess:
             range_port=range_line,
             deliver_frame=self.frames.deliver,
             camera_wanted=lambda: self.wants_frames,
+            firmware=firmware,
         )
 
     @property

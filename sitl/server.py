@@ -25,6 +25,7 @@ from sitl.app_settings import settings_text
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
+from sitl.firmware.spec import FirmwareSpec
 from sitl.frame_server import FrameServer
 from sitl.hand_paths import HandMotion
 from sitl.links import TcpServer, UdpServer
@@ -70,6 +71,7 @@ async def serve(
     serve_truth: bool = False,
     motion: HandMotion | None = None,
     settings_path: Path | None = None,
+    firmware: FirmwareSpec | None = None,
 ) -> None:
     """Serve a vehicle to whoever connects, until Ctrl-C or SIGTERM; `serve_truth`: those may ask for it.
 
@@ -90,6 +92,7 @@ async def serve(
             serve_truth=serve_truth,
             keep_truth=False,
             motion=motion,
+            firmware=firmware,
         )
         companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
         ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
@@ -106,14 +109,20 @@ async def serve(
         await _fly_until_stopped(devices.simulation)
 
 
-async def serve_child(scenario: Scenario, seed: int, folder: Path, motion: HandMotion | None = None) -> None:
+async def serve_child(
+    scenario: Scenario,
+    seed: int,
+    folder: Path,
+    motion: HandMotion | None = None,
+    firmware: FirmwareSpec | None = None,
+) -> None:
     """Run a simulation for a parent process until standard input says so; see the module's docstring.
 
     Raises:
         ConfigError: a settings file that the scenario names is wrong.
     """
     async with contextlib.AsyncExitStack() as stack:
-        devices = await _plug_in(stack, scenario, seed, folder, motion=motion)
+        devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
         udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
         say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
         await fly_until_told(devices.simulation, folder / REPORT_NAME, final_phase())
@@ -130,6 +139,7 @@ async def _plug_in(
     serve_truth: bool = False,
     keep_truth: bool = True,
     motion: HandMotion | None = None,
+    firmware: FirmwareSpec | None = None,
 ) -> _Devices:
     """A simulation with everything but MAVLink connected; the stack takes it all down."""
     gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
@@ -149,7 +159,9 @@ async def _plug_in(
         keep_truth=keep_truth,
         motion=motion,
         hands_wait=True,
+        firmware=firmware,
     )
+    stack.callback(simulation.close)
     await frames.start(simulation.begin_motion)
     stack.push_async_callback(frames.close)
     registers = await serve_registers(simulation.imu_bus, folder / "registers", simulation.begin_motion)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -23,17 +23,19 @@ from companion.config import GpsConfig, VehicleConfig, find_file, load_model
 from companion.geometry import Vector3
 from companion.messages import Frame, Phase, Truth
 from companion.slots import Slot
-from sitl.autopilot import ESTIMATORS, Autopilot
+from sitl.autopilot import ESTIMATORS, MANNERS, Autopilot
 from sitl.breaking import Breakable, FaultSchedule
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorRack, Wiring
 from sitl.faulty_link import LinkWay
+from sitl.firmware.spec import FirmwareSpec
+from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
 from sitl.frame_line import FrameLine
 from sitl.ground_station import GroundStation
 from sitl.hand_held import HandHeldWorld
 from sitl.hand_paths import HandMotion
-from sitl.network import Network, Port, Write
+from sitl.network import Network, Write
 from sitl.onboard import OnboardSensors
 from sitl.report import SimulationReport
 from sitl.scenario import Scenario, SensorSettings
@@ -72,6 +74,26 @@ class ByteLink(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send without waiting."""
+        ...
+
+
+class Lines(Protocol):
+    """The vehicle's MAVLink lines: each client has a port, which is the network's own business."""
+
+    def connect(self, write: Write, *, datagrams: bool) -> Any:
+        """Open a port."""
+        ...
+
+    def disconnect(self, port: Any) -> None:
+        """Close it."""
+        ...
+
+    def receive(self, port: Any, data: bytes, now_s: float) -> None:
+        """Take what a client sent."""
+        ...
+
+    def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
+        """Send all that is due."""
         ...
 
 
@@ -121,13 +143,15 @@ class Simulation:
         keep_truth: bool = True,
         motion: HandMotion | None = None,
         hands_wait: bool = False,
+        firmware: FirmwareSpec | None = None,
     ) -> None:
         """Build the world and plug the devices in. Nothing is rendered while the camera is not wanted.
 
         `link` is the MAVLink line of an app in this process, others come by `connect`. `unix_at_start_s` is
         UTC (s since 1970) when the world begins; `serve_truth` lets clients ask for the truth; `keep_truth`
         keeps all of it for `report`, which a vehicle that is served for days has no memory for. With a
-        `motion` it is carried by hand and cannot fly; `hands_wait`: until `begin_motion`.
+        `motion` it is carried by hand and cannot fly; `hands_wait`: until `begin_motion`. A `firmware` flies
+        it instead of the bundled autopilot: it is started here and has booted on return; `close` ends it.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -143,15 +167,7 @@ class Simulation:
             if motion is None
             else HandHeldWorld(scenario, seed, motion, waits=hands_wait)
         )
-        body = self._world.airframe.body
-        self.autopilot = Autopilot(
-            scenario.autopilot,
-            body,
-            next(streams),
-            HOME,
-            ESTIMATORS[scenario.estimator],
-            self._world.airframe.rates,
-        )
+        autopilot_rng = next(streams)
         signing = Signing(scenario.autopilot, signing_key)
         ground_station = GroundStation.of(scenario.beacon, next(streams), HOME, signing)
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
@@ -164,19 +180,54 @@ class Simulation:
         self._frame_line = FrameLine(fault_rng, camera.lost_share, camera.lost_burst_frames)
         self._to_app, self._to_vehicle = LinkWay(scenario.link, app_rng), LinkWay(scenario.link, vehicle_rng)
         camera_streams = (next(streams), next(streams))
-        self._onboard = _onboard(scenario.sensors, next(streams), self.autopilot.manner.imu_filter)
+        imu_filter = MANNERS[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
+        self._onboard = _onboard(scenario.sensors, next(streams), imu_filter)
         self._camera = SceneCamera(scenario, self._vehicle, self._world, *camera_streams, next(streams))
         breakable = Breakable(
             self._rack, self._onboard, self._frame_line, self._world.motors, self._to_app, self._to_vehicle
         )
         self._faults = FaultSchedule(scenario.faults, breakable)
-        truth = TruthMessages(self.autopilot, self._world, HOME) if serve_truth else None
-        self.network = Network(self.autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth)
+        self.network: Lines
+        self._flies: Autopilot | FirmwareVehicle
+        if firmware is None:
+            self._flies = autopilot = Autopilot(
+                scenario.autopilot,
+                self._world.airframe.body,
+                autopilot_rng,
+                HOME,
+                ESTIMATORS[scenario.estimator],
+                self._world.airframe.rates,
+            )
+            truth = TruthMessages(autopilot, self._world, HOME) if serve_truth else None
+            self.network = Network(autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth)
+        else:
+            self._flies = flies = FirmwareVehicle(
+                firmware,
+                self._world,
+                self._onboard,
+                ground_station,
+                autopilot_rng,
+                home=HOME,
+                gps_delay_s=scenario.sensors.gps_delay_s,
+                step_s=PHYSICS_STEP_S,
+            )
+            self.network = flies.network
         self._deliver_frame = deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
         self._ticks = 0
         self._latest_tick_s = 0.0
+
+    @property
+    def autopilot(self) -> Autopilot:
+        """The bundled one, where it flies: for tests and benches."""
+        assert isinstance(self._flies, Autopilot)
+        return self._flies
+
+    def close(self) -> None:
+        """End the firmware, where one flies."""
+        if isinstance(self._flies, FirmwareVehicle):
+            self._flies.close()
 
     @property
     def sensor_truth(self) -> SensorTruth:
@@ -227,7 +278,7 @@ class Simulation:
         that. An age of samples that is off by milliseconds is an attitude that does not fit the frames."""
         return self._start_s + (self._ticks + 0.5) * TICK_S
 
-    def connect(self, write: Write, *, datagrams: bool) -> Port:
+    def connect(self, write: Write, *, datagrams: bool) -> Any:
         """Another MAVLink client, at the far end of the scenario's line.
 
         `write` takes whole frames and must not wait.
@@ -238,11 +289,11 @@ class Simulation:
 
         return self.network.connect(send, datagrams=datagrams)
 
-    def disconnect(self, port: Port) -> None:
+    def disconnect(self, port: Any) -> None:
         """A client has gone."""
         self.network.disconnect(port)
 
-    def hear(self, port: Port, data: bytes) -> None:
+    def hear(self, port: Any, data: bytes) -> None:
         """Bytes from a client have just come."""
 
         def receive() -> None:
@@ -265,7 +316,7 @@ class Simulation:
             self._scenario.pass_bounds,
             crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
-            disarmed=not self.autopilot.armed,
+            disarmed=not self._flies.armed,
             final_phase=final_phase,
             nearest_obstacle_m=world.nearest_obstacle_m,
         )
@@ -295,13 +346,13 @@ class Simulation:
         self._expose(now_s)
         self._talk(now_s)
         if self._ticks % TRUTH_EVERY_TICKS == 0:
-            self._world.attitude_setpoint = self.autopilot.attitude_setpoint
+            self._world.attitude_setpoint = self._flies.attitude_setpoint
             if self._keep_truth:
                 self._truth.append(replace(self._world.truth(), time_s=self._start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world
-        motors = self._onboard.motors = self.autopilot.step(world.motion(), PHYSICS_STEP_S, world.time_s)
+        motors = self._onboard.motors = self._flies.step(world.motion(), PHYSICS_STEP_S, world.time_s)
         world.step(motors, PHYSICS_STEP_S)
         state, throttle = world.state, 0.25 * sum(motors)
         if self._ticks % RANGE_EVERY_TICKS == 0:

@@ -93,7 +93,7 @@ def _sys_status(state: AutopilotState, message: Message, time_s: float) -> Autop
     enabled = message.onboard_control_sensors_enabled
     healthy = message.onboard_control_sensors_health
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    if message.onboard_control_sensors_present & prearm:
+    if message.onboard_control_sensors_present & prearm or state.manner == "px4":
         ready = bool(healthy & prearm)
     else:
         ready = enabled & ~healthy == 0

@@ -1,0 +1,1 @@
+"""The real PX4 and ArduCopter as the simulated vehicle's autopilot: our world is the physics, in lockstep."""

@@ -1,0 +1,209 @@
+"""ArduCopter in lockstep, by its JSON backend: servo pulses in, the vehicle's state out, over UDP.
+
+ArduCopter sends a packet of pulses and waits for the answer, whose `timestamp` is its clock: nothing of it
+moves meanwhile. Its barometer, compass and GPS it makes itself from the position and attitude that it is
+told; the IMU is ours, vibration and all. MAVLink comes by UDP too, by its first serial port.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from typing import Final
+
+from companion.config import ConfigError
+from companion.geometry import Vector3
+from sitl.firmware.base import ANSWER_S, Moment, Setup
+from sitl.firmware.process import INSTANCES, LOOPBACK, Datagrams, FirmwareError, Process
+from sitl.firmware.spec import FirmwareSpec
+from sitl.quadrotor import Four
+
+# magic, frame rate (Hz), frame count, 16 pulses (us); ArduPilot's SIM_JSON documentation
+PULSES: Final = struct.Struct("<HHI16H")
+MAGIC: Final = 18458
+BASE_PORT: Final = 5760
+PORTS_PER_INSTANCE: Final = 10
+STEP_HZ: Final = 400
+# it samples its IMU between our steps: told of 400 a second alone, its loop of 400 Hz misses every third
+FRAMES_PER_STEP: Final = 2
+START_S: Final = 20.0
+_PULSE_US: Final = (1000.0, 1000.0)  # off, and from there to full
+# its motors: right, left, front, rear
+_FRONT, _RIGHT, _REAR, _LEFT = 2, 0, 3, 1
+
+
+class ArduPilot:
+    """One ArduCopter. Made, it has been started and waits for its first answer."""
+
+    def __init__(self, spec: FirmwareSpec, setup: Setup) -> None:
+        """Start it.
+
+        Raises:
+            ConfigError: it cannot be started, or no instance's ports are free.
+        """
+        self._process = Process("arducopter")
+        self._link = Datagrams(0)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind((LOOPBACK, 0))
+        self._peer: tuple[str, int] | None = None
+        self._frame = -1
+        self._motors: Four = (0.0, 0.0, 0.0, 0.0)
+        try:
+            parameters = self._process.folder / "vehicle.parm"
+            named = {**_parameters(setup), **setup.parameters}
+            parameters.write_text("".join(f"{name} {value:g}\n" for name, value in named.items()))
+            self._process.start(self._command(spec, setup.home, str(parameters)), os.environ)
+            self._await(START_S)
+        except FirmwareError as error:
+            self.close()
+            raise ConfigError(str(error)) from error
+        except BaseException:
+            self.close()
+            raise
+
+    def step(self, moment: Moment) -> Four:
+        """See `Firmware`."""
+        assert self._peer is not None
+        for frame in range(FRAMES_PER_STEP):
+            earlier_s = (FRAMES_PER_STEP - 1 - frame) / (FRAMES_PER_STEP * STEP_HZ)
+            self._socket.sendto(_state(moment, earlier_s), self._peer)
+            self._await(ANSWER_S)
+        return self._motors
+
+    def read(self) -> list[bytes]:
+        """See `Firmware`."""
+        return self._link.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Firmware`."""
+        self._link.write(data)
+
+    def close(self) -> None:
+        """See `Firmware`."""
+        self._process.close()
+        self._link.close()
+        self._socket.close()
+
+    def _await(self, patience_s: float) -> None:
+        """Wait for the next pulses; those of a frame that has been answered are a repetition."""
+        self._socket.settimeout(1.0)
+        for _ in range(round(patience_s)):
+            try:
+                while not self._take(*self._socket.recvfrom(4096)):
+                    pass
+                return
+            except TimeoutError:
+                self._process.check()
+        raise FirmwareError(
+            f"arducopter has not answered for {patience_s:.0f} s: {self._process.last_words()}"
+        )
+
+    def _take(self, data: bytes, peer: tuple[str, int]) -> bool:
+        if len(data) != PULSES.size:
+            return False
+        magic, _, frame, *pulses = PULSES.unpack(data)
+        if magic != MAGIC or frame <= self._frame:
+            return False
+        self._peer, self._frame = peer, frame
+        self._motors = (
+            _share(pulses[_FRONT]),
+            _share(pulses[_RIGHT]),
+            _share(pulses[_REAR]),
+            _share(pulses[_LEFT]),
+        )
+        return True
+
+    def _command(self, spec: FirmwareSpec, home: Vector3, parameters: str) -> list[str]:
+        latitude, longitude, altitude = home
+        control_port = self._socket.getsockname()[1]
+        instance = _free_instance()
+        return [
+            str(spec.path), "--model", f"JSON:{LOOPBACK}", "--speedup", "1", "--slave", "0", "-w",
+            "--defaults", parameters, "--sim-address", LOOPBACK, "--sim-port-out", str(control_port),
+            "-I", str(instance), "--home", f"{latitude:.7f},{longitude:.7f},{altitude:.2f},0",
+            "--serial0", f"udpclient:{LOOPBACK}:{self._link.port}",
+        ]  # fmt: skip
+
+
+def _share(pulse_us: int) -> float:
+    off, span = _PULSE_US
+    return min(1.0, max(0.0, (pulse_us - off) / span))
+
+
+def _state(moment: Moment, earlier_s: float) -> bytes:
+    """One line of JSON between line feeds: SI units, NED, FRD, quaternion w x y z.
+
+    The state stands for the whole step that ends with it: its stamp may be `earlier_s` before that end.
+    """
+    imu, state = moment.sensors.imu, moment.state
+    if imu is None:
+        raise FirmwareError("arducopter is told of sensors that do not sense yet")
+    return (
+        f'\n{{"timestamp":{moment.clock_s - earlier_s:.6f},'
+        f'"imu":{{"gyro":{_numbers(imu.rate_rad_s)},"accel_body":{_numbers(imu.specific_force_m_s2)}}},'
+        f'"position":{_numbers(state.position_ned_m)},"quaternion":{_numbers(state.attitude)},'
+        f'"velocity":{_numbers(state.velocity_ned_m_s)},"no_time_sync":1}}\n'
+    ).encode()
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
+
+
+def _free_instance() -> int:
+    """The first whose ports are free (it listens on its second and third serial ports).
+
+    Raises:
+        ConfigError: none is.
+    """
+    for instance in range(INSTANCES):
+        first = BASE_PORT + PORTS_PER_INSTANCE * instance
+        if all(_is_free(first + n) for n in (0, 2, 3)):
+            return instance
+    raise ConfigError(f"no ArduPilot instance from 0 to {INSTANCES - 1} has its ports free")
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError:
+            return False
+    return True
+
+
+def _parameters(setup: Setup) -> dict[str, float]:
+    sticks = {
+        f"RC{channel}_{name}": value
+        for channel in range(1, 9)
+        for name, value in (("MIN", 1000), ("MAX", 2000), ("TRIM", 1500))
+    }
+    # "calibrated" is what is not as it comes; the offsets are those of its own simulated compasses
+    compasses = {
+        f"COMPASS_OFS{n}_{axis}": value
+        for n in ("", "2", "3")
+        for axis, value in (("X", 5), ("Y", 13), ("Z", -18))
+    }
+    return {
+        **sticks,
+        **compasses,
+        "FRAME_CLASS": 1,
+        "FRAME_TYPE": 6,  # plus, the front rotor anticlockwise
+        # thrust goes with the pulse, as our plant has it
+        "MOT_THST_EXPO": 0.0,
+        "MOT_SPIN_ARM": 0.03,
+        "MOT_SPIN_MIN": 0.05,
+        "MOT_SPIN_MAX": 1.0,
+        "MOT_THST_HOVER": setup.airframe.body.hover_share(),
+        "MOT_PWM_MIN": 1000,
+        "MOT_PWM_MAX": 2000,
+        "FS_GCS_ENABLE": 0,
+        "GUID_OPTIONS": 8,  # thrust in attitude setpoints is thrust
+        "SIM_TERRAIN": 0,
+        "SIM_RATE_HZ": FRAMES_PER_STEP * STEP_HZ,
+        "SCHED_LOOP_RATE": STEP_HZ,
+        "SR0_EXT_STAT": 2,
+        "LOG_BACKEND_TYPE": 0,
+    }

@@ -1,0 +1,246 @@
+"""PX4 in lockstep, by its simulator interface (simulator_mavlink): HIL_SENSOR and HIL_GPS against
+HIL_ACTUATOR_CONTROLS over TCP.
+
+PX4 calls us at 4560 + instance. Its clock is the time of the HIL_SENSOR messages, and its threads sleep by
+that clock, so that nothing moves between two of them. It answers each once its rate loop has run; the first
+answers come only when it has booted. MAVLink for companions comes by UDP to 14540 + instance.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import socket
+from typing import Any, Final
+
+from companion.clock import wall_clock_s
+from companion.config import ConfigError
+from companion.geometry import scale
+from sitl.devices.neo6m import UNIX_AT_START_S
+from sitl.firmware.barometer import Barometer, pressure_hpa
+from sitl.firmware.base import ANSWER_S, Moment, Setup
+from sitl.firmware.process import INSTANCES, LOOPBACK, Datagrams, FirmwareError, Process
+from sitl.firmware.spec import FirmwareSpec
+from sitl.framing import FrameReader, dialect
+from sitl.quadrotor import Four
+
+mavlink: Any = dialect
+
+SIMULATOR_PORT: Final = 4560
+COMPANION_PORT: Final = 14540
+AIRFRAME: Final = "none_iris"
+CALL_S: Final = 20.0  # from its start until it calls
+# it does not answer before it has booted: so long (of the wall's time) it is given for each step till then
+BOOTING_STEP_S: Final = 0.0015
+_GAUSS_PER_UT: Final = 0.01
+_IMU: Final = 0b111_111
+_MAG: Final = 0b111_000_000
+_BARO: Final = 0b1_1010_0000_0000
+_FIX_3D: Final = 3
+_OFF: Four = (0.0, 0.0, 0.0, 0.0)
+
+
+class Px4:
+    """One PX4. Made, it has been started and has called."""
+
+    def __init__(self, spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> None:
+        """Start it.
+
+        Raises:
+            ConfigError: it cannot be started, or no instance's ports are free.
+        """
+        self._home = setup.home
+        self._barometer = barometer
+        self._process = Process("px4")
+        self._reader = FrameReader()
+        self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=200)
+        self._decoder = mavlink.MAVLink(None)
+        self._motors = _OFF
+        self._answered_us = -1
+        self._mag_s = self._fix_s = math.nan
+        server, self._link, instance = _free_instance()
+        try:
+            with server:
+                self._process.start(_command(spec, instance, self._process), _environment(setup))
+                self._socket = self._accept(server)
+        except BaseException:
+            self.close()
+            raise
+
+    def step(self, moment: Moment) -> Four:
+        """See `Firmware`."""
+        time_us = round(moment.clock_s * 1e6)
+        self._socket.sendall(self._sensors(moment, time_us) + self._gps(moment))
+        self._await(time_us)
+        return self._motors
+
+    def read(self) -> list[bytes]:
+        """See `Firmware`."""
+        return self._link.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Firmware`."""
+        self._link.write(data)
+
+    def close(self) -> None:
+        """See `Firmware`."""
+        self._process.close()
+        self._link.close()
+        if hasattr(self, "_socket"):
+            self._socket.close()
+
+    # ------------------------------------------------------------ in
+
+    def _accept(self, server: socket.socket) -> socket.socket:
+        server.settimeout(1.0)
+        for _ in range(round(CALL_S)):
+            try:
+                connection, _ = server.accept()
+            except TimeoutError:
+                self._check_start()
+                continue
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return connection
+        raise ConfigError(f"px4 did not call the simulator within {CALL_S:.0f} s")
+
+    def _check_start(self) -> None:
+        try:
+            self._process.check()
+        except FirmwareError as error:
+            raise ConfigError(str(error)) from error
+
+    def _await(self, time_us: int) -> None:
+        """Wait for the answer to the sensors of that time; while it boots, not for long."""
+        booting = self._answered_us < 0
+        deadline_s = wall_clock_s() + (BOOTING_STEP_S if booting else ANSWER_S)
+        while self._answered_us < time_us:
+            left_s = deadline_s - wall_clock_s()
+            if left_s <= 0.0:
+                if booting:
+                    return
+                self._process.check()
+                raise FirmwareError(f"px4 has not answered for {ANSWER_S:.0f} s")
+            if select.select([self._socket], [], [], left_s)[0]:
+                self._take(self._socket.recv(65536))
+
+    def _take(self, data: bytes) -> None:
+        if not data:
+            self._process.check()
+            raise FirmwareError("px4 has closed its connection to the simulator")
+        for frame in self._reader.read(data, 0.0):
+            if frame.message_id == mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS:
+                message = self._decoder.decode(bytearray(frame.data))
+                self._answered_us = message.time_usec
+                first, second, third, fourth = message.controls[:4]
+                self._motors = (first, second, third, fourth)
+
+    # ------------------------------------------------------------ out
+
+    def _sensors(self, moment: Moment, time_us: int) -> bytes:
+        imu, mag = moment.sensors.imu, moment.sensors.mag
+        if imu is None or mag is None:
+            raise FirmwareError("px4 is told of sensors that do not sense yet")
+        bits = _IMU
+        if mag.time_s != self._mag_s:
+            self._mag_s, bits = mag.time_s, bits | _MAG
+        altitude_m = self._home[2] - moment.state.position_ned_m[2]
+        height_m = self._barometer.read(moment.clock_s, altitude_m)
+        if height_m is not None:
+            bits |= _BARO
+            altitude_m = height_m
+        return self._pack(
+            mavlink.MAVLink_hil_sensor_message(
+                time_us, *imu.specific_force_m_s2, *imu.rate_rad_s, *scale(mag.field_ut, _GAUSS_PER_UT),
+                pressure_hpa(altitude_m), 0.0, altitude_m, 25.0, bits, 0,
+            )
+        )  # fmt: skip
+
+    def _gps(self, moment: Moment) -> bytes:
+        fix = moment.sensors.gps
+        if fix is None or fix.time_s == self._fix_s:
+            return b""
+        self._fix_s = fix.time_s
+        r = fix.reading
+        north, east, down = (round(100.0 * v) for v in r.velocity_ned_m_s)
+        speed = round((north * north + east * east) ** 0.5)
+        return self._pack(
+            mavlink.MAVLink_hil_gps_message(
+                round((UNIX_AT_START_S + moment.clock_s) * 1e6), _FIX_3D,
+                round(r.latitude_deg * 1e7), round(r.longitude_deg * 1e7), round(r.altitude_m * 1e3),
+                round(r.horizontal_accuracy_m * 1e2), round(r.vertical_accuracy_m * 1e2),
+                speed, north, east, down, 65535, r.satellites, 0, 0,
+            )
+        )  # fmt: skip
+
+    def _pack(self, message: Any) -> bytes:
+        packed = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packed
+
+
+def _free_instance() -> tuple[socket.socket, Datagrams, int]:
+    """Its simulator's port and its companion's, and the instance that has them.
+
+    Raises:
+        ConfigError: none is free.
+    """
+    for instance in range(INSTANCES):
+        server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            server.bind((LOOPBACK, SIMULATOR_PORT + instance))
+            server.listen(1)
+            return server, Datagrams(COMPANION_PORT + instance), instance
+        except OSError:
+            server.close()
+    raise ConfigError(f"no PX4 instance from 0 to {INSTANCES - 1} has its ports free")
+
+
+def _command(spec: FirmwareSpec, instance: int, process: Process) -> list[str]:
+    build = spec.path.parent.parent
+    script = "etc/init.d-posix/rcS"
+    if not (build / script).exists():
+        raise ConfigError(
+            f"--firmware-path {spec.path}: expected {build / script} beside the program's folder"
+        )
+    words = ("-i", str(instance), "-d", str(build / "etc"), "-w", str(process.folder), "-s", script)
+    return [str(spec.path), *words]
+
+
+def _environment(setup: Setup) -> dict[str, str]:
+    """PX4's own way of setting parameters from outside: PX4_PARAM_NAME."""
+    named = {**_parameters(setup), **setup.parameters}
+    parameters = {f"PX4_PARAM_{name}": f"{value:g}" for name, value in named.items()}
+    return {**os.environ, "PX4_SIM_MODEL": AIRFRAME, "HEADLESS": "1", **parameters}
+
+
+def _parameters(setup: Setup) -> dict[str, float]:
+    body = setup.airframe.body
+    places = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # front, right, rear, left
+    rotors = {
+        f"CA_ROTOR{i}_{name}": value
+        for i, (x, y) in enumerate(places)
+        for name, value in (
+            ("PX", body.arm_length_m * x),
+            ("PY", body.arm_length_m * y),
+            ("KM", 0.05 if i % 2 == 0 else -0.05),
+        )
+    }
+    return {
+        **rotors,
+        "MPC_THR_HOVER": body.hover_share(),
+        "EKF2_GPS_DELAY": round(1e3 * setup.gps_delay_s),
+        # one IMU, one compass
+        "EKF2_MULTI_IMU": 0,
+        "SENS_IMU_MODE": 1,
+        # no remote control, no ground station; setpoints lost: hold
+        "COM_RC_IN_MODE": 4,
+        "NAV_RCL_ACT": 0,
+        "NAV_DLL_ACT": 0,
+        "COM_OBL_RC_ACT": 5,
+        "COM_OF_LOSS_T": 1.0,
+        # no log and no battery that runs down: nothing that takes time
+        "SDLOG_MODE": -1,
+        "SIM_BAT_DRAIN": 3600,
+    }

@@ -1,0 +1,53 @@
+"""Which firmware flies: whose it is, and the program that somebody has built of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.config import ConfigError
+from companion.messages import Manner
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareSpec:
+    """A SITL build: `px4` (build/px4_sitl_default/bin/px4) or `arducopter` (build/sitl/bin/arducopter)."""
+
+    kind: Manner
+    path: Path
+    parameters: tuple[tuple[str, float], ...] = ()  # over those that make it fit the vehicle
+
+    @classmethod
+    def of(
+        cls, kind: Manner | None, path: Path | None, parameters: Sequence[str] = ()
+    ) -> FirmwareSpec | None:
+        """From the command line's options (parameters as NAME=VALUE); None without any.
+
+        Raises:
+            ConfigError: one is given without the other, a parameter has another form, or the file is no
+                program.
+        """
+        pairs = tuple(_pair(text) for text in parameters)
+        if kind is None and path is None:
+            return None
+        if kind is None or path is None:
+            raise ConfigError("--firmware and --firmware-path: expected both, or neither")
+        if not path.is_file() or not os.access(path, os.X_OK):
+            raise ConfigError(f"--firmware-path {path}: expected the program that a SITL build made")
+        return cls(kind, path.resolve(), pairs)
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """The command line's options that name it."""
+        pairs = (f"--firmware-param={name}={value:g}" for name, value in self.parameters)
+        return ("--firmware", self.kind, "--firmware-path", str(self.path), *pairs)
+
+
+def _pair(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise ConfigError(f"--firmware-param {text}: expected NAME=VALUE, a number") from None
