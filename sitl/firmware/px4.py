@@ -33,6 +33,8 @@ AIRFRAME: Final = "none_iris"
 CALL_S: Final = 20.0  # from its start until it calls
 # it does not answer before it has booted: so long (of the wall's time) it is given for each step till then
 BOOTING_STEP_S: Final = 0.0015
+# what is set to PX4's own default counts as not set, and the airframe's would win
+NOT_DEFAULT: Final = 1e-5
 _GAUSS_PER_UT: Final = 0.01
 _IMU: Final = 0b111_111
 _MAG: Final = 0b111_000_000
@@ -222,9 +224,9 @@ def _parameters(setup: Setup) -> dict[str, float]:
         f"CA_ROTOR{i}_{name}": value
         for i, (x, y) in enumerate(places)
         for name, value in (
-            ("PX", body.arm_length_m * x),
-            ("PY", body.arm_length_m * y),
-            ("KM", 0.05 if i % 2 == 0 else -0.05),
+            ("PX", body.arm_length_m * x + NOT_DEFAULT),
+            ("PY", body.arm_length_m * y + NOT_DEFAULT),
+            ("KM", body.torque_to_thrust_m if i % 2 == 0 else -body.torque_to_thrust_m),
         )
     }
     return {
