@@ -8,6 +8,7 @@
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
+# make bench-firmware PX4=BIN ARDUCOPTER=BIN  landings on the real firmwares, in lockstep
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
@@ -28,7 +29,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -91,6 +92,10 @@ bench-precision: $(VENV)/.dev
 # an hour on two cores; give it again after an interruption, and it goes on
 bench-landing: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_landing --runs $(RUNS)
+
+# three quarters of an hour on two cores; give it again after an interruption, and it goes on
+bench-firmware: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_firmware $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER)) --seeds $(SEEDS)
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_fuzz

@@ -26,6 +26,7 @@ from companion.desk import DeskFlight, Trial, desk_settings, fly
 from companion.messages import Outcome
 from companion.record import FlightLog
 from companion.result import Result, build_result, from_start
+from sitl.firmware.spec import FirmwareSpec
 
 HELP: Final = "Fly what is asked for on standard input, one JSON line a flight (a campaign's worker)."
 
@@ -40,6 +41,7 @@ class Request(_Line):
     scenario: str
     seed: int
     config: str | None = None
+    firmware: FirmwareSpec | None = None
 
 
 class Answer(_Line):
@@ -86,7 +88,7 @@ def fly_request(request: Request) -> Answer:
     Raises:
         ConfigError: the scenario or the settings are wrong, or do not go together.
     """
-    trial = Trial.load(request.scenario, request.seed)
+    trial = Trial.load(request.scenario, request.seed, firmware=request.firmware)
     path = CONFIG_FOLDER / "companion.yaml" if request.config is None else Path(request.config)
     log = FlightLog(None, start_unix_s=0.0)
     flight = fly(desk_settings(path, trial, fast=True), trial, log, lambda _status: None, fast=True)

@@ -27,6 +27,8 @@ from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_rows, write_parquet
 from sitl.campaign.worker import Flown
+from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
+from sitl.firmware.spec import FirmwareSpec
 from sitl.orders import terminated_as_interrupted
 
 INTERRUPTED: Final = 130
@@ -57,6 +59,7 @@ class Options:
     scheduler: str | None
     bars: bool
     quiet: bool
+    firmware: FirmwareSpec | None = None
 
     @property
     def command(self) -> str:
@@ -70,6 +73,7 @@ class Options:
             "--scheduler": self.scheduler,
         }
         words += [word for name, value in given.items() if value is not None for word in (name, str(value))]
+        words += () if self.firmware is None else self.firmware.options
         return shlex.join(words + ["--bars"] * self.bars + ["--quiet"] * self.quiet)
 
 
@@ -99,6 +103,9 @@ def campaign_command(
         str | None,
         typer.Option(help="Fly on the Dask cluster of this scheduler (extra 'campaign').", metavar="ADDRESS"),
     ] = None,
+    firmware: FirmwareOption = None,
+    firmware_path: FirmwarePathOption = None,
+    firmware_param: FirmwareParamOption = None,
     bars: Annotated[bool, typer.Option("--bars", help="Judge the landings by the project's bars.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="No live bar: lines, as for a log.")] = False,
 ) -> None:
@@ -119,6 +126,7 @@ def campaign_command(
         scheduler=scheduler,
         bars=bars,
         quiet=quiet,
+        firmware=FirmwareSpec.of(firmware, firmware_path, firmware_param or ()),
     )
     raise typer.Exit(run_campaign(options, Console()))
 
@@ -129,7 +137,7 @@ def run_campaign(options: Options, console: Console) -> int:
     Raises:
         ConfigError: something the user can mend.
     """
-    plan = make_plan(options.sources, options.first_seed, options.runs, options.config)
+    plan = make_plan(options.sources, options.first_seed, options.runs, options.config, options.firmware)
     with contextlib.ExitStack() as stack:
         folder = options.folder or Path(
             stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-campaign-"))

@@ -26,6 +26,7 @@ from companion.config import (
     merge,
     validate,
 )
+from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario import Scenario, load_scenario
 
 MANIFEST_NAME: Final = "campaign.json"
@@ -48,11 +49,13 @@ class Flight:
     config: str | None
     time_limit_s: float
     identity: str
+    firmware: FirmwareSpec | None = None
 
     @property
     def command(self) -> str:
         """What repeats it."""
         words = ["companion", "--sitl", "--fast", "--scenario", self.source, "--seed", str(self.seed)]
+        words += () if self.firmware is None else self.firmware.options
         return shlex.join(words if self.config is None else [*words, "--config", self.config])
 
 
@@ -74,6 +77,7 @@ class Manifest(StrictModel):
     scenarios: dict[str, Entry]
     first_seed: int
     runs: int
+    firmware: tuple[str, ...] = ()  # the command line's options that name it; none: the bundled autopilot
 
     @property
     def seeds(self) -> range:
@@ -87,6 +91,7 @@ class Plan:
 
     manifest: Manifest
     scenarios: dict[str, Scenario]
+    firmware: FirmwareSpec | None = None
 
     def flights(self) -> Iterator[Flight]:
         """Every run, seed by seed, so that one which is cut short has flown all scenarios alike."""
@@ -95,10 +100,16 @@ class Plan:
             for name, entry in manifest.scenarios.items():
                 limit_s = self.scenarios[name].time_limit_s
                 identity = f"{manifest.code}-{entry.digest}"
-                yield Flight(name, entry.source, seed, manifest.config, limit_s, identity)
+                yield Flight(name, entry.source, seed, manifest.config, limit_s, identity, self.firmware)
 
 
-def make_plan(sources: Sequence[str], first_seed: int, runs: int, config: Path | None) -> Plan:
+def make_plan(
+    sources: Sequence[str],
+    first_seed: int,
+    runs: int,
+    config: Path | None,
+    firmware: FirmwareSpec | None = None,
+) -> Plan:
     """Read what is to be flown; "all" stands for every shipped scenario.
 
     Raises:
@@ -124,8 +135,9 @@ def make_plan(sources: Sequence[str], first_seed: int, runs: int, config: Path |
         scenarios=entries,
         first_seed=first_seed,
         runs=runs,
+        firmware=() if firmware is None else firmware.options,
     )
-    return Plan(manifest, scenarios)
+    return Plan(manifest, scenarios, firmware)
 
 
 def _expanded(sources: Sequence[str]) -> Iterator[str]:
@@ -226,11 +238,11 @@ def _difference(old: Manifest, new: Manifest) -> str | None:
         return (
             f"the app's settings were {old.config or 'the shipped ones'} ({old.settings}), now {new.settings}"
         )
+    if old.firmware != new.firmware:
+        return f"its firmware is {shlex.join(old.firmware) or 'the bundled autopilot'}"
     for name, entry in old.scenarios.items():
-        if name not in new.scenarios:
-            return f"it flies '{name}' too"
-        if new.scenarios[name].digest != entry.digest:
-            return f"'{name}' ({entry.source}) or a file that it names has changed"
+        if (same := new.scenarios.get(name)) is None or same.digest != entry.digest:
+            return f"it flies '{name}' ({entry.source}), which is left out or has changed"
     if not set(old.seeds) <= set(new.seeds):
         return f"its seeds are {old.seeds[0]} to {old.seeds[-1]}"
     return None

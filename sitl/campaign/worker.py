@@ -114,6 +114,8 @@ class Worker:
         assert process.stdout is not None
         self._said_before = self._said()
         request = {"scenario": flight.source, "seed": flight.seed, "config": flight.config}
+        if flight.firmware is not None:
+            request["firmware"] = flight.firmware.as_json()
         # one that has died meanwhile is met again at the answer, where its last words are told
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(json.dumps(request).encode() + b"\n")

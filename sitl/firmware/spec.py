@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from companion.config import ConfigError
 from companion.messages import Manner
@@ -37,6 +38,10 @@ class FirmwareSpec:
         if not path.is_file() or not os.access(path, os.X_OK):
             raise ConfigError(f"--firmware-path {path}: expected the program that a SITL build made")
         return cls(kind, path.resolve(), pairs)
+
+    def as_json(self) -> dict[str, Any]:
+        """What a model of it is made from."""
+        return {"kind": self.kind, "path": str(self.path), "parameters": self.parameters}
 
     @property
     def options(self) -> tuple[str, ...]:
