@@ -318,18 +318,23 @@ class Flight:
         return finding
 
     def _shut_down(self, inputs: PlanInputs, now_s: float) -> None:
-        """On the pad: disarm once the autopilot agrees that it stands; let it land, else force it."""
+        """On the pad: disarm once the autopilot agrees that it stands, by force once that is sure without it.
+
+        PX4 takes nothing for landed that rides along with a pad, and its LAND mode brakes against the pad: it
+        leans until it tips over. So LAND is asked for only where nothing shows the feet down.
+        """
         assert self._touchdown.contact_s is not None
-        stood_s = now_s - self._touchdown.contact_s
+        agrees = inputs.autopilot.landed is LandedState.ON_GROUND
+        down = self._touchdown.still_down(self._pad.sight, inputs.range, now_s)
+        rested_s = self._touchdown.rested_s(inputs.vehicle, now_s, down=down)
         after_s = self._config.touchdown.land_after_s
-        if stood_s >= after_s and not self._requests.asked(ActionKind.DISARM):
+        if agrees or rested_s >= after_s:
+            self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
+            return
+        stood_s = now_s - self._touchdown.contact_s
+        if stood_s >= 2.0 * after_s and rested_s < 0.0 and not self._requests.asked(ActionKind.DISARM):
             self._watch.let_go()
             self._requests.ask(Action(ActionKind.LAND), now_s)
-        agrees = inputs.autopilot.landed is LandedState.ON_GROUND
-        # by force only where the autopilot lands as we asked it to, and the feet are seen or heard to be down
-        sure = self._touchdown.still_down(self._pad.sight, inputs.range, now_s)
-        if agrees or (stood_s >= 2.0 * after_s and sure and inputs.autopilot.mode.endswith("LAND")):
-            self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:
         if self._watch.link_back(inputs.autopilot):

@@ -15,8 +15,8 @@ import math
 from dataclasses import dataclass
 
 from companion.config import TouchdownConfig, VehicleConfig
-from companion.geometry import Quaternion, level_acceleration, tilt_from_quat
-from companion.messages import LandedState, LevelOff, RangeSample
+from companion.geometry import GRAVITY_M_S2, Quaternion, level_acceleration, norm, tilt_from_quat
+from companion.messages import LandedState, LevelOff, RangeSample, VehicleState
 from companion.plan.guidance import Guide
 from companion.plan.min_jerk import Motion
 from companion.plan.mission import Event
@@ -52,6 +52,8 @@ _DRIFT_S = 0.22
 # A sink is stopped within this delay and at this rate: a break-off that would not do must not begin.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
+# Without thrust it falls at g; a third of that is no deck's motion.
+_FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 # Further than this it is not about to stand, whatever is near.
 _MOST_FOOT_LEAN_RAD = math.radians(15.0)
 # It leans more while it corrects, by so much over what it has or may have at contact: a foot hangs lower.
@@ -167,7 +169,7 @@ class Touchdown:
         self._since_s, self._slack = now_s, slack
         self._contact_due_s: float | None = None
         self.contact_s: float | None = None
-        self._settled, self._touching, self._away = Held(), Held(), Held()
+        self._settled, self._touching, self._away, self._resting = Held(), Held(), Held(), Held()
         self._too_fast, self._far_aside = Held(), Held()
         self._sunk_s = now_s
         self._lean_m_s2, self._tilt_rad = (0.0, 0.0), 0.0
@@ -191,6 +193,14 @@ class Touchdown:
         feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
         seen = sight is not None and sight.age_s <= _FRESH_S and sight.height_m <= feet_m
         return seen or _echo_within(echo, feet_m - self._vehicle.range_position_body_m[2], now_s)
+
+    def rested_s(self, vehicle: VehicleState | None, now_s: float, *, down: bool) -> float:
+        """How long (s) it has stood without a break, pressed down; negative when it does not, or may not.
+
+        What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands.
+        """
+        falls = vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
+        return self._resting.for_s(down and not falls, now_s)
 
     def feel(self, attitude: Quaternion, now_s: float) -> None:
         """Take in how the vehicle leans: what it takes to go with the pad and against the wind."""

@@ -240,9 +240,17 @@ def _difference(old: Manifest, new: Manifest) -> str | None:
         )
     if old.firmware != new.firmware:
         return f"its firmware is {shlex.join(old.firmware) or 'the bundled autopilot'}"
-    for name, entry in old.scenarios.items():
-        if (same := new.scenarios.get(name)) is None or same.digest != entry.digest:
-            return f"it flies '{name}' ({entry.source}), which is left out or has changed"
+    if (other := _other_scenario(old, new)) is not None:
+        return other
     if not set(old.seeds) <= set(new.seeds):
         return f"its seeds are {old.seeds[0]} to {old.seeds[-1]}"
+    return None
+
+
+def _other_scenario(old: Manifest, new: Manifest) -> str | None:
+    for name, entry in old.scenarios.items():
+        if name not in new.scenarios:
+            return f"it flies '{name}' too"
+        if new.scenarios[name].digest != entry.digest:
+            return f"'{name}' ({entry.source}) or a file that it names has changed"
     return None

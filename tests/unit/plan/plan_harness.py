@@ -190,6 +190,7 @@ class World:
         self, pad: Path, heading: Heading = lambda _t: 0.4, config: PlanConfig | None = None
     ) -> None:
         self.pad, self.heading = pad, heading
+        self.echo_m: float | None = None  # instead of the true one
         self.autopilot = FakeAutopilot()
         self.planner = Planner(config or PlanConfig(), VEHICLE, 20, 0.1, TABLE)
         self.now_s = 0.0
@@ -336,6 +337,8 @@ class World:
 
     def _echo(self) -> RangeSample | None:
         height = self.pad(self.now_s)[2] - self.position[2]
+        if self.echo_m is not None:
+            return RangeSample(self.now_s, self.echo_m)
         return RangeSample(self.now_s, height - 0.08) if height < 4.0 else None
 
     # ------------------------------------------------------------ what flies

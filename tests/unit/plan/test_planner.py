@@ -205,7 +205,7 @@ def test_on_the_pad_it_says_so_and_disarms_once_the_autopilot_agrees() -> None:
     assert flight.told("contact")
 
 
-def test_an_autopilot_that_never_finds_itself_landed_is_let_land_and_then_forced() -> None:
+def test_an_autopilot_that_never_finds_itself_landed_is_disarmed_by_force_and_never_told_to_land() -> None:
     w = world(heave())
     flight = w.fly(60.0, until=lambda x: x.flight.told("commit") != [])
     w.autopilot.doubts = True
@@ -213,9 +213,22 @@ def test_an_autopilot_that_never_finds_itself_landed_is_let_land_and_then_forced
     assert flight.phase is Phase.LANDED
     contact = next(s.time_s for s in flight.steps if s.on_ground)
     last = {a.kind: (s.time_s, a.force) for s in flight.steps for a in s.actions}
-    assert last[ActionKind.LAND][0] - contact == pytest.approx(2.0, abs=0.05)
-    assert last[ActionKind.DISARM][0] - contact == pytest.approx(4.0, abs=0.05)
+    assert ActionKind.LAND not in last  # PX4's brakes against a pad that moves, and tips over
+    assert last[ActionKind.DISARM][0] - contact == pytest.approx(2.0, abs=0.1)
     assert last[ActionKind.DISARM][1]
+
+
+def test_an_autopilot_that_nothing_shows_to_be_down_is_let_land() -> None:
+    w = world(still())
+    flight = w.fly(60.0, until=lambda x: bool(x.flight.steps) and x.flight.steps[-1].on_ground)
+    w.autopilot.doubts = True
+    w.blind = lambda _t, _h: True
+    w.echo_m = 1.0
+    contact = w.now_s
+    w.fly(10.0)
+    last = {a.kind: s.time_s for s in flight.steps for a in s.actions}
+    assert last[ActionKind.LAND] - contact == pytest.approx(4.0, abs=0.1)
+    assert ActionKind.DISARM not in last
 
 
 # ---------------------------------------------------------------- trouble on the way
