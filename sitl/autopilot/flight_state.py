@@ -20,7 +20,7 @@ from companion.messages import LandedState
 from companion.messages import Manner as MannerName
 from sitl.autopilot.airframe import Airframe, hover_thrust
 from sitl.autopilot.ardupilot import ARDUPILOT
-from sitl.autopilot.attitude_control import RateGains
+from sitl.autopilot.rate_control import RateGains
 from sitl.autopilot.cascade import Cascade
 from sitl.autopilot.commander import Commander, Text
 from sitl.autopilot.estimator import Estimator, EstimatorErrors
