@@ -53,6 +53,7 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
+from companion.config.response import AutopilotResponses, AxisResponse, Kind, KindResponse, Responses
 from companion.config.sense import (
     AutopilotSensorsConfig,
     GpsConfig,
@@ -69,7 +70,9 @@ __all__ = [
     "MOST_OBSTACLES",
     "AccelerometerCalibration",
     "AlignmentConfig",
+    "AutopilotResponses",
     "AutopilotSensorsConfig",
+    "AxisResponse",
     "Box",
     "CameraConfig",
     "CaptureConfig",
@@ -85,6 +88,8 @@ __all__ = [
     "GyroCalibration",
     "ImuConfig",
     "InertialCalibration",
+    "Kind",
+    "KindResponse",
     "LandingConfig",
     "LimitsConfig",
     "LinkConfig",
@@ -100,6 +105,7 @@ __all__ = [
     "PidGains",
     "PlanConfig",
     "RangeConfig",
+    "Responses",
     "SearchConfig",
     "SenseConfig",
     "Shape",

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.flight_model import Motion, advance, lags
+from companion.control.flight_model import Motion, advance, lags, velocity_gains
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Solution
 from companion.control.pad_motion import PadPath, predict_pad, resting_path
@@ -78,7 +78,8 @@ class Controller:
         self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
-        self._plant = Plant(config, vehicle, self._lags_s)
+        self._plant = Plant(config, vehicle, self._lags_s, manner)
+        self._gains_1_s = velocity_gains(vehicle, config, manner, sideways=config.setpoint == "velocity")
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
@@ -216,6 +217,7 @@ class Controller:
             disturbance_ned_m_s2=plant.disturbance_ned_m_s2,
             lasting_ned_m_s2=plant.lasting_disturbance_ned_m_s2,
             lags_s=self._lags_s,
+            gains_1_s=self._gains_1_s,
             heading=look,
         )
 

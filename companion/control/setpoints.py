@@ -50,12 +50,6 @@ def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
     return config.model_copy(update={"setpoint": kind})
 
 
-def velocity_gains(config: ControlConfig, *, sideways: bool) -> Vector3:
-    """The autopilot's velocity gains (1/s) along north, east and down, as assumed; `sideways`: it has any."""
-    gain = config.autopilot_velocity_gain_1_s if sideways else 0.0
-    return (gain, gain, config.autopilot_climb_gain_1_s)
-
-
 def velocity_setpoint(
     now_s: float,
     config: ControlConfig,
@@ -65,13 +59,14 @@ def velocity_setpoint(
     disturbance_ned_m_s2: Vector3,
     lasting_ned_m_s2: Vector3,
     lags_s: Vector3,
+    gains_1_s: Vector3,
     heading: Heading,
 ) -> Setpoint:
     """Velocity and acceleration under which the autopilot wants `input_ned_m_s2` at `motion`."""
     push = add(input_ned_m_s2, disturbance_ned_m_s2)
     ahead = advance(motion, push, config.velocity_lookahead_s, lags_s).velocity_m_s
     holds = config.setpoint != "acceleration"
-    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, velocity_gains(config, sideways=holds)
+    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, gains_1_s
     most = config.maximum_velocity_correction_m_s
     correction = (_share(-x, kx, most), _share(-y, ky, most), _share(-z, kz, most))
     gained = (kx * correction[0], ky * correction[1], kz * correction[2])
