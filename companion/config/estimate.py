@@ -98,6 +98,9 @@ class PadFilterConfig(StrictModel):
     sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
     sighting_noise_floor_m: float = Field(default=0.0002, ge=0.0, le=1.0)
     attitude_jitter_deg: float = Field(default=0.03, ge=0.0, le=10.0)  # the attitude error's fast part
+    camera_delay_std_s: float = Field(
+        default=0.01, ge=0.0, le=0.05
+    )  # of the stamps, learnt in flight; 0: known
     exposure_jitter_s: float = Field(default=0.003, ge=0.0, le=0.1)  # of the exposure against the IMU's clock
     first_speed_std_m_s: float = Field(default=2.0, gt=0.0, le=20.0)
     first_climb_std_m_s: float = Field(default=0.4, gt=0.0, le=20.0)  # pads drive, but hardly rise

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate import freezing
+from companion.estimate.camera_delay import CameraDelay
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
@@ -79,6 +81,7 @@ class Estimator:
         self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion)
         self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
         self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.pad.remember_s)
+        self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
         self._unusable: dict[str, int] = {}
 
     # ------------------------------------------------------------ inputs
@@ -129,11 +132,22 @@ class Estimator:
     def add_sighting(self, sighting: PadSighting) -> bool:
         """Take one sighting, fused at its exposure; refused before the alignment."""
         values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
-        attitude = self._motion.attitude(sighting.time_s)
-        if attitude is None or not self._usable(sighting.time_s, values):
+        if self._motion.newest_s is None or not self._usable(sighting.time_s, values):
             return self._count("sighting", False)
-        fix = self._fix(sighting, attitude)
-        return self._count("sighting", self._timeline.add(sighting.time_s, fix))
+        time_s = sighting.time_s + self._camera_delay.delay_s
+        attitude = self._motion.attitude(time_s)
+        assert attitude is not None
+        fix = self._fix(replace(sighting, time_s=time_s), attitude)
+        taken = self._timeline.add(time_s, fix)
+        if taken:
+            variance_m2 = float(np.trace(fix.covariance_ned_m2)) / 3.0
+            self._camera_delay.take(time_s, sighting.pad_position_body_m, variance_m2)
+        return self._count("sighting", taken)
+
+    @property
+    def camera_delay_s(self) -> float:
+        """How much later (s) than its stamp a frame is exposed, by the IMU's clock, as learnt in flight."""
+        return self._camera_delay.delay_s
 
     # ------------------------------------------------------------ outputs
 
@@ -184,12 +198,13 @@ class Estimator:
 
     def pad_prior(self, time_s: float) -> PadPrior | None:
         """What to expect in a frame exposed at time_s; None before the alignment."""
-        attitude = self._motion.attitude(time_s)
+        at_s = time_s + self._camera_delay.delay_s
+        attitude = self._motion.attitude(at_s)
         if attitude is None:
             return None
         down = quat_rotate_inverse(attitude, (0.0, 0.0, 1.0))
-        estimate = self._pad_at(time_s)
-        rate = self._motion.rate_body_rad_s(time_s, READOUT_S)
+        estimate = self._pad_at(at_s)
+        rate = self._motion.rate_body_rad_s(at_s, READOUT_S)
         if estimate is None:
             return PadPrior(time_s, down, rate_body_rad_s=rate)
         position = vector3(estimate.x[0:3])

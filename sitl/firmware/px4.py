@@ -165,13 +165,14 @@ class Px4:
         self._fix_s = fix.time_s
         r = fix.reading
         north, east, down = (round(100.0 * v) for v in r.velocity_ned_m_s)
-        speed = round((north * north + east * east) ** 0.5)
+        speed = round(math.hypot(north, east))
+        course = round(100.0 * math.degrees(math.atan2(east, north))) % 36000
         return self._pack(
             mavlink.MAVLink_hil_gps_message(
                 round((UNIX_AT_START_S + moment.clock_s) * 1e6), _FIX_3D,
                 round(r.latitude_deg * 1e7), round(r.longitude_deg * 1e7), round(r.altitude_m * 1e3),
                 round(r.horizontal_accuracy_m * 1e2), round(r.vertical_accuracy_m * 1e2),
-                speed, north, east, down, 65535, r.satellites, 0, 0,
+                speed, north, east, down, course, r.satellites, 0, 0,
             )
         )  # fmt: skip
 
