@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
-from companion.control.flight_model import lags
+from companion.control.flight_model import lags, velocity_gains
 from companion.control.identification import (
     Estimate,
     Flown,
@@ -31,7 +31,7 @@ from companion.control.identification import (
     prediction_error_m_s,
     windows,
 )
-from companion.control.setpoints import resolved, velocity_gains
+from companion.control.setpoints import resolved
 from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
 from companion.messages import Manner, Phase
 from companion.record import SETTINGS_RECORD
@@ -74,7 +74,7 @@ class FlightLog:
     def starting_points(self) -> dict[str, Response]:
         """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
-        gains = ZERO3 if self.by_attitude else velocity_gains(self.control, sideways=by_velocity)
+        gains = velocity_gains(self.vehicle, self.control, self.manner, sideways=by_velocity)
         tau = lags(self.vehicle, self.control, self.manner)
         return {name: Response(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
