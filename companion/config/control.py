@@ -78,10 +78,10 @@ class ControlConfig(StrictModel):
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.2, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=0.5
+        position_m=0.2, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
     )
     vertical: TrackingConfig = TrackingConfig(
-        position_m=0.12, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.5, effort_change_m_s2=1.2
+        position_m=0.12, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=4.0
     )
     pid: PidConfig = PidConfig()
     limits: LimitsConfig = LimitsConfig()

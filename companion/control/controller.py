@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.flight_model import Motion, advance, lags, velocity_gains
+from companion.control.fitting import AutopilotLimits, fitted
+from companion.control.flight_model import Motion, advance, flown_kind, lags, velocity_gains
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Solution
 from companion.control.pad_motion import PadPath, predict_pad, resting_path
@@ -68,12 +69,17 @@ class Controller:
         vehicle: VehicleConfig,
         stopwatch: Callable[[], float] | None = None,
         manner: Manner = "px4",
+        limits: AutopilotLimits | None = None,
     ) -> None:
-        """`manner` is that of the autopilot that will obey; `stopwatch` tells seconds, to bound the solver's.
+        """`manner` is that of the autopilot that will obey, `limits` what its parameters let through.
+
+        `stopwatch` tells seconds, to bound the solver's.
 
         In virtual time it stands still while the solver works: then iterations alone bound it.
         """
-        self._config = config = resolved(config, manner)
+        config = resolved(config, manner)
+        response = vehicle.responses.of(manner, flown_kind(config))
+        self._config = config = fitted(config, response, limits)
         self._lags_s = lags(vehicle, config, manner)
         self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)

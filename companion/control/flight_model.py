@@ -59,7 +59,7 @@ def lags(vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4")
     Sideways the vehicle has to lean first, upwards only thrust lags; velocity setpoints the autopilot shapes.
     """
     by_velocity = control.setpoint == "velocity"
-    response = vehicle.responses.of(manner, _kind(control))
+    response = vehicle.responses.of(manner, flown_kind(control))
     sideways = control.autopilot_lag_s if by_velocity else vehicle.acceleration_time_constant_s
     down = control.autopilot_climb_lag_s if by_velocity else vehicle.thrust_time_constant_s
     x = _lag(sideways, response.sideways, control)
@@ -84,11 +84,12 @@ def velocity_gains(
     responses = vehicle.responses
     x, z = control.autopilot_velocity_gain_1_s, control.autopilot_climb_gain_1_s
     x = responses.of(manner, "velocity").sideways.velocity_gain_1_s if x is None else x
-    z = responses.of(manner, _kind(control)).down.velocity_gain_1_s if z is None else z
+    z = responses.of(manner, flown_kind(control)).down.velocity_gain_1_s if z is None else z
     return (x, x, z) if sideways else (0.0, 0.0, z)
 
 
-def _kind(control: ControlConfig) -> Kind:
+def flown_kind(control: ControlConfig) -> Kind:
+    """The kind of setpoint whose response counts; before it is known whose autopilot obeys, by velocity."""
     return "velocity" if control.setpoint == "auto" else control.setpoint
 
 

@@ -10,14 +10,15 @@ from typing import Final
 
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance import LastingObserver, ThrustScale, WindObserver
+from companion.control.fitting import loop_rad_s
 from companion.control.flight_model import Motion, velocity_gains
 from companion.control.history import Command, CommandHistory
 from companion.geometry import GRAVITY_M_S2, Vector3, add, quat_rotate, subtract
 from companion.messages import Manner, Setpoint, VehicleState
 
-# how fast what no wind explains is believed: with `margins` in hand
-LASTING_RAD_S: Final = 0.3
-LASTING_DOWN_RAD_S: Final = 2.0
+# how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
+LASTING_SHARE: Final = 1.0 / 7.0
+LASTING_DOWN_SHARE: Final = 0.3
 
 
 class Plant:
@@ -33,8 +34,9 @@ class Plant:
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
-        down = LASTING_DOWN_RAD_S if self._by_attitude else LASTING_RAD_S
-        bandwidths = (LASTING_RAD_S, LASTING_RAD_S, down)
+        sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
+        share = LASTING_DOWN_SHARE if self._by_attitude else LASTING_SHARE
+        bandwidths = (sideways, sideways, share * loop_rad_s(config.vertical))
         self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
         self._wind = WindObserver(sensor_lag_s, most)
         self._thrust_scale = ThrustScale()
