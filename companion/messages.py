@@ -209,7 +209,12 @@ class LandedState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotState:
-    """The newest of what the autopilot says of itself. Its frame and origin are its own, not ours."""
+    """The newest of what the autopilot says of itself. Its frame and origin are its own, not ours.
+
+    `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
+    and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
+    nothing of the kind is told (PX4).
+    """
 
     time_s: float
     connected: bool = False
@@ -218,6 +223,7 @@ class AutopilotState:
     mode: str = ""
     offboard: bool = False
     ready_to_arm: bool = False
+    ekf_ready: bool | None = None
     landed: LandedState = LandedState.UNDEFINED
     landed_time_s: float = float("-inf")
     attitude: Quaternion | None = None

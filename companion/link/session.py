@@ -21,7 +21,7 @@ from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, 
 from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
 from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
 from companion.link.parameters import ParameterRequest, ParameterRequests
-from companion.link.streams import TelemetryRates
+from companion.link.streams import OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry import StatusTexts, add_text, update_state
 from companion.link.timesync import TimeSync, clock_ns
 from companion.messages import AutopilotState, LandedState, PadBeacon, Setpoint
@@ -36,6 +36,7 @@ HEARD: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
@@ -162,6 +163,7 @@ class Session:
             self._home_due_s = now_s  # arming sets home anew
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
+            self._rates.want(OWN_RATES_HZ.get(self.state.manner, {}))
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.manner, now_s)
                 self._rates.want(self.onboard.rates_hz())
@@ -264,6 +266,7 @@ class Session:
                 time_s=now_s,
                 connected=False,
                 ready_to_arm=False,
+                ekf_ready=None,
                 landed=LandedState.UNDEFINED,
             )
             self.timesync.forget()

@@ -69,6 +69,7 @@ class FlightLoop(FlightState):
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
         """Tell the commander how things stand."""
         now = self._commander.situation
+        now.home_set = up_s >= self.manner.home_s
         if not now.aligned and up_s >= self.manner.alignment_s:
             now.aligned = True
             for text in self.manner.texts.aligned:

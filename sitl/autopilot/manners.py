@@ -94,7 +94,9 @@ class Manner:
     A thrust that comes with an attitude and `thrust_is_upward` is raised for the lean that is flown, as
     ArduPilot's ATC_ANGLE_BOOST does.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
-    register value that the simulated IMU knows.
+    register value that the simulated IMU knows. `home_s` after its start it has set home, and its checks pass
+    for a mode that needs no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the
+    bit of those checks stands in SYS_STATUS's health, and not in what is present and enabled.
     """
 
     name: MannerName
@@ -144,6 +146,8 @@ class Manner:
     attitude_gains: AttitudeGains
     imu_messages: tuple[str, ...]
     imu_filter: int
+    home_s: float
+    prearm_in_health_only: bool = False
 
     def mode(self, name: str) -> Mode:
         """The mode of that name.

@@ -83,6 +83,16 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
     assert state.landed == "in_air"
 
 
+def test_an_ardupilots_filter_is_asked_for_and_forgotten_with_the_connection() -> None:
+    flight = Flight(autopilot=FakeAutopilot(manner="ardupilot", mode="GUIDED"))
+    flight.run(2.0)
+    assert flight.session.state.ready_to_arm
+    assert flight.session.state.ekf_ready is True
+    flight.cut = True
+    flight.run(4.0)
+    assert flight.session.state.ekf_ready is None
+
+
 def test_every_rate_is_asked_for_once_when_it_is_honoured() -> None:
     flight = Flight()
     flight.run(12.0)
