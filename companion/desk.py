@@ -133,7 +133,7 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     Raises:
         ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
     """
-    link: dict[str, Any] = {"link": {"system_id": 1}}
+    link: dict[str, Any] = {"link": {"system_id": 1, "set_parameters": True}}
     if trial.external is not None:
         link = {}  # somebody's own autopilot has the number that their settings give
     elif trial.firmware is not None:

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from companion.clock import Clock
 from companion.config import CameraConfig, CompanionConfig, RangeConfig, find_file, load_model
+from companion.control.setpoints import resolved
 from companion.link.actions import PymavlinkActions, VehicleActions
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
@@ -108,4 +109,5 @@ def make_own_actions(
 
 
 def _sends_attitudes(config: CompanionConfig) -> bool:
-    return config.control.setpoint == "attitude"
+    """Whether an ArduPilot will be sent attitudes: to it alone that makes a difference."""
+    return resolved(config.control, "ardupilot").setpoint == "attitude"

@@ -1,8 +1,9 @@
 """Settings made to fit how the vehicle answers: a loop no quicker than it bears, and no more asked than passes.
 
 The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
-frequency goes down in proportion, so that the same phase is lost in it; for one that rings, as far as keeps
-the peak of its answer below half of what would swing for ever. `margins` tells what is left. SI units.
+frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far
+below the ringing as the square of its peak says: what is fed back of velocity and of lean peaks there, too.
+`margins` tells what is left. SI units.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from typing import Final
 from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig
 
 QUICK_S: Final = 0.14
-# the loop's frequency as a share of what the ringing of the response dies away with
-RINGING_SHARE: Final = 0.4
+# the loop's frequency as a share of the ringing's over its peak's square
+RINGING_SHARE: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +56,15 @@ def loop_rad_s(weights: TrackingConfig) -> float:
     return float((weights.effort_m_s2 / weights.position_m) ** 0.5)
 
 
+def _peak(damping: float) -> float:
+    """The greatest gain of a second order."""
+    return 1.0 / (2.0 * damping * (1.0 - damping**2) ** 0.5) if damping < 0.5**0.5 else 1.0
+
+
 def _softened(weights: TrackingConfig, response: AxisResponse) -> TrackingConfig:
     """Weights whose loop is slower by how much slower the response is."""
-    dies_away_1_s = response.damping * response.frequency_rad_s / response.gain
-    slower = max(1.0, response.delay_s / QUICK_S, loop_rad_s(weights) / (RINGING_SHARE * dies_away_1_s))
+    bearable_rad_s = RINGING_SHARE * response.frequency_rad_s / (response.gain * _peak(response.damping)) ** 2
+    slower = max(1.0, response.delay_s / QUICK_S, loop_rad_s(weights) / bearable_rad_s)
     return weights.model_copy(
         update={
             "position_m": weights.position_m * slower**2,

@@ -40,13 +40,13 @@ def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
     derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
-    ArduPilot takes a whole vector or none: without those it would ignore the vertical velocity as well.
+    ArduPilot shapes velocities and accelerations so slowly that no loop around them has margins: attitude.
     """
     kind = config.setpoint
-    if kind in ("auto", "acceleration"):
-        # the PID's gains are tuned for the autopilot's velocity loop below it
-        damped = kind == "auto" and config.controller == "pid"
-        kind = "acceleration" if manner == "px4" and not damped else "velocity"
+    if kind == "auto" and config.controller == "pid":
+        kind = "velocity"  # its gains are tuned for the autopilot's velocity loop below it
+    elif kind in ("auto", "acceleration"):
+        kind = "acceleration" if manner == "px4" else "attitude"
     return config.model_copy(update={"setpoint": kind})
 
 
