@@ -19,7 +19,7 @@ from companion.control.flight_model import advance_axis
 from companion.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, level_acceleration
 
 # the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
-BIAS_RAD_S: Final = 0.3
+BIAS_RAD_S: Final = 0.6
 MAXIMUM_BIAS_M_S2: Final = 0.5
 # a larger surprise is a jump of the estimate (a fix came in), not of the vehicle
 LARGEST_VELOCITY_INNOVATION_M_S: Final = 0.3
@@ -30,11 +30,11 @@ class _Axis:
     """One axis: velocity, the measured acceleration's bias, what the commands alone make (now, and as late
     as it is measured), and what lasts besides."""
 
-    def __init__(self, bandwidth_rad_s: float, velocity: float = 0.0, made: float = 0.0) -> None:
+    def __init__(self, bandwidth_rad_s: float, velocity: float, made: float, lasting: float) -> None:
         self.bandwidth_rad_s = bandwidth_rad_s
         self.velocity = velocity
         self.made = self.made_late = made
-        self.bias = self.lasting = 0.0
+        self.bias, self.lasting = 0.0, lasting
 
     def predict(self, wanted_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
         _, gained, self.made = advance_axis((0.0, 0.0, self.made), wanted_m_s2, duration_s, tau_s)
@@ -66,9 +66,11 @@ class LastingObserver:
         self._bandwidths_rad_s = bandwidths_rad_s
         self.start(ZERO3, ZERO3)
 
-    def start(self, velocity_ned_m_s: Vector3, made_ned_m_s2: Vector3) -> None:
-        """Begin anew: `made_ned_m_s2` is what the thrust makes by now, all of it as commanded."""
-        x, y, z = map(_Axis, self._bandwidths_rad_s, velocity_ned_m_s, made_ned_m_s2)
+    def start(
+        self, velocity_ned_m_s: Vector3, made_ned_m_s2: Vector3, lasting_ned_m_s2: Vector3 = ZERO3
+    ) -> None:
+        """Begin anew from what the thrust makes by now, all of it as commanded, and a guess of what lasts."""
+        x, y, z = map(_Axis, self._bandwidths_rad_s, velocity_ned_m_s, made_ned_m_s2, lasting_ned_m_s2)
         self._axes = (x, y, z)
 
     @property

@@ -13,11 +13,11 @@ from companion.control.disturbance import LastingObserver, ThrustScale, WindObse
 from companion.control.fitting import loop_rad_s
 from companion.control.flight_model import Motion, velocity_gains
 from companion.control.history import Command, CommandHistory
-from companion.geometry import GRAVITY_M_S2, Vector3, add, quat_rotate, subtract
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
 from companion.messages import Manner, Setpoint, VehicleState
 
 # how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
-LASTING_SHARE: Final = 1.0 / 7.0
+LASTING_SHARE: Final = 0.25
 LASTING_DOWN_SHARE: Final = 0.3
 
 
@@ -28,7 +28,7 @@ class Plant:
         self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3, manner: Manner = "px4"
     ) -> None:
         """`lags_s` are `flight_model.lags`."""
-        self._by_attitude = config.setpoint == "attitude"
+        self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
         self._lags_s = lags_s
         self._gains = {heard: velocity_gains(vehicle, config, manner, sideways=heard) for heard in (True, False)}
         self._nominal_hover_thrust = vehicle.hover_thrust
@@ -67,10 +67,14 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, nothing commanded: what the vehicle leans it leans against the wind, or into a turn."""
+        """Begin anew, nothing commanded: what the vehicle leans it leans against the wind, or into a turn.
+
+        With velocity setpoints the autopilot's own integral goes on to meet that wind.
+        """
         self._wind.reset()
         self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
-        self._lasting.start(vehicle.velocity_ned_m_s, self._wind.thrust_ned_m_s2)
+        met = scale(self._wind.push_ned_m_s2, -1.0) if self._by_velocity else ZERO3
+        self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
         self._history.clear()
 
