@@ -29,6 +29,8 @@ from companion.config import (
     load_vehicle,
 )
 from companion.control.controller import Controller
+from companion.control.fitting import misfits
+from companion.control.setpoints import resolved
 from companion.doubts import forced_calibrations
 from companion.errands import Errands
 from companion.estimate.estimator import Estimator
@@ -39,6 +41,7 @@ from companion.messages import (
     Action,
     ActionKind,
     ActionResult,
+    AutopilotSetup,
     ControlReport,
     FrameReport,
     Notice,
@@ -264,7 +267,7 @@ class App:
     async def _control_step(self, now_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self._sensing.take_attitude(self.session.state)
-        if self.session.state.manner is not None:
+        if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self._estimator.vehicle(now_s), self._estimator.pad(now_s)
         plan = self._plan(vehicle, pad, now_s)
@@ -283,10 +286,13 @@ class App:
 
     def _control(self) -> Controller:
         if self._controller is None:
-            manner = self.session.state.manner or "px4"
+            manner, setup = self.session.state.manner or "px4", self.session.setup or AutopilotSetup()
             self._controller = Controller(
-                self._config.control, self._vehicle, self._clock.now_s, manner=manner
+                self._config.control, self._vehicle, self._clock.now_s, manner=manner, setup=setup
             )
+            flown = resolved(self._config.control, manner, takes_thrust=setup.takes_thrust)
+            for misfit in misfits(flown, self._vehicle, setup):
+                self._notice("setup", misfit, "warning")
         return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:

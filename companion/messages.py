@@ -203,6 +203,21 @@ class PadState:
 # ---------------------------------------------------------------- link: what comes back
 
 
+@dataclass(frozen=True, slots=True)
+class AutopilotSetup:
+    """What the autopilot's parameters say of how it obeys; None: not told.
+
+    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways. `takes_thrust`: the thrust of an
+    attitude setpoint is thrust, not a climb rate.
+    """
+
+    tilt_deg: float | None = None
+    hover_thrust: float | None = None
+    acceleration_m_s2: float | None = None
+    jerk_m_s3: float | None = None
+    takes_thrust: bool = True
+
+
 class LandedState(StrEnum):
     """MAV_LANDED_STATE."""
 

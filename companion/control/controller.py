@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.fitting import AutopilotLimits, fitted
+from companion.control.fitting import fitted
 from companion.control.flight_model import Motion, advance, flown_kind, lags, velocity_gains
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Solution
@@ -33,7 +33,16 @@ from companion.control.setpoints import (
 from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.tracker import make_tracker
 from companion.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
-from companion.messages import ControlReport, Manner, PadState, PlanStep, Reference, Setpoint, VehicleState
+from companion.messages import (
+    AutopilotSetup,
+    ControlReport,
+    Manner,
+    PadState,
+    PlanStep,
+    Reference,
+    Setpoint,
+    VehicleState,
+)
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -69,17 +78,20 @@ class Controller:
         vehicle: VehicleConfig,
         stopwatch: Callable[[], float] | None = None,
         manner: Manner = "px4",
-        limits: AutopilotLimits | None = None,
+        setup: AutopilotSetup | None = None,
     ) -> None:
-        """`manner` is that of the autopilot that will obey, `limits` what its parameters let through.
+        """`manner` is that of the autopilot that will obey, `setup` what its parameters say.
 
         `stopwatch` tells seconds, to bound the solver's.
 
         In virtual time it stands still while the solver works: then iterations alone bound it.
         """
-        config = resolved(config, manner)
+        setup = setup or AutopilotSetup()
+        config = resolved(config, manner, takes_thrust=setup.takes_thrust)
+        if setup.hover_thrust is not None:
+            vehicle = vehicle.model_copy(update={"hover_thrust": setup.hover_thrust})
         response = vehicle.responses.of(manner, flown_kind(config))
-        self._config = config = fitted(config, response, limits)
+        self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, manner)
         self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)

@@ -8,38 +8,29 @@ below the ringing as the square of its peak says: what is fed back of velocity a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
-from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig
+from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
+from companion.messages import AutopilotSetup
 
 QUICK_S: Final = 0.14
+HOVER_DIFFERS: Final = 0.15  # as a share; less is learnt within a second
 # the loop's frequency as a share of the ringing's over its peak's square
 RINGING_SHARE: Final = 0.3
 
 
-@dataclass(frozen=True, slots=True)
-class AutopilotLimits:
-    """What the autopilot lets through sideways, by its parameters; None: nothing known that binds.
-
-    PX4: MPC_ACC_HOR, MPC_JERK_AUTO, MPC_TILTMAX_AIR; ArduPilot: WPNAV_ACCEL, PSC_JERK_XY, ANGLE_MAX.
-    """
-
-    acceleration_m_s2: float | None = None
-    jerk_m_s3: float | None = None
-    tilt_deg: float | None = None
-
-
 def fitted(
-    config: ControlConfig, response: KindResponse, limits: AutopilotLimits | None = None
+    config: ControlConfig, response: KindResponse, setup: AutopilotSetup | None = None
 ) -> ControlConfig:
-    """The settings for this response; `limits`, as read from the autopilot, go before the response's own."""
-    known = limits or AutopilotLimits(response.acceleration_m_s2, response.jerk_m_s3)
-    bounds = {
-        "horizontal_acceleration_m_s2": known.acceleration_m_s2,
-        "jerk_m_s3": known.jerk_m_s3,
-        "tilt_deg": known.tilt_deg,
-    }
+    """The settings, of one kind of setpoint, for this response; `setup` is what the autopilot itself says.
+
+    Its limits on acceleration and jerk bind velocity setpoints alone; its tilt binds all.
+    """
+    setup = setup or AutopilotSetup()
+    bounds = {"tilt_deg": setup.tilt_deg}
+    if config.setpoint == "velocity":
+        bounds["horizontal_acceleration_m_s2"] = setup.acceleration_m_s2 or response.acceleration_m_s2
+        bounds["jerk_m_s3"] = setup.jerk_m_s3 or response.jerk_m_s3
     own = config.limits
     cut = {name: min(getattr(own, name), most) for name, most in bounds.items() if most is not None}
     return config.model_copy(
@@ -49,6 +40,28 @@ def fitted(
             "vertical": _softened(config.vertical, response.down),
         }
     )
+
+
+def misfits(config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup) -> list[str]:
+    """What of the settings does not fit the autopilot's own, a line each; `config` is the resolved one."""
+    found = []
+    told = setup.hover_thrust
+    if told is not None and abs(told / vehicle.hover_thrust - 1.0) > HOVER_DIFFERS:
+        found.append(
+            f"hover thrust: the autopilot's is {told:.2f}, vehicle '{vehicle.name}' says "
+            f"{vehicle.hover_thrust:.2f}; the autopilot's is taken"
+        )
+    if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
+        found.append(
+            f"tilt: the autopilot leans {setup.tilt_deg:.0f} deg at most, control.limits.tilt_deg is "
+            f"{config.limits.tilt_deg:.0f}; the autopilot's is taken"
+        )
+    if not setup.takes_thrust and config.setpoint == "velocity":
+        found.append(
+            "GUID_OPTIONS: thrust is read as climb rate, so velocities are sent; with bit 3 (8) set, "
+            "attitudes are, which follow pads that turn and land in wind"
+        )
+    return found
 
 
 def loop_rad_s(weights: TrackingConfig) -> float:

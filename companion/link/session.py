@@ -16,6 +16,7 @@ from companion.config import LinkConfig, SenseConfig
 from companion.geometry import Quaternion
 from companion.link import codec
 from companion.link.alignment import HeadingAlignment
+from companion.link.autopilot_setup import SetupReader
 from companion.link.beacon import pad_beacon
 from companion.link.boot_clock import BootClock
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
@@ -25,7 +26,7 @@ from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry import StatusTexts, add_text, update_state
 from companion.link.timesync import TimeSync, clock_ns
-from companion.messages import AutopilotState, LandedState, PadBeacon, Setpoint
+from companion.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
 
 HEARD: Final = frozenset(
     {
@@ -83,6 +84,7 @@ class Session:
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
+        self._setup = SetupReader(self._parameters)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
         self._replies: list[Message] = []
@@ -92,6 +94,11 @@ class Session:
         self._home_due_s = -math.inf
         self._syncs_sent = 0
         self._notices = 0
+
+    @property
+    def setup(self) -> AutopilotSetup | None:
+        """What its parameters say of how it obeys; None until they have been read."""
+        return self._setup.setup
 
     @property
     def system_id(self) -> int:
@@ -164,6 +171,7 @@ class Session:
             self._home_due_s = now_s  # arming sets home anew
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
+            self._setup.begin(self.state.manner)
             self._rates.want(OWN_RATES_HZ.get(self.state.manner, {}))
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.manner, now_s)
