@@ -79,7 +79,9 @@ class SimulatorError(Exception):
 
 # what the app is to be told when its IMU, compass and GPS are those of the user's own autopilot
 _BY_TELEMETRY: Final[dict[str, Any]] = {
-    "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}}
+    "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}},
+    # it is a simulator's: nobody is surprised by what is set there
+    "link": {"set_parameters": True},
 }
 
 

@@ -1,4 +1,8 @@
-"""Those of the autopilot's parameters on which our loop depends: read, never written. Pure."""
+"""Those of the autopilot's parameters on which our loop depends. Pure.
+
+They are read; one alone may be written, where the settings allow it: ArduPilot's GUID_OPTIONS, for attitude
+setpoints whose thrust is thrust.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +21,9 @@ _CENTI: Final = 0.01
 class SetupReader:
     """Asks for them all at once; `setup` is None until each has been answered or given up."""
 
-    def __init__(self, requests: ParameterRequests) -> None:
-        self._requests = requests
+    def __init__(self, requests: ParameterRequests, *, may_set: bool) -> None:
+        """`may_set`: GUID_OPTIONS may be set."""
+        self._requests, self._may_set = requests, may_set
         self._manner: Manner | None = None
         self._asked: dict[str, ParameterRequest] = {}
 
@@ -30,6 +35,17 @@ class SetupReader:
         self._asked = {name: ParameterRequest(name) for name in NAMES[manner]}
         for request in self._asked.values():
             self._requests.submit(request)
+
+    def step(self) -> None:
+        """Have thrust taken for thrust, once it is known not to be, where that is allowed."""
+        read = self._asked.get(GUIDED_OPTIONS)
+        if not self._may_set or read is None or read.wanted is not None or read.value is None:
+            return
+        options = int(read.value)
+        if not options & THRUST_IS_THRUST:
+            wish = ParameterRequest(GUIDED_OPTIONS, wanted=float(options | THRUST_IS_THRUST))
+            self._asked[GUIDED_OPTIONS] = wish
+            self._requests.submit(wish)
 
     @property
     def setup(self) -> AutopilotSetup | None:
