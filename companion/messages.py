@@ -24,12 +24,18 @@ Manner = Literal["px4", "ardupilot"]
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """One gyroscope and accelerometer sample; at rest and level the specific force is (0, 0, -9.8)."""
+    """One gyroscope and accelerometer sample; at rest and level the specific force is (0, 0, -9.8).
+
+    `interval_s` is the time since the sample before by the sensor's own clock, None where the difference of
+    the times is that. A time that was turned from another clock into ours has that mapping's jitter in it,
+    an interval has not.
+    """
 
     time_s: float
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
     temperature_c: float
+    interval_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,7 +50,8 @@ class ImuStep:
     """The mean of a few IMU samples at their mean time, and what else is known at that time.
 
     `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_doubt_m_s2` is
-    by how much the specific force may be off for a second or so.
+    by how much the specific force may be off for a second or so. `span_s` is how long it has lasted by the
+    sensor's own clock; None: since the step before.
     """
 
     rate_body_rad_s: Vector3
@@ -63,6 +64,7 @@ class ImuStep:
     still: bool = False
     at_rest: bool = False
     force_doubt_m_s2: float = 0.0
+    span_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +148,7 @@ class VehicleEkf:
             self._take_bias_step(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples, item.force_doubt_m_s2)
+        self.predict(time_s, u, item.samples, item.force_doubt_m_s2, item.span_s)
         self._take_imu(item)
 
     # ------------------------------------------------------------ state
@@ -172,12 +174,20 @@ class VehicleEkf:
     # ------------------------------------------------------------ eq. 17
 
     def predict(
-        self, time_s: float, u: model.InertialInput, samples: int = 1, force_doubt_m_s2: float = 0.0
+        self,
+        time_s: float,
+        u: model.InertialInput,
+        samples: int = 1,
+        force_doubt_m_s2: float = 0.0,
+        span_s: float | None = None,
     ) -> None:
-        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing."""
-        dt_s = time_s - self.time_s
-        if dt_s <= 0.0:
+        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing.
+
+        What moves meanwhile moves for `span_s`, when that is told.
+        """
+        if time_s <= self.time_s:
             return
+        dt_s = time_s - self.time_s if span_s is None else span_s
         n, m = model.MOVING, model.COUPLED
         P = self.P.copy()
         turn_variance, push_variance = self._inertial_noise(u, dt_s, samples)

@@ -39,12 +39,21 @@ class MotionHistory:
         """Time of the newest sample, or None before the first."""
         return self._times_s[-1] if self._times_s else None
 
-    def add(self, time_s: float, attitude: Quaternion, acceleration_ned_m_s2: Vector3) -> None:
-        """Append one sample, newer than the last; between samples the acceleration is linear."""
+    def add(
+        self,
+        time_s: float,
+        attitude: Quaternion,
+        acceleration_ned_m_s2: Vector3,
+        span_s: float | None = None,
+    ) -> None:
+        """Append one sample, newer than the last; between samples the acceleration is linear.
+
+        It has acted for `span_s`, when that is told, whatever the times differ by.
+        """
         if not self._times_s:
             self._append(time_s, attitude, ZERO3, ZERO3)
         else:
-            dt = time_s - self._times_s[-1]
+            dt = time_s - self._times_s[-1] if span_s is None else span_s
             (vx, vy, vz), (px, py, pz) = self._speeds[-1], self._places[-1]
             (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
             h, k = 0.5 * dt, dt * dt / 6.0

@@ -89,6 +89,7 @@ class VehicleEstimator:
         self._fields_untrusted = 0  # of the wrong size or dip
         self._second_gyro, self._shaking = SecondGyro(), Shaking()
         self._last_raw: tuple[Vector3, Vector3] | None = None
+        self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._rate: Vector3 = ZERO3
         self._gyro_bias: Vector3 = ZERO3
         self._accel_bias: Vector3 = ZERO3
@@ -105,17 +106,20 @@ class VehicleEstimator:
 
     def add_imu(self, sample: ImuSample) -> bool:
         """Take one sample; False when it is not newer than the last."""
-        dt_s = sample.time_s - self.newest_s
-        if dt_s <= 0.0:
+        elapsed_s = sample.time_s - self.newest_s
+        if elapsed_s <= 0.0:
             return False
+        # a time that was turned from another clock into ours jitters, and may jump when that has stood still
+        dt_s = elapsed_s if sample.interval_s is None else sample.interval_s
         self.newest_s = sample.time_s
-        if dt_s > LOST_S and self._ekf is not None:
+        if max(dt_s, elapsed_s) > LOST_S and self._ekf is not None:
             self._start_over()
         block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
         if self._ekf is not None:
             if block is not None:
                 self._still_block = block.still
                 self._resting &= block.still
+            self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
             self._move(sample, min(dt_s, LONGEST_STEP_S))
             self._collect(sample)
         elif block is not None:
@@ -261,7 +265,7 @@ class VehicleEstimator:
         self._detector = StillnessDetector(self._config.alignment)
         self._aligner = StaticAligner(self._config.alignment)
         self.start = self._orientation = self._ekf = self._timeline = self._last_raw = None
-        self._strapdown, self._fields = Strapdown(), _Mean()
+        self._strapdown, self._fields, self._span_s = Strapdown(), _Mean(), None
         self._second_gyro, self._shaking = SecondGyro(), Shaking()
 
     def begin(self, start: InitialState) -> None:
@@ -292,7 +296,9 @@ class VehicleEstimator:
         force = subtract(raw[1], self._accel_bias)
         fn, fe, fd = quat_rotate(self._attitude, force)
         acceleration = (fn, fe, fd + GRAVITY_M_S2)
-        self.motion.add(sample.time_s, self._attitude, acceleration)
+        self.motion.add(
+            sample.time_s, self._attitude, acceleration, None if sample.interval_s is None else dt_s
+        )
         k = dt_s / (self._config.acceleration_filter_s + dt_s)
         self._acceleration = add(self._acceleration, scale(subtract(acceleration, self._acceleration), k))
         # the pre-filter remembers an acceleration for as long as it averages; seen with its own attitude, so
@@ -322,7 +328,9 @@ class VehicleEstimator:
             heading_noise_rad=self._heading_noise_rad(time_s),
             still=self._resting and self._still_block,
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
+            span_s=self._span_s,
         )
+        self._span_s = None
         self._still_block = False
         self._timeline.add(time_s, step)
         self._read_ekf()

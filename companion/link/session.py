@@ -17,6 +17,7 @@ from companion.geometry import Quaternion
 from companion.link import codec
 from companion.link.alignment import HeadingAlignment
 from companion.link.beacon import pad_beacon
+from companion.link.boot_clock import BootClock
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
 from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
@@ -54,10 +55,9 @@ _STAMPED: Final = frozenset(
 )
 _HEARTBEAT_S: Final = 1.0
 _TIMESYNC_S: Final = 1.0
-_TIMESYNC_AT_START_S: Final = 0.1
+_TIMESYNC_QUICK_S: Final = 0.1  # at the start, and where samples are stamped by it: as often as PX4 asks us
 _TIMESYNC_START_COUNT: Final = 10
 _HOME_S: Final = 2.0
-_OLDEST_STAMP_S: Final = 1.0  # a stamp older than this, or of the future, is not believed
 _OLDEST_LANDED_S: Final = 1.5  # asked for at 5 Hz; an old "on the ground" is no sign of a touchdown
 
 
@@ -72,7 +72,8 @@ class Session:
         self.beacon: PadBeacon | None = None
         self.alignment = HeadingAlignment()
         self.timesync = TimeSync()
-        self.onboard = None if sense is None else OnboardSensors(sense, self.timesync)
+        self._boot_clock = BootClock(self.timesync)
+        self.onboard = None if sense is None else OnboardSensors(sense, self._boot_clock)
         self.texts_heard = 0
         self.stranger: int | None = None
         self.beacon_stranger: int | None = None
@@ -185,10 +186,8 @@ class Session:
         """Our time at which the message's values were measured; of arrival when its stamp cannot tell."""
         if message_id not in _STAMPED:
             return now_s
-        measured_s = self.timesync.to_ours(message.time_boot_ms * 1e-3)
-        if measured_s is None or not now_s - _OLDEST_STAMP_S < measured_s:
-            return now_s
-        return min(measured_s, now_s)
+        measured_s = self._boot_clock.time_s(message.time_boot_ms * 1e-3, now_s)
+        return now_s if measured_s is None else measured_s
 
     # ------------------------------------------------------------ out
 
@@ -275,11 +274,11 @@ class Session:
             self._home_due_s = now_s
 
     def _synchronise(self, messages: list[Message], now_s: float) -> None:
-        """Ask for the time: quickly at first, so that the filter has a choice of samples; then at 1 Hz."""
+        """Ask for the time: quickly at first, and where the autopilot's samples are used."""
         if now_s < self._timesync_due_s:
             return
-        starting = self._syncs_sent < _TIMESYNC_START_COUNT
-        self._timesync_due_s = now_s + (_TIMESYNC_AT_START_S if starting else _TIMESYNC_S)
+        quick = self._syncs_sent < _TIMESYNC_START_COUNT or self.onboard is not None
+        self._timesync_due_s = now_s + (_TIMESYNC_QUICK_S if quick else _TIMESYNC_S)
         self._syncs_sent += 1
         messages.append(codec.timesync(0, self.timesync.ask(now_s)))
 
