@@ -32,7 +32,7 @@ from companion.control.identification import (
     windows,
 )
 from companion.control.setpoints import resolved
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
+from companion.geometry import GRAVITY_M_S2, FloatArray
 from companion.messages import Manner, Phase
 from companion.record import SETTINGS_RECORD
 from companion.replay.mcap_log import records

@@ -40,7 +40,7 @@ FREQUENCIES: Final = 2000
 
 @dataclass(frozen=True)
 class Case:
-    """A loop: settings, whose autopilot, the axis, the response, and how far that is from what is believed."""
+    """A loop: settings, whose autopilot, the axis, the response, and how far off what is believed it is."""
 
     control: ControlConfig
     vehicle: VehicleConfig
@@ -86,15 +86,15 @@ class _Flown:
 
     def fly(self, acceleration_m_s2: float, velocity_m_s: float) -> float:
         """One period; returns what the setpoint asked for in it, the velocity that it flies left out."""
-        K, I = self._response.velocity_gain_1_s, self._response.velocity_integral_1_s2
-        asked = acceleration_m_s2 + K * velocity_m_s
+        gain, integral = self._response.velocity_gain_1_s, self._response.velocity_integral_1_s2
+        asked = acceleration_m_s2 + gain * velocity_m_s
         for _ in range(STEPS_A_PERIOD):
             speed = float(self.state[1])
-            self._line.append(asked - K * speed + self._integral)
-            self._integral += I * (velocity_m_s - speed) * self._step_s
+            self._line.append(asked - gain * speed + self._integral)
+            self._integral += integral * (velocity_m_s - speed) * self._step_s
             self.state = self._A @ self.state + self._B * self._line[0]
             self.shown_m_s2 += self._share * (float(self.state[2]) - self.shown_m_s2)
-        self._asked += I * velocity_m_s * self._step_s * STEPS_A_PERIOD
+        self._asked += integral * velocity_m_s * self._step_s * STEPS_A_PERIOD
         return asked + self._asked
 
 
@@ -141,8 +141,6 @@ def margins(w: FloatArray, L: NDArray[np.complex128]) -> Margins:
         gain_down=float(min(down, default=math.inf)),
         crossover_rad_s=float(np.max(w[unity], initial=0.0)),
     )
-
-
 
 
 def _hover(now_s: float) -> PlanStep:

@@ -30,7 +30,9 @@ class Plant:
         """`lags_s` are `flight_model.lags`."""
         self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
         self._lags_s = lags_s
-        self._gains = {heard: velocity_gains(vehicle, config, manner, sideways=heard) for heard in (True, False)}
+        self._gains = {
+            heard: velocity_gains(vehicle, config, manner, sideways=heard) for heard in (True, False)
+        }
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s)
         sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2

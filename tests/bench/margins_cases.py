@@ -21,7 +21,9 @@ SLOWER: Final = 1.5
 HELD_BACK_S: Final = 0.08
 STAMPS_OFF_S: Final = 0.02
 MASS_OFF: Final = 0.2
-BOUNDS: Final = {name: PASS[name] for name in ("lateral_error_m", "vertical_speed_m_s", "horizontal_speed_m_s")}
+BOUNDS: Final = {
+    name: PASS[name] for name in ("lateral_error_m", "vertical_speed_m_s", "horizontal_speed_m_s")
+}
 
 
 def margin_cases(manner: Manner, seeds: range, folder: Path) -> tuple[Case, ...]:
@@ -42,7 +44,9 @@ def margin_cases(manner: Manner, seeds: range, folder: Path) -> tuple[Case, ...]
         path = folder / f"vehicle_{name}.yaml"
         path.write_text(yaml.safe_dump(merge(believed, vehicle), sort_keys=False), encoding="utf-8")
         told = {**world, "autopilot": manner, "companion": {"vehicle": str(path)}, "pass": BOUNDS}
-        flights = [(_scenario(scenario, name, manner, told), seed) for scenario in SCENARIOS for seed in seeds]
+        flights = [
+            (_scenario(scenario, name, manner, told), seed) for scenario in SCENARIOS for seed in seeds
+        ]
         cases.append(Case(f"{manner}-{name}", tuple(flights)))
     return tuple(cases)
 

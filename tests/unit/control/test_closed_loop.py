@@ -41,9 +41,7 @@ def _gusts(time_s: float) -> Vector3:
     [(still, 0.025), (line, 0.025), (circle, 0.04), (figure_eight, 0.055), (heave, 0.025)],
 )
 @pytest.mark.parametrize("kind", ["velocity", "acceleration"])
-def test_they_stay_over_the_pad_despite_biased_velocity(
-    kind: str, pad: PadMotion, bound_m: float
-) -> None:
+def test_they_stay_over_the_pad_despite_biased_velocity(kind: str, pad: PadMotion, bound_m: float) -> None:
     flight = Loop(controller(setpoint=kind), VelocityAutopilot(), pad, APPROACH).fly(20.0)
     assert flight.lateral_error_m(SETTLED_S) < bound_m
     assert np.abs(flight.error_m(SETTLED_S)[:, 2]).max() < 0.04

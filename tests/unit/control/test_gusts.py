@@ -28,7 +28,9 @@ def test_a_push_beyond_the_lean_is_found_within_a_fifth_of_a_second(heading_deg:
 
 def test_a_wind_that_lasts_is_told_all_the_time() -> None:
     lean = attitude_from_acceleration((2.0, 0.0, 0.0), 0.3)
-    assert feel(WindObserver(SENSOR_LAG_S, 5.0), lean, (0.0, 0.0, 0.0), 30.0) == pytest.approx((-2.0, 0.0, 0.0))
+    assert feel(WindObserver(SENSOR_LAG_S, 5.0), lean, (0.0, 0.0, 0.0), 30.0) == pytest.approx(
+        (-2.0, 0.0, 0.0)
+    )
 
 
 def test_an_attitude_that_is_off_is_no_wind() -> None:
@@ -63,4 +65,6 @@ def test_what_is_no_number_is_passed_over() -> None:
 
 def test_it_stays_within_its_bound() -> None:
     level = quat_from_euler(0.0, 0.0, 0.0)
-    assert feel(WindObserver(SENSOR_LAG_S, 3.0), level, (9.0, -9.0, 0.0), 1.0) == pytest.approx((3.0, -3.0, 0.0))
+    assert feel(WindObserver(SENSOR_LAG_S, 3.0), level, (9.0, -9.0, 0.0), 1.0) == pytest.approx(
+        (3.0, -3.0, 0.0)
+    )
