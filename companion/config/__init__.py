@@ -53,7 +53,15 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
-from companion.config.response import AutopilotResponses, AxisResponse, Kind, KindResponse, Responses
+from companion.config.response import (
+    ARDUPILOT,
+    PX4,
+    AutopilotResponses,
+    AxisResponse,
+    Kind,
+    KindResponse,
+    Responses,
+)
 from companion.config.sense import (
     AutopilotSensorsConfig,
     GpsConfig,
@@ -65,9 +73,11 @@ from companion.config.sense import (
 from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig
 
 __all__ = [
+    "ARDUPILOT",
     "CONFIG_FOLDER",
     "CONNECTION_FORM",
     "MOST_OBSTACLES",
+    "PX4",
     "AccelerometerCalibration",
     "AlignmentConfig",
     "AutopilotResponses",

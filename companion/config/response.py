@@ -1,8 +1,8 @@
 """How a vehicle under an autopilot answers setpoints, as identified from flights of the real firmwares.
 
 Along each direction the autopilot wants u + K (v_sp - v) + I integral(v_sp - v), u and v_sp being the
-setpoint's acceleration and velocity; what it wants is flown after a dead time and at second order. By attitude
-setpoints K and I are 0 and u is what attitude and thrust make. `make bench-response` identifies it.
+setpoint's acceleration and velocity; what it wants is flown after a dead time and at second order. By
+attitude setpoints K and I are 0 and u is what attitude and thrust make. `make bench-response` finds them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings made to fit how the vehicle answers: a loop no quicker than it bears, and no more asked than passes.
+"""Settings made to fit how the vehicle answers: no quicker than it bears, no more asked than passes.
 
 The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
 frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,10 +29,10 @@ from companion.control.setpoints import resolved
 from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, level_acceleration, quat_rotate
 from companion.messages import Manner, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
 
-STEPS_A_PERIOD: Final = 20
-KICK_M_S2: Final = 0.2
+STEPS_A_PERIOD: Final = 16
+KICK_M_S2: Final = 0.5
 BEFORE: Final = 3  # periods before the kick
-SETTLING_S: Final = 60.0  # the slowest observer has forgotten by then
+SETTLING_S: Final = 40.0  # the slowest observer has forgotten by then
 SIDEWAYS, DOWN = 0, 2
 LOWEST_RAD_S: Final = 0.05
 FREQUENCIES: Final = 2000
@@ -40,7 +40,7 @@ FREQUENCIES: Final = 2000
 
 @dataclass(frozen=True)
 class Case:
-    """A loop: settings, whose autopilot, the axis, the response, and how far that is from what is believed."""
+    """A loop: settings, whose autopilot, the axis, the response, and how far off what is believed it is."""
 
     control: ControlConfig
     vehicle: VehicleConfig
@@ -86,15 +86,15 @@ class _Flown:
 
     def fly(self, acceleration_m_s2: float, velocity_m_s: float) -> float:
         """One period; returns what the setpoint asked for in it, the velocity that it flies left out."""
-        K, I = self._response.velocity_gain_1_s, self._response.velocity_integral_1_s2
-        asked = acceleration_m_s2 + K * velocity_m_s
+        gain, integral = self._response.velocity_gain_1_s, self._response.velocity_integral_1_s2
+        asked = acceleration_m_s2 + gain * velocity_m_s
         for _ in range(STEPS_A_PERIOD):
             speed = float(self.state[1])
-            self._line.append(asked - K * speed + self._integral)
-            self._integral += I * (velocity_m_s - speed) * self._step_s
+            self._line.append(asked - gain * speed + self._integral)
+            self._integral += integral * (velocity_m_s - speed) * self._step_s
             self.state = self._A @ self.state + self._B * self._line[0]
             self.shown_m_s2 += self._share * (float(self.state[2]) - self.shown_m_s2)
-        self._asked += I * velocity_m_s * self._step_s * STEPS_A_PERIOD
+        self._asked += integral * velocity_m_s * self._step_s * STEPS_A_PERIOD
         return asked + self._asked
 
 
@@ -141,21 +141,6 @@ def margins(w: FloatArray, L: NDArray[np.complex128]) -> Margins:
         gain_down=float(min(down, default=math.inf)),
         crossover_rad_s=float(np.max(w[unity], initial=0.0)),
     )
-
-
-def is_stable(case: Case, seconds: float = 40.0, *, controller: str = "riccati") -> bool:
-    """Whether a kick dies away: by flying, not by the transfer."""
-    period_s = 1.0 / case.control.rate_hz
-    kicks = np.zeros(round(seconds / period_s))
-    kicks[BEFORE] = KICK_M_S2
-    answers = np.abs(respond(case, kicks, controller=controller))
-    third = len(answers) // 3
-    return bool(np.isfinite(answers).all() and answers[-third:].max() < answers[third : 2 * third].max())
-
-
-def slower(case: Case, delay_s: float = 0.0, gain: float = 1.0) -> Case:
-    """The case with a response that is not as believed."""
-    return replace(case, extra_delay_s=case.extra_delay_s + delay_s, gain=case.gain * gain)
 
 
 def _hover(now_s: float) -> PlanStep:

@@ -79,7 +79,7 @@ def _turning(
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Displacement, velocity and acceleration (n,) in a turn; complex numbers are the horizontal plane.
 
-    The course turns at the rate omega, and with it what remains of the acceleration along it, which dies away.
+    The course turns at the rate omega, and with it what is left of the acceleration along it: it dies away.
     """
     along = acceleration - 1j * omega * velocity
     turned, fade = np.exp(1j * omega * t), np.exp(-t / decay_s)

@@ -1,4 +1,4 @@
-"""Identification flights: setpoints that jump at random into an autopilot, the real firmware or the bundled one.
+"""Identification flights: setpoints that jump at random, into the real firmware or a bundled autopilot.
 
 The vehicle is flown up, then sent setpoints of one kind: along each axis in turn the acceleration, and the
 velocity where the kind has one, jumps at random about what keeps the vehicle near its place. What it truly
@@ -10,12 +10,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from companion.clock import Clock, run_in_virtual_time
-from companion.config import ControlConfig, LinkConfig
+from companion.config import ControlConfig, Kind, LinkConfig
 from companion.control.setpoints import Heading, attitude_setpoint
 from companion.geometry import (
     GRAVITY_M_S2,
@@ -35,7 +35,6 @@ from sitl.pad_paths import Meeting, StaticMotion
 from sitl.scenario import PadSettings, Scenario
 from sitl.world import World
 
-Kind = Literal["velocity", "acceleration", "attitude"]
 PERIOD_S: Final = 1.0 / ControlConfig().rate_hz
 SAMPLES_PER_SETPOINT: Final = 4
 EACH_AXIS_S: Final = 60.0
@@ -67,9 +66,7 @@ class Record:
     heading_rad: FloatArray
 
 
-def fly(
-    manner: Manner, airframe: str, kind: Kind, seed: int, firmware: FirmwareSpec | None = None
-) -> Record:
+def fly(manner: Manner, airframe: str, kind: Kind, seed: int, firmware: FirmwareSpec | None = None) -> Record:
     """One flight.
 
     Raises:
@@ -81,7 +78,6 @@ def fly(
         autopilot=manner,
         airframe=airframe,
         start_heading_deg=0.0,
-        wind={"mean_m_s": 0.0},
         pad=PadSettings(motion=StaticMotion(kind="static", meet=Meeting(point_ned_m=(200.0, 200.0)))),
     )
     return run_in_virtual_time(_flown(scenario, kind, seed, firmware))
@@ -193,8 +189,7 @@ class _Sender:
         away = np.array(state.position_ned_m) - self._place
         v = np.array(state.velocity_ned_m_s)
         a = -DAMPING_1_S * v - PULL_1_S2 * away
-        v_sp = np.zeros(3) if self._kind == "velocity" else np.array([0.0, 0.0, 0.0])
-        v_sp -= PULL_1_S2 * away
+        v_sp = -PULL_1_S2 * away
         if self._kind == "velocity":
             a[:2] = 0.0
         if self._kind != "attitude":
