@@ -114,7 +114,7 @@ class App:
         pad = load_pad(config.pad)
         antenna = config.sense.gps.antenna_position_body_m
         by_telemetry = config.sense.source == "autopilot"
-        self.session = Session(config.link, config.sense if by_telemetry else None)
+        self.session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
         self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
         self._sensing = Sensing(
             config,

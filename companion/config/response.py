@@ -19,9 +19,9 @@ Kind = Literal["velocity", "acceleration", "attitude"]
 class AxisResponse(StrictModel):
     """Along one direction: from the setpoint as it leaves to the acceleration that is flown."""
 
-    dead_time_s: float = Field(ge=0.0, le=0.5)
-    frequency_rad_s: float = Field(gt=0.5, le=200.0)
-    damping: float = Field(gt=0.1, le=3.0)
+    dead_time_s: float = Field(ge=0.0, le=0.5)  # before anything is flown
+    frequency_rad_s: float = Field(gt=0.5, le=200.0)  # natural frequency of the second order
+    damping: float = Field(gt=0.1, le=3.0)  # its damping ratio
     gain: float = Field(default=1.0, ge=0.5, le=2.0)  # how much too far jumps go; in the end it is one
     velocity_gain_1_s: float = Field(default=0.0, ge=0.0, le=10.0)  # K
     velocity_integral_1_s2: float = Field(default=0.0, ge=0.0, le=10.0)  # I
@@ -37,8 +37,8 @@ class KindResponse(StrictModel):
 
     sideways: AxisResponse
     down: AxisResponse
-    acceleration_m_s2: float | None = Field(default=None, gt=0.0, le=20.0)
-    jerk_m_s3: float | None = Field(default=None, gt=0.0, le=200.0)
+    acceleration_m_s2: float | None = Field(default=None, gt=0.0, le=20.0)  # flown at most, sideways
+    jerk_m_s3: float | None = Field(default=None, gt=0.0, le=200.0)  # at most, sideways
 
 
 class AutopilotResponses(StrictModel):

@@ -68,7 +68,10 @@ class Session:
     With `sense` the autopilot's own sensors are asked for and read (`onboard`, `take_samples`).
     """
 
-    def __init__(self, config: LinkConfig, sense: SenseConfig | None = None) -> None:
+    def __init__(
+        self, config: LinkConfig, sense: SenseConfig | None = None, *, reads_setup: bool = False
+    ) -> None:
+        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is heard."""
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
         self.alignment = HeadingAlignment()
@@ -84,6 +87,7 @@ class Session:
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
+        self._reads_setup = reads_setup
         self._setup = SetupReader(self._parameters, may_set=config.set_parameters)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
@@ -171,7 +175,8 @@ class Session:
             self._home_due_s = now_s  # arming sets home anew
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
-            self._setup.begin(self.state.manner)
+            if self._reads_setup:
+                self._setup.begin(self.state.manner)
             self._rates.want(OWN_RATES_HZ.get(self.state.manner, {}))
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.manner, now_s)
