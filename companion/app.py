@@ -14,11 +14,12 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
 from companion.clock import Clock
+from companion.collecting import collecting_little
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -175,7 +176,9 @@ class App:
         """
         await self._actions.start()
         try:
-            return await self._run_tasks()
+            # in virtual time nothing waits for a collection, and others share the process
+            with nullcontext() if self._clock.virtual else collecting_little():
+                return await self._run_tasks()
         except ExceptionGroup as group:
             mendable, _ = group.split(ConfigError)
             raise (group if mendable is None else mendable.exceptions[0]) from None

@@ -230,7 +230,7 @@ class Estimator:
     # ------------------------------------------------------------ freezing
 
     def freeze(self) -> dict[str, Any]:
-        """All that the stage knows, as plain data that JSON keeps exactly; in flight about 2 MB of text."""
+        """All that the stage knows, as plain data that JSON keeps exactly; in flight about 4 MB of text."""
         return freezing.freeze(self, self._settings, self._vehicle.start)
 
     @classmethod
