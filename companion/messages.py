@@ -76,10 +76,14 @@ class RangeSample:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotAttitude:
-    """The autopilot's own attitude (body to its NED), when it measured it on our clock."""
+    """The autopilot's own attitude (body to its NED), when it measured it on our clock.
+
+    `same_imu`: our samples are its IMU's too, by telemetry.
+    """
 
     time_s: float
     attitude: Quaternion
+    same_imu: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +155,7 @@ class VehicleState:
     """The vehicle at time_s by the 31-state EKF.
 
     `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
-    fix and None before it.
+    fix and None before it. Of the time since the newest IMU sample, `imu_age_s`, it is foretold.
     """
 
     time_s: float
@@ -168,6 +172,7 @@ class VehicleState:
     aligned: bool
     has_gps: bool
     origin: Vector3 | None = None
+    imu_age_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

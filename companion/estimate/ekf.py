@@ -32,6 +32,7 @@ from companion.estimate.fix_watch import FixWatch
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.second_gyro import BiasStep
 from companion.geometry import (
+    GRAVITY_M_S2,
     FloatArray,
     Quaternion,
     Vector3,
@@ -42,6 +43,7 @@ from companion.geometry import (
     quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
+    rotation_vector_from_quat,
     scale,
     vector3,
 )
@@ -79,7 +81,15 @@ class GpsStep:
     velocity_std_m_s: Vector3
 
 
-EkfInput = ImuStep | GpsStep | BiasStep
+class AnchorStep(NamedTuple):
+    """The attitude is off: `turn` (about NED axes) puts it right, to these standard deviations (rad)."""
+
+    turn: Quaternion
+    tilt_std_rad: float
+    heading_std_rad: float
+
+
+EkfInput = ImuStep | GpsStep | BiasStep | AnchorStep
 
 UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity by more does not know it
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
@@ -93,6 +103,7 @@ DOUBT_S: Final = 1.0  # a doubtful force stays off for so long
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
+WRONG_FOR_S: Final = 0.2  # before it is set right
 _EYE3: Final = np.eye(3)
 _EYE4: Final = np.eye(4)
 _EYE: Final = np.eye(model.STATES)
@@ -158,6 +169,9 @@ class VehicleEkf:
             return
         if isinstance(item, BiasStep):
             self._take_bias_step(item)
+            return
+        if isinstance(item, AnchorStep):
+            self._take_anchor(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
         self.predict(time_s, u, item.samples, item.force_doubt_m_s2, item.span_s)
@@ -406,14 +420,24 @@ class VehicleEkf:
         self.P, self.fix_watch = P, self.fix_watch.suspected(self.time_s)
 
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
-        """Take the orientation filter's attitude: the filter's own has proved wrong."""
+        """Take another attitude: the filter's own has proved wrong."""
         x, P = self.x.copy(), self.P.copy()
         x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
         P[:7, :] = P[:, :7] = 0.0
         self.x, self.P, self._moved = x, P, None
         self._doubt_rotation(rotation_variance)
-        gate = self.gates["orientation"]
+        gate = self.gates.get("orientation", Gate())
         self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}
+
+    def _take_anchor(self, step: AnchorStep) -> None:
+        """Turn the attitude; what was felt by the wrong one has gone into the velocity."""
+        tilt, heading = step.tilt_std_rad**2, step.heading_std_rad**2
+        attitude = quat_normalise(quat_multiply(step.turn, self.attitude))
+        self._start_attitude(attitude, np.diag((tilt, tilt, heading)))
+        turned_rad = norm(rotation_vector_from_quat(step.turn))
+        P = self.P.copy()
+        P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * _EYE3
+        self.P = P
 
     def _doubt_rotation(self, rotation_variance: FloatArray) -> None:
         """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""

@@ -7,7 +7,7 @@ arbitrary start: only differences of them mean anything. NED, SI units, plain fl
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 
 from companion.geometry import (
     ZERO3,
@@ -21,6 +21,8 @@ from companion.geometry import (
     rotation_vector_from_quat,
     scale,
 )
+
+FORETOLD_S = 0.1  # beyond the newest sample its acceleration goes on for so long, and then there is none
 
 
 class MotionHistory:
@@ -85,6 +87,11 @@ class MotionHistory:
         turn = rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
         return quat_normalise(quat_multiply(before, quat_from_rotation_vector(scale(turn, share))))
 
+    def turn(self, from_s: float, turn: Quaternion) -> None:
+        """Turn (about NED axes) the attitudes from a time on: they have proved wrong."""
+        place = bisect_left(self._times_s, from_s)
+        self._attitudes[place:] = [quat_multiply(turn, attitude) for attitude in self._attitudes[place:]]
+
     def turned_rad(self, time_s: float, span_s: float) -> float:
         """Angle (rad) through which the vehicle turned in `span_s` at a time; 0 before the first sample."""
         before, after = self.attitude(time_s - span_s), self.attitude(time_s + span_s)
@@ -112,6 +119,11 @@ class MotionHistory:
         """Velocity and position integrals at a time; beyond the newest sample its acceleration goes on."""
         if not self._times_s:
             return ZERO3, ZERO3
+        known_s = self._times_s[-1] + FORETOLD_S
+        if time_s > known_s:
+            speed, (x, y, z) = self._at(known_s)
+            dt = time_s - known_s
+            return speed, (x + speed[0] * dt, y + speed[1] * dt, z + speed[2] * dt)
         place = max(bisect_right(self._times_s, time_s) - 1, 0)
         dt = time_s - self._times_s[place]
         (vx, vy, vz), (px, py, pz) = self._speeds[place], self._places[place]
