@@ -4,7 +4,9 @@
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
+# make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop
 # make bench-mpc             what a step of the MPC costs, beside setting it up anew
+# make bench-margins         landings with a response, a delay, stamps and a mass other than believed
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
@@ -29,7 +31,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -78,6 +80,14 @@ bench-pad: $(VENV)/.dev
 
 bench-obstacles: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_obstacles
+
+# a landing in real time: the other core is the simulator's
+bench-cpu: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_cpu --record
+
+# an hour on two cores; give it again after an interruption, and it goes on
+bench-margins: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_margins
 
 bench-mpc: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_mpc

@@ -14,11 +14,12 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
 from companion.clock import Clock
+from companion.collecting import collecting_little
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -29,6 +30,8 @@ from companion.config import (
     load_vehicle,
 )
 from companion.control.controller import Controller
+from companion.control.fitting import misfits
+from companion.control.setpoints import resolved
 from companion.doubts import forced_calibrations
 from companion.errands import Errands
 from companion.estimate.estimator import Estimator
@@ -39,6 +42,7 @@ from companion.messages import (
     Action,
     ActionKind,
     ActionResult,
+    AutopilotSetup,
     ControlReport,
     FrameReport,
     Notice,
@@ -111,7 +115,7 @@ class App:
         pad = load_pad(config.pad)
         antenna = config.sense.gps.antenna_position_body_m
         by_telemetry = config.sense.source == "autopilot"
-        self.session = Session(config.link, config.sense if by_telemetry else None)
+        self.session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
         self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
         self._sensing = Sensing(
             config,
@@ -172,7 +176,9 @@ class App:
         """
         await self._actions.start()
         try:
-            return await self._run_tasks()
+            # in virtual time nothing waits for a collection, and others share the process
+            with nullcontext() if self._clock.virtual else collecting_little():
+                return await self._run_tasks()
         except ExceptionGroup as group:
             mendable, _ = group.split(ConfigError)
             raise (group if mendable is None else mendable.exceptions[0]) from None
@@ -264,7 +270,9 @@ class App:
     async def _control_step(self, now_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self._sensing.take_attitude(self.session.state)
-        if self.session.state.manner is not None:
+        for words in self._estimator.take_corrections():
+            self._notice("attitude", words, "warning")
+        if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self._estimator.vehicle(now_s), self._estimator.pad(now_s)
         plan = self._plan(vehicle, pad, now_s)
@@ -283,10 +291,13 @@ class App:
 
     def _control(self) -> Controller:
         if self._controller is None:
-            manner = self.session.state.manner or "px4"
+            manner, setup = self.session.state.manner or "px4", self.session.setup or AutopilotSetup()
             self._controller = Controller(
-                self._config.control, self._vehicle, self._clock.now_s, manner=manner
+                self._config.control, self._vehicle, self._clock.now_s, manner=manner, setup=setup
             )
+            flown = resolved(self._config.control, manner, takes_thrust=setup.takes_thrust)
+            for misfit in misfits(flown, self._vehicle, setup):
+                self._notice("setup", misfit, "warning")
         return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:

@@ -148,6 +148,7 @@ def companion(
                 "--fast": fast or None,
                 "--firmware": firmware,
                 "--firmware-path": firmware_path,
+                "--firmware-param": firmware_param,
                 "--json": json_file,
             }
             refuse({**ours, **theirs})

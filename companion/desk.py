@@ -17,7 +17,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -38,9 +38,10 @@ from companion.config import (
 )
 from companion.external import External
 from companion.hardware import Hardware, make_actions, make_own_actions, open_hardware
-from companion.link.transport import memory_pair
+from companion.link.transport import MemoryTransport, memory_pair
 from companion.messages import Phase
 from companion.record import FlightLog
+from sitl.firmware.process import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.in_process import InProcess
 from sitl.report import SimulationReport, read_report
@@ -50,8 +51,11 @@ START_TIMEOUT_S: Final = 20.0
 # an external autopilot may still be booting, and finding its position before it arms
 EXTERNAL_START_TIMEOUT_S: Final = 60.0
 EXTERNAL_PATIENCE_S: Final = 60.0
+# a firmware that is never ready says so itself before
+FIRMWARE_START_TIMEOUT_S: Final = 150.0
 WORDS_PERIOD_S: Final = 0.3
 END_TIMEOUT_S: Final = 10.0
+CLEAR_UP_S: Final = 3.0
 # what a settings file for a real vehicle may say otherwise, and the simulated one is; a real one's
 # calibrations would put wrong what is right here (a scenario of flawed sensors names its own over these)
 SIMULATED_HARDWARE: Final[dict[str, Any]] = {
@@ -79,7 +83,9 @@ class SimulatorError(Exception):
 
 # what the app is to be told when its IMU, compass and GPS are those of the user's own autopilot
 _BY_TELEMETRY: Final[dict[str, Any]] = {
-    "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}}
+    "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}},
+    # it is a simulator's: nobody is surprised by what is set there
+    "link": {"set_parameters": True},
 }
 
 
@@ -133,7 +139,7 @@ def desk_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     Raises:
         ConfigError: the file or the scenario's overrides are wrong, or the two do not go together.
     """
-    link: dict[str, Any] = {"link": {"system_id": 1}}
+    link: dict[str, Any] = {"link": {"system_id": 1, "set_parameters": True}}
     if trial.external is not None:
         link = {}  # somebody's own autopilot has the number that their settings give
     elif trial.firmware is not None:
@@ -203,10 +209,13 @@ def fly(
 
     Raises:
         ConfigError: the settings do not go together, or the simulator does not start.
-        SimulatorError: the simulator's process ended in flight.
+        SimulatorError: the simulator's process, or the firmware that it flies, ended in flight.
     """
     if fast:
-        return run_in_virtual_time(_virtual_flight(config, trial, log, on_status))
+        try:
+            return run_in_virtual_time(_virtual_flight(config, trial, log, on_status))
+        except FirmwareError as error:
+            raise SimulatorError(str(error)) from error
     return asyncio.run(_real_flight(config, trial, log, on_status))
 
 
@@ -261,6 +270,18 @@ async def _virtual_flight(
         range_baud=config.sense.range.baud,
         firmware=trial.firmware,
     )
+    with closing(vehicle.simulation):
+        return await _fly_in_process(vehicle, app_end, config, trial, log, on_status)
+
+
+async def _fly_in_process(
+    vehicle: InProcess,
+    app_end: MemoryTransport,
+    config: CompanionConfig,
+    trial: Trial,
+    log: FlightLog,
+    on_status: StatusCallback,
+) -> DeskFlight:
     boards = config.sense.source == "boards"
     hardware = Hardware(
         app_end,
@@ -276,7 +297,6 @@ async def _virtual_flight(
         phase = await _fly(app, trial.scenario.time_limit_s, world)
     finally:
         await _cancel(world)
-        vehicle.simulation.close()
     factor = Clock().now_s() / (wall_clock_s() - started_s)
     return DeskFlight(vehicle.simulation.report(phase), factor, app.late_share)
 
@@ -333,6 +353,7 @@ class SimulatorProcess:
         self.endpoints = endpoints
         self._process = process
         self._words = words
+        self._finished = False
 
     @classmethod
     async def start(cls, trial: Trial, folder: Path) -> SimulatorProcess:
@@ -357,7 +378,7 @@ class SimulatorProcess:
         try:
             if trial.external is None:
                 # a firmware boots before it is served
-                patience_s = START_TIMEOUT_S if trial.firmware is None else EXTERNAL_START_TIMEOUT_S
+                patience_s = START_TIMEOUT_S if trial.firmware is None else FIRMWARE_START_TIMEOUT_S
                 simulator.endpoints = await simulator._listen(patience_s)
             else:
                 simulator.endpoints = await simulator._find(trial.external)
@@ -403,10 +424,16 @@ class SimulatorProcess:
         """
         assert self._process.stdin is not None
         self._process.stdin.write(f"finish {phase.value}\n".encode())
+        self._finished = True
         return read_report(Path((await self._listen(END_TIMEOUT_S))["report"]))
 
     async def kill(self) -> None:
-        """End it, whatever state it is in."""
+        """End it, whatever state it is in: it may clear up first."""
+        if self._process.returncode is None:
+            if not self._finished:
+                self._process.terminate()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._process.wait(), CLEAR_UP_S)
         if self._process.returncode is None:
             self._process.kill()
         await self._process.wait()

@@ -108,4 +108,5 @@ def make_own_actions(
 
 
 def _sends_attitudes(config: CompanionConfig) -> bool:
+    """Whether attitudes are asked for by name: else an ArduPilot that takes no thrust gets velocities."""
     return config.control.setpoint == "attitude"

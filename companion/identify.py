@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
-from companion.control.flight_model import lags
+from companion.control.flight_model import lags, velocity_gains
 from companion.control.identification import (
     Estimate,
     Flown,
@@ -31,8 +31,8 @@ from companion.control.identification import (
     prediction_error_m_s,
     windows,
 )
-from companion.control.setpoints import resolved, velocity_gains
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
+from companion.control.setpoints import resolved
+from companion.geometry import GRAVITY_M_S2, FloatArray
 from companion.messages import Manner, Phase
 from companion.record import SETTINGS_RECORD
 from companion.replay.mcap_log import records
@@ -74,7 +74,7 @@ class FlightLog:
     def starting_points(self) -> dict[str, Response]:
         """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
-        gains = ZERO3 if self.by_attitude else velocity_gains(self.control, sideways=by_velocity)
+        gains = velocity_gains(self.vehicle, self.control, self.manner, sideways=by_velocity)
         tau = lags(self.vehicle, self.control, self.manner)
         return {name: Response(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
@@ -138,9 +138,9 @@ def read_flight(path: Path) -> FlightLog:
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
     vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
-    # in a flight by `auto` the setpoints tell whose autopilot it was
-    lean = any(not row.get("holds_horizontal_velocity", True) for row in messages["/setpoint"])
-    manner: Manner = "px4" if lean or config.control.setpoint != "auto" else "ardupilot"
+    # in a flight by `auto` the setpoints tell whose autopilot it was: PX4 is sent no attitudes then
+    by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
+    manner: Manner = "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
     return FlightLog(resolved(config.control, manner), vehicle, messages, manner)
 
 
@@ -274,15 +274,12 @@ def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[st
         if isinstance(estimate, str):
             continue
         assumed = record.starting_points()[name]
-        now, own_s = estimate.adopted(assumed), float(getattr(record.vehicle, own_lag))
+        now = estimate.adopted(assumed)
         if now.gain_1_s != assumed.gain_1_s:
             control[gain] = now.gain_1_s
-        if now.lag_s == assumed.lag_s:
-            continue
-        if not by_velocity or now.lag_s < own_s:
-            vehicle[own_lag] = own_s = now.lag_s
-        if by_velocity:
-            control[lag] = now.lag_s - own_s
+        if now.lag_s != assumed.lag_s:
+            numbers, key = (control, lag) if by_velocity else (vehicle, own_lag)
+            numbers[key] = now.lag_s
     return vehicle, control
 
 

@@ -24,12 +24,18 @@ Manner = Literal["px4", "ardupilot"]
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """One gyroscope and accelerometer sample; at rest and level the specific force is (0, 0, -9.8)."""
+    """One gyroscope and accelerometer sample; at rest and level the specific force is (0, 0, -9.8).
+
+    `interval_s` is the time since the sample before by the sensor's own clock, None where the difference of
+    the times is that. A time that was turned from another clock into ours has that mapping's jitter in it,
+    an interval has not.
+    """
 
     time_s: float
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
     temperature_c: float
+    interval_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +76,14 @@ class RangeSample:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotAttitude:
-    """The autopilot's own attitude (body to its NED), when it measured it on our clock."""
+    """The autopilot's own attitude (body to its NED), when it measured it on our clock.
+
+    `same_imu`: our samples are its IMU's too, by telemetry.
+    """
 
     time_s: float
     attitude: Quaternion
+    same_imu: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +155,7 @@ class VehicleState:
     """The vehicle at time_s by the 31-state EKF.
 
     `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
-    fix and None before it.
+    fix and None before it. Of the time since the newest IMU sample, `imu_age_s`, it is foretold.
     """
 
     time_s: float
@@ -162,6 +172,7 @@ class VehicleState:
     aligned: bool
     has_gps: bool
     origin: Vector3 | None = None
+    imu_age_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +208,21 @@ class PadState:
 # ---------------------------------------------------------------- link: what comes back
 
 
+@dataclass(frozen=True, slots=True)
+class AutopilotSetup:
+    """What the autopilot's parameters say of how it obeys; None: not told.
+
+    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways. `takes_thrust`: the thrust of an
+    attitude setpoint is thrust, not a climb rate.
+    """
+
+    tilt_deg: float | None = None
+    hover_thrust: float | None = None
+    acceleration_m_s2: float | None = None
+    jerk_m_s3: float | None = None
+    takes_thrust: bool = True
+
+
 class LandedState(StrEnum):
     """MAV_LANDED_STATE."""
 
@@ -209,7 +235,12 @@ class LandedState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class AutopilotState:
-    """The newest of what the autopilot says of itself. Its frame and origin are its own, not ours."""
+    """The newest of what the autopilot says of itself. Its frame and origin are its own, not ours.
+
+    `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
+    and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
+    nothing of the kind is told (PX4).
+    """
 
     time_s: float
     connected: bool = False
@@ -218,6 +249,7 @@ class AutopilotState:
     mode: str = ""
     offboard: bool = False
     ready_to_arm: bool = False
+    ekf_ready: bool | None = None
     landed: LandedState = LandedState.UNDEFINED
     landed_time_s: float = float("-inf")
     attitude: Quaternion | None = None

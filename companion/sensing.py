@@ -219,7 +219,8 @@ class Sensing:
         if autopilot.attitude is None or autopilot.attitude_time_s <= self._attitude_s:
             return
         self._attitude_s = autopilot.attitude_time_s
-        sample = AutopilotAttitude(autopilot.attitude_time_s, autopilot.attitude)
+        same_imu = self._config.sense.source == "autopilot"
+        sample = AutopilotAttitude(autopilot.attitude_time_s, autopilot.attitude, same_imu)
         self._estimator.add_autopilot_attitude(sample)
         self._log.write("autopilot_attitude", sample, self._clock.now_s())
 

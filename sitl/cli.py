@@ -20,6 +20,7 @@ from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
 from sitl.external_server import serve_external
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
+from sitl.firmware.process import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.hold_command import HELP as HOLD_HELP
 from sitl.hold_command import hold_command
@@ -32,9 +33,14 @@ from sitl.signing import read_key
 from sitl.view import HELP as VIEW_HELP
 from sitl.view import view_command
 
+FIRMWARE_FAILED: Final = 1
 USER_ERROR: Final = 2
 WITH_CHILD: Final = (
     "scenario", "seed", "autopilot", "folder", "child", "firmware", "firmware_path", "firmware_param",
+)  # fmt: skip
+WITH_FIRMWARE: Final = (
+    "scenario", "seed", "bind", "port", "gcs_port", "tcp_port", "folder",
+    "firmware", "firmware_path", "firmware_param",
 )  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
 
@@ -94,6 +100,8 @@ def companion_sitl(
         refuse(context, WITH_EXTERNAL, "the vehicle is somebody else's; expected it without --external")
     elif child:
         refuse(context, WITH_CHILD, "expected it without --child")
+    elif firmware is not None:
+        refuse(context, WITH_FIRMWARE, "is the bundled autopilot's; expected it without --firmware")
     loaded = load_scenario(scenario)
     if autopilot is not None:
         loaded = loaded.model_copy(update={"autopilot": autopilot})
@@ -133,14 +141,16 @@ def main(words: Sequence[str] | None = None) -> None:
         code = _fail(f"{said}; see companion-sitl --help")
     except ConfigError as error:
         code = _fail(str(error))
+    except FirmwareError as error:
+        code = _fail(str(error), FIRMWARE_FAILED)
     except (KeyboardInterrupt, typer.Abort):
         code = 0
     sys.exit(code)
 
 
-def _fail(text: str) -> int:
+def _fail(text: str, code: int = USER_ERROR) -> int:
     print(f"companion-sitl: {text}", file=sys.stderr)
-    return USER_ERROR
+    return code
 
 
 if __name__ == "__main__":

@@ -96,6 +96,20 @@ def socket_folder(wanted: Path | None) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
+def interrupted_at_once() -> Iterator[None]:
+    """While inside, Ctrl-C breaks off what does not let the loop run, which asyncio would wait for."""
+    loops_own = signal.getsignal(signal.SIGINT)
+    if not callable(loops_own) or threading.current_thread() is not threading.main_thread():
+        yield  # it is ignored, or not ours to take
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, loops_own)
+
+
+@contextlib.contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
     """While inside, SIGTERM and SIGHUP end a program as cleanly as Ctrl-C does; what is ignored stays so."""
     numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]

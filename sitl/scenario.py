@@ -13,8 +13,8 @@ from pydantic import ConfigDict, Field, model_validator
 
 from companion.config import Shape, StrictModel, find_file, load_model
 from companion.messages import Manner
-from sitl.autopilot.rate_control import RateGains
 from sitl.autopilot.estimator import EstimatorName
+from sitl.autopilot.rate_control import RateGains
 from sitl.contact import ContactParameters
 from sitl.exposure import DirtSettings
 from sitl.faults import Fault

@@ -15,6 +15,8 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
+import socket
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -82,18 +84,19 @@ async def serve(
     """
     async with contextlib.AsyncExitStack() as stack:
         unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
-        devices = await _plug_in(
-            stack,
-            scenario,
-            seed,
-            folder,
-            signing_key,
-            unix_at_start_s,
-            serve_truth=serve_truth,
-            keep_truth=False,
-            motion=motion,
-            firmware=firmware,
-        )
+        with _kept_free(service):
+            devices = await _plug_in(
+                stack,
+                scenario,
+                seed,
+                folder,
+                signing_key,
+                unix_at_start_s,
+                serve_truth=serve_truth,
+                keep_truth=False,
+                motion=motion,
+                firmware=firmware,
+            )
         companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
         ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
         tcp = TcpServer(devices.simulation)
@@ -103,10 +106,13 @@ async def serve(
         if settings_path is not None:
             connection = f"udp:{LOOPBACK}:{companion_port}"
             write_atomically(settings_path, settings_text(scenario, connection, devices.settings))
-        print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
-        if settings_path is not None:
-            print(f"The app's settings for it are in {settings_path}", flush=True)
-        await _fly_until_stopped(devices.simulation)
+        with _stopping_on_signals(devices.simulation) as flying:
+            print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
+            if settings_path is not None:
+                print(f"The app's settings for it are in {settings_path}", flush=True)
+            await asyncio.wait([flying])
+        if not flying.cancelled():
+            flying.result()
 
 
 async def serve_child(
@@ -178,6 +184,19 @@ async def _plug_in(
     return _Devices(simulation, settings)
 
 
+@contextlib.contextmanager
+def _kept_free(service: Service) -> Iterator[None]:
+    """While inside, no firmware takes what is to be served: an instance of it has the ports of such a one."""
+    udp = (_OWN_PORTS.get(port, port) for port in (service.companion_port, service.ground_port))
+    wanted = [*((socket.SOCK_DGRAM, port) for port in udp), (socket.SOCK_STREAM, service.tcp_port)]
+    with contextlib.ExitStack() as stack:
+        for kind, port in wanted:
+            kept = stack.enter_context(socket.socket(socket.AF_INET, kind))
+            with contextlib.suppress(OSError):  # somebody has it, which is told when it is opened
+                kept.bind((LOOPBACK, port))
+        yield
+
+
 async def _open_udp(
     stack: contextlib.AsyncExitStack, simulation: Simulation, bind: str, client_port: int
 ) -> int:
@@ -229,11 +248,11 @@ def _udp_lines(whom: str, example: str, host: str, client_port: int, own_port: i
     ]
 
 
-async def _fly_until_stopped(simulation: Simulation) -> None:
+@contextlib.contextmanager
+def _stopping_on_signals(simulation: Simulation) -> Iterator[asyncio.Task[None]]:
+    """A running simulation, which Ctrl-C, SIGTERM and SIGHUP cancel while inside."""
     flying = asyncio.create_task(simulation.run())
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, flying.cancel)
-    await asyncio.wait([flying])
-    if not flying.cancelled():
-        flying.result()
+    yield flying

@@ -29,6 +29,7 @@ from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorRack, Wiring
 from sitl.faulty_link import LinkWay
+from sitl.firmware.process import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
 from sitl.frame_line import FrameLine
@@ -37,6 +38,7 @@ from sitl.hand_held import HandHeldWorld
 from sitl.hand_paths import HandMotion
 from sitl.network import Network, Write
 from sitl.onboard import OnboardSensors
+from sitl.orders import interrupted_at_once
 from sitl.report import SimulationReport
 from sitl.scenario import Scenario, SensorSettings
 from sitl.scene_camera import CameraTruth, SceneCamera
@@ -201,16 +203,17 @@ class Simulation:
             truth = TruthMessages(autopilot, self._world, HOME) if serve_truth else None
             self.network = Network(autopilot, self._onboard, ground_station, signing, unix_at_start_s, truth)
         else:
-            self._flies = flies = FirmwareVehicle(
-                firmware,
-                self._world,
-                self._onboard,
-                ground_station,
-                autopilot_rng,
-                home=HOME,
-                gps_delay_s=scenario.sensors.gps_delay_s,
-                step_s=PHYSICS_STEP_S,
-            )
+            with interrupted_at_once():
+                self._flies = flies = FirmwareVehicle(
+                    firmware,
+                    self._world,
+                    self._onboard,
+                    ground_station,
+                    autopilot_rng,
+                    home=HOME,
+                    gps_delay_s=scenario.sensors.gps_delay_s,
+                    step_s=PHYSICS_STEP_S,
+                )
             self.network = flies.network
         self._deliver_frame = deliver_frame
         self._keep_truth = keep_truth
@@ -245,13 +248,21 @@ class Simulation:
             self._world.begin()
 
     async def run(self) -> None:
-        """Go on until cancelled."""
+        """Go on until cancelled.
+
+        Raises:
+            FirmwareError: the firmware that flies has ended or does not answer.
+        """
         # making the world takes a while, which is not to be made up for
         self._start_s = self._clock.now_s()
-        async with asyncio.TaskGroup() as group:
-            if self._link is not None:
-                group.create_task(self._serve(self._link))
-            await self._beat()
+        try:
+            async with asyncio.TaskGroup() as group:
+                if self._link is not None:
+                    group.create_task(self._serve(self._link))
+                await self._beat()
+        except ExceptionGroup as group_of_errors:
+            of_firmware, _ = group_of_errors.split(FirmwareError)
+            raise (group_of_errors if of_firmware is None else of_firmware.exceptions[0]) from None
 
     async def _beat(self) -> None:
         """Tick for ever, by the loop's timers: a task that sleeps in between costs three times as much."""

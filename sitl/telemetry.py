@@ -83,7 +83,9 @@ def heartbeat(autopilot: Autopilot, now_s: float) -> Message:
 
 def sys_status(autopilot: Autopilot, now_s: float, ill: int = 0) -> Message:
     """SYS_STATUS: which sensors are well, and whether it would arm; `ill`: bits of those that are not."""
-    present = _SENSORS | _ESTIMATES | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    present = _SENSORS | _ESTIMATES
+    if not autopilot.manner.prearm_in_health_only:
+        present |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
     health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~ill
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -142,7 +144,7 @@ def global_position(autopilot: Autopilot, now_s: float) -> Message | None:
 
 def home_position(autopilot: Autopilot, now_s: float) -> Message | None:
     """HOME_POSITION: where it was armed, in both kinds of coordinates."""
-    if not autopilot.aligned:
+    if not autopilot.home_set:
         return None
     home = autopilot.home_ned_m
     return mavlink.MAVLink_home_position_message(

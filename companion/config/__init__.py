@@ -53,6 +53,15 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
+from companion.config.response import (
+    ARDUPILOT,
+    PX4,
+    AutopilotResponses,
+    AxisResponse,
+    Kind,
+    KindResponse,
+    Responses,
+)
 from companion.config.sense import (
     AutopilotSensorsConfig,
     GpsConfig,
@@ -64,12 +73,16 @@ from companion.config.sense import (
 from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig
 
 __all__ = [
+    "ARDUPILOT",
     "CONFIG_FOLDER",
     "CONNECTION_FORM",
     "MOST_OBSTACLES",
+    "PX4",
     "AccelerometerCalibration",
     "AlignmentConfig",
+    "AutopilotResponses",
     "AutopilotSensorsConfig",
+    "AxisResponse",
     "Box",
     "CameraConfig",
     "CaptureConfig",
@@ -85,6 +98,8 @@ __all__ = [
     "GyroCalibration",
     "ImuConfig",
     "InertialCalibration",
+    "Kind",
+    "KindResponse",
     "LandingConfig",
     "LimitsConfig",
     "LinkConfig",
@@ -100,6 +115,7 @@ __all__ = [
     "PidGains",
     "PlanConfig",
     "RangeConfig",
+    "Responses",
     "SearchConfig",
     "SenseConfig",
     "Shape",

@@ -61,13 +61,12 @@ class ControlConfig(StrictModel):
     step_s: float = Field(default=0.1, ge=0.01, le=0.5)
     command_delay_s: float = Field(default=0.03, ge=0.0, le=0.2)  # from the decision to the autopilot's loop
     velocity_lookahead_s: float = Field(default=0.02, ge=0.0, le=0.5)  # beyond the delay
-    autopilot_velocity_gain_1_s: float = Field(default=2.2, ge=0.5, le=10.0)
-    autopilot_climb_gain_1_s: float = Field(default=4.0, ge=0.5, le=10.0)
-    # the autopilot's own shaping of velocity setpoints, besides the vehicle's lag; None: by its heartbeat
-    autopilot_lag_s: float | None = Field(default=None, ge=0.0, le=1.0)
-    autopilot_climb_lag_s: float | None = Field(default=None, ge=0.0, le=1.0)
+    # measured on this very vehicle, by velocity setpoints: instead of what its file says of the autopilot
+    autopilot_velocity_gain_1_s: float | None = Field(default=None, ge=0.2, le=12.0)
+    autopilot_climb_gain_1_s: float | None = Field(default=None, ge=0.2, le=12.0)
+    autopilot_lag_s: float | None = Field(default=None, ge=0.01, le=1.5)
+    autopilot_climb_lag_s: float | None = Field(default=None, ge=0.01, le=1.5)
     acceleration_estimate_lag_s: float = Field(default=0.035, ge=0.001, le=0.2)  # sensor and its filters
-    lasting_disturbance_s: float = Field(default=1.0, ge=0.1, le=20.0)  # what lasts so long is for v_sp
     maximum_disturbance_m_s2: float = Field(default=5.0, ge=0.0, le=8.0)
     maximum_velocity_correction_m_s: float = Field(default=0.6, ge=0.0, le=3.0)
     horizontal_reach_m: float = Field(default=2.0, gt=0.0, le=20.0)  # a reference farther off is drawn nearer
@@ -79,10 +78,10 @@ class ControlConfig(StrictModel):
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     solve_limit_s: float = Field(default=0.01, gt=0.0, le=0.1)  # by the clock; past it the last plan goes on
     horizontal: TrackingConfig = TrackingConfig(
-        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=0.8
+        position_m=0.2, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.0, effort_change_m_s2=4.0
     )
     vertical: TrackingConfig = TrackingConfig(
-        position_m=0.1, velocity_m_s=0.5, acceleration_m_s2=4.0, effort_m_s2=1.8, effort_change_m_s2=1.5
+        position_m=0.12, velocity_m_s=0.4, acceleration_m_s2=4.0, effort_m_s2=1.2, effort_change_m_s2=4.0
     )
     pid: PidConfig = PidConfig()
     limits: LimitsConfig = LimitsConfig()

@@ -18,7 +18,7 @@ class PhaseTimesConfig(StrictModel):
     """How long each phase may last: every state ends by time."""
 
     connect_s: float = Field(default=90.0, ge=5.0, le=3600.0)
-    arm_s: float = Field(default=25.0, ge=2.0, le=300.0)
+    arm_s: float = Field(default=90.0, ge=2.0, le=300.0)
     take_off_s: float = Field(default=40.0, ge=5.0, le=300.0)
     waypoint_s: float = Field(default=60.0, ge=5.0, le=1800.0)
     route_s: float = Field(default=120.0, ge=5.0, le=1800.0)

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from companion.config.calibration import CameraCalibration
 from companion.config.reading import StrictModel, Vector
+from companion.config.response import Responses
 
 # no lens sits farther off its image's middle, as a share of the image; half or double the size does that
 OFF_CENTRE: Final = 0.2
@@ -112,7 +113,9 @@ class VehicleConfig(StrictModel):
     radius_m: float = Field(default=0.4, gt=0.0, le=3.0)  # to the farthest rotor's tip, for obstacles
     leg_height_m: float = Field(ge=0.02, le=1.0)
     foot_reach_m: float = Field(default=0.18, ge=0.0, le=2.0)  # aside of the middle, to the farthest foot
-    acceleration_time_constant_s: float = Field(ge=0.02, le=1.0)
-    thrust_time_constant_s: float = Field(default=0.04, ge=0.01, le=1.0)
+    responses: Responses = Responses()
+    # measured on this very vehicle: instead of what the responses say of the lean and of the thrust
+    acceleration_time_constant_s: float | None = Field(default=None, ge=0.02, le=1.0)
+    thrust_time_constant_s: float | None = Field(default=None, ge=0.01, le=1.0)
     hover_thrust: float = Field(ge=0.1, le=0.9)
     model: ModelConfig | None = None  # For comparisons that command U1..U4; a flight needs none

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.flight_model import Motion, advance, lags
+from companion.control.fitting import fitted
+from companion.control.flight_model import Motion, advance, flown_kind, lags, velocity_gains
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Solution
 from companion.control.pad_motion import PadPath, predict_pad, resting_path
@@ -32,7 +33,16 @@ from companion.control.setpoints import (
 from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.tracker import make_tracker
 from companion.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
-from companion.messages import ControlReport, Manner, PadState, PlanStep, Reference, Setpoint, VehicleState
+from companion.messages import (
+    AutopilotSetup,
+    ControlReport,
+    Manner,
+    PadState,
+    PlanStep,
+    Reference,
+    Setpoint,
+    VehicleState,
+)
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -68,17 +78,26 @@ class Controller:
         vehicle: VehicleConfig,
         stopwatch: Callable[[], float] | None = None,
         manner: Manner = "px4",
+        setup: AutopilotSetup | None = None,
     ) -> None:
-        """`manner` is that of the autopilot that will obey; `stopwatch` tells seconds, to bound the solver's.
+        """`manner` is that of the autopilot that will obey, `setup` what its parameters say.
+
+        `stopwatch` tells seconds, to bound the solver's.
 
         In virtual time it stands still while the solver works: then iterations alone bound it.
         """
-        self._config = config = resolved(config, manner)
+        setup = setup or AutopilotSetup()
+        config = resolved(config, manner, takes_thrust=setup.takes_thrust)
+        if setup.hover_thrust is not None:
+            vehicle = vehicle.model_copy(update={"hover_thrust": setup.hover_thrust})
+        response = vehicle.responses.of(manner, flown_kind(config))
+        self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, manner)
         self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
-        self._plant = Plant(config, vehicle, self._lags_s)
+        self._plant = Plant(config, vehicle, self._lags_s, manner)
+        self._gains_1_s = velocity_gains(vehicle, config, manner, sideways=config.setpoint == "velocity")
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
@@ -216,6 +235,7 @@ class Controller:
             disturbance_ned_m_s2=plant.disturbance_ned_m_s2,
             lasting_ned_m_s2=plant.lasting_disturbance_ned_m_s2,
             lags_s=self._lags_s,
+            gains_1_s=self._gains_1_s,
             heading=look,
         )
 

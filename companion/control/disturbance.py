@@ -1,16 +1,11 @@
-"""What pushes the vehicle besides the command: an observer per axis, for tracking without a lasting offset.
+"""What pushes the vehicle besides the command, told by what is measured and by how fast it may be believed.
 
-State per axis: velocity v, flown acceleration a, disturbance d, the measured acceleration's bias b, and s,
-the late measurement of a. They move by
-    v' = a,  a' = (u + d - a)/tau,  s' = (a - s)/tau_s,  d and b slow random walks;
-measured are v and s + b (eq. 38 with w = d).
-
-A stationary Kalman gain (eq. 17 at its limit). The bias is there because the measured
-acceleration carries the attitude's error times g: without it that error would pass for a disturbance.
-
-How fast the disturbance may walk is bounded by what the model leaves out: attitude and motors answer at
-second and third order, which at 2 Hz looks like a push of the command's own size. An observer that follows it
-makes the vehicle sway for ever.
+- The wind's push sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
+  accelerates beyond its lean is the wind's doing. Both are measured and made equally late; no model of the
+  autopilot stands between, and no loop closes through one.
+- What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
+  not quite ours, its integrals wind up, thrust is not worth what was believed. That closes a loop through
+  the autopilot's lag, so it is believed slowly: `margins` tells how slowly.
 
 NED axes, SI units.
 """
@@ -18,209 +13,143 @@ NED axes, SI units.
 from __future__ import annotations
 
 import math
-
-import numpy as np
-import scipy.linalg
+from typing import Final
 
 from companion.control.flight_model import advance_axis
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Quaternion, Vector3, add, level_acceleration
+from companion.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, level_acceleration
 
-VELOCITY_NOISE_M_S = 0.03
-ACCELERATION_NOISE_M_S2 = 0.4
-# random walks per square root of a second: how fast gusts come, how fast the bias wanders, the model's own
-DISTURBANCE_WALK = 0.3
-# where we make the lean: sideways, where gusts are told from it, the rest changes with the mean wind; down,
-# air blows through a rotor that leans into the wind, and thrust goes and comes with the lean
-LEANING_DISTURBANCE_WALKS = (0.1, 0.1, 2.0)
-BIAS_WALK = 0.03
-MODEL_ACCELERATION_WALK = 0.3
-MODEL_VELOCITY_WALK = 0.01
-MAXIMUM_BIAS_M_S2 = 0.5
-# a larger surprise is a jump of the estimate (a fix came in), not of the vehicle: it counts for this much
-LARGEST_VELOCITY_INNOVATION_M_S = 0.3
-LARGEST_ACCELERATION_INNOVATION_M_S2 = 3.0
-
-
-def transition(period_s: float, tau_s: float, sensor_lag_s: float) -> FloatArray:
-    """F (5, 5) of v, a, d, b and s over one period: its columns are where unit states go by themselves."""
-    columns = []
-    for unit in np.eye(5).tolist():
-        axis = _Axis(*unit)
-        axis.predict(0.0, period_s, tau_s, sensor_lag_s)
-        columns.append([axis.velocity, axis.acceleration, axis.disturbance, axis.bias, axis.shown])
-    return np.array(columns).T
-
-
-def stationary_gain(
-    period_s: float, tau_s: float, sensor_lag_s: float, disturbance_walk: float = DISTURBANCE_WALK
-) -> FloatArray:
-    """Kalman gain (5, 2) from the innovations of v and the measured acceleration to v, a, d, b, s."""
-    F = transition(period_s, tau_s, sensor_lag_s)
-    H = np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 1.0]])
-    walks = np.array([MODEL_VELOCITY_WALK, MODEL_ACCELERATION_WALK, disturbance_walk, BIAS_WALK, 0.0])
-    Q = np.diag(walks**2 * period_s)
-    R = np.diag([VELOCITY_NOISE_M_S**2, ACCELERATION_NOISE_M_S2**2])
-    P = scipy.linalg.solve_discrete_are(F.T, H.T, Q, R)
-    gain: FloatArray = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    return gain
+# the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
+BIAS_RAD_S: Final = 0.6
+MAXIMUM_BIAS_M_S2: Final = 0.5
+# a larger surprise is a jump of the estimate (a fix came in), not of the vehicle
+LARGEST_VELOCITY_INNOVATION_M_S: Final = 0.3
+LARGEST_ACCELERATION_INNOVATION_M_S2: Final = 3.0
 
 
 class _Axis:
-    """The observer of one axis."""
+    """One axis: velocity, the measured acceleration's bias, what the commands alone make (now, and as late
+    as it is measured), and what lasts besides."""
 
-    def __init__(
-        self,
-        velocity: float = 0.0,
-        acceleration: float = 0.0,
-        disturbance: float = 0.0,
-        bias: float = 0.0,
-        shown: float = 0.0,
-    ) -> None:
+    def __init__(self, bandwidth_rad_s: float, velocity: float, made: float, lasting: float) -> None:
+        self.bandwidth_rad_s = bandwidth_rad_s
         self.velocity = velocity
-        self.acceleration = acceleration
-        self.disturbance = disturbance
-        self.bias = bias
-        self.shown = shown
+        self.made = self.made_late = made
+        self.bias, self.lasting = 0.0, lasting
 
-    def predict(self, command_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
-        if duration_s <= 0.0:
-            return
-        before = self.velocity
-        _, self.velocity, self.acceleration = advance_axis(
-            (0.0, before, self.acceleration), command_m_s2 + self.disturbance, duration_s, tau_s
-        )
-        # the mean acceleration of so short a time stands for its course
-        mean = (self.velocity - before) / duration_s
-        self.shown += -math.expm1(-duration_s / sensor_lag_s) * (mean - self.shown)
+    def predict(self, wanted_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
+        _, gained, self.made = advance_axis((0.0, 0.0, self.made), wanted_m_s2, duration_s, tau_s)
+        # the mean of so short a time stands for its course
+        self.made_late += _share(duration_s / sensor_lag_s) * (gained / duration_s - self.made_late)
 
     def correct(
-        self, velocity: float, acceleration: float, gain: tuple[tuple[float, float], ...], bound: float
+        self, velocity: float, acceleration: float, thrust: float, elapsed_s: float, bound: float
     ) -> None:
-        jump = velocity - self.velocity
-        dv = _clamp(jump, LARGEST_VELOCITY_INNOVATION_M_S)
-        da = _clamp(acceleration - self.shown - self.bias, LARGEST_ACCELERATION_INNOVATION_M_S2)
-        self.velocity += jump - dv  # what is beyond is taken over as it is
-        self.velocity += gain[0][0] * dv + gain[0][1] * da
-        self.acceleration += gain[1][0] * dv + gain[1][1] * da
-        self.disturbance = _clamp(self.disturbance + gain[2][0] * dv + gain[2][1] * da, bound)
-        self.shown += gain[4][0] * dv + gain[4][1] * da
-        self.bias = _clamp(self.bias + gain[3][0] * dv + gain[3][1] * da, MAXIMUM_BIAS_M_S2)
+        jump = velocity - self.velocity - (acceleration - self.bias) * elapsed_s
+        innovation = _clamp(jump, LARGEST_VELOCITY_INNOVATION_M_S)
+        # both poles at the bandwidth; a jump is taken over as it is
+        self.velocity = velocity - (1.0 - _share(2.0 * BIAS_RAD_S * elapsed_s)) * innovation
+        self.bias = _clamp(self.bias - BIAS_RAD_S**2 * elapsed_s * innovation, MAXIMUM_BIAS_M_S2)
+        left = thrust - self.bias - self.made_late - self.lasting
+        fresh = _clamp(left, LARGEST_ACCELERATION_INNOVATION_M_S2)
+        self.lasting = _clamp(self.lasting + _share(self.bandwidth_rad_s * elapsed_s) * fresh, bound)
 
 
-class DisturbanceObserver:
-    """Velocity, flown acceleration and disturbance of the vehicle, from what was commanded and measured."""
+class LastingObserver:
+    """What lasts between the acceleration commanded and the one that the thrust makes."""
 
     def __init__(
-        self,
-        period_s: float,
-        lags_s: Vector3,
-        sensor_lag_s: float,
-        maximum_m_s2: float,
-        walks: Vector3 = (DISTURBANCE_WALK,) * 3,
+        self, lags_s: Vector3, sensor_lag_s: float, maximum_m_s2: float, bandwidths_rad_s: Vector3
     ) -> None:
-        """`walks`: how fast the disturbance may walk along each axis, m/s2 per square root of a second."""
-        self._gains = tuple(
-            tuple((float(v), float(a)) for v, a in stationary_gain(period_s, lag_s, sensor_lag_s, walk))
-            for lag_s, walk in zip(lags_s, walks, strict=True)
-        )
-        self._lags_s = lags_s
-        self._sensor_lag_s = sensor_lag_s
+        """`lags_s` from command to acceleration; `bandwidths_rad_s`: how fast what lasts is believed."""
+        self._lags_s, self._sensor_lag_s = lags_s, sensor_lag_s
         self._maximum_m_s2 = maximum_m_s2
-        self._axes = (_Axis(), _Axis(), _Axis())
-
-    @property
-    def velocity_ned_m_s(self) -> Vector3:
-        """Velocity (m/s, NED) as the observer has it."""
-        x, y, z = self._axes
-        return (x.velocity, y.velocity, z.velocity)
-
-    @property
-    def acceleration_ned_m_s2(self) -> Vector3:
-        """Flown acceleration (m/s2, NED), freed of the measurement's bias."""
-        x, y, z = self._axes
-        return (x.acceleration, y.acceleration, z.acceleration)
-
-    @property
-    def disturbance_ned_m_s2(self) -> Vector3:
-        """Disturbance (m/s2, NED), each axis within the bound."""
-        x, y, z = self._axes
-        return (x.disturbance, y.disturbance, z.disturbance)
+        self._bandwidths_rad_s = bandwidths_rad_s
+        self.start(ZERO3, ZERO3)
 
     def start(
-        self, velocity_ned_m_s: Vector3, acceleration_ned_m_s2: Vector3, disturbance_ned_m_s2: Vector3 = ZERO3
+        self, velocity_ned_m_s: Vector3, made_ned_m_s2: Vector3, lasting_ned_m_s2: Vector3 = ZERO3
     ) -> None:
-        """Begin anew from measurements and a first guess of the disturbance."""
-        for axis, v, a, d in zip(
-            self._axes, velocity_ned_m_s, acceleration_ned_m_s2, disturbance_ned_m_s2, strict=True
-        ):
-            axis.velocity, axis.acceleration, axis.bias, axis.shown = v, a, 0.0, a
-            axis.disturbance = _clamp(d, self._maximum_m_s2)
+        """Begin anew from what the thrust makes by now, all of it as commanded, and a guess of what lasts."""
+        x, y, z = map(_Axis, self._bandwidths_rad_s, velocity_ned_m_s, made_ned_m_s2, lasting_ned_m_s2)
+        self._axes = (x, y, z)
 
-    def predict(self, command_ned_m_s2: Vector3, duration_s: float) -> None:
-        """Carry the state on under a constant command."""
-        for axis, command, lag_s in zip(self._axes, command_ned_m_s2, self._lags_s, strict=True):
-            axis.predict(command, duration_s, lag_s, self._sensor_lag_s)
+    @property
+    def lasting_ned_m_s2(self) -> Vector3:
+        """What lasts (m/s2, NED), each axis within the bound."""
+        x, y, z = self._axes
+        return (x.lasting, y.lasting, z.lasting)
 
-    def correct(self, velocity_ned_m_s: Vector3, acceleration_ned_m_s2: Vector3) -> None:
-        """Take in measured velocity and acceleration; a measurement that is not finite is passed over."""
-        if not all(map(math.isfinite, (*velocity_ned_m_s, *acceleration_ned_m_s2))):
-            return
-        for axis, v, a, gain in zip(
-            self._axes, velocity_ned_m_s, acceleration_ned_m_s2, self._gains, strict=True
-        ):
-            axis.correct(v, a, gain, self._maximum_m_s2)
+    @property
+    def bias_ned_m_s2(self) -> Vector3:
+        """The measured acceleration's bias (m/s2, NED)."""
+        x, y, z = self._axes
+        return (x.bias, y.bias, z.bias)
+
+    @property
+    def made_ned_m_s2(self) -> Vector3:
+        """What the commands alone make by now (m/s2, NED), by the model."""
+        x, y, z = self._axes
+        return (x.made, y.made, z.made)
+
+    def predict(self, wanted_ned_m_s2: Vector3, duration_s: float) -> None:
+        """Carry what the commands make on; `wanted_ned_m_s2` is in effect meanwhile."""
+        if duration_s > 0.0:
+            for axis, wanted, lag_s in zip(self._axes, wanted_ned_m_s2, self._lags_s, strict=True):
+                axis.predict(wanted, duration_s, lag_s, self._sensor_lag_s)
+
+    def correct(self, velocity: Vector3, acceleration: Vector3, thrust: Vector3, elapsed_s: float) -> None:
+        """Take in measured velocity, acceleration and what the thrust made, as late as the acceleration.
+
+        A measurement that is not finite is passed over.
+        """
+        measured = (velocity, acceleration, thrust)
+        if all(math.isfinite(value) for vector in measured for value in vector):
+            for axis, v, a, f in zip(self._axes, *measured, strict=True):
+                axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
 
     def relieve_vertical(self, covered_m_s2: float) -> None:
-        """Take off the vertical disturbance what the thrust scale covers from now on."""
-        self._axes[2].disturbance -= covered_m_s2
+        """Take off along down what the thrust scale covers from now on."""
+        self._axes[2].lasting -= covered_m_s2
 
 
-class GustObserver:
-    """The quick part of the wind's push, from how the vehicle leans and how it accelerates.
+class WindObserver:
+    """The wind's push sideways, from how the vehicle leans and how it accelerates. NED, m/s2.
 
-    A multirotor's thrust lies along its up axis, so what it accelerates sideways beyond its lean is the
-    wind's doing, and no lag of attitude or motors stands between. Errors of the attitude are slow and the
-    mean wind too: they are left to `DisturbanceObserver`, which takes this part as known. NED, m/s2.
+    An attitude that is off cancels: the acceleration was turned by it, too.
     """
 
-    SMOOTHING_S = 0.06
-    FORGETTING_S = 5.0
+    SMOOTHING_S: Final = 0.06
 
-    def __init__(self, sensor_lag_s: float) -> None:
+    def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
         """`sensor_lag_s` is how late the measured acceleration is: the lean is made as late."""
-        self._lag_s = sensor_lag_s
+        self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, calm."""
-        self._lean: tuple[float, float] | None = None
-        self._quick = self._slow = (0.0, 0.0)
+        """Begin anew: the first measurement is taken as it is."""
+        self._late: Vector3 | None = None
+        self.thrust_ned_m_s2: Vector3 = ZERO3
+        self.late_thrust_ned_m_s2: Vector3 = ZERO3
+        self.push_ned_m_s2: Vector3 = ZERO3
 
-    @property
-    def push_ned_m_s2(self) -> Vector3:
-        """The part of the wind's push (m/s2, NED) that has not lasted; its third part is 0."""
-        return (self._quick[0] - self._slow[0], self._quick[1] - self._slow[1], 0.0)
+    def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> None:
+        """Take in attitude and acceleration, the last were `elapsed_s` ago.
 
-    def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> Vector3:
-        """Take in attitude and acceleration, the last were `elapsed_s` ago; returns `push_ned_m_s2`."""
+        `thrust_ned_m_s2` is then what the lean makes now, `late_thrust_ned_m_s2` the same as late as the
+        acceleration, and `push_ned_m_s2` the wind's part. Along down all of the acceleration is thrust.
+        """
         x, y, z = acceleration_ned_m_s2
         if not all(map(math.isfinite, (x, y, z, *attitude))):
-            return self.push_ned_m_s2
-        lean = level_acceleration(attitude)
-        carried = 1.0 - z / GRAVITY_M_S2
-        if self._lean is None:
-            self._lean = lean
-            self._quick = self._slow = (x - lean[0] * carried, y - lean[1] * carried)
-        self._lean = _follow(self._lean, lean, elapsed_s / self._lag_s)
-        wind = (x - self._lean[0] * carried, y - self._lean[1] * carried)
-        self._quick = _follow(self._quick, wind, elapsed_s / self.SMOOTHING_S)
-        self._slow = _follow(self._slow, self._quick, elapsed_s / self.FORGETTING_S)
-        return self.push_ned_m_s2
-
-    def added_to(self, disturbance_ned_m_s2: Vector3, maximum_m_s2: float) -> Vector3:
-        """The whole disturbance (m/s2, NED), each axis within the bound."""
-        x, y, z = add(disturbance_ned_m_s2, self.push_ned_m_s2)
-        return (_clamp(x, maximum_m_s2), _clamp(y, maximum_m_s2), z)
+            return
+        lean, carried = level_acceleration(attitude), 1.0 - z / GRAVITY_M_S2
+        now = (lean[0] * carried, lean[1] * carried, z)
+        first = self._late is None
+        late = self._late = now if self._late is None else _follow(self._late, now, elapsed_s / self._lag_s)
+        self.thrust_ned_m_s2, self.late_thrust_ned_m_s2 = now, (late[0], late[1], z)
+        bound = self._maximum_m_s2
+        wind = (_clamp(x - late[0], bound), _clamp(y - late[1], bound), 0.0)
+        smoothing = math.inf if first else elapsed_s / self.SMOOTHING_S
+        self.push_ned_m_s2 = _follow(self.push_ned_m_s2, wind, smoothing)
 
 
 class ThrustScale:
@@ -247,11 +176,15 @@ class ThrustScale:
         return covered
 
 
-def _follow(
-    state: tuple[float, float], measured: tuple[float, float], exponent: float
-) -> tuple[float, float]:
-    share = -math.expm1(-exponent)
-    return (state[0] + share * (measured[0] - state[0]), state[1] + share * (measured[1] - state[1]))
+def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:
+    share = _share(exponent)
+    x, y, z = (a + share * (b - a) for a, b in zip(state, measured, strict=True))
+    return (x, y, z)
+
+
+def _share(exponent: float) -> float:
+    """How much of the way a first-order lag goes."""
+    return -math.expm1(-exponent)
 
 
 def _clamp(value: float, bound: float) -> float:

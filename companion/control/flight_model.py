@@ -14,15 +14,12 @@ from typing import Final
 
 import numpy as np
 
-from companion.config import ControlConfig, VehicleConfig
+from companion.config import AxisResponse, ControlConfig, Kind, VehicleConfig
 from companion.geometry import FloatArray, Vector3
 from companion.messages import Manner
 
 AxisState = tuple[float, float, float]
-# what each autopilot's shaping of velocity setpoints adds, sideways and down (s): none in PX4's OFFBOARD;
-# ArduPilot limits the jerk, and its height loop is slow (identified on the simulated one, which answers as
-# recordings of ArduCopter 4.6 do)
-SHAPING_S: Final[dict[Manner, tuple[float, float]]] = {"px4": (0.0, 0.0), "ardupilot": (0.17, 0.21)}
+SHORTEST_LAG_S: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,16 +54,43 @@ def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vect
 
 
 def lags(vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4") -> Vector3:
-    """Lag (s) along north, east and down: sideways it has to lean first, upwards only thrust lags.
+    """Lag (s) along north, east and down, besides `command_delay_s`: together as late as the response.
 
-    By velocity setpoints the autopilot's own shaping comes on top.
+    Sideways the vehicle has to lean first, upwards only thrust lags; velocity setpoints the autopilot shapes.
     """
-    sideways, down = vehicle.acceleration_time_constant_s, vehicle.thrust_time_constant_s
-    if control.setpoint == "velocity":
-        shaping_s, climb_shaping_s = SHAPING_S[manner]
-        sideways += shaping_s if control.autopilot_lag_s is None else control.autopilot_lag_s
-        down += climb_shaping_s if control.autopilot_climb_lag_s is None else control.autopilot_climb_lag_s
-    return (sideways, sideways, down)
+    by_velocity = control.setpoint == "velocity"
+    response = vehicle.responses.of(manner, flown_kind(control))
+    sideways = control.autopilot_lag_s if by_velocity else vehicle.acceleration_time_constant_s
+    down = control.autopilot_climb_lag_s if by_velocity else vehicle.thrust_time_constant_s
+    x = _lag(sideways, response.sideways, control)
+    return (x, x, _lag(down, response.down, control))
+
+
+def _lag(measured_s: float | None, response: AxisResponse, control: ControlConfig) -> float:
+    if measured_s is not None:
+        return measured_s
+    return max(SHORTEST_LAG_S, response.delay_s - control.command_delay_s)
+
+
+def velocity_gains(
+    vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4", *, sideways: bool = True
+) -> Vector3:
+    """Gains (1/s) of the autopilot's own velocity loops, north, east and down.
+
+    `sideways`: it is sent a horizontal velocity. By attitude setpoints it has no such loops.
+    """
+    if control.setpoint == "attitude":
+        return (0.0, 0.0, 0.0)
+    responses = vehicle.responses
+    x, z = control.autopilot_velocity_gain_1_s, control.autopilot_climb_gain_1_s
+    x = responses.of(manner, "velocity").sideways.velocity_gain_1_s if x is None else x
+    z = responses.of(manner, flown_kind(control)).down.velocity_gain_1_s if z is None else z
+    return (x, x, z) if sideways else (0.0, 0.0, z)
+
+
+def flown_kind(control: ControlConfig) -> Kind:
+    """The kind of setpoint whose response counts; before it is known whose autopilot obeys, by velocity."""
+    return "velocity" if control.setpoint == "auto" else control.setpoint
 
 
 def discretise(step_s: float, tau_s: float) -> tuple[FloatArray, FloatArray]:

@@ -44,7 +44,7 @@ from companion.geometry import FloatArray, Vector3
 ACCEPTED_RESIDUAL = 1e-2
 # measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
 # OSQP's count of iterations, since its own choice of interval goes by time
-RHO = 6.0
+RHO = 1.0
 RHO_BY_ITERATIONS = 1
 RHO_INTERVAL = 50
 SLICE_ITERATIONS = 100

@@ -79,15 +79,12 @@ def _turning(
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Displacement, velocity and acceleration (n,) in a turn; complex numbers are the horizontal plane.
 
-    The acceleration across the course is omega times the velocity and turns with it; the one along the course
-    dies away (that it turns too is second order and left out).
+    The course turns at the rate omega, and with it what is left of the acceleration along it: it dies away.
     """
     along = acceleration - 1j * omega * velocity
-    turned = velocity * np.exp(1j * omega * t)
-    fade = np.exp(-t / decay_s)
-    gained = decay_s * (1.0 - fade)
-    return (
-        (turned - velocity) / (1j * omega) + along * decay_s * (t - gained),
-        turned + along * gained,
-        1j * omega * turned + along * fade,
-    )
+    turned, fade = np.exp(1j * omega * t), np.exp(-t / decay_s)
+    pole = 1j * omega - 1.0 / decay_s
+    speed = (velocity + along * decay_s * (1.0 - fade)) * turned
+    displacement = (velocity + along * decay_s) * (turned - 1.0) / (1j * omega)
+    displacement -= along * decay_s * (turned * fade - 1.0) / pole
+    return displacement, speed, 1j * omega * speed + along * turned * fade

@@ -6,70 +6,62 @@ the thrust scale. NED and FRD, SI units.
 
 from __future__ import annotations
 
-import math
+from typing import Final
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.disturbance import (
-    DISTURBANCE_WALK,
-    LEANING_DISTURBANCE_WALKS,
-    DisturbanceObserver,
-    GustObserver,
-    ThrustScale,
-)
-from companion.control.flight_model import Motion
+from companion.control.disturbance import LastingObserver, ThrustScale, WindObserver
+from companion.control.fitting import loop_rad_s
+from companion.control.flight_model import Motion, velocity_gains
 from companion.control.history import Command, CommandHistory
-from companion.control.setpoints import velocity_gains
-from companion.geometry import (
-    GRAVITY_M_S2,
-    ZERO3,
-    Vector3,
-    add,
-    level_acceleration,
-    quat_rotate,
-    scale,
-    subtract,
-)
-from companion.messages import Setpoint, VehicleState
+from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
+from companion.messages import Manner, Setpoint, VehicleState
+
+# how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
+LASTING_SHARE: Final = 0.25
+LASTING_DOWN_SHARE: Final = 0.3
 
 
 class Plant:
     """Learns from each estimate how the vehicle answers, and carries motions forward through that answer."""
 
-    def __init__(self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3) -> None:
+    def __init__(
+        self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3, manner: Manner = "px4"
+    ) -> None:
         """`lags_s` are `flight_model.lags`."""
-        self._by_attitude = config.setpoint == "attitude"
-        self._by_lean = config.setpoint != "velocity"
-        self._config, self._lags_s = config, lags_s
+        self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
+        self._lags_s = lags_s
+        self._gains = {
+            heard: velocity_gains(vehicle, config, manner, sideways=heard) for heard in (True, False)
+        }
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s)
-        self._observer = DisturbanceObserver(
-            1.0 / config.rate_hz,
-            self._lags_s,
-            config.acceleration_estimate_lag_s,
-            config.maximum_disturbance_m_s2,
-            LEANING_DISTURBANCE_WALKS if self._by_lean else (DISTURBANCE_WALK,) * 3,
-        )
-        self._maximum_m_s2 = config.maximum_disturbance_m_s2
-        self._gusts = GustObserver(config.acceleration_estimate_lag_s)
+        sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
+        sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
+        share = LASTING_DOWN_SHARE if self._by_attitude else LASTING_SHARE
+        bandwidths = (sideways, sideways, share * loop_rad_s(config.vertical))
+        self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
+        self._wind = WindObserver(sensor_lag_s, most)
         self._thrust_scale = ThrustScale()
-        self._lasting_s = config.lasting_disturbance_s
-        self._lasting: Vector3 = ZERO3
         self._observed_s = 0.0
 
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
         """What pushes besides the command (m/s2, NED)."""
-        return self._gusts.added_to(self._observer.disturbance_ned_m_s2, self._maximum_m_s2)
+        return add(self._wind.push_ned_m_s2, self._lasting.lasting_ned_m_s2)
 
     @property
     def lasting_disturbance_ned_m_s2(self) -> Vector3:
-        """The part of the disturbance that has lasted (m/s2, NED)."""
-        return self._lasting
+        """The part of it that no wind explains (m/s2, NED)."""
+        return self._lasting.lasting_ned_m_s2
 
     @property
     def acceleration_ned_m_s2(self) -> Vector3:
-        """Flown acceleration (m/s2, NED)."""
-        return self._observer.acceleration_ned_m_s2
+        """Flown acceleration (m/s2, NED): sideways what the lean makes and the wind, as measured."""
+        x, y, _ = subtract(
+            add(self._wind.thrust_ned_m_s2, self._wind.push_ned_m_s2), self._lasting.bias_ned_m_s2
+        )
+        down = add(self._lasting.made_ned_m_s2, self._lasting.lasting_ned_m_s2)[2]
+        return (x, y, down)
 
     @property
     def hover_thrust(self) -> float:
@@ -77,44 +69,30 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, nothing commanded. A leaning vehicle that does not accelerate leans against wind.
+        """Begin anew, nothing commanded: what the vehicle leans it leans against the wind, or into a turn.
 
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """
-        disturbance = ZERO3
-        acceleration = vehicle.acceleration_ned_m_s2
-        if self._by_lean:
-            lean = level_acceleration(vehicle.attitude)
-            disturbance = (acceleration[0] - lean[0], acceleration[1] - lean[1], 0.0)
-        self._lasting = ZERO3
-        self._observer.start(vehicle.velocity_ned_m_s, acceleration, disturbance)
-        self._gusts.reset()
+        self._wind.reset()
+        self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
+        met = scale(self._wind.push_ned_m_s2, -1.0) if self._by_velocity else ZERO3
+        self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
         self._history.clear()
 
     def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
         """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago."""
-        gust = self._gust(vehicle, elapsed_s)
         for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
-            self._observer.predict(add(self._wanted(command, duration_s), gust), duration_s)
+            self._lasting.predict(self._wanted(command, vehicle), duration_s)
         self._observed_s = max(self._observed_s, vehicle.time_s)
-        self._observer.correct(vehicle.velocity_ned_m_s, vehicle.acceleration_ned_m_s2)
-        share = -math.expm1(-elapsed_s / self._lasting_s)
-        fresh = subtract(self._observer.disturbance_ned_m_s2, self._lasting)
-        self._lasting = add(self._lasting, scale(fresh, share))
+        acceleration = vehicle.acceleration_ned_m_s2
+        self._wind.step(vehicle.attitude, acceleration, elapsed_s)
+        self._lasting.correct(
+            vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
+        )
         if self._by_attitude:
-            down = self._observer.disturbance_ned_m_s2[2]
-            self._observer.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
-
-    def _gust(self, vehicle: VehicleState, elapsed_s: float) -> Vector3:
-        """The quick part of the wind's push.
-
-        Nothing by velocity setpoints: there the autopilot answers gusts by itself, and what it does leans the
-        vehicle besides what was commanded.
-        """
-        if not self._by_lean:
-            return ZERO3
-        return self._gusts.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, elapsed_s)
+            down = self._lasting.lasting_ned_m_s2[2]
+            self._lasting.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
 
     def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
         """The motion at `to_s` from that at `from_s`, under what is under way to the autopilot."""
@@ -130,7 +108,7 @@ class Plant:
     def remember(self, setpoint: Setpoint) -> None:
         """Take note of what left, after all limits."""
         if setpoint.attitude is None or setpoint.thrust is None:
-            gains = velocity_gains(self._config, sideways=setpoint.holds_horizontal_velocity)
+            gains = self._gains[setpoint.holds_horizontal_velocity]
             acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
             command = Command(setpoint.time_s, acceleration, velocity, gains)
         else:
@@ -139,10 +117,8 @@ class Plant:
             command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
         self._history.add(command)
 
-    def _wanted(self, command: Command | None, duration_s: float) -> Vector3:
-        """What the autopilot wants in a piece of time; before the first command, what the vehicle does."""
-        acceleration = self._observer.acceleration_ned_m_s2
+    def _wanted(self, command: Command | None, vehicle: VehicleState) -> Vector3:
+        """What the autopilot wants in a piece of time; before the first command, what it makes already."""
         if command is None:
-            return subtract(acceleration, self.disturbance_ned_m_s2)
-        halfway = add(self._observer.velocity_ned_m_s, scale(acceleration, 0.5 * duration_s))
-        return self._history.effect(command, halfway)
+            return self._lasting.made_ned_m_s2
+        return self._history.effect(command, vehicle.velocity_ned_m_s)

@@ -35,25 +35,20 @@ class Heading:
     rate_rad_s: float = 0.0
 
 
-def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
+def resolved(config: ControlConfig, manner: Manner, *, takes_thrust: bool = True) -> ControlConfig:
     """Settings in which the kind of setpoint is the one that this autopilot gets.
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
     derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
-    ArduPilot takes a whole vector or none: without those it would ignore the vertical velocity as well.
+    ArduPilot shapes velocities and accelerations so slowly that no loop around them is quick: it gets
+    attitudes, and velocities while its parameters have it read thrust as a climb rate (`takes_thrust`).
     """
     kind = config.setpoint
-    if kind in ("auto", "acceleration"):
-        # the PID's gains are tuned for the autopilot's velocity loop below it
-        damped = kind == "auto" and config.controller == "pid"
-        kind = "acceleration" if manner == "px4" and not damped else "velocity"
+    if kind == "auto" and config.controller == "pid":
+        kind = "velocity"  # its gains are tuned for the autopilot's velocity loop below it
+    elif kind in ("auto", "acceleration"):
+        kind = "acceleration" if manner == "px4" else "attitude" if takes_thrust else "velocity"
     return config.model_copy(update={"setpoint": kind})
-
-
-def velocity_gains(config: ControlConfig, *, sideways: bool) -> Vector3:
-    """The autopilot's velocity gains (1/s) along north, east and down, as assumed; `sideways`: it has any."""
-    gain = config.autopilot_velocity_gain_1_s if sideways else 0.0
-    return (gain, gain, config.autopilot_climb_gain_1_s)
 
 
 def velocity_setpoint(
@@ -65,13 +60,14 @@ def velocity_setpoint(
     disturbance_ned_m_s2: Vector3,
     lasting_ned_m_s2: Vector3,
     lags_s: Vector3,
+    gains_1_s: Vector3,
     heading: Heading,
 ) -> Setpoint:
     """Velocity and acceleration under which the autopilot wants `input_ned_m_s2` at `motion`."""
     push = add(input_ned_m_s2, disturbance_ned_m_s2)
     ahead = advance(motion, push, config.velocity_lookahead_s, lags_s).velocity_m_s
     holds = config.setpoint != "acceleration"
-    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, velocity_gains(config, sideways=holds)
+    (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, gains_1_s
     most = config.maximum_velocity_correction_m_s
     correction = (_share(-x, kx, most), _share(-y, ky, most), _share(-z, kz, most))
     gained = (kx * correction[0], ky * correction[1], kz * correction[2])

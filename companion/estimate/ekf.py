@@ -12,10 +12,12 @@ with the state extrapolated to its own time.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from companion.config import EkfConfig
 from companion.estimate import ekf_model as model
@@ -30,6 +32,7 @@ from companion.estimate.fix_watch import FixWatch
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.second_gyro import BiasStep
 from companion.geometry import (
+    GRAVITY_M_S2,
     FloatArray,
     Quaternion,
     Vector3,
@@ -40,6 +43,7 @@ from companion.geometry import (
     quat_normalise,
     quat_rotate,
     quat_rotate_inverse,
+    rotation_vector_from_quat,
     scale,
     vector3,
 )
@@ -50,7 +54,8 @@ class ImuStep:
     """The mean of a few IMU samples at their mean time, and what else is known at that time.
 
     `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_doubt_m_s2` is
-    by how much the specific force may be off for a second or so.
+    by how much the specific force may be off for a second or so. `span_s` is how long it has lasted by the
+    sensor's own clock; None: since the step before.
     """
 
     rate_body_rad_s: Vector3
@@ -63,6 +68,7 @@ class ImuStep:
     still: bool = False
     at_rest: bool = False
     force_doubt_m_s2: float = 0.0
+    span_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +81,15 @@ class GpsStep:
     velocity_std_m_s: Vector3
 
 
-EkfInput = ImuStep | GpsStep | BiasStep
+class AnchorStep(NamedTuple):
+    """The attitude is off: `turn` (about NED axes) puts it right, to these standard deviations (rad)."""
+
+    turn: Quaternion
+    tilt_std_rad: float
+    heading_std_rad: float
+
+
+EkfInput = ImuStep | GpsStep | BiasStep | AnchorStep
 
 UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity by more does not know it
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
@@ -88,12 +102,19 @@ STEP_TURN_STD_RAD: Final = math.radians(0.5)
 DOUBT_S: Final = 1.0  # a doubtful force stays off for so long
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
+LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
+WRONG_FOR_S: Final = 0.2  # before it is set right
 _EYE3: Final = np.eye(3)
 _EYE4: Final = np.eye(4)
+_EYE: Final = np.eye(model.STATES)
 
 
 class EkfSnapshot(NamedTuple):
-    """All of the filter; the arrays are never written to again."""
+    """All of the filter; the arrays are never written to again.
+
+    `moved` (31, 31) is how an error before the last input has become one after it; None when the input has
+    set states anew, so that none has.
+    """
 
     time_s: float
     x: FloatArray
@@ -102,6 +123,7 @@ class EkfSnapshot(NamedTuple):
     has_position: bool
     gps_time_s: float
     fix_watch: FixWatch
+    moved: FloatArray | None
 
 
 class VehicleEkf:
@@ -123,31 +145,81 @@ class VehicleEkf:
         self.has_position = False
         self.gps_time_s = -math.inf
         self.fix_watch = FixWatch()
+        self._moved: FloatArray | None = _EYE
 
     # ------------------------------------------------------------ replayable
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
         return EkfSnapshot(
-            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch)
+            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch),
+            self._moved,
         )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.fix_watch = snapshot[5:]
+        self.gps_time_s, self.fix_watch, self._moved = snapshot[5:]
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
+        self._moved = _EYE
         if isinstance(item, GpsStep):
             self._take_gps(time_s, item)
             return
         if isinstance(item, BiasStep):
             self._take_bias_step(item)
             return
+        if isinstance(item, AnchorStep):
+            self._take_anchor(item)
+            return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples, item.force_doubt_m_s2)
+        self.predict(time_s, u, item.samples, item.force_doubt_m_s2, item.span_s)
         self._take_imu(item)
+
+    def carried(
+        self, base: EkfSnapshot, later: Sequence[EkfSnapshot], time_s: float, item: EkfInput
+    ) -> list[EkfSnapshot] | None:
+        """The states after a late fix and after all that is newer, from those without it.
+
+        What the fix changes at its time moves on as errors do: x by a product of Jacobians, P on both sides.
+        The gains of the newer inputs stay as they were, a little larger than they would have been: P is that
+        of the estimate so made. None for a first fix, for one that turns the attitude by more than the
+        Jacobians hold, and when something newer has set states anew or is a fix itself.
+        """
+        if not isinstance(item, GpsStep) or not base.has_position:
+            return None
+        if any(past.fix_watch != base.fix_watch for past in later):
+            return None
+        self.restore(base)
+        self.apply(time_s, item)
+        dx, dP = self.x - base.x, self.P - base.P
+        if np.abs(dx[model.QUATERNION]).max() > LARGEST_CARRIED:
+            return None
+        fixed = {kind: gate for kind, gate in self.gates.items() if kind.startswith("gps")}
+        after = [self.snapshot()]
+        for past in later:
+            if (moved := past.moved) is None:
+                return None
+            dx, dP = moved @ dx, moved @ dP @ moved.T
+            after.append(self._changed(past, dx, dP, fixed))
+        return after
+
+    def _changed(
+        self, past: EkfSnapshot, dx: FloatArray, dP: FloatArray, gates: dict[str, Gate]
+    ) -> EkfSnapshot:
+        """A state that is newer than a late fix, with what has come of the fix's correction."""
+        x = past.x + dx
+        attitude = quat_normalise(model.quaternion_of(x))
+        x[model.ATTITUDE] = (*attitude, *euler_from_quat(attitude))
+        return past._replace(
+            x=x,
+            P=past.P + dP,
+            gates={**past.gates, **gates},
+            has_position=self.has_position,
+            gps_time_s=self.gps_time_s,
+            fix_watch=self.fix_watch,
+        )
 
     # ------------------------------------------------------------ state
 
@@ -172,12 +244,20 @@ class VehicleEkf:
     # ------------------------------------------------------------ eq. 17
 
     def predict(
-        self, time_s: float, u: model.InertialInput, samples: int = 1, force_doubt_m_s2: float = 0.0
+        self,
+        time_s: float,
+        u: model.InertialInput,
+        samples: int = 1,
+        force_doubt_m_s2: float = 0.0,
+        span_s: float | None = None,
     ) -> None:
-        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing."""
-        dt_s = time_s - self.time_s
-        if dt_s <= 0.0:
+        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing.
+
+        What moves meanwhile moves for `span_s`, when that is told.
+        """
+        if time_s <= self.time_s:
             return
+        dt_s = time_s - self.time_s if span_s is None else span_s
         n, m = model.MOVING, model.COUPLED
         P = self.P.copy()
         turn_variance, push_variance = self._inertial_noise(u, dt_s, samples)
@@ -191,6 +271,8 @@ class VehicleEkf:
         P[:, :n] = P[:, :m] @ A.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P
+        self._moved = _EYE.copy()
+        self._moved[:n, :m] = A
         self.time_s = time_s
 
     def _inertial_noise(self, u: model.InertialInput, dt_s: float, samples: int) -> tuple[float, float]:
@@ -213,52 +295,62 @@ class VehicleEkf:
     def _update(
         self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, doubt: FloatArray | None
     ) -> bool:
-        """Joseph form with noise R; False when the innovation fails its chi-square test with noise `doubt`.
+        """An update with noise R; False when the innovation fails its chi-square test with noise `doubt`.
 
         The two differ where R is larger to make up for errors that are alike in many samples.
         """
-        P = self.P
-        PCt = P @ C.T
-        CPCt = C @ PCt
+        PCt = self.P @ C.T
+        S = C @ PCt
         if doubt is not None:
-            test = normalised_innovation_squared(innovation, CPCt + doubt)
+            test = normalised_innovation_squared(innovation, S + doubt)
             passed = test <= CHI_SQUARE_999[len(innovation)]
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
                 return False
-        K = PCt @ np.linalg.inv(CPCt + R)
-        x = self.x + K @ innovation
-        L = -(K @ C)
-        L.reshape(-1)[:: model.STATES + 1] += 1.0
-        self._normalise(x, K, L)
-        P = L @ P @ L.T + K @ R @ K.T
-        P += P.T
-        P *= 0.5
-        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
-        self.x, self.P = x, P
+        self._correct(innovation, C, PCt, S + R)
         return True
 
+    def _correct(self, innovation: FloatArray, C: FloatArray, PCt: FloatArray, S: FloatArray) -> None:
+        """x⁺ = x⁻ + K y, P⁺ = P⁻ - K S Kᵀ, K = P Cᵀ S⁻¹; then the quaternion's share is put right.
+
+        Raises:
+            numpy.linalg.LinAlgError: S is not positive definite.
+        """
+        _, Kt, failed = dposv(S, PCt.T)
+        if failed:
+            raise np.linalg.LinAlgError(f"innovation covariance: {failed}")
+        x, P, L = self.x + innovation @ Kt, self.P - PCt @ Kt, _EYE - Kt.T @ C
+        J = self._normalise(x)
+        P[model.QUATERNION] = J @ P[model.QUATERNION]
+        P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T
+        P = 0.5 * (P + P.T)
+        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
+        self.x, self.P = x, P
+        if self._moved is not None:
+            L[model.QUATERNION] = J @ L[model.QUATERNION]
+            self._moved = L @ self._moved
+
     @staticmethod
-    def _normalise(x: FloatArray, K: FloatArray, L: FloatArray) -> None:
-        """Quaternion to unit length, and the same for its share of the covariance: J = (I - q qᵀ) / |q|."""
+    def _normalise(x: FloatArray) -> FloatArray:
+        """Quaternion to unit length, and what that does to its errors: J (4, 4) = (I - q qᵀ) / |q|."""
         w, i, j, k = x[model.QUATERNION].tolist()
         size = math.sqrt(w * w + i * i + j * j + k * k)
         unit = quat_normalise((w, i, j, k))
         q = np.array(unit)
-        J = (np.eye(4) - np.outer(q, q)) / size
-        x[model.QUATERNION] = unit
-        x[model.EULER] = euler_from_quat(unit)
-        K[model.QUATERNION] = J @ K[model.QUATERNION]
-        L[model.QUATERNION] = J @ L[model.QUATERNION]
+        x[model.ATTITUDE] = (*unit, *euler_from_quat(unit))
+        return np.asarray((_EYE4 - q[:, None] * q) / size)
 
     # ------------------------------------------------------------ measurements
 
     def _take_imu(self, step: ImuStep) -> None:
         expected, C = model.imu_model(self.x)
         innovation = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2) - expected
-        R = self._imu_noise / step.samples
-        R[range(3, 6), range(3, 6)] += step.force_doubt_m_s2**2
-        self._update("imu", innovation, C, self._without_blows(innovation, C, R), None)
+        PCt = self.P @ C.T
+        S = C @ PCt + self._imu_noise / step.samples
+        if step.force_doubt_m_s2 > 0.0:
+            S[3:, 3:] += step.force_doubt_m_s2**2 * _EYE3
+        self._allow_blows(innovation, S)
+        self._correct(innovation, C, PCt, S)
         if step.field_body_ut is not None:
             self._take_field(step.field_body_ut)
         if step.attitude is not None:
@@ -270,19 +362,16 @@ class VehicleEkf:
         if step.at_rest:
             self._take_zero(model.VELOCITY, self._rest_noise)
 
-    def _without_blows(self, innovation: FloatArray, C: FloatArray, R: FloatArray) -> FloatArray:
-        """R with more noise on a specific force that does not fit: a blow, or a sensor that clips.
+    @staticmethod
+    def _allow_blows(innovation: FloatArray, S: FloatArray) -> None:
+        """Enlarge S for a specific force that does not fit: a blow, or a sensor that clips.
 
         The innovation then counts as if it lay on the bound of its test (Huber's way): a blow cannot throw
         the attitude, and a force that stays is still believed in the end.
         """
-        S = C[3:] @ self.P @ C[3:].T + R[3:, 3:]
-        excess = normalised_innovation_squared(innovation[3:], S) / CHI_SQUARE_999[3]
-        if excess <= 1.0:
-            return R
-        doubted = R.copy()
-        doubted[3:, 3:] += (excess - 1.0) * S
-        return doubted
+        excess = normalised_innovation_squared(innovation[3:], S[3:, 3:]) / CHI_SQUARE_999[3]
+        if excess > 1.0:
+            S[3:, 3:] *= excess
 
     def _take_attitude(self, attitude: Quaternion, tilt_noise_rad: float, heading_noise_rad: float) -> None:
         expected, C = model.attitude_model(self.x)
@@ -331,14 +420,24 @@ class VehicleEkf:
         self.P, self.fix_watch = P, self.fix_watch.suspected(self.time_s)
 
     def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
-        """Take the orientation filter's attitude: the filter's own has proved wrong."""
+        """Take another attitude: the filter's own has proved wrong."""
         x, P = self.x.copy(), self.P.copy()
         x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
         P[:7, :] = P[:, :7] = 0.0
-        self.x, self.P = x, P
+        self.x, self.P, self._moved = x, P, None
         self._doubt_rotation(rotation_variance)
-        gate = self.gates["orientation"]
+        gate = self.gates.get("orientation", Gate())
         self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}
+
+    def _take_anchor(self, step: AnchorStep) -> None:
+        """Turn the attitude; what was felt by the wrong one has gone into the velocity."""
+        tilt, heading = step.tilt_std_rad**2, step.heading_std_rad**2
+        attitude = quat_normalise(quat_multiply(step.turn, self.attitude))
+        self._start_attitude(attitude, np.diag((tilt, tilt, heading)))
+        turned_rad = norm(rotation_vector_from_quat(step.turn))
+        P = self.P.copy()
+        P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * _EYE3
+        self.P = P
 
     def _doubt_rotation(self, rotation_variance: FloatArray) -> None:
         """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
@@ -395,7 +494,7 @@ class VehicleEkf:
         x[model.EULER] = euler_from_quat(attitude)
         P[model.GYRO_BIAS, :] = P[:, model.GYRO_BIAS] = 0.0
         P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * _EYE3
-        self.x, self.P = x, P
+        self.x, self.P, self._moved = x, P, None
         self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * _EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
@@ -418,7 +517,7 @@ class VehicleEkf:
         )
         P[states, :] = P[:, states] = 0.0
         P[states, states] = np.diag(np.concatenate((np.square(fix.position_std_m), speed_variance)))
-        self.x, self.P = x, P
+        self.x, self.P, self._moved = x, P, None
         self.has_position, self.gps_time_s = True, time_s
         fresh = {
             kind: Gate(g.accepted, g.refused) for kind, g in self.gates.items() if kind.startswith("gps")

@@ -47,9 +47,13 @@ ACCEL_BIAS: Final = slice(19, 22)
 GYRO_BIAS: Final = slice(22, 25)
 FIELD: Final = slice(25, 28)
 MAG_BIAS: Final = slice(28, 31)
+ATTITUDE: Final = slice(0, 7)  # the quaternion and its Euler angles
 
 _EYE3: Final = np.eye(3)
 _A_CONSTANT: Final = np.eye(MOVING, COUPLED)
+_A_CONSTANT[EULER, EULER] = 0.0
+_C_IMU: Final = np.zeros((6, STATES))
+_C_IMU[0:3, RATE] = _C_IMU[0:3, GYRO_BIAS] = _C_IMU[3:6, ACCEL_BIAS] = _EYE3
 
 
 def quaternion_of(x: FloatArray) -> Quaternion:
@@ -119,8 +123,8 @@ def right_matrix(q: Quaternion) -> FloatArray:
     return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
 
 
-def turn_and_jacobian(rotation: Vector3) -> tuple[Quaternion, FloatArray]:
-    """Quaternion of a rotation vector (rad) and its derivative (4, 3)."""
+def turn_and_derivatives(rotation: Vector3) -> tuple[Quaternion, tuple[Quaternion, ...]]:
+    """Quaternion of a rotation vector (rad) and its derivatives by the vector's three components."""
     a, b, c = rotation
     angle = math.sqrt(a * a + b * b + c * c)
     if angle > 1e-3:
@@ -129,15 +133,32 @@ def turn_and_jacobian(rotation: Vector3) -> tuple[Quaternion, FloatArray]:
     else:
         # series: below this the closed form loses its digits
         cosine, s, curve = 1.0 - angle * angle / 8.0, 0.5 - angle * angle / 48.0, -1.0 / 24.0
+    h, ca, cb, cc = -0.5 * s, curve * a, curve * b, curve * c
+    return (cosine, s * a, s * b, s * c), (
+        (h * a, s + ca * a, ca * b, ca * c),
+        (h * b, ca * b, s + cb * b, cb * c),
+        (h * c, ca * c, cb * c, s + cc * c),
+    )
+
+
+def _turned(q: Quaternion, rotation: Vector3, scale_by: float) -> tuple[Quaternion, FloatArray]:
+    """q turned by a rotation (body, rad), and its Jacobian (4, 7) by q and by what makes the rotation.
+
+    `scale_by` is the rotation's derivative by that.
+    """
+    turn, derivatives = turn_and_derivatives(rotation)
+    w, x, y, z = turn
+    (ew, ex, ey, ez), (fw, fx, fy, fz), (gw, gx, gy, gz) = (quat_multiply(q, d) for d in derivatives)
+    k = scale_by
     jacobian = np.array(
         [
-            [-0.5 * s * a, -0.5 * s * b, -0.5 * s * c],
-            [s + curve * a * a, curve * a * b, curve * a * c],
-            [curve * a * b, s + curve * b * b, curve * b * c],
-            [curve * a * c, curve * b * c, s + curve * c * c],
+            [w, -x, -y, -z, k * ew, k * fw, k * gw],
+            [x, w, z, -y, k * ex, k * fx, k * gx],
+            [y, -z, w, x, k * ey, k * fy, k * gy],
+            [z, y, -x, w, k * ez, k * fz, k * gz],
         ]
     )
-    return (cosine, s * a, s * b, s * c), jacobian
+    return quat_multiply(q, turn), jacobian
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,30 +179,27 @@ def transition(
     (strapdown): no model of how fast a rate may change stands between the gyroscope and the attitude. The
     states of rate and acceleration, which the IMU measures, are a random walk and a Markov process.
     """
-    q = quaternion_of(x)
-    bias, accel_bias = x[GYRO_BIAS].tolist(), x[ACCEL_BIAS].tolist()
-    rx, ry, rz = (r - b for r, b in zip(u.rate_body_rad_s, bias, strict=True))
-    fx, fy, fz = (f - b for f, b in zip(u.specific_force_body_m_s2, accel_bias, strict=True))
-    turn, d_turn = turn_and_jacobian((rx * dt_s, ry * dt_s, rz * dt_s))
-    half, d_half = turn_and_jacobian((0.5 * rx * dt_s, 0.5 * ry * dt_s, 0.5 * rz * dt_s))
-    q_after, q_mid = quat_normalise(quat_multiply(q, turn)), quat_multiply(q, half)
-    an, ae, ad = quat_rotate(q_mid, (fx, fy, fz))
+    state = x.tolist()
+    qw, qx, qy, qz = state[QUATERNION]
+    (ax, ay, az), (gx, gy, gz) = state[ACCEL_BIAS], state[GYRO_BIAS]
+    (rx, ry, rz), (fx, fy, fz) = u.rate_body_rad_s, u.specific_force_body_m_s2
+    rx, ry, rz, force = (rx - gx) * dt_s, (ry - gy) * dt_s, (rz - gz) * dt_s, (fx - ax, fy - ay, fz - az)
+    q_after, turning = _turned((qw, qx, qy, qz), (rx, ry, rz), -dt_s)
+    q_mid, turning_half = _turned((qw, qx, qy, qz), (0.5 * rx, 0.5 * ry, 0.5 * rz), -0.5 * dt_s)
+    q_after = quat_normalise(q_after)
+    an, ae, ad = quat_rotate(q_mid, force)
     push = np.array((an * dt_s, ae * dt_s, (ad + GRAVITY_M_S2) * dt_s))
     fade = math.exp(-dt_s / accel_tau_s)
     after = x.copy()
-    after[QUATERNION] = q_after
-    after[EULER] = euler_from_quat(q_after)
+    after[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
     after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * push)
     after[VELOCITY] += push
     after[ACCELERATION] *= fade
     A = _A_CONSTANT.copy()
-    left = left_matrix(q)
-    A[QUATERNION, QUATERNION] = right_matrix(turn)
-    A[QUATERNION, GYRO_BIAS] = left @ d_turn * -dt_s
-    A[EULER] = euler_jacobian(q_after) @ A[QUATERNION]
-    d_force = rotation_jacobian(q_mid, (fx, fy, fz)) * dt_s
-    A[VELOCITY, QUATERNION] = d_force @ right_matrix(half)
-    A[VELOCITY, GYRO_BIAS] = d_force @ (left @ d_half) * (-0.5 * dt_s)
+    pushing = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
+    showing = euler_jacobian(q_after) @ turning
+    for rows, jacobian in ((QUATERNION, turning), (EULER, showing), (VELOCITY, pushing)):
+        A[rows, QUATERNION], A[rows, GYRO_BIAS] = jacobian[:, :4], jacobian[:, 4:]
     A[VELOCITY, ACCEL_BIAS] = _inverse_rotation(q_mid).T * -dt_s
     A[POSITION] = (0.5 * dt_s) * A[VELOCITY]
     A[POSITION, POSITION] = _EYE3
@@ -195,8 +213,7 @@ def imu_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
     q = quaternion_of(x)
     an, ae, ad = x[ACCELERATION].tolist()
     force_ned = (an, ae, ad - GRAVITY_M_S2)
-    C = np.zeros((6, STATES))
-    C[0:3, RATE] = C[0:3, GYRO_BIAS] = C[3:6, ACCEL_BIAS] = _EYE3
+    C = _C_IMU.copy()
     C[3:6, QUATERNION] = inverse_rotation_jacobian(q, force_ned)
     C[3:6, ACCELERATION] = _inverse_rotation(q)
     expected = np.empty(6)

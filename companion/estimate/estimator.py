@@ -82,6 +82,7 @@ class Estimator:
         self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
         self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.pad.remember_s)
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
+        self._early: list[PadSighting] = []  # of what the IMU has not come up to
         self._unusable: dict[str, int] = {}
 
     # ------------------------------------------------------------ inputs
@@ -94,7 +95,11 @@ class Estimator:
             and max(map(abs, rate)) <= LARGEST_RATE_RAD_S
             and max(map(abs, force)) <= LARGEST_FORCE_M_S2
         )
-        return self._count("imu", usable and self._vehicle.add_imu(sample))
+        taken = usable and self._vehicle.add_imu(sample)
+        while taken and self._early and self._exposed_s(self._early[0]) <= sample.time_s:
+            first, *self._early = self._early
+            self._see(first)
+        return self._count("imu", taken)
 
     def add_mag(self, sample: MagSample) -> bool:
         """Take one calibrated sample."""
@@ -110,9 +115,14 @@ class Estimator:
         return self._count("gps", usable and self._vehicle.add_gps(fix))
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
-        """Take the autopilot's attitude, as a second gyroscope; refused before the alignment."""
+        """Take the autopilot's attitude, as an anchor or a second gyroscope; refused before the alignment."""
         usable = self._usable(sample.time_s, sample.attitude)
         return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
+
+    def take_corrections(self) -> tuple[str, ...]:
+        """How the attitude has been set right since the last call, in words."""
+        corrections, self._vehicle.corrections = self._vehicle.corrections, ()
+        return corrections
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
@@ -130,11 +140,23 @@ class Estimator:
         return self._count("range", self._timeline.add(sample.time_s, fix))
 
     def add_sighting(self, sighting: PadSighting) -> bool:
-        """Take one sighting, fused at its exposure; refused before the alignment."""
+        """Take one sighting, fused at its exposure, if need be once the IMU has come as far.
+
+        It is refused before the alignment.
+        """
         values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
         if self._motion.newest_s is None or not self._usable(sighting.time_s, values):
             return self._count("sighting", False)
-        time_s = sighting.time_s + self._camera_delay.delay_s
+        if self._exposed_s(sighting) > self._motion.newest_s:
+            self._early.append(sighting)
+            return True
+        return self._see(sighting)
+
+    def _exposed_s(self, sighting: PadSighting) -> float:
+        return sighting.time_s + self._camera_delay.delay_s
+
+    def _see(self, sighting: PadSighting) -> bool:
+        time_s = self._exposed_s(sighting)
         attitude = self._motion.attitude(time_s)
         assert attitude is not None
         fix = self._fix(replace(sighting, time_s=time_s), attitude)
@@ -230,7 +252,7 @@ class Estimator:
     # ------------------------------------------------------------ freezing
 
     def freeze(self) -> dict[str, Any]:
-        """All that the stage knows, as plain data that JSON keeps exactly; in flight about 2 MB of text."""
+        """All that the stage knows, as plain data that JSON keeps exactly; in flight about 4 MB of text."""
         return freezing.freeze(self, self._settings, self._vehicle.start)
 
     @classmethod

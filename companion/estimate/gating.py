@@ -3,12 +3,14 @@
 A measurement is believed when its normalised innovation squared stays below a chi-square bound.
 A late one is fused at its own time: the filter goes back to how it stood before that time, takes the
 measurement, and everything newer once more. So a late measurement gives exactly the result that the
-same measurement would have given on time.
+same measurement would have given on time. A filter that knows how its errors move on (`Carrying`) need not
+take the newer ones again: what the measurement has changed is carried over them.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -70,6 +72,19 @@ class Replayable(Protocol[S, I_contra]):
         ...
 
 
+@runtime_checkable
+class Carrying(Replayable[S, I_contra], Protocol[S, I_contra]):
+    """One that can carry what a late input changes over newer ones, at a fraction of taking these again."""
+
+    def carried(self, base: S, later: Sequence[S], time_s: float, item: I_contra) -> list[S] | None:
+        """The states after the item, taken from `base` on, and after each of the newer inputs.
+
+        `later` are those without the item. None when they have to be taken again; the filter may be left in
+        any state.
+        """
+        ...
+
+
 class Timeline(Generic[S, Item]):
     """The last `span_s` of a filter's inputs with the state after each: late ones are put in their place."""
 
@@ -93,16 +108,30 @@ class Timeline(Generic[S, Item]):
         place = bisect_right(self._times_s, time_s)
         if self._times_s and place == 0:
             return False
-        if place < len(self._times_s):
-            self._target.restore(self._after[place - 1])
+        carried = self._carried(place, time_s, item) if place < len(self._times_s) else None
         self._times_s.insert(place, time_s)
         self._items.insert(place, item)
+        if carried is not None:
+            self._after[place:] = carried
+            self._target.restore(carried[-1])
+        else:
+            self._take_again(place)
+        self._forget()
+        return True
+
+    def _carried(self, place: int, time_s: float, item: Item) -> list[S] | None:
+        if not isinstance(self._target, Carrying):
+            return None
+        return self._target.carried(self._after[place - 1], self._after[place:], time_s, item)
+
+    def _take_again(self, place: int) -> None:
+        """Take all inputs from a place on."""
+        if place < len(self._after):
+            self._target.restore(self._after[place - 1])
         del self._after[place:]
         for when_s, past in zip(self._times_s[place:], self._items[place:], strict=True):
             self._target.apply(when_s, past)
             self._after.append(self._target.snapshot())
-        self._forget()
-        return True
 
     def as_of(self, time_s: float) -> S | None:
         """The state after the last input not newer than time_s; None when nothing that old is remembered."""

@@ -7,7 +7,7 @@ arbitrary start: only differences of them mean anything. NED, SI units, plain fl
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 
 from companion.geometry import (
     ZERO3,
@@ -21,6 +21,8 @@ from companion.geometry import (
     rotation_vector_from_quat,
     scale,
 )
+
+FORETOLD_S = 0.1  # beyond the newest sample its acceleration goes on for so long, and then there is none
 
 
 class MotionHistory:
@@ -39,12 +41,21 @@ class MotionHistory:
         """Time of the newest sample, or None before the first."""
         return self._times_s[-1] if self._times_s else None
 
-    def add(self, time_s: float, attitude: Quaternion, acceleration_ned_m_s2: Vector3) -> None:
-        """Append one sample, newer than the last; between samples the acceleration is linear."""
+    def add(
+        self,
+        time_s: float,
+        attitude: Quaternion,
+        acceleration_ned_m_s2: Vector3,
+        span_s: float | None = None,
+    ) -> None:
+        """Append one sample, newer than the last; between samples the acceleration is linear.
+
+        It has acted for `span_s`, when that is told, whatever the times differ by.
+        """
         if not self._times_s:
             self._append(time_s, attitude, ZERO3, ZERO3)
         else:
-            dt = time_s - self._times_s[-1]
+            dt = time_s - self._times_s[-1] if span_s is None else span_s
             (vx, vy, vz), (px, py, pz) = self._speeds[-1], self._places[-1]
             (ax, ay, az), (bx, by, bz) = self._acceleration, acceleration_ned_m_s2
             h, k = 0.5 * dt, dt * dt / 6.0
@@ -76,6 +87,11 @@ class MotionHistory:
         turn = rotation_vector_from_quat(quat_multiply(quat_conjugate(before), after))
         return quat_normalise(quat_multiply(before, quat_from_rotation_vector(scale(turn, share))))
 
+    def turn(self, from_s: float, turn: Quaternion) -> None:
+        """Turn (about NED axes) the attitudes from a time on: they have proved wrong."""
+        place = bisect_left(self._times_s, from_s)
+        self._attitudes[place:] = [quat_multiply(turn, attitude) for attitude in self._attitudes[place:]]
+
     def turned_rad(self, time_s: float, span_s: float) -> float:
         """Angle (rad) through which the vehicle turned in `span_s` at a time; 0 before the first sample."""
         before, after = self.attitude(time_s - span_s), self.attitude(time_s + span_s)
@@ -103,6 +119,11 @@ class MotionHistory:
         """Velocity and position integrals at a time; beyond the newest sample its acceleration goes on."""
         if not self._times_s:
             return ZERO3, ZERO3
+        known_s = self._times_s[-1] + FORETOLD_S
+        if time_s > known_s:
+            speed, (x, y, z) = self._at(known_s)
+            dt = time_s - known_s
+            return speed, (x + speed[0] * dt, y + speed[1] * dt, z + speed[2] * dt)
         place = max(bisect_right(self._times_s, time_s) - 1, 0)
         dt = time_s - self._times_s[place]
         (vx, vy, vz), (px, py, pz) = self._speeds[place], self._places[place]

@@ -13,11 +13,12 @@ import math
 from companion.config import EstimateConfig
 from companion.estimate import ekf_model as model
 from companion.estimate.alignment import Alignment, Block, StaticAligner, StillnessDetector
-from companion.estimate.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.anchor import GAP_S, THEIR_STD_RAD, Anchor, Correction, Own, Word
+from companion.estimate.ekf import AnchorStep, EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
 from companion.estimate.ekf_start import InitialState
 from companion.estimate.gating import Timeline
 from companion.estimate.madgwick import align
-from companion.estimate.motion import MotionHistory
+from companion.estimate.motion import FORETOLD_S, MotionHistory
 from companion.estimate.orientation import Orientation, new_orientation
 from companion.estimate.second_gyro import SecondGyro
 from companion.estimate.shaking import Shaking
@@ -31,6 +32,7 @@ from companion.geometry import (
     add,
     ned_from_geodetic,
     norm,
+    quat_conjugate,
     quat_from_rotation_vector,
     quat_integrate,
     quat_multiply,
@@ -50,7 +52,7 @@ ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to f
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
 SETTLING_NOISE_RAD = 1.0
-LONGEST_STEP_S = 0.1  # a gap in the IMU's stream is integrated up to here
+LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
 
 
 class _Mean:
@@ -87,8 +89,10 @@ class VehicleEstimator:
         self.newest_s = -math.inf
         self._strapdown, self._fields = Strapdown(), _Mean()
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._second_gyro, self._shaking = SecondGyro(), Shaking()
+        self._second_gyro, self._shaking, self._anchor = SecondGyro(), Shaking(), Anchor()
+        self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet told
         self._last_raw: tuple[Vector3, Vector3] | None = None
+        self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._rate: Vector3 = ZERO3
         self._gyro_bias: Vector3 = ZERO3
         self._accel_bias: Vector3 = ZERO3
@@ -105,18 +109,23 @@ class VehicleEstimator:
 
     def add_imu(self, sample: ImuSample) -> bool:
         """Take one sample; False when it is not newer than the last."""
-        dt_s = sample.time_s - self.newest_s
-        if dt_s <= 0.0:
+        elapsed_s = sample.time_s - self.newest_s
+        if elapsed_s <= 0.0:
             return False
+        # a time that was turned from another clock into ours jitters, and may jump when that has stood still
+        dt_s = elapsed_s if sample.interval_s is None else sample.interval_s
         self.newest_s = sample.time_s
-        if dt_s > LOST_S and self._ekf is not None:
+        if max(dt_s, elapsed_s) > LOST_S and self._ekf is not None:
             self._start_over()
         block = self._detector.add(sample.time_s, sample.rate_body_rad_s, sample.specific_force_body_m_s2)
         if self._ekf is not None:
             if block is not None:
                 self._still_block = block.still
                 self._resting &= block.still
-            self._move(sample, min(dt_s, LONGEST_STEP_S))
+            self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
+            if dt_s > GAP_S:
+                self._anchor.note_gap(sample.time_s, dt_s)
+            self._move(sample, dt_s)
             self._collect(sample)
         elif block is not None:
             self._try_to_align(sample.time_s, block)
@@ -162,9 +171,15 @@ class VehicleEstimator:
         return True
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
-        """Take the autopilot's attitude; only its turns count, against a step of our gyroscope's bias."""
+        """Take the autopilot's attitude: an anchor of ours if both go by the same IMU.
+
+        Otherwise only its turns count, against a step of our gyroscope's bias.
+        """
         if self._timeline is None or self._orientation is None:
             return False
+        if sample.same_imu:
+            self._hold_to(Word(sample.time_s, sample.attitude))
+            return True
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._gyro_bias)
         if step is not None:
             self._timeline.add(self.newest_s, step)
@@ -172,6 +187,32 @@ class VehicleEstimator:
             back = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
+
+    def _hold_to(self, word: Word) -> None:
+        """Set the attitude right by the autopilot's, where that has to be."""
+        assert self._ekf is not None
+        self._anchor.hear(word)
+        while (due := self._anchor.due(self.newest_s)) is not None:
+            ours = self.motion.attitude(due.time_s)
+            if ours is None:
+                continue
+            x, y, z = self._ekf.rotation_covariance().diagonal().tolist()
+            correction = self._anchor.compare(due, Own(ours, math.sqrt(x + y), norm(self._rate)))
+            if correction is not None:
+                turn = quat_multiply(correction.attitude, quat_conjugate(ours))
+                heading_std_rad = max(math.sqrt(z), 2.0 * THEIR_STD_RAD)
+                self._correct(correction, AnchorStep(turn, THEIR_STD_RAD, heading_std_rad))
+
+    def _correct(self, correction: Correction, step: AnchorStep) -> None:
+        assert self._timeline is not None
+        assert self._orientation is not None
+        if not self._timeline.add(correction.time_s, step):
+            self._timeline.add(self.newest_s, step)
+        self.motion.turn(correction.since_s, step.turn)
+        self._read_ekf()
+        self._orientation.attitude = self._attitude
+        words = f"attitude set right by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
+        self.corrections = (*self.corrections, f"{words}: {correction.why}")
 
     # ------------------------------------------------------------ outputs
 
@@ -199,8 +240,8 @@ class VehicleEstimator:
 
     def state(self, now_s: float) -> VehicleState | None:
         """The vehicle at now_s; None before the alignment, when the IMU is silent or ahead of the clock."""
-        ekf = self._ekf
-        if ekf is None or not -FUTURE_S <= now_s - self.newest_s <= IMU_TIMEOUT_S:
+        ekf, imu_age_s = self._ekf, now_s - self.newest_s
+        if ekf is None or not -FUTURE_S <= imu_age_s <= IMU_TIMEOUT_S:
             return None
         place, speed = self.motion.moved(ekf.time_s, now_s)
         velocity = vector3(ekf.x[model.VELOCITY])
@@ -210,7 +251,7 @@ class VehicleEstimator:
         return VehicleState(
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
-            rate_body_rad_s=self._rate,
+            rate_body_rad_s=self._rate if imu_age_s <= FORETOLD_S else ZERO3,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
             acceleration_ned_m_s2=self._acceleration,
@@ -222,6 +263,7 @@ class VehicleEstimator:
             aligned=attitude_std_rad < ALIGNED_STD_RAD,
             has_gps=now_s - ekf.gps_time_s < self._config.ekf.gps_timeout_s,
             origin=self.origin,
+            imu_age_s=max(imu_age_s, 0.0),
         )
 
     # ------------------------------------------------------------ alignment
@@ -261,8 +303,8 @@ class VehicleEstimator:
         self._detector = StillnessDetector(self._config.alignment)
         self._aligner = StaticAligner(self._config.alignment)
         self.start = self._orientation = self._ekf = self._timeline = self._last_raw = None
-        self._strapdown, self._fields = Strapdown(), _Mean()
-        self._second_gyro, self._shaking = SecondGyro(), Shaking()
+        self._strapdown, self._fields, self._span_s = Strapdown(), _Mean(), None
+        self._second_gyro, self._shaking, self._anchor = SecondGyro(), Shaking(), Anchor()
 
     def begin(self, start: InitialState) -> None:
         """Make what there is only after the alignment."""
@@ -292,7 +334,9 @@ class VehicleEstimator:
         force = subtract(raw[1], self._accel_bias)
         fn, fe, fd = quat_rotate(self._attitude, force)
         acceleration = (fn, fe, fd + GRAVITY_M_S2)
-        self.motion.add(sample.time_s, self._attitude, acceleration)
+        self.motion.add(
+            sample.time_s, self._attitude, acceleration, None if sample.interval_s is None else dt_s
+        )
         k = dt_s / (self._config.acceleration_filter_s + dt_s)
         self._acceleration = add(self._acceleration, scale(subtract(acceleration, self._acceleration), k))
         # the pre-filter remembers an acceleration for as long as it averages; seen with its own attitude, so
@@ -322,7 +366,9 @@ class VehicleEstimator:
             heading_noise_rad=self._heading_noise_rad(time_s),
             still=self._resting and self._still_block,
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
+            span_s=self._span_s,
         )
+        self._span_s = None
         self._still_block = False
         self._timeline.add(time_s, step)
         self._read_ekf()
@@ -342,8 +388,8 @@ class VehicleEstimator:
         return quat_rotate_inverse(self._attitude, self._fields.take())
 
     def _attitude_near(self, time_s: float) -> Quaternion:
-        """Attitude at a time near the newest sample's."""
-        return quat_integrate(self._attitude, self._rate, time_s - self.newest_s)
+        """Attitude at a time near the newest sample's; further on nobody knows how it turns."""
+        return quat_integrate(self._attitude, self._rate, min(time_s - self.newest_s, FORETOLD_S))
 
     def _orientation_at(self, time_s: float) -> Quaternion:
         assert self._orientation is not None

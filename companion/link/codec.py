@@ -1,8 +1,9 @@
 """MAVLink 2 bytes <-> messages: framing, the messages we build. Pure; alone knows pymavlink.
 
-Both sides of the link use it: the app and the bundled simulator. The dialect is `common`; it is
-untyped, so it gets its names here once: `mavlink`, and `Message` for what it makes. Frames and units are
-MAVLink's: local NED in m, angles in rad, quaternions (w, x, y, z), latitude and longitude in 1e-7 deg.
+Both sides of the link use it: the app and the bundled simulator. The dialect is `ardupilotmega`:
+`common`, and what an ArduPilot says besides. It is untyped, so it gets its names here once: `mavlink`, and
+`Message` for what it makes. Frames and units are MAVLink's: local NED in m, angles in rad, quaternions
+(w, x, y, z), latitude and longitude in 1e-7 deg.
 
 Framing is our own and pymavlink decodes whole frames only: its parser drops everything a false start byte
 claims, where this one goes back to the next byte, so that garbage never costs a good message.
@@ -16,12 +17,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from pymavlink.dialects.v20 import common
+from pymavlink.dialects.v20 import ardupilotmega
 
 from companion.geometry import ZERO3, Vector3
 from companion.messages import Setpoint
 
-mavlink: Any = common
+mavlink: Any = ardupilotmega
 Message = Any
 
 COMPANION_COMPONENT: Final = 191  # MAV_COMP_ID_ONBOARD_COMPUTER

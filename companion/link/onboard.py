@@ -14,9 +14,8 @@ from typing import Final
 
 from companion.config import SenseConfig
 from companion.link import readings
-from companion.link.boot_clock import BootClock
+from companion.link.boot_clock import BootClock, Instant
 from companion.link.codec import Message, mavlink
-from companion.link.timesync import TimeSync
 from companion.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
 
 Sample = ImuSample | MagSample | GpsFix | RangeSample
@@ -58,15 +57,15 @@ _ADVICE: Final[dict[Manner, str]] = {
 class OnboardSensors:
     """Takes the messages of one autopilot; `take` gives the samples since the last call."""
 
-    def __init__(self, config: SenseConfig, timesync: TimeSync) -> None:
+    def __init__(self, config: SenseConfig, clock: BootClock) -> None:
         self._config = config
-        self._timesync = timesync
-        self._clock = BootClock(timesync)
+        self._clock = clock
         self._manner: Manner | None = None
         self._connected_s = self._heartbeat_s = -math.inf
         self._samples: list[Sample] = []
         self._climbs: deque[tuple[float, float]] = deque(maxlen=_CLIMBS_KEPT)  # autopilot's s, down m/s
         self._imu_message: int | None = None
+        self._unused_s = 0.0
         self._range_id: int | None = None
         self._heard_s: dict[int, float] = {}
         self._used_s: dict[str, float] = {}
@@ -137,21 +136,32 @@ class OnboardSensors:
 
     def _hear_imu(self, message: Message, now_s: float) -> None:
         assert self._manner is not None
-        if (time_s := self._time_s("imu", message, now_s)) is None:
+        if (instant := self._instant("imu", message, now_s)) is None:
             return
         latency_s = self._config.autopilot.imu_latency_s
-        time_s -= IMU_LATENCY_S[self._manner] if latency_s is None else latency_s
-        self._use("imu", readings.imu_sample(message, time_s), now_s)
+        time_s = instant.time_s - (IMU_LATENCY_S[self._manner] if latency_s is None else latency_s)
+        sample = readings.imu_sample(message, time_s, self._since_used_s(instant))
+        if sample is not None:
+            self._unused_s = 0.0
+        self._use("imu", sample, now_s)
         if (field := readings.mag_sample(message, time_s)) is not None:
             self._use("mag", field, now_s)
+
+    def _since_used_s(self, instant: Instant) -> float | None:
+        """By the autopilot's clock since the last sample that was good; None when that is not known."""
+        if instant.interval_s is None:
+            self._unused_s = 0.0
+            return None
+        self._unused_s += instant.interval_s
+        return self._unused_s
 
     def _hear_gps(self, message: Message, now_s: float) -> None:
         self._heard_s[_GPS] = now_s
         if message.fix_type < mavlink.GPS_FIX_TYPE_3D_FIX:
             return  # nothing wrong: it waits for satellites, and so does the mission
-        if (time_s := self._time_s("gps", message, now_s)) is not None:
+        if (instant := self._instant("gps", message, now_s)) is not None:
             latency_s = self._config.autopilot.gps_latency_s
-            fix = readings.gps_fix(message, time_s - latency_s)
+            fix = readings.gps_fix(message, instant.time_s - latency_s)
             if fix is not None:
                 fix = self._with_climb(fix, readings.stamp_s(message) - latency_s)
             self._use("gps", fix, now_s)
@@ -164,16 +174,16 @@ class OnboardSensors:
         if message.id != self._range_id:
             return  # a second one is mounted elsewhere
         self._heard_s[_RANGE] = now_s
-        if (time_s := self._time_s("range", message, now_s)) is not None:
+        if (instant := self._instant("range", message, now_s)) is not None:
             bounds = self._config.range
-            sample = readings.range_sample(message, time_s, bounds.minimum_m, bounds.maximum_m)
+            sample = readings.range_sample(message, instant.time_s, bounds.minimum_m, bounds.maximum_m)
             self._use("range", sample, now_s)
 
-    def _time_s(self, stream: str, message: Message, now_s: float) -> float | None:
-        time_s = self._clock.time_s(stream, readings.stamp_s(message), now_s)
-        if time_s is None:
+    def _instant(self, stream: str, message: Message, now_s: float) -> Instant | None:
+        instant = self._clock.instant(stream, readings.stamp_s(message), now_s)
+        if instant is None:
             self.refused[f"{stream}_stamp"] += 1
-        return time_s
+        return instant
 
     def _use(self, stream: str, sample: Sample | None, now_s: float) -> None:
         if sample is None:
@@ -204,7 +214,7 @@ class OnboardSensors:
             self._window_s, self._window_count = now_s, 0
 
     def _clock_problem(self) -> str | None:
-        if self._timesync.settled:
+        if self._clock.settled:
             return None
         return "no answers to TIMESYNC; without its clock no sample has a time"
 

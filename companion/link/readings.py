@@ -48,8 +48,11 @@ def stamp_s(message: Message) -> float:
     return float(message.time_boot_ms * 1e-3 if microseconds is None else microseconds * 1e-6)
 
 
-def imu_sample(message: Message, time_s: float) -> ImuSample | None:
-    """Gyroscope and accelerometer of HIGHRES_IMU, RAW_IMU or SCALED_IMU, measured at time_s."""
+def imu_sample(message: Message, time_s: float, interval_s: float | None = None) -> ImuSample | None:
+    """Gyroscope and accelerometer of HIGHRES_IMU, RAW_IMU or SCALED_IMU, measured at time_s.
+
+    `interval_s` after the sample before, by the autopilot's clock.
+    """
     if not _is_the_first(message):
         return None
     rate = (float(message.xgyro), float(message.ygyro), float(message.zgyro))
@@ -60,10 +63,12 @@ def imu_sample(message: Message, time_s: float) -> ImuSample | None:
         if not fresh or not _finite(rate + force):
             return None
         told = fields & _TEMPERATURE_BIT and math.isfinite(message.temperature)
-        return ImuSample(time_s, rate, force, float(message.temperature) if told else 0.0)
+        return ImuSample(time_s, rate, force, float(message.temperature) if told else 0.0, interval_s)
     if max(map(abs, rate + force)) >= _SATURATED:
         return None
-    return ImuSample(time_s, scale(rate, 1e-3), scale(force, _MILLI_G), message.temperature * 0.01)
+    return ImuSample(
+        time_s, scale(rate, 1e-3), scale(force, _MILLI_G), message.temperature * 0.01, interval_s
+    )
 
 
 def mag_sample(message: Message, time_s: float) -> MagSample | None:

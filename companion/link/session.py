@@ -16,15 +16,17 @@ from companion.config import LinkConfig, SenseConfig
 from companion.geometry import Quaternion
 from companion.link import codec
 from companion.link.alignment import HeadingAlignment
+from companion.link.autopilot_setup import SetupReader
 from companion.link.beacon import pad_beacon
+from companion.link.boot_clock import BootClock
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
 from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
 from companion.link.parameters import ParameterRequest, ParameterRequests
-from companion.link.streams import TelemetryRates
+from companion.link.streams import OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry import StatusTexts, add_text, update_state
 from companion.link.timesync import TimeSync, clock_ns
-from companion.messages import AutopilotState, LandedState, PadBeacon, Setpoint
+from companion.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
 
 HEARD: Final = frozenset(
     {
@@ -36,6 +38,7 @@ HEARD: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
@@ -53,10 +56,9 @@ _STAMPED: Final = frozenset(
 )
 _HEARTBEAT_S: Final = 1.0
 _TIMESYNC_S: Final = 1.0
-_TIMESYNC_AT_START_S: Final = 0.1
+_TIMESYNC_QUICK_S: Final = 0.1  # at the start, and where samples are stamped by it: as often as PX4 asks us
 _TIMESYNC_START_COUNT: Final = 10
 _HOME_S: Final = 2.0
-_OLDEST_STAMP_S: Final = 1.0  # a stamp older than this, or of the future, is not believed
 _OLDEST_LANDED_S: Final = 1.5  # asked for at 5 Hz; an old "on the ground" is no sign of a touchdown
 
 
@@ -66,12 +68,16 @@ class Session:
     With `sense` the autopilot's own sensors are asked for and read (`onboard`, `take_samples`).
     """
 
-    def __init__(self, config: LinkConfig, sense: SenseConfig | None = None) -> None:
+    def __init__(
+        self, config: LinkConfig, sense: SenseConfig | None = None, *, reads_setup: bool = False
+    ) -> None:
+        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is heard."""
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
         self.alignment = HeadingAlignment()
         self.timesync = TimeSync()
-        self.onboard = None if sense is None else OnboardSensors(sense, self.timesync)
+        self._boot_clock = BootClock(self.timesync)
+        self.onboard = None if sense is None else OnboardSensors(sense, self._boot_clock)
         self.texts_heard = 0
         self.stranger: int | None = None
         self.beacon_stranger: int | None = None
@@ -81,6 +87,8 @@ class Session:
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
+        self._reads_setup = reads_setup
+        self._setup = SetupReader(self._parameters, may_set=config.set_parameters)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
         self._replies: list[Message] = []
@@ -90,6 +98,11 @@ class Session:
         self._home_due_s = -math.inf
         self._syncs_sent = 0
         self._notices = 0
+
+    @property
+    def setup(self) -> AutopilotSetup | None:
+        """What its parameters say of how it obeys; None until they have been read."""
+        return self._setup.setup
 
     @property
     def system_id(self) -> int:
@@ -162,6 +175,9 @@ class Session:
             self._home_due_s = now_s  # arming sets home anew
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
+            if self._reads_setup:
+                self._setup.begin(self.state.manner)
+            self._rates.want(OWN_RATES_HZ.get(self.state.manner, {}))
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.manner, now_s)
                 self._rates.want(self.onboard.rates_hz())
@@ -183,10 +199,8 @@ class Session:
         """Our time at which the message's values were measured; of arrival when its stamp cannot tell."""
         if message_id not in _STAMPED:
             return now_s
-        measured_s = self.timesync.to_ours(message.time_boot_ms * 1e-3)
-        if measured_s is None or not now_s - _OLDEST_STAMP_S < measured_s:
-            return now_s
-        return min(measured_s, now_s)
+        measured_s = self._boot_clock.time_s(message.time_boot_ms * 1e-3, now_s)
+        return now_s if measured_s is None else measured_s
 
     # ------------------------------------------------------------ out
 
@@ -201,6 +215,7 @@ class Session:
         if self.state.connected:
             self._synchronise(messages, now_s)
             self._ask(now_s)
+            self._setup.step()
             messages += self._parameters.to_send(now_s, self._system_id)
         messages += self._commands.to_send(now_s)
         return b"".join(self._codec.encode(message) for message in messages)
@@ -264,6 +279,7 @@ class Session:
                 time_s=now_s,
                 connected=False,
                 ready_to_arm=False,
+                ekf_ready=None,
                 landed=LandedState.UNDEFINED,
             )
             self.timesync.forget()
@@ -272,11 +288,11 @@ class Session:
             self._home_due_s = now_s
 
     def _synchronise(self, messages: list[Message], now_s: float) -> None:
-        """Ask for the time: quickly at first, so that the filter has a choice of samples; then at 1 Hz."""
+        """Ask for the time: quickly at first, and where the autopilot's samples are used."""
         if now_s < self._timesync_due_s:
             return
-        starting = self._syncs_sent < _TIMESYNC_START_COUNT
-        self._timesync_due_s = now_s + (_TIMESYNC_AT_START_S if starting else _TIMESYNC_S)
+        quick = self._syncs_sent < _TIMESYNC_START_COUNT or self.onboard is not None
+        self._timesync_due_s = now_s + (_TIMESYNC_QUICK_S if quick else _TIMESYNC_S)
         self._syncs_sent += 1
         messages.append(codec.timesync(0, self.timesync.ask(now_s)))
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from companion.link.codec import mavlink
+from companion.messages import Manner
 
 TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
@@ -17,6 +18,10 @@ TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
+}
+# what one make alone sends
+OWN_RATES_HZ: Final[dict[Manner | None, dict[int, float]]] = {
+    "ardupilot": {mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0},
 }
 _WINDOW_S: Final = 2.0
 _LONGEST_WINDOW_S: Final = 16.0

@@ -29,6 +29,11 @@ _LANDED: Final[dict[int, LandedState]] = {
     mavlink.MAV_LANDED_STATE_LANDING: LandedState.LANDING,
 }
 
+# of EKF_STATUS_REPORT: what ArduCopter's position_ok() asks for before it arms in GUIDED
+_EKF_NEEDED: Final = mavlink.EKF_ATTITUDE | mavlink.EKF_VELOCITY_HORIZ
+_EKF_POSITION: Final = mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_POS_HORIZ_REL
+_EKF_HINDERS: Final = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED
+
 
 def update_state(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     """The state after one message of our autopilot's, measured at `time_s` of our clock.
@@ -78,6 +83,8 @@ class StatusTexts:
 def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     manner = _MANNERS.get(message.autopilot)
     mode = "" if manner is None else mode_name(manner, message.custom_mode)
+    # its filter's report is asked for: until that comes it is not known to be ready
+    ekf_ready = False if manner == "ardupilot" and state.ekf_ready is None else state.ekf_ready
     return replace(
         state,
         time_s=time_s,
@@ -86,18 +93,26 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
         armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
         mode=mode,
         offboard=manner is not None and mode == CONTROL_MODE[manner],
+        ekf_ready=ekf_ready,
     )
 
 
 def _sys_status(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    """PX4 puts the check before arming into `health` alone, an old ArduPilot has no such bit at all."""
     enabled = message.onboard_control_sensors_enabled
     healthy = message.onboard_control_sensors_health
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    if message.onboard_control_sensors_present & prearm or state.manner == "px4":
-        ready = bool(healthy & prearm)
-    else:
+    if state.manner == "ardupilot" and not message.onboard_control_sensors_present & prearm:
         ready = enabled & ~healthy == 0
+    else:
+        ready = bool(healthy & prearm)
     return replace(state, time_s=time_s, ready_to_arm=ready)
+
+
+def _ekf_status_report(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    flags = message.flags
+    known = flags & _EKF_NEEDED == _EKF_NEEDED and bool(flags & _EKF_POSITION)
+    return replace(state, time_s=time_s, ekf_ready=known and not flags & _EKF_HINDERS)
 
 
 def _extended_sys_state(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
@@ -155,4 +170,5 @@ _HANDLERS: Final[dict[int, Callable[[AutopilotState, Message, float], AutopilotS
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status_report,
 }

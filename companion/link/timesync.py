@@ -1,8 +1,8 @@
-"""Clock offset to the autopilot by MAVLink's TIMESYNC. Pure.
+"""The autopilot's clock against ours by MAVLink's TIMESYNC: offset and rate. Pure.
 
-We send our time ts1; the autopilot answers with its own, tc1, and ts1 again. Halfway through the round trip
-its clock showed tc1, so offset = tc1 - (sent + received) / 2, wrong by at most half the round trip. The
-sample with the shortest trip among the last few is the best one: delays only ever add.
+We send our time ts1; the autopilot answers with its own, tc1, and ts1 again: a round trip, and `clock_line`
+makes of trips what they can tell. A clock that goes back has been started anew: until enough answers have
+come it is unknown again.
 """
 
 from __future__ import annotations
@@ -10,30 +10,39 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-_KEPT: Final = 10
+from companion.link.clock_line import ClockFilter, ClockLine, Trip
+
 _SETTLED: Final = 5
-_RESTART_S: Final = 0.5  # a smaller jump is a clock that runs fast or slow, as a simulator's may
-_JUMP_MARGIN_S: Final = 0.01
+_KEPT: Final = 10
+_RESTART_S: Final = 2.0  # a clock that is off by more is another one
+_BACK_S: Final = 0.1  # and so is one that has gone back by more
 _NS: Final = 1e9
 
 
 class TimeSync:
-    """Keeps the offset between the autopilot's clock and ours, in s."""
+    """Keeps what is known of the autopilot's clock."""
 
     def __init__(self) -> None:
-        self._asked_ns: deque[int] = deque(maxlen=4)
-        self._trips: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._asked_ns: deque[int] = deque(maxlen=_KEPT)
+        self._filter: ClockFilter | None = None
+        self._trips_s: deque[float] = deque(maxlen=_KEPT)
+        self._newest: Trip | None = None
         self._answers = 0
 
     @property
+    def line(self) -> ClockLine | None:
+        """The autopilot's clock against ours; None before the first answer."""
+        return None if self._filter is None else self._filter.line
+
+    @property
     def offset_s(self) -> float | None:
-        """The autopilot's clock minus ours; None before the first answer."""
-        return min(self._trips)[1] if self._trips else None
+        """The autopilot's clock minus ours at the newest answer; None before the first."""
+        return None if self._filter is None else self._filter.line.offset_s
 
     @property
     def round_trip_s(self) -> float | None:
-        """The shortest round trip among the last ones; half of it bounds the offset's error."""
-        return min(self._trips)[0] if self._trips else None
+        """The shortest round trip among the last ones."""
+        return min(self._trips_s, default=None)
 
     @property
     def settled(self) -> bool:
@@ -51,34 +60,34 @@ class TimeSync:
         if ts1_ns not in self._asked_ns:
             return False
         self._asked_ns.remove(ts1_ns)
-        sent_s = ts1_ns / _NS
-        trip_s = max(now_s - sent_s, 0.0)
-        offset_s = tc1_ns / _NS - 0.5 * (sent_s + now_s)
-        if self._has_jumped(trip_s, offset_s):
-            if abs(offset_s - min(self._trips)[1]) > _RESTART_S:
-                self._answers = 0
-            self._trips.clear()
-        self._trips.append((trip_s, offset_s))
+        trip = Trip(ts1_ns / _NS, max(now_s, ts1_ns / _NS), tc1_ns / _NS)
+        if self._is_another_clock(trip):
+            self._filter, self._answers = None, 0
+            self._trips_s.clear()
+        if self._filter is None:
+            self._filter = ClockFilter(trip)
+        else:
+            self._filter.add(trip)
+        self._newest = trip
+        self._trips_s.append(trip.length_s)
         self._answers += 1
         return True
 
-    def to_ours(self, autopilot_s: float) -> float | None:
-        """Our time of a moment told in the autopilot's; None before the first answer."""
-        offset_s = self.offset_s
-        return None if offset_s is None else autopilot_s - offset_s
-
     def forget(self) -> None:
         """The autopilot was lost: its clock may start anew."""
-        self._trips.clear()
+        self._filter = self._newest = None
+        self._trips_s.clear()
         self._asked_ns.clear()
         self._answers = 0
 
-    def _has_jumped(self, trip_s: float, offset_s: float) -> bool:
-        """Whether the two cannot both be right: the autopilot has restarted, or set its clock."""
-        if not self._trips:
-            return False
-        best_trip_s, best_offset_s = min(self._trips)
-        return abs(offset_s - best_offset_s) > 0.5 * (trip_s + best_trip_s) + _JUMP_MARGIN_S
+    def _is_another_clock(self, trip: Trip) -> bool:
+        """Whether it has gone back, or on by what no stall of it or of ours explains."""
+        newest = self._newest
+        if newest is None or trip.sent_s < newest.received_s:
+            return False  # the questions were under way together: the answers may come in any order
+        told_s = trip.theirs_s - newest.theirs_s
+        passed_s = trip.received_s - newest.sent_s
+        return told_s < -_BACK_S or abs(told_s - passed_s) > _RESTART_S + trip.length_s + newest.length_s
 
 
 def clock_ns(now_s: float) -> int:

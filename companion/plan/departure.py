@@ -114,6 +114,7 @@ def _needs(vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tup
         ("the autopilot", autopilot.connected),
         ("its home position", autopilot.home is not None),
         ("it to be ready to arm", autopilot.ready_to_arm),
+        ("its filter to know where it is", autopilot.ekf_ready is not False),
         ("our own alignment", vehicle is not None and vehicle.aligned),
         ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
     )

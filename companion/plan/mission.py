@@ -79,6 +79,7 @@ _OWN: dict[tuple[Phase, Event], Transition] = {
     (_C, Event.CONNECTED): Transition(_C),
     (_A, Event.ARMED): Transition(_T, (ActionKind.TAKE_OFF,)),
     (_A, Event.REFUSED): _LET_GO,
+    # a refused arming is no event: it is asked for again until the time is up
     (_A, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.DISARM,)),
     (_T, Event.AIRBORNE): Transition(_W, (ActionKind.GO_TO,)),
     (_T, Event.BLOCKED): Transition(_R),

@@ -126,6 +126,8 @@ class Planner:
         spent = self._requests.hear(inputs.results, now_s)
         for words in spent:
             self._say("refused", words, now_s, "error")
+        for words in self._requests.news():
+            self._say("refused", words, now_s, "warning")
         granted = self.phase in TAKES_CONTROL and self._requests.granted(ActionKind.TAKE_CONTROL)
         taken_over = self._watch.note(inputs.autopilot, granted)
         grave = self._watch.event(

@@ -1,14 +1,19 @@
 """What the planner has asked of the autopilot and not yet got: spacing, retries and giving up.
 
 An action is sent once, again `retry_s` after a refusal or `answer_s` after silence, and `attempts` times
-at most: an autopilot that cannot yet arm is waited for, not hammered. Pure: time is an argument.
+at most. Arming alone is asked for until its phase ends by time: an autopilot that cannot yet arm is waited
+for, not hammered, and what it lacks is told whenever that is news. Pure: time is an argument.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 from companion.messages import Action, ActionKind, ActionResult
+
+PATIENT: Final = frozenset({ActionKind.ARM})
+NO_ANSWER: Final = "no answer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,7 +22,7 @@ class _Pending:
     due_s: float
     sent: int = 0
     answer_by_s: float = float("inf")
-    why: str = "no answer"
+    why: str = ""
 
 
 class Requests:
@@ -28,6 +33,7 @@ class Requests:
         self._pending: dict[ActionKind, _Pending] = {}
         self._accepted: set[ActionKind] = set()
         self._told: list[Action] = []
+        self._news: list[str] = []
 
     @property
     def open(self) -> bool:
@@ -47,6 +53,7 @@ class Requests:
         """Drop what is open and what was granted: a new phase asks anew."""
         self._pending.clear()
         self._accepted.clear()
+        self._news.clear()
 
     def granted(self, kind: ActionKind) -> bool:
         """Whether a request of this kind was accepted since `forget`."""
@@ -69,6 +76,11 @@ class Requests:
                 self._put_off(open_request, now_s, result.text or "refused")
         return self._give_up(now_s)
 
+    def news(self) -> tuple[str, ...]:
+        """Why what is asked again and again is refused, once for each reason that differs from the last."""
+        news, self._news = tuple(self._news), []
+        return news
+
     def due(self, now_s: float) -> tuple[Action, ...]:
         """The actions to send now."""
         ready = [p for p in self._pending.values() if p.due_s <= now_s]
@@ -80,15 +92,20 @@ class Requests:
         return (*told, *(p.action for p in ready))
 
     def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
-        self._pending[pending.action.kind] = replace(
-            pending, due_s=now_s + self._retry_s, answer_by_s=float("inf"), why=why
-        )
+        kind = pending.action.kind
+        if kind in PATIENT and why != pending.why:
+            self._news.append(f"{kind.value} refused: {why}; asked again every {self._retry_s:g} s")
+        self._pending[kind] = replace(pending, due_s=now_s + self._retry_s, answer_by_s=float("inf"), why=why)
 
     def _give_up(self, now_s: float) -> tuple[str, ...]:
         for pending in list(self._pending.values()):
             if pending.answer_by_s <= now_s:
-                self._put_off(replace(pending, why="no answer"), now_s, "no answer")
-        spent = [p for p in self._pending.values() if p.sent >= self._attempts and p.due_s < float("inf")]
+                self._put_off(pending, now_s, NO_ANSWER)
+        spent = [
+            p
+            for kind, p in self._pending.items()
+            if kind not in PATIENT and p.sent >= self._attempts and p.due_s < float("inf")
+        ]
         for pending in spent:
             del self._pending[pending.action.kind]
         return tuple(f"{p.action.kind.value} refused {p.sent} times: {p.why}" for p in spent)

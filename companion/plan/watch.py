@@ -88,7 +88,7 @@ class Watch:
         autopilot = inputs.autopilot
         if self._started_s is None:
             self._started_s = now_s
-        if phase is Phase.CONNECT:
+        if phase in {Phase.CONNECT, Phase.ARM}:
             self._started_s = now_s  # waiting on the ground is not flying
         if phase in FINAL:
             return None

@@ -55,6 +55,7 @@ ARDUPILOT = Manner(
     capabilities=2 | 4 | 8 | 64 | 128 | 256 | 8192,
     parameters_bytewise=False,
     alignment_s=5.0,
+    home_s=3.0,
     landed_time_s=1.0,
     landed_thrust_share=0.15,
     still_speed_m_s=1.0,

@@ -43,9 +43,7 @@ class Cascade:
         self._position = manner.position_control(self._hover)
         self._thrust_is_upward = manner.thrust_is_upward
         self._throttle_hz = manner.throttle_hz
-        self._attitude = AttitudeControl(
-            airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe)
-        )
+        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe))
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = Mixer(airframe, _IDLE)
         self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)

@@ -40,7 +40,9 @@ class FlightLoop(FlightState):
         if self.booted_s is None:
             self.booted_s = now_s
         # a step that comes late is made up for by the next ones, a long silence is not
-        self._outer_due_s = max(self._outer_due_s, now_s - self.manner.outer_period_s) + self.manner.outer_period_s
+        self._outer_due_s = (
+            max(self._outer_due_s, now_s - self.manner.outer_period_s) + self.manner.outer_period_s
+        )
         self._now_s = now_s
         estimate = self.estimate
         estimate.update_position(truth, self.manner.outer_period_s)
@@ -68,6 +70,7 @@ class FlightLoop(FlightState):
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
         """Tell the commander how things stand."""
         now = self._commander.situation
+        now.home_set = up_s >= self.manner.home_s
         if not now.aligned and up_s >= self.manner.alignment_s:
             now.aligned = True
             for text in self.manner.texts.aligned:
@@ -101,7 +104,11 @@ class FlightLoop(FlightState):
             cascade.lift_off()
             self._commander.say(Severity.INFO, texts.lifted)
         cascade.outer(
-            setpoint, self.estimate, self._thrust_is_climb_rate(), self._still_speed(), self.manner.outer_period_s
+            setpoint,
+            self.estimate,
+            self._thrust_is_climb_rate(),
+            self._still_speed(),
+            self.manner.outer_period_s,
         )
         if cascade.landed:
             self._navigator.let_go()
@@ -114,13 +121,17 @@ class FlightLoop(FlightState):
             self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
             now = self._commander.situation
             return self.manner.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
-        by_sticks = self._hand.setpoint(self._commander.mode, heading, self._now_s, self.manner.outer_period_s)
+        by_sticks = self._hand.setpoint(
+            self._commander.mode, heading, self._now_s, self.manner.outer_period_s
+        )
         if by_sticks is not None:
             self._navigator.let_go()
             return by_sticks
         task = self.task
         if task is Task.MISSION:
-            here = Here(self.estimate.position_ned_m, heading, self._cascade.landed, self.manner.outer_period_s)
+            here = Here(
+                self.estimate.position_ned_m, heading, self._cascade.landed, self.manner.outer_period_s
+            )
             wanted = self._runner.step(here)
             self._commander.subtask = wanted if isinstance(wanted, Task) else None
             if isinstance(wanted, MotionSetpoint):

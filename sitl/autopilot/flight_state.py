@@ -20,7 +20,6 @@ from companion.messages import LandedState
 from companion.messages import Manner as MannerName
 from sitl.autopilot.airframe import Airframe, hover_thrust
 from sitl.autopilot.ardupilot import ARDUPILOT
-from sitl.autopilot.rate_control import RateGains
 from sitl.autopilot.cascade import Cascade
 from sitl.autopilot.commander import Commander, Text
 from sitl.autopilot.estimator import Estimator, EstimatorErrors
@@ -28,9 +27,10 @@ from sitl.autopilot.hand import Hand
 from sitl.autopilot.manners import Manner
 from sitl.autopilot.mission import MissionRunner
 from sitl.autopilot.mission_items import Command, ItemFrame, MissionItem, MissionStore
-from sitl.autopilot.modes import Mode, Result, Task
+from sitl.autopilot.modes import Mode, Result, StickLaw, Task
 from sitl.autopilot.navigator import Navigator
 from sitl.autopilot.px4 import PX4
+from sitl.autopilot.rate_control import RateGains
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.sticks import Radio
 from sitl.parameters import Parameters
@@ -114,10 +114,17 @@ class FlightState:
         return self._commander.situation.aligned
 
     @property
+    def home_set(self) -> bool:
+        """It knows where it started from, though perhaps not yet where it is."""
+        return self._commander.situation.home_set
+
+    @property
     def ready_to_arm(self) -> bool:
-        """What SYS_STATUS reports as the pre-arm check: position known and level."""
-        now = self._commander.situation
-        return now.aligned and (now.tilt_rad < math.radians(20.0) or not now.landed)
+        """What SYS_STATUS reports as the pre-arm check: level, and a known position if the mode needs one."""
+        now, mode = self._commander.situation, self._commander.mode
+        needs_position = mode.sticks in (None, StickLaw.VELOCITY)
+        known = now.aligned if needs_position else now.home_set
+        return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
 
     @property
     def in_failsafe(self) -> bool:

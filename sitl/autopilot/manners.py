@@ -95,7 +95,9 @@ class Manner:
     ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a low-pass of `throttle_hz`.
     The position controller runs every `outer_period_s`.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
-    register value that the simulated IMU knows.
+    register value that the simulated IMU knows. `home_s` after its start it has set home, and its checks pass
+    for a mode that needs no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the
+    bit of those checks stands in SYS_STATUS's health, and not in what is present and enabled.
     """
 
     name: MannerName
@@ -147,6 +149,8 @@ class Manner:
     outer_period_s: float
     imu_messages: tuple[str, ...]
     imu_filter: int
+    home_s: float
+    prearm_in_health_only: bool = False
 
     def mode(self, name: str) -> Mode:
         """The mode of that name.

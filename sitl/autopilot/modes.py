@@ -94,6 +94,7 @@ class Situation:
     mission_ready: bool = False
     mission_climbs: bool = False
     aligned: bool = False
+    home_set: bool = False
     armable: bool = True
     landed: bool = True
     has_flown: bool = False

@@ -10,13 +10,23 @@ from __future__ import annotations
 import os
 import socket
 import struct
+from contextlib import ExitStack, closing
 from typing import Final
 
+from companion.clock import wall_clock_s
 from companion.config import ConfigError
 from companion.geometry import Vector3
 from sitl.firmware.base import ANSWER_S, Moment, Setup
-from sitl.firmware.process import INSTANCES, LOOPBACK, Datagrams, FirmwareError, Process
-from sitl.firmware.spec import FirmwareSpec
+from sitl.firmware.process import (
+    INSTANCES,
+    LOOK_S,
+    LOOPBACK,
+    Datagrams,
+    FirmwareError,
+    Process,
+    is_free,
+)
+from sitl.firmware.spec import FirmwareSpec, number_text
 from sitl.quadrotor import Four
 
 # magic, frame rate (Hz), frame count, 16 pulses (us); ArduPilot's SIM_JSON documentation
@@ -42,25 +52,25 @@ class ArduPilot:
         Raises:
             ConfigError: it cannot be started, or no instance's ports are free.
         """
-        self._process = Process("arducopter")
-        self._link = Datagrams(0)
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((LOOPBACK, 0))
         self._peer: tuple[str, int] | None = None
         self._frame = -1
         self._motors: Four = (0.0, 0.0, 0.0, 0.0)
-        try:
+        with ExitStack() as opened:
+            self._process = opened.enter_context(closing(Process("arducopter")))
+            self._link, instance = _free_instance()
+            opened.enter_context(closing(self._link))
+            self._socket = opened.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            self._socket.bind((LOOPBACK, 0))
+            self._socket.settimeout(LOOK_S)
             parameters = self._process.folder / "vehicle.parm"
             named = {**_parameters(setup), **setup.parameters}
-            parameters.write_text("".join(f"{name} {value:g}\n" for name, value in named.items()))
-            self._process.start(self._command(spec, setup.home, str(parameters)), os.environ)
-            self._await(START_S)
-        except FirmwareError as error:
-            self.close()
-            raise ConfigError(str(error)) from error
-        except BaseException:
-            self.close()
-            raise
+            parameters.write_text("".join(f"{name} {number_text(v)}\n" for name, v in named.items()))
+            self._process.start(self._command(spec, instance, setup.home, str(parameters)), os.environ)
+            try:
+                self._await(START_S)
+            except FirmwareError as error:
+                raise ConfigError(str(error)) from error
+            self._opened = opened.pop_all()
 
     def step(self, moment: Moment) -> Four:
         """See `Firmware`."""
@@ -81,23 +91,18 @@ class ArduPilot:
 
     def close(self) -> None:
         """See `Firmware`."""
-        self._process.close()
-        self._link.close()
-        self._socket.close()
+        self._opened.close()
 
     def _await(self, patience_s: float) -> None:
         """Wait for the next pulses; those of a frame that has been answered are a repetition."""
-        self._socket.settimeout(1.0)
-        for _ in range(round(patience_s)):
+        deadline_s = wall_clock_s() + patience_s
+        while wall_clock_s() < deadline_s:
             try:
-                while not self._take(*self._socket.recvfrom(4096)):
-                    pass
-                return
+                if self._take(*self._socket.recvfrom(4096)):
+                    return
             except TimeoutError:
                 self._process.check()
-        raise FirmwareError(
-            f"arducopter has not answered for {patience_s:.0f} s: {self._process.last_words()}"
-        )
+        raise FirmwareError(f"arducopter has not answered for {patience_s:g} s: {self._process.last_words()}")
 
     def _take(self, data: bytes, peer: tuple[str, int]) -> bool:
         if len(data) != PULSES.size:
@@ -114,10 +119,9 @@ class ArduPilot:
         )
         return True
 
-    def _command(self, spec: FirmwareSpec, home: Vector3, parameters: str) -> list[str]:
+    def _command(self, spec: FirmwareSpec, instance: int, home: Vector3, parameters: str) -> list[str]:
         latitude, longitude, altitude = home
         control_port = self._socket.getsockname()[1]
-        instance = _free_instance()
         return [
             str(spec.path), "--model", f"JSON:{LOOPBACK}", "--speedup", "1", "--slave", "0", "-w",
             "--defaults", parameters, "--sim-address", LOOPBACK, "--sim-port-out", str(control_port),
@@ -151,27 +155,25 @@ def _numbers(values: tuple[float, ...]) -> str:
     return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
 
 
-def _free_instance() -> int:
-    """The first whose ports are free (it listens on its second and third serial ports).
+def _free_instance() -> tuple[Datagrams, int]:
+    """Our end of the MAVLink of the first instance whose ports are free, and the instance.
+
+    It listens on its second and third serial ports, but only after a while: lest two of ours begin with one
+    instance, our end has the number of its first port.
 
     Raises:
-        ConfigError: none is.
+        ConfigError: none is free.
     """
     for instance in range(INSTANCES):
         first = BASE_PORT + PORTS_PER_INSTANCE * instance
-        if all(_is_free(first + n) for n in (0, 2, 3)):
-            return instance
-    raise ConfigError(f"no ArduPilot instance from 0 to {INSTANCES - 1} has its ports free")
-
-
-def _is_free(port: int) -> bool:
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((LOOPBACK, port))
+            link = Datagrams(first)
         except OSError:
-            return False
-    return True
+            continue
+        if all(is_free(socket.SOCK_STREAM, first + n) for n in (0, 2, 3)):
+            return link, instance
+        link.close()
+    raise ConfigError(f"no ArduPilot instance from 0 to {INSTANCES - 1} has its ports free")
 
 
 def _parameters(setup: Setup) -> dict[str, float]:

@@ -30,7 +30,8 @@ class Barometer:
         """Pressure altitude (m) when a reading is due, else None; `altitude_m` is the true one."""
         if now_s < self._due_s - 1e-6:
             return None
-        self._due_s = max(self._due_s, now_s - PERIOD_S) + PERIOD_S
+        in_time = now_s - self._due_s < PERIOD_S
+        self._due_s = (self._due_s if in_time else now_s) + PERIOD_S
         kept = math.exp(-PERIOD_S / WANDER_S)
         step, noise = self._rng.standard_normal(2).tolist()
         self._wander_m = kept * self._wander_m + WANDER_M * math.sqrt(1.0 - kept * kept) * step

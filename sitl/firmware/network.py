@@ -23,9 +23,9 @@ AUTOPILOT: Final = 1
 class FirmwarePort:
     """One client."""
 
-    def __init__(self, write: Write) -> None:
+    def __init__(self, write: Write, *, datagrams: bool) -> None:
         self.write = write
-        self.reader = FrameReader()
+        self.reader = FrameReader(datagrams=datagrams)
 
 
 class FirmwareNetwork:
@@ -36,12 +36,12 @@ class FirmwareNetwork:
         self._firmware = firmware
         self._ground_station = ground_station
         self._decoder = mavlink.MAVLink(None)
-        self._reader = FrameReader()
+        self._reader = FrameReader(datagrams=True)
         self._ports: list[FirmwarePort] = []
 
     def connect(self, write: Write, *, datagrams: bool) -> FirmwarePort:
-        """Open a port for a client."""
-        port = FirmwarePort(write)
+        """Open a port for a client; `datagrams`: whole ones are handed to `receive`."""
+        port = FirmwarePort(write, datagrams=datagrams)
         self._ports.append(port)
         return port
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import socket
 import subprocess
 import tempfile
@@ -14,8 +16,16 @@ from companion.config import ConfigError
 
 LOOPBACK: Final = "127.0.0.1"
 INSTANCES: Final = 10  # PX4 gives further ones a shared port
+# whoever has closed its connection has so long to end, so that its exit status can be told
+LAST_S: Final = 0.5
+LOOK_S: Final = 0.2  # how often a silent one is looked at: it may have ended
+MOST_DATAGRAMS: Final = 1000  # at once; a firmware sends some tens
 _END_S: Final = 2.0
 _DATAGRAM_BYTES: Final = 4096
+_LOG_NAME: Final = "firmware.log"
+_WORDS_BYTES: Final = 4096
+# $1 is the process group, $2 the folder; the end of standard input is ours
+_WATCH: Final = 'read -r _; kill -s KILL -- "-$1"; rm -rf -- "$2"'
 
 
 class FirmwareError(RuntimeError):
@@ -23,14 +33,18 @@ class FirmwareError(RuntimeError):
 
 
 class Process:
-    """A child with its log in a temporary folder, which goes with it."""
+    """A child with its log in a temporary folder, which goes with it.
+
+    Beside it a shell waits for our own end: when we are killed, it ends the child and clears up.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._folder = tempfile.TemporaryDirectory(prefix=f"{name}-")
+        self._folder = tempfile.TemporaryDirectory(prefix=f"{name}-", ignore_cleanup_errors=True)
         self.folder = Path(self._folder.name)
-        self._log: IO[bytes] = (self.folder / "firmware.log").open("wb")
+        self._log: IO[bytes] = (self.folder / _LOG_NAME).open("wb")
         self._child: subprocess.Popen[bytes] | None = None
+        self._watch: subprocess.Popen[bytes] | None = None
 
     def start(self, command: Sequence[str | Path], environment: Mapping[str, str]) -> None:
         """Start it.
@@ -48,32 +62,48 @@ class Process:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
+            self._watch = subprocess.Popen(
+                ["/bin/sh", "-c", _WATCH, "sh", str(self._child.pid), str(self.folder)],
+                cwd="/",
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
         except OSError as error:
             raise ConfigError(f"{command[0]}: cannot be run ({error.strerror})") from error
 
-    def check(self) -> None:
-        """Make sure that it runs.
+    def check(self, wait_s: float = 0.0) -> None:
+        """Make sure that it runs, and still does in `wait_s`.
 
         Raises:
             FirmwareError: it does not; the text has its last words.
         """
-        if self._child is None or self._child.poll() is not None:
-            code = None if self._child is None else self._child.returncode
-            raise FirmwareError(f"{self.name} has ended (exit status {code}): {self.last_words()}")
+        assert self._child is not None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            code = self._child.wait(wait_s)
+            how = f"exit status {code}" if code >= 0 else f"signal {-code}"
+            raise FirmwareError(f"{self.name} has ended ({how}): {self.last_words()}")
 
     def last_words(self) -> str:
         """The last line of its log that says anything."""
-        lines = (self.folder / "firmware.log").read_text(errors="replace").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+        said = (self.folder / _LOG_NAME).read_bytes()[-_WORDS_BYTES:].decode(errors="replace")
+        lines = (" ".join(line.split()) for line in reversed(said.split("\n")))
+        return next((line for line in lines if line), "it said nothing")
 
     def close(self) -> None:
-        """End it and clear up."""
-        if self._child is not None:
-            self._child.kill()
+        """End it, with all that it has started, and clear up."""
+        if self._child is not None and self._child.poll() is None:
+            os.killpg(self._child.pid, signal.SIGKILL)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._child.wait(_END_S)
         self._log.close()
         self._folder.cleanup()
+        if self._watch is not None:
+            assert self._watch.stdin is not None
+            self._watch.kill()
+            self._watch.wait()
+            self._watch.stdin.close()
 
 
 class Datagrams:
@@ -96,14 +126,13 @@ class Datagrams:
         self._peer: tuple[str, int] | None = None
 
     def read(self) -> list[bytes]:
-        """The datagrams that have come since."""
+        """The datagrams that have come since; of very many the rest the next time."""
         come: list[bytes] = []
-        while True:
-            try:
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            while len(come) < MOST_DATAGRAMS:
                 data, self._peer = self._socket.recvfrom(_DATAGRAM_BYTES)
-            except (BlockingIOError, ConnectionError):
-                return come
-            come.append(data)
+                come.append(data)
+        return come
 
     def write(self, data: bytes) -> None:
         """Send to whoever spoke last; dropped while nobody has."""
@@ -114,3 +143,16 @@ class Datagrams:
     def close(self) -> None:
         """Give the port back."""
         self._socket.close()
+
+
+def is_free(kind: socket.SocketKind, port: int) -> bool:
+    """Whether a program may have a TCP or UDP port at all addresses of this computer."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        if kind is socket.SOCK_STREAM:
+            # it may have been given back just now
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("0.0.0.0", port))
+        except OSError:
+            return False
+    return True

@@ -12,6 +12,7 @@ import math
 import os
 import select
 import socket
+from contextlib import ExitStack, closing
 from typing import Any, Final
 
 from companion.clock import wall_clock_s
@@ -20,8 +21,17 @@ from companion.geometry import scale
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware.barometer import Barometer, pressure_hpa
 from sitl.firmware.base import ANSWER_S, Moment, Setup
-from sitl.firmware.process import INSTANCES, LOOPBACK, Datagrams, FirmwareError, Process
-from sitl.firmware.spec import FirmwareSpec
+from sitl.firmware.process import (
+    INSTANCES,
+    LAST_S,
+    LOOK_S,
+    LOOPBACK,
+    Datagrams,
+    FirmwareError,
+    Process,
+    is_free,
+)
+from sitl.firmware.spec import FirmwareSpec, number_text
 from sitl.framing import FrameReader, dialect
 from sitl.quadrotor import Four
 
@@ -29,6 +39,8 @@ mavlink: Any = dialect
 
 SIMULATOR_PORT: Final = 4560
 COMPANION_PORT: Final = 14540
+# of its links to companions and ground stations; each instance has the next one
+OWN_PORTS: Final = (14580, 18570)
 AIRFRAME: Final = "none_iris"
 CALL_S: Final = 20.0  # from its start until it calls
 # it does not answer before it has booted: so long (of the wall's time) it is given for each step till then
@@ -54,28 +66,35 @@ class Px4:
         """
         self._home = setup.home
         self._barometer = barometer
-        self._process = Process("px4")
         self._reader = FrameReader()
         self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=200)
         self._decoder = mavlink.MAVLink(None)
         self._motors = _OFF
         self._answered_us = -1
         self._mag_s = self._fix_s = math.nan
-        server, self._link, instance = _free_instance()
-        try:
+        with ExitStack() as opened:
+            self._process = opened.enter_context(closing(Process("px4")))
+            server, self._link, instance = _free_instance()
+            opened.enter_context(closing(self._link))
             with server:
                 self._process.start(_command(spec, instance, self._process), _environment(setup))
-                self._socket = self._accept(server)
-        except BaseException:
-            self.close()
-            raise
+                self._socket = opened.enter_context(self._accept(server))
+            self._opened = opened.pop_all()
 
     def step(self, moment: Moment) -> Four:
         """See `Firmware`."""
         time_us = round(moment.clock_s * 1e6)
-        self._socket.sendall(self._sensors(moment, time_us) + self._gps(moment))
-        self._await(time_us)
-        return self._motors
+        try:
+            self._socket.sendall(self._sensors(moment, time_us) + self._gps(moment))
+            self._await(time_us)
+        except TimeoutError:
+            why = f"has not answered for {ANSWER_S:g} s"
+        except ConnectionError:
+            why = "has closed its connection to the simulator"
+        else:
+            return self._motors
+        self._process.check(LAST_S)
+        raise FirmwareError(f"px4 {why}: {self._process.last_words()}")
 
     def read(self) -> list[bytes]:
         """See `Firmware`."""
@@ -87,24 +106,23 @@ class Px4:
 
     def close(self) -> None:
         """See `Firmware`."""
-        self._process.close()
-        self._link.close()
-        if hasattr(self, "_socket"):
-            self._socket.close()
+        self._opened.close()
 
     # ------------------------------------------------------------ in
 
     def _accept(self, server: socket.socket) -> socket.socket:
-        server.settimeout(1.0)
-        for _ in range(round(CALL_S)):
+        server.settimeout(LOOK_S)
+        deadline_s = wall_clock_s() + CALL_S
+        while wall_clock_s() < deadline_s:
             try:
                 connection, _ = server.accept()
             except TimeoutError:
                 self._check_start()
                 continue
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.settimeout(ANSWER_S)  # for one that reads no more
             return connection
-        raise ConfigError(f"px4 did not call the simulator within {CALL_S:.0f} s")
+        raise ConfigError(f"px4 did not call the simulator within {CALL_S:g} s: {self._process.last_words()}")
 
     def _check_start(self) -> None:
         try:
@@ -121,20 +139,18 @@ class Px4:
             if left_s <= 0.0:
                 if booting:
                     return
-                self._process.check()
-                raise FirmwareError(f"px4 has not answered for {ANSWER_S:.0f} s")
+                raise TimeoutError
             if select.select([self._socket], [], [], left_s)[0]:
                 self._take(self._socket.recv(65536))
 
     def _take(self, data: bytes) -> None:
         if not data:
-            self._process.check()
-            raise FirmwareError("px4 has closed its connection to the simulator")
+            raise ConnectionResetError
         for frame in self._reader.read(data, 0.0):
             if frame.message_id == mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS:
                 message = self._decoder.decode(bytearray(frame.data))
                 self._answered_us = message.time_usec
-                first, second, third, fourth = message.controls[:4]
+                first, second, third, fourth = (min(1.0, max(0.0, c)) for c in message.controls[:4])
                 self._motors = (first, second, third, fourth)
 
     # ------------------------------------------------------------ out
@@ -183,10 +199,10 @@ class Px4:
 
 
 def _free_instance() -> tuple[socket.socket, Datagrams, int]:
-    """Its simulator's port and its companion's, and the instance that has them.
+    """Its simulator's port and its companion's, and the instance that has them and whose own ports are free.
 
     Raises:
-        ConfigError: none is free.
+        ConfigError: none is.
     """
     for instance in range(INSTANCES):
         server = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -194,9 +210,14 @@ def _free_instance() -> tuple[socket.socket, Datagrams, int]:
         try:
             server.bind((LOOPBACK, SIMULATOR_PORT + instance))
             server.listen(1)
-            return server, Datagrams(COMPANION_PORT + instance), instance
+            link = Datagrams(COMPANION_PORT + instance)
         except OSError:
             server.close()
+            continue
+        if all(is_free(socket.SOCK_DGRAM, port + instance) for port in OWN_PORTS):
+            return server, link, instance
+        server.close()
+        link.close()
     raise ConfigError(f"no PX4 instance from 0 to {INSTANCES - 1} has its ports free")
 
 
@@ -214,12 +235,13 @@ def _command(spec: FirmwareSpec, instance: int, process: Process) -> list[str]:
 def _environment(setup: Setup) -> dict[str, str]:
     """PX4's own way of setting parameters from outside: PX4_PARAM_NAME."""
     named = {**_parameters(setup), **setup.parameters}
-    parameters = {f"PX4_PARAM_{name}": f"{value:g}" for name, value in named.items()}
+    parameters = {f"PX4_PARAM_{name}": number_text(value) for name, value in named.items()}
     return {**os.environ, "PX4_SIM_MODEL": AIRFRAME, "HEADLESS": "1", **parameters}
 
 
 def _parameters(setup: Setup) -> dict[str, float]:
     body = setup.airframe.body
+    turn_m = body.torque_to_thrust_m + NOT_DEFAULT
     places = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  # front, right, rear, left
     rotors = {
         f"CA_ROTOR{i}_{name}": value
@@ -227,7 +249,7 @@ def _parameters(setup: Setup) -> dict[str, float]:
         for name, value in (
             ("PX", body.arm_length_m * x + NOT_DEFAULT),
             ("PY", body.arm_length_m * y + NOT_DEFAULT),
-            ("KM", body.torque_to_thrust_m if i % 2 == 0 else -body.torque_to_thrust_m),
+            ("KM", turn_m if i % 2 == 0 else -turn_m),
         )
     }
     return {

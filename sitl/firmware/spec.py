@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from companion.config import ConfigError
 from companion.messages import Manner
+
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +36,8 @@ class FirmwareSpec:
         """
         pairs = tuple(_pair(text) for text in parameters)
         if kind is None and path is None:
+            if pairs:
+                raise ConfigError("--firmware-param: expected it with --firmware and --firmware-path")
             return None
         if kind is None or path is None:
             raise ConfigError("--firmware and --firmware-path: expected both, or neither")
@@ -46,13 +52,21 @@ class FirmwareSpec:
     @property
     def options(self) -> tuple[str, ...]:
         """The command line's options that name it."""
-        pairs = (f"--firmware-param={name}={value:g}" for name, value in self.parameters)
+        pairs = (f"--firmware-param={name}={number_text(value)}" for name, value in self.parameters)
         return ("--firmware", self.kind, "--firmware-path", str(self.path), *pairs)
 
 
+def number_text(value: float) -> str:
+    """A parameter's value with all its digits; firmwares read a whole number only without an exponent."""
+    return str(int(value)) if value == int(value) else repr(value)
+
+
 def _pair(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
+    name, _, number = (part.strip() for part in text.partition("="))
     try:
-        return name.strip(), float(value)
+        value = float(number)
     except ValueError:
-        raise ConfigError(f"--firmware-param {text}: expected NAME=VALUE, a number") from None
+        value = math.nan
+    if not math.isfinite(value) or not _NAME.fullmatch(name):
+        raise ConfigError(f"--firmware-param {text}: expected NAME=VALUE, a number")
+    return name, value

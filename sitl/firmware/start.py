@@ -68,7 +68,7 @@ def boot(firmware: Firmware, sensors: OnboardSensors, state: QuadrotorState, ste
                     sleep_s(began_s + clock_s - wall_clock_s())
     except FirmwareError as error:
         raise ConfigError(str(error)) from error
-    raise ConfigError(f"the firmware is not ready to arm after {MOST_BOOT_S:.0f} s: {readiness.reason}")
+    raise ConfigError(f"the firmware is not ready to arm after {MOST_BOOT_S:g} s: {readiness.reason}")
 
 
 class _Readiness:
@@ -107,7 +107,7 @@ class _Readiness:
             case mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # PX4's, whose readiness says it all
                 self._located = True
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
-                self.reason = str(self._mav.decode(bytearray(frame.data)).text)
+                self.reason = " ".join(str(self._mav.decode(bytearray(frame.data)).text).split())
 
     def _ask(self) -> None:
         beat = mavlink.MAVLink_heartbeat_message(

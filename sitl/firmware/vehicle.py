@@ -45,12 +45,13 @@ class FirmwareVehicle:
         setup = Setup(world.airframe, home, gps_delay_s, dict(spec.parameters))
         self._firmware = start_firmware(spec, setup, Barometer(rng))
         try:
-            self._clock_at_start_s = boot(self._firmware, sensors, world.state, step_s)
+            # the world's time 0 is its next step: its clock never stands still
+            self._clock_at_start_s = boot(self._firmware, sensors, world.state, step_s) + step_s
+            sensors.wake()
+            sensors.step(0.0, world.state, 0.0, lambda: 0.0)
         except BaseException:
             self._firmware.close()
             raise
-        sensors.wake()
-        sensors.step(0.0, world.state, 0.0, lambda: 0.0)
         self.network = FirmwareNetwork(self._firmware, ground_station)
 
     def step(self, _motion: Motion, _dt_s: float, now_s: float) -> Four:

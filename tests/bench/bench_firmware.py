@@ -74,6 +74,12 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--case", default="", help="cases whose name begins so, alone")
     parser.add_argument("--setpoint", default="", help="this kind of setpoint alone")
+    parser.add_argument(
+        "--sensors",
+        choices=("boards", "autopilot"),
+        default="boards",
+        help="IMU, compass and GPS of whom the app flies by",
+    )
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("flights/bench-firmware"))
     options = parser.parse_args()
@@ -95,14 +101,16 @@ def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: C
         for setpoint in SETPOINTS[spec.kind]
         if options.setpoint in ("", setpoint)
     ]
-    flights = [f for spec, s in kinds for f in write_flights(spec, s, cases, seeds, options.out)]
+    flights = [
+        f for spec, s in kinds for f in write_flights(spec, s, options.sensors, cases, seeds, options.out)
+    ]
     console.print(f"{len(flights)} flights")
     rows = fly(flights, options.out, options.jobs, console)
     lines, bars = [], []
     for spec, setpoint in kinds:
         of_kind: list[Row] = []
         for case in cases:
-            name = f"{spec.kind}-{setpoint}-{case.name}"
+            name = case.title(spec.kind, setpoint, options.sensors)
             of_case = [row for row in rows if row.scenario == name]
             of_kind += of_case
             lines.append(line(name, of_case))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import yaml
 
@@ -18,6 +18,7 @@ from sitl.campaign.manifest import Flight, code_digest, scenario_digest
 from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario import Scenario
 
+Sensors = Literal["boards", "autopilot"]
 MEET: Final = {"point_ned_m": [10.0, 0.0], "time_s": 22.0, "spread_m": 2.0}
 PASS: Final = {"lateral_error_m": 0.15, "vertical_speed_m_s": 0.5, "horizontal_speed_m_s": 0.3}
 WIND: Final = {"mean_m_s": 8.0, "turbulence": "moderate"}
@@ -36,10 +37,10 @@ class FirmwareCase:
     windy: bool
     pad: dict[str, Any]
 
-    def scenario(self, kind: Manner, setpoint: str) -> dict[str, Any]:
-        """The scenario as its file has it."""
+    def scenario(self, kind: Manner, setpoint: str, sensors: Sensors = "boards") -> dict[str, Any]:
+        """The scenario as its file has it; `sensors`: IMU, compass and GPS of whom the app flies by."""
         return {
-            "name": f"{kind}-{setpoint}-{self.name}",
+            "name": self.title(kind, setpoint, sensors),
             "description": f"{self.name} on the real {kind}, by {setpoint} setpoints",
             "time_limit_s": 120.0,
             "autopilot": kind,
@@ -47,10 +48,15 @@ class FirmwareCase:
             "wind": WIND if self.windy else CALM,
             "pass": PASS,
             "companion": {
+                "sense": {"source": sensors, "autopilot": {"range_source": "boards"}},
                 "control": {"setpoint": setpoint},
                 "plan": {"mission": {"waypoint_ned_m": [10.0, 0.0]}},
             },
         }
+
+    def title(self, kind: Manner, setpoint: str, sensors: Sensors) -> str:
+        """The scenario's name."""
+        return "-".join((kind, setpoint, *(["telemetry"] if sensors == "autopilot" else ()), self.name))
 
 
 def _line(speed_m_s: float) -> dict[str, Any]:
@@ -77,12 +83,17 @@ CASES: Final = (
 
 
 def write_flights(
-    firmware: FirmwareSpec, setpoint: str, cases: tuple[FirmwareCase, ...], seeds: range, folder: Path
+    firmware: FirmwareSpec,
+    setpoint: str,
+    sensors: Sensors,
+    cases: tuple[FirmwareCase, ...],
+    seeds: range,
+    folder: Path,
 ) -> Iterator[Flight]:
     """The flights of one firmware by one kind of setpoint; their scenarios are left in a folder."""
     code = code_digest()
     for case in cases:
-        content = case.scenario(firmware.kind, setpoint)
+        content = case.scenario(firmware.kind, setpoint, sensors)
         scenario = Scenario.model_validate(content)
         path = folder / f"{scenario.name}.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

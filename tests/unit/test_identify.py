@@ -16,7 +16,6 @@ from companion.config import (
     load_config,
     load_vehicle,
 )
-from companion.control.flight_model import SHAPING_S
 from companion.geometry import IDENTITY, ZERO3
 from companion.identify import identify_command, read_flight
 from companion.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
@@ -57,8 +56,8 @@ def _record(
     log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
     log.write_settings(config=config, vehicle=vehicle)
     v = a = 0.0
-    by_attitude = setpoint == "attitude"
-    heeded = manner == "ardupilot" or setpoint == "velocity"
+    by_attitude = setpoint == "attitude" or manner == "ardupilot"
+    heeded = setpoint == "velocity"
     rng = np.random.default_rng(1)
     for k in range(round(seconds / PERIOD_S)):
         now_s = k * PERIOD_S
@@ -91,7 +90,7 @@ def test_by_velocity_the_lag_goes_into_the_settings(
     identify_command(flight, check=other)
     said = capsys.readouterr().out
     lag = next(line for line in said.splitlines() if "autopilot_lag_s" in line)
-    assert float(lag.split(":")[1]) + 0.11 == pytest.approx(0.3, abs=0.06)
+    assert float(lag.split(":")[1]) == pytest.approx(0.3, abs=0.06)
     checked = next(line for line in said.splitlines() if line.startswith("velocity sideways"))
     now, before = (float(word) for word in checked.split() if word.startswith("0."))
     assert now < before
@@ -112,7 +111,7 @@ def test_by_attitude_hover_thrust_goes_into_the_vehicle(
 def test_by_the_shipped_settings_the_setpoints_tell_what_was_sent(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # GIVEN flights by `auto`: PX4 gets no horizontal velocity, ArduPilot does and shapes it
+    # GIVEN flights by `auto`: PX4 gets accelerations, ArduPilot attitudes
     px4, ardupilot = (_record(tmp_path / name, "auto", manner=name) for name in ("px4", "ardupilot"))
     identify_command(px4)
     said = capsys.readouterr().out
@@ -121,10 +120,8 @@ def test_by_the_shipped_settings_the_setpoints_tell_what_was_sent(
     lag = next(line for line in said.splitlines() if line.startswith("acceleration_time_constant_s"))
     assert float(lag.split(":")[1]) == pytest.approx(0.3, abs=0.06)
     assert "autopilot_lag_s" not in said
-    assert read_flight(ardupilot).control.setpoint == "velocity"
-    sideways = read_flight(ardupilot).starting_points()["sideways"]
-    assert sideways.gain_1_s > 0.0
-    assert sideways.lag_s == pytest.approx(0.11 + SHAPING_S["ardupilot"][0], abs=0.03)
+    assert read_flight(ardupilot).control.setpoint == "attitude"
+    assert read_flight(ardupilot).starting_points()["sideways"].gain_1_s == 0.0
 
 
 def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:

@@ -234,7 +234,7 @@ class Loop:
             rate_body_rad_s=ZERO3,
             position_ned_m=add(vehicle.position, (0.4, -0.3, 0.2)),
             velocity_ned_m_s=velocity,
-            acceleration_ned_m_s2=add(add(self._shown[0], self.acceleration_bias), tuple(0.2 * noise[6:9])),
+            acceleration_ned_m_s2=add(add(self._shown[0], self.acceleration_bias), tuple(0.06 * noise[6:9])),
             gyro_bias_rad_s=ZERO3,
             accel_bias_m_s2=ZERO3,
             attitude_std_rad=0.01,

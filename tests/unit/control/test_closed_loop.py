@@ -37,19 +37,18 @@ def _gusts(time_s: float) -> Vector3:
 
 
 @pytest.mark.parametrize(
-    ("pad", "bound_m"), [(still, 0.02), (line, 0.02), (circle, 0.04), (figure_eight, 0.04), (heave, 0.02)]
+    ("pad", "bound_m"),
+    [(still, 0.025), (line, 0.025), (circle, 0.04), (figure_eight, 0.055), (heave, 0.025)],
 )
-@pytest.mark.parametrize(("kind", "room"), [("velocity", 1.0), ("acceleration", 1.08)])
-def test_they_stay_over_the_pad_despite_biased_velocity(
-    kind: str, room: float, pad: PadMotion, bound_m: float
-) -> None:
+@pytest.mark.parametrize("kind", ["velocity", "acceleration"])
+def test_they_stay_over_the_pad_despite_biased_velocity(kind: str, pad: PadMotion, bound_m: float) -> None:
     flight = Loop(controller(setpoint=kind), VelocityAutopilot(), pad, APPROACH).fly(20.0)
-    assert flight.lateral_error_m(SETTLED_S) < room * bound_m
+    assert flight.lateral_error_m(SETTLED_S) < bound_m
     assert np.abs(flight.error_m(SETTLED_S)[:, 2]).max() < 0.04
     assert all(report.solved for report in flight.reports)
 
 
-@pytest.mark.parametrize(("pad", "bound_m"), [(line, 0.02), (circle, 0.04), (figure_eight, 0.042)])
+@pytest.mark.parametrize(("pad", "bound_m"), [(line, 0.02), (circle, 0.04), (figure_eight, 0.05)])
 @pytest.mark.parametrize("thrust_scale", [0.9, 1.1])
 def test_attitude_setpoints_reject_wind_and_a_wrong_thrust_scale(
     pad: PadMotion, bound_m: float, thrust_scale: float
@@ -145,13 +144,10 @@ def test_a_late_link_is_made_up_for(kind: str, delay_s: float, assumed_s: float)
     assert flight.lateral_error_m(SETTLED_S) < 0.05
 
 
-def test_a_delay_that_nobody_told_of_sways_more_than_one_that_is_known() -> None:
-    def sway_m(assumed_s: float) -> float:
-        fly = controller(setpoint="attitude", command_delay_s=assumed_s)
-        loop = Loop(fly, AttitudeAutopilot(thrust_scale=1.0), circle, APPROACH, link_delay_s=0.15)
-        return float(np.std(loop.fly(13.0).error_m(SETTLED_S)[:, :2]))
-
-    assert sway_m(0.0) > 1.3 * sway_m(0.15)
+def test_a_delay_that_nobody_told_of_makes_nothing_sway() -> None:
+    fly = controller(setpoint="attitude", command_delay_s=0.0)
+    loop = Loop(fly, AttitudeAutopilot(thrust_scale=1.0), circle, APPROACH, link_delay_s=0.15)
+    assert np.std(loop.fly(13.0).error_m(SETTLED_S)[:, :2], axis=0).max() < 0.01
 
 
 @pytest.mark.parametrize("kind", ["velocity", "acceleration", "attitude"])
@@ -172,12 +168,12 @@ def test_the_same_flight_twice_is_bit_identical() -> None:
 def test_leaning_over_and_back_neither_sinks_nor_climbs() -> None:
     autopilot = AttitudeAutopilot(thrust_scale=1.0)
     kick = Loop(controller(setpoint="attitude"), autopilot, still, _kicked, noise=0.0).fly(7.0)
-    after = np.array(kick.time_s) >= 2.9
+    after = np.array(kick.time_s) >= 1.0  # it is seen coming
     lean = np.array(kick.acceleration_m_s2)[after, 0]
     climb = np.array(kick.relative_velocity_m_s)[after, 2]
-    assert np.abs(lean).max() > 2.0
+    assert np.abs(lean).max() > 1.5
     assert np.abs(climb - np.median(climb)).max() < 0.006
 
 
 def _kicked(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
-    return (0.0 if time_s < 3.0 else 1.5, 0.0, -3.0), ZERO3, ZERO3
+    return (0.0 if time_s < 3.0 else 2.5, 0.0, -3.0), ZERO3, ZERO3

@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from companion.config import ControlConfig
-from companion.control.flight_model import Motion, advance, advance_axis, discretise, lags
+from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
+from companion.control.flight_model import (
+    Motion,
+    advance,
+    advance_axis,
+    discretise,
+    lags,
+    velocity_gains,
+)
+from companion.messages import Manner
 from tests.unit.control.control_plants import vehicle_config
 
 TAU_S = 0.18
@@ -47,11 +55,32 @@ def test_axes_do_not_mix() -> None:
         assert (end.position_m[axis], end.velocity_m_s[axis], end.acceleration_m_s2[axis]) == alone
 
 
-def test_sideways_it_lags_by_leaning_and_down_by_thrust_alone() -> None:
+def _late(name: str) -> VehicleConfig:
+    return load_model(VehicleConfig, find_file("vehicles", name))
+
+
+@pytest.mark.parametrize("kind", ["attitude", "acceleration", "velocity"])
+@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+def test_lag_and_delay_together_are_as_late_as_the_response(manner: Manner, kind: Kind) -> None:
+    vehicle, config = _late("x500"), ControlConfig(setpoint=kind, command_delay_s=0.02)
+    response = vehicle.responses.of(manner, kind)
+    x, y, z = lags(vehicle, config, manner)
+    assert x == y == pytest.approx(response.sideways.delay_s - 0.02)
+    assert z == pytest.approx(response.down.delay_s - 0.02)
+
+
+def test_what_was_measured_on_the_vehicle_goes_before_its_responses() -> None:
     vehicle = vehicle_config(acceleration_time_constant_s=0.11, thrust_time_constant_s=0.04)
     shaped = ControlConfig(setpoint="velocity", autopilot_lag_s=0.2, autopilot_climb_lag_s=0.3)
-    assert lags(vehicle, ControlConfig()) == (0.11, 0.11, 0.04)
-    assert lags(vehicle, shaped) == pytest.approx((0.31, 0.31, 0.34))
-    # attitudes and accelerations are flown as they are
+    assert lags(vehicle, shaped) == (0.2, 0.2, 0.3)
     for kind in ("attitude", "acceleration"):
         assert lags(vehicle, shaped.model_copy(update={"setpoint": kind})) == (0.11, 0.11, 0.04)
+
+
+def test_velocity_gains_are_the_autopilots_own_unless_they_were_measured() -> None:
+    vehicle, config = _late("x500"), ControlConfig(setpoint="acceleration")
+    assert velocity_gains(vehicle, config, "px4", sideways=False) == (0.0, 0.0, 4.0)
+    assert velocity_gains(vehicle, config, "px4") == (1.8, 1.8, 4.0)
+    measured = ControlConfig(setpoint="velocity", autopilot_velocity_gain_1_s=3.0)
+    assert velocity_gains(vehicle, measured, "ardupilot") == (3.0, 3.0, 1.7)
+    assert velocity_gains(vehicle, ControlConfig(setpoint="attitude"), "ardupilot") == (0.0, 0.0, 0.0)

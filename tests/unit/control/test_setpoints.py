@@ -6,7 +6,7 @@ import pytest
 
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.flight_model import Motion, lags
+from companion.control.flight_model import Motion, velocity_gains
 from companion.control.plant import Plant
 from companion.control.setpoints import (
     Heading,
@@ -28,10 +28,10 @@ LAGS_S = (0.11, 0.11, 0.04)
     ("asked", "manner", "sent"),
     [
         ("auto", "px4", "acceleration"),
-        ("auto", "ardupilot", "velocity"),
+        ("auto", "ardupilot", "attitude"),
         ("acceleration", "px4", "acceleration"),
-        # which takes all of a velocity or none: it would fly no climb rate either
-        ("acceleration", "ardupilot", "velocity"),
+        # which shapes velocities and accelerations alike
+        ("acceleration", "ardupilot", "attitude"),
         ("velocity", "px4", "velocity"),
         ("velocity", "ardupilot", "velocity"),
         ("attitude", "px4", "attitude"),
@@ -41,9 +41,6 @@ LAGS_S = (0.11, 0.11, 0.04)
 def test_each_autopilot_gets_the_kind_that_it_takes(asked: str, manner: Manner, sent: str) -> None:
     config = ControlConfig.model_validate({"setpoint": asked})
     assert resolved(config, manner).setpoint == sent
-    # only velocities are shaped by the autopilot
-    shaped = lags(vehicle_config(), resolved(config, manner), manner) != LAGS_S
-    assert shaped is (sent == "velocity" and manner == "ardupilot")
 
 
 def test_the_pid_keeps_the_velocity_loop_that_it_was_tuned_on() -> None:
@@ -62,6 +59,7 @@ def _sent(kind: str, lasting: Vector3 = (1.0, 0.0, 0.4)) -> Setpoint:
         disturbance_ned_m_s2=lasting,
         lasting_ned_m_s2=lasting,
         lags_s=LAGS_S,
+        gains_1_s=(2.2 if kind == "velocity" else 0.0, 2.2 if kind == "velocity" else 0.0, 4.0),
         heading=Heading(0.0),
     )
 
@@ -118,7 +116,8 @@ def test_who_makes_the_lean_begins_with_the_wind_that_the_vehicle_leans_against(
 def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
     config = ControlConfig(setpoint="acceleration")
     plant = Plant(config, vehicle_config(), LAGS_S)
-    gain, speed, flown, worst = config.autopilot_velocity_gain_1_s, 2.0, 0.0, 0.0
+    gain = velocity_gains(vehicle_config(), config)[0]
+    speed, flown, worst = 2.0, 0.0, 0.0
     plant.begin(_vehicle(0.0, (speed, 0.0, 0.0), ZERO3, ZERO3))
     step_s = 1.0 / config.rate_hz
     for k in range(1, 40):

@@ -109,7 +109,8 @@ def test_quaternion_products_as_matrices() -> None:
 def test_small_turn_and_its_series_agree_where_they_meet() -> None:
     below, above = (0.9999e-3, 0.0, 0.0), (1.0001e-3, 0.0, 0.0)
     for rotation in (below, above):
-        turn, jacobian = model.turn_and_jacobian(rotation)
+        turn, derivatives = model.turn_and_derivatives(rotation)
+        jacobian = np.transpose(derivatives)
         assert turn == pytest.approx(quat_from_rotation_vector(rotation), abs=1e-14)
         assert jacobian[1:] == pytest.approx(0.5 * np.eye(3), abs=1e-6)
 

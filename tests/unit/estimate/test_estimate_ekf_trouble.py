@@ -185,13 +185,16 @@ def feed_moving(timeline: Timeline[object, object], delay_s: float) -> None:
             timeline.add(measured_s, moving(measured_s))
 
 
-@pytest.mark.parametrize("delay_s", [0.03, 0.25, 0.5])
-def test_a_late_fix_gives_exactly_what_it_would_have_given_on_time(delay_s: float) -> None:
+@pytest.mark.parametrize(("delay_s", "stds"), [(0.03, 0.03), (0.25, 0.25), (0.5, 0.5)])
+def test_a_late_fix_gives_nearly_what_it_would_have_given_on_time(delay_s: float, stds: float) -> None:
+    """Forces and fixes that contradict one another: what a fix changes is more than in any flight."""
     on_time, late = new_ekf(), new_ekf()
     feed_moving(Timeline(on_time, 0.6), 0.0)  # type: ignore[arg-type]
     feed_moving(Timeline(late, 0.6), delay_s)  # type: ignore[arg-type]
-    assert np.array_equal(late.x, on_time.x)
-    assert np.array_equal(late.P, on_time.P)
+    std = np.sqrt(on_time.P.diagonal())
+    assert np.abs((late.x - on_time.x) / std).max() < stds
+    assert np.sqrt(late.P.diagonal()) / std == pytest.approx(1.0, abs=0.02)
+    assert np.linalg.eigvalsh(late.P).min() > 0.0
 
 
 def test_a_fix_between_two_steps_is_compared_with_the_state_at_its_own_time() -> None:

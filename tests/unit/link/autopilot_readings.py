@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from companion.config import AutopilotSensorsConfig, SenseConfig
+from companion.link.boot_clock import BootClock
 from companion.link.codec import Codec, Message, mavlink
 from companion.link.onboard import OnboardSensors
 from companion.link.timesync import TimeSync
@@ -71,7 +72,7 @@ class Onboard:
         self.timesync = TimeSync()
         exact = {"imu_latency_s": 0.0, "gps_latency_s": 0.0}
         config = SenseConfig(source="autopilot", autopilot=AutopilotSensorsConfig(**{**exact, **settings}))
-        self.sensors = OnboardSensors(config, self.timesync)
+        self.sensors = OnboardSensors(config, BootClock(self.timesync))
         self.offset_s = OFFSET_S
         if settled:
             self.synchronise()

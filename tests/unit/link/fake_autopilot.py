@@ -15,6 +15,7 @@ from companion.messages import Manner
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 DENIED = mavlink.MAV_RESULT_DENIED
 HOME = (47.0, 8.0, 400.0)
+EKF_USES_GPS = 0x33F  # what ArduCopter 4.6 says once it may arm in GUIDED
 
 
 @dataclass
@@ -76,6 +77,7 @@ class FakeAutopilot:
         boot_ms = round((now_s + self.clock_offset_s) * 1000.0) & 0xFFFFFFFF
         latitude, longitude, altitude = round(HOME[0] * 1e7), round(HOME[1] * 1e7), round(HOME[2] * 1e3)
         prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        present = 0 if self.manner == "px4" else prearm
         messages: dict[int, Message] = {
             m.id: m
             for m in (
@@ -86,7 +88,8 @@ class FakeAutopilot:
                     boot_ms, latitude, longitude, altitude, 0, 0, 0, 0, 0
                 ),
                 mavlink.MAVLink_extended_sys_state_message(0, 2 if self.believes_in_air else 1),
-                mavlink.MAVLink_sys_status_message(prearm, prearm, prearm, *[0] * 10),
+                mavlink.MAVLink_sys_status_message(present, present, prearm, *[0] * 10),
+                mavlink.MAVLink_ekf_status_report_message(EKF_USES_GPS, 0.0, 0.0, 0.0, 0.0, 0.0),
                 mavlink.MAVLink_home_position_message(
                     latitude, longitude, altitude, 0, 0, 0, [1.0, 0.0, 0.0, 0.0], 0, 0, 0
                 ),

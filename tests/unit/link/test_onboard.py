@@ -96,13 +96,14 @@ def test_a_better_offset_is_followed_without_samples_out_of_order() -> None:
         if k == 100:
             # shorter trips, and 8 ms more of offset: within what the long ones could be wrong by
             onboard.offset_s += 0.008
-            onboard.synchronise(trip_s=0.001)
+        if k >= 100 and k % 20 == 0:
+            onboard.synchronise(answers=1, trip_s=0.001)
         onboard.now_s += 0.005
-        times.append(clock.time_s("imu", onboard.boot_s, onboard.now_s))
+        times.append(clock.time_s(onboard.boot_s, onboard.now_s))
     steps = [b - a for a, b in pairwise(times) if a is not None and b is not None]
     assert len(steps) == 399
     assert min(steps) > 0.004
-    assert times[-1] == pytest.approx(onboard.now_s, abs=1e-6)
+    assert times[-1] == pytest.approx(onboard.now_s, abs=1e-3)
 
 
 def test_a_clock_that_runs_slow_is_followed() -> None:

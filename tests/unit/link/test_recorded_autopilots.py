@@ -16,6 +16,7 @@ import pytest
 
 from companion.config import CONFIG_FOLDER, SenseConfig
 from companion.geometry import norm
+from companion.link.boot_clock import BootClock
 from companion.link.codec import Codec, mavlink
 from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
 from companion.link.timesync import TimeSync
@@ -56,7 +57,7 @@ def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
         if m.get_msgId() == imu_message or m.get_msgId() not in IMU.values()
     ]
     timesync, start_s = TimeSync(), recorded[0][0]
-    sensors = OnboardSensors(SenseConfig(source="autopilot"), timesync)
+    sensors = OnboardSensors(SenseConfig(source="autopilot"), BootClock(timesync))
     samples: dict[type, list[Sample]] = {kind: [] for kind in (ImuSample, MagSample, GpsFix, RangeSample)}
     stamps = np.array([(t, m.time_usec * 1e-6 - t) for t, m in recorded if m.get_msgId() == imu_message])
     answered_s = -math.inf

@@ -83,6 +83,16 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
     assert state.landed == "in_air"
 
 
+def test_an_ardupilots_filter_is_asked_for_and_forgotten_with_the_connection() -> None:
+    flight = Flight(autopilot=FakeAutopilot(manner="ardupilot", mode="GUIDED"))
+    flight.run(2.0)
+    assert flight.session.state.ready_to_arm
+    assert flight.session.state.ekf_ready is True
+    flight.cut = True
+    flight.run(4.0)
+    assert flight.session.state.ekf_ready is None
+
+
 def test_every_rate_is_asked_for_once_when_it_is_honoured() -> None:
     flight = Flight()
     flight.run(12.0)
@@ -171,7 +181,7 @@ def test_a_restarted_clock_is_followed() -> None:
     assert flight.session.timesync.offset_s == pytest.approx(-100.0, abs=0.003)
 
 
-def test_the_clock_offset_comes_from_the_quickest_of_the_last_answers() -> None:
+def test_the_clock_offset_leans_on_the_quickest_answers() -> None:
     session, autopilot = Session(LinkConfig()), FakeAutopilot()
     session.receive(autopilot.tick(0.0), 0.0)
     for i, (there_s, back_s) in enumerate([(0.05, 0.01), (0.002, 0.002), (0.01, 0.08)]):
@@ -179,7 +189,7 @@ def test_the_clock_offset_comes_from_the_quickest_of_the_last_answers() -> None:
         session.receive(
             autopilot.receive(session.tick(asked_s), asked_s + there_s), asked_s + there_s + back_s
         )
-    assert session.timesync.offset_s == pytest.approx(0.0, abs=1e-6)
+    assert session.timesync.offset_s == pytest.approx(0.0, abs=2e-3)
     assert session.timesync.round_trip_s == pytest.approx(0.004)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -129,21 +130,47 @@ PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 
 @pytest.mark.parametrize(
-    ("present", "enabled", "healthy", "ready"),
+    ("manner", "present", "enabled", "healthy", "ready"),
     [
-        (PREARM | 3, PREARM | 3, PREARM | 3, True),
-        (PREARM | 3, PREARM | 3, 3, False),
-        (PREARM | 3, PREARM | 3, PREARM | 1, True),
-        (3, 3, 3, True),
-        (3, 3, 1, False),
-        (3, 1, 1, True),
+        # PX4 has the bit in what is healthy alone, whatever else is ill
+        ("px4", 3, 3, PREARM | 3, True),
+        ("px4", 3, 3, 3, False),
+        ("px4", 3, 3, PREARM | 1, True),
+        ("ardupilot", PREARM | 3, PREARM | 3, PREARM | 3, True),
+        ("ardupilot", PREARM | 3, PREARM | 3, 3, False),
+        ("ardupilot", PREARM | 3, PREARM | 3, PREARM | 1, True),
+        # an old one has it nowhere
+        ("ardupilot", 3, 3, 3, True),
+        ("ardupilot", 3, 3, 1, False),
+        ("ardupilot", 3, 1, 1, True),
     ],
 )
 def test_ready_to_arm_is_the_prearm_bit_or_failing_that_every_sensor(
-    present: int, enabled: int, healthy: int, ready: bool
+    manner: Manner, present: int, enabled: int, healthy: int, ready: bool
 ) -> None:
     message = mavlink.MAVLink_sys_status_message(present, enabled, healthy, *[0] * 10)
-    assert after(message).ready_to_arm is ready
+    assert after(message, replace(FRESH, manner=manner)).ready_to_arm is ready
+
+
+@pytest.mark.parametrize(
+    ("flags", "ready"),
+    [
+        (0x400, False),  # ArduCopter 4.6 after its start
+        (0x0A7, False),  # aligned, held in place by itself: "Arm: Need Position Estimate"
+        (0x33F, True),  # uses GPS, and arms
+        (0x33E, False),  # without an attitude
+        (0x3BF, False),  # the position is one that it holds by itself
+    ],
+)
+def test_an_ardupilots_filter_is_ready_once_it_knows_where_it_is(flags: int, ready: bool) -> None:
+    state = after(heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0))
+    assert state.ekf_ready is False  # nothing heard of it yet
+    report = mavlink.MAVLink_ekf_status_report_message(flags, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert after(report, state).ekf_ready is ready
+
+
+def test_of_a_px4s_filter_nothing_is_awaited() -> None:
+    assert after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, 0)).ekf_ready is None
 
 
 def test_the_last_texts_are_kept() -> None:

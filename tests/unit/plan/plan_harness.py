@@ -112,6 +112,7 @@ class FakeAutopilot:
     connected: bool = True
     heard: list[tuple[float, ActionKind]] = field(default_factory=list)
     ready_from_s: float = 2.0
+    ekf_ready_from_s: float = 0.0
     doubts: bool = False  # never finds that it has landed
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
@@ -291,6 +292,7 @@ class World:
             mode=a.mode,
             offboard=a.mode in {"OFFBOARD", "GUIDED"},
             ready_to_arm=self.now_s > a.ready_from_s,
+            ekf_ready=self.now_s > a.ekf_ready_from_s,
             landed=a.landed,
             global_position=geodetic_from_ned(self.position, HOME),
             home=HOME,

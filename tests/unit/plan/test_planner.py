@@ -420,10 +420,28 @@ def test_refusals_are_waited_out() -> None:
 def test_an_autopilot_that_never_arms_ends_it_on_the_ground() -> None:
     w = world()
     w.autopilot.refuse = {ActionKind.ARM: 99}
-    flight = w.fly(60.0)
+    flight = w.fly(120.0)
     assert flight.phase is Phase.ABORT
-    assert "Denied: not now" in flight.told("refused")[0]
-    assert len(w.autopilot.heard) == 4
+    [reason] = flight.told("refused")
+    assert "Denied: not now" in reason
+    arms = [t for t, kind in w.autopilot.heard if kind is ActionKind.ARM]
+    assert arms[-1] - arms[0] > 85.0
+    assert min(np.diff(arms)) >= 2.0
+    assert [kind for _, kind in w.autopilot.heard if kind is not ActionKind.ARM] == [ActionKind.DISARM]
+
+
+def test_an_autopilot_that_arms_only_after_half_a_minute_is_waited_for() -> None:
+    w = world()
+    w.autopilot.refuse = {ActionKind.ARM: 15}
+    assert w.fly(180.0).phase is Phase.LANDED
+
+
+def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm() -> None:
+    w = world()
+    w.autopilot.ekf_ready_from_s = 30.0
+    flight = w.fly(60.0)
+    assert min(t for t, kind in w.autopilot.heard if kind is ActionKind.ARM) > 30.0
+    assert "waiting for its filter to know where it is" in flight.told("waiting")
 
 
 def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> None:

@@ -3,10 +3,11 @@ from companion.plan.requests import Requests
 
 ARM = Action(ActionKind.ARM)
 GO = Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0))
+GYROS, POSITION = "Arming denied: gyros not calibrated", "Arm: Need Position Estimate"
 
 
-def refused(kind: ActionKind = ActionKind.ARM) -> tuple[ActionResult, ...]:
-    return (ActionResult(0.0, kind, False, "Arming denied: gyros not calibrated"),)
+def refused(kind: ActionKind = ActionKind.ARM, text: str = GYROS) -> tuple[ActionResult, ...]:
+    return (ActionResult(0.0, kind, False, text),)
 
 
 def requests() -> Requests:
@@ -33,14 +34,26 @@ def test_a_refused_action_is_tried_again_only_after_a_pause() -> None:
 
 def test_after_its_attempts_it_is_given_up_with_the_autopilots_words() -> None:
     r = requests()
-    r.ask(ARM, 0.0)
+    r.ask(GO, 0.0)
     given_up: tuple[str, ...] = ()
     for k in range(3):
-        assert r.due(10.0 * k) == (ARM,)
-        given_up = r.hear(refused(), 10.0 * k + 1.0)
+        assert r.due(10.0 * k) == (GO,)
+        given_up = r.hear(refused(ActionKind.GO_TO, "too far"), 10.0 * k + 1.0)
         assert (given_up == ()) == (k < 2)
-    assert given_up == ("arm refused 3 times: Arming denied: gyros not calibrated",)
+    assert given_up == ("go_to refused 3 times: too far",)
     assert r.due(100.0) == ()
+
+
+def test_arming_is_never_given_up_and_each_new_reason_is_told_once() -> None:
+    r = requests()
+    r.ask(ARM, 0.0)
+    told: list[tuple[str, ...]] = []
+    for k, text in enumerate([GYROS, GYROS, GYROS, GYROS, POSITION, POSITION]):
+        assert r.due(10.0 * k) == (ARM,)
+        assert r.hear(refused(text=text), 10.0 * k + 1.0) == ()
+        told.append(r.news())
+    first, then = (f"arm refused: {text}; asked again every 2 s" for text in (GYROS, POSITION))
+    assert told == [(first,), (), (), (), (then,), ()]
 
 
 def test_silence_counts_as_a_refusal() -> None:

@@ -24,7 +24,7 @@ from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.mixer import Mixer
 from sitl.autopilot.px4 import PX4
 from sitl.autopilot.px4_control import Px4Control
-from sitl.autopilot.rate_control import RateFilters, RateGains, TwoPoles
+from sitl.autopilot.rate_control import RateFilters, RateGains
 from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.parameters import Parameter, Parameters, Setting
 from tests.unit.sitl.autopilot_flight import Frame450

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from companion.messages import Manner
 from sitl.autopilot import EstimatorErrors
@@ -88,10 +88,26 @@ def test_health_comes_true_once_the_estimator_is_aligned(manner: Manner) -> None
         mavlink.MAV_SYS_STATUS_SENSOR_GPS,
         mavlink.MAV_SYS_STATUS_PREARM_CHECK,
     ):
-        assert late.onboard_control_sensors_present & bit
-        assert late.onboard_control_sensors_enabled & bit
+        by_health_alone = manner == "px4" and bit == mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        assert bool(late.onboard_control_sensors_present & bit) is not by_health_alone
+        assert bool(late.onboard_control_sensors_enabled & bit) is not by_health_alone
         assert late.onboard_control_sensors_health & bit
     assert of(link.heard, "HOME_POSITION")
+
+
+def test_an_ardupilots_checks_pass_before_it_knows_where_it_is() -> None:
+    link = Link("ardupilot", booted_s=0.0)
+    for message in (mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, mavlink.MAVLINK_MSG_ID_HOME_POSITION):
+        link.endpoint.set_interval(message, 0.1)
+    link.run(4.0)
+    prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    assert of(link.heard, "SYS_STATUS")[-1].onboard_control_sensors_health & prearm
+    assert of(link.heard, "HOME_POSITION")
+    assert not of(link.heard, "EKF_STATUS_REPORT")[-1].flags & mavlink.EKF_POS_HORIZ_ABS
+    arming = link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    assert arming.result == mavlink.MAV_RESULT_FAILED
+    link.run(2.0)
+    assert of(link.heard, "EKF_STATUS_REPORT")[-1].flags & mavlink.EKF_POS_HORIZ_ABS
 
 
 def test_heartbeats_tell_who_it_is_and_its_mode() -> None:

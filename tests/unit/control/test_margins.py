@@ -1,0 +1,103 @@
+"""Every loop that is shipped has margins, and what is computed is what the controller that flies does."""
+
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from companion.config import (
+    CONFIG_FOLDER,
+    AxisResponse,
+    ControlConfig,
+    Kind,
+    VehicleConfig,
+    find_file,
+    load_model,
+)
+from companion.control.margins import DOWN, SIDEWAYS, Case, Margins, loop_transfer, margins, respond
+from companion.messages import Manner
+
+VEHICLES = sorted(path.stem for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"))
+FLOWN: tuple[tuple[Manner, Kind], ...] = (
+    ("px4", "acceleration"),
+    ("px4", "attitude"),
+    ("ardupilot", "attitude"),
+)
+LEAST_DELAY_S, LEAST_PHASE_DEG, LEAST_GAIN = 0.1, 45.0, 10.0 ** (6.0 / 20.0)
+KICK_M_S2 = 0.5
+
+
+@cache
+def _case(vehicle: str, manner: Manner, kind: Kind, axis: int) -> Case:
+    config = load_model(VehicleConfig, find_file("vehicles", vehicle))
+    response = config.responses.of(manner, kind)
+    along = response.sideways if axis == SIDEWAYS else response.down
+    return Case(ControlConfig(setpoint=kind), config, manner, axis, along)
+
+
+@cache
+def _margins(case_of: tuple[str, Manner, Kind, int]) -> Margins:
+    return margins(*loop_transfer(_case(*case_of)))
+
+
+@pytest.mark.parametrize("axis", [SIDEWAYS, DOWN])
+@pytest.mark.parametrize(("manner", "kind"), FLOWN)
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_every_shipped_loop_has_margins(vehicle: str, manner: Manner, kind: Kind, axis: int) -> None:
+    found = _margins((vehicle, manner, kind, axis))
+    assert found.delay_s >= LEAST_DELAY_S
+    assert found.phase_deg >= LEAST_PHASE_DEG
+    assert found.gain_up >= LEAST_GAIN
+    assert found.gain_down >= LEAST_GAIN
+
+
+def _late_answer(case: Case) -> float:
+    """What the MPC itself, constraints and all, still commands half a minute after a kick (m/s2)."""
+    kicks = np.zeros(round(30.0 * case.control.rate_hz))
+    kicks[3] = KICK_M_S2
+    answers = np.abs(respond(case, kicks, controller="mpc"))
+    return float(answers[-200:].max())
+
+
+@pytest.mark.parametrize(
+    "case_of",
+    [
+        ("x500", "px4", "acceleration", SIDEWAYS),
+        ("x500", "ardupilot", "attitude", SIDEWAYS),
+        ("x500", "px4", "attitude", DOWN),
+    ],
+)
+def test_the_mpc_that_flies_swings_where_the_margins_say(case_of: tuple[str, Manner, Kind, int]) -> None:
+    case, found = _case(*case_of), _margins(case_of)
+    assert _late_answer(replace(case, extra_delay_s=0.85 * found.delay_s)) < 0.01 * KICK_M_S2
+    assert _late_answer(replace(case, extra_delay_s=1.15 * found.delay_s)) > KICK_M_S2
+    assert _late_answer(replace(case, gain=0.9 * found.gain_up)) < 0.01 * KICK_M_S2
+    assert _late_answer(replace(case, gain=1.1 * found.gain_up)) > KICK_M_S2
+
+
+def test_the_margins_of_a_textbook_loop() -> None:
+    """An integrator with a dead time: L = k exp(-s T) / s."""
+    k, T = 2.0, 0.3
+    w = np.geomspace(0.05, 90.0, 20000)
+    found = margins(w, k * np.exp(-1j * w * T) / (1j * w))
+    assert found.crossover_rad_s == pytest.approx(k, rel=1e-3)
+    assert found.phase_deg == pytest.approx(90.0 - math.degrees(k * T), abs=0.1)
+    assert found.delay_s == pytest.approx((math.pi / 2.0 - k * T) / k, rel=1e-3)
+    assert found.gain_up == pytest.approx(math.pi / (2.0 * k * T), rel=1e-3)
+    assert found.gain_down == math.inf
+
+
+def test_a_loop_that_needs_its_gain_tells_how_much_of_it() -> None:
+    """L = k (s + 1) / (s (s - 1)) is stable for k > 1 alone."""
+    w = np.geomspace(0.05, 90.0, 20000)
+    s = 1j * w
+    assert margins(w, 3.0 * (s + 1.0) / (s * (s - 1.0))).gain_down == pytest.approx(3.0, rel=1e-3)
+
+
+def test_a_response_that_is_slower_than_believed_costs_margin() -> None:
+    case = _case("x500", "px4", "attitude", SIDEWAYS)
+    slow = AxisResponse(dead_time_s=0.1, frequency_rad_s=case.response.frequency_rad_s, damping=0.7)
+    worse = margins(*loop_transfer(replace(case, response=slow)))
+    assert worse.delay_s < _margins(("x500", "px4", "attitude", SIDEWAYS)).delay_s - 0.04

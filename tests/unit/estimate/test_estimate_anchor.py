@@ -1,0 +1,201 @@
+"""The autopilot's attitude as an anchor of ours, and what is told when the IMU's stream has a gap."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from companion.estimate.anchor import Anchor, Own, Word, apart
+from companion.estimate.estimator import Estimator
+from companion.geometry import (
+    ZERO3,
+    Quaternion,
+    Vector3,
+    norm,
+    quat_conjugate,
+    quat_from_euler,
+    quat_multiply,
+    rotation_vector_from_quat,
+)
+from companion.messages import AutopilotAttitude, ImuSample, PadSighting
+from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator, slow_turns, smooth
+
+DEGREE = math.radians(1.0)
+
+
+def swing(t: float) -> Vector3:
+    """7 m up, and from side to side with up to 17 degrees of lean, once a second."""
+    side = 0.08 * smooth(t, 10.0, 12.0) * math.sin(math.tau * t)
+    return (side, 0.0, -7.0 * smooth(t, 5.0, 10.0))
+
+
+def kick(t: float) -> float:
+    """A turn by 34 degrees that begins and ends within the gap."""
+    return slow_turns(t) + 0.6 * smooth(t, 19.07, 19.38)
+
+
+GAP = (19.05, 19.4)
+FLIGHT = Flight(swing, heading=kick, seed=31, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"}))
+NORTH_OF_THEIRS = quat_from_euler(0.0, 0.0, 0.4)  # their heading is their own
+SURE = Own(quat_from_euler(0.0, 0.0, 0.4), 0.5 * DEGREE, 0.0)
+
+
+@dataclass(frozen=True)
+class Run:
+    time_s: list[float]
+    error_deg: list[float]
+    told: list[str]
+
+    def worst_deg(self, from_s: float, until_s: float = math.inf) -> float:
+        errors = zip(self.time_s, self.error_deg, strict=True)
+        return max(e for t, e in errors if from_s <= t < until_s)
+
+
+def fly(*, anchored: bool, gap: tuple[float, float] = GAP, theirs_off: Quaternion | None = None) -> Run:
+    """The estimate's attitude errors where the IMU's stream has a gap; stamps tell how long it was."""
+    estimator, run, last_s = new_estimator(), Run([], [], []), None
+    for k, (arrival_s, sample) in enumerate(FLIGHT.samples):
+        if isinstance(sample, ImuSample):
+            if gap[0] < sample.time_s < gap[1]:
+                continue
+            interval_s = None if last_s is None else sample.time_s - last_s
+            last_s = sample.time_s
+            sample = replace(sample, interval_s=interval_s)  # noqa: PLW2901
+        feed(estimator, sample)
+        if k % 10 == 0:
+            said_s = arrival_s - 0.02
+            attitude = quat_multiply(NORTH_OF_THEIRS, FLIGHT.attitude(said_s))
+            if theirs_off is not None and said_s > GAP[0]:
+                attitude = quat_multiply(theirs_off, attitude)
+            estimator.add_autopilot_attitude(AutopilotAttitude(said_s, attitude, same_imu=anchored))
+            judge(run, estimator, arrival_s)
+    return run
+
+
+def judge(run: Run, estimator: Estimator, now_s: float) -> None:
+    run.told.extend(estimator.take_corrections())
+    state = estimator.vehicle(now_s)
+    if state is not None and now_s > 12.0:
+        turn = quat_multiply(quat_conjugate(FLIGHT.attitude(now_s)), state.attitude)
+        run.time_s.append(now_s)
+        run.error_deg.append(math.degrees(norm(rotation_vector_from_quat(turn))))
+
+
+def test_after_a_gap_in_the_imus_stream_the_attitude_is_the_autopilots() -> None:
+    anchored, alone = fly(anchored=True), fly(anchored=False)
+    assert anchored.worst_deg(GAP[1] + 0.1) < 3.5
+    assert alone.worst_deg(GAP[1] + 0.1) > 15.0
+    [told] = anchored.told
+    assert told.startswith("attitude set right by")
+    assert told.endswith("350 ms of the IMU's stream are missing")
+
+
+def test_without_a_gap_nothing_is_set_right() -> None:
+    run = fly(anchored=True, gap=(99.0, 99.0))
+    assert run.told == []
+    assert run.worst_deg(14.0) < 2.5
+
+
+def test_an_autopilot_that_finds_north_elsewhere_turns_nothing() -> None:
+    run = fly(anchored=True, gap=(99.0, 99.0), theirs_off=quat_from_euler(0.0, 0.0, 20.0 * DEGREE))
+    assert run.told == []
+    assert run.worst_deg(14.0) < 2.0
+
+
+# ---------------------------------------------------------------- the comparison
+
+
+def words(anchor: Anchor, own: Own, theirs: Quaternion, seconds: float, from_s: float = 0.0) -> list[float]:
+    """When ours is set right, of words at 30 Hz."""
+    found = [anchor.compare(Word(from_s + k / 30.0, theirs), own) for k in range(round(30 * seconds))]
+    return [correction.time_s for correction in found if correction is not None]
+
+
+def tilted(roll_deg: float) -> Quaternion:
+    return quat_from_euler(roll_deg * DEGREE, 0.0, 0.0)
+
+
+def test_horizons_a_little_apart_are_left_alone() -> None:
+    assert words(Anchor(), SURE, tilted(4.0), 10.0) == []
+
+
+def test_horizons_far_apart_are_set_right_once_that_lasts() -> None:
+    [first, *_] = words(Anchor(), SURE, tilted(8.0), 1.0)
+    assert 0.2 <= first < 0.3
+
+
+def test_a_single_word_that_is_off_changes_nothing() -> None:
+    anchor = Anchor()
+    for k in range(60):
+        theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
+        assert anchor.compare(Word(k / 30.0, theirs), SURE) is None
+
+
+def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
+    turning = SURE._replace(turning_rad_s=5.0)
+    assert words(Anchor(), turning, tilted(8.0), 2.0) == []
+
+
+def test_what_is_set_right_keeps_our_own_heading() -> None:
+    anchor = Anchor()
+    assert words(anchor, SURE, tilted(0.0), 2.0) == []
+    found = [anchor.compare(Word(3.0 + k / 30.0, tilted(10.0)), SURE) for k in range(30)]
+    first = next(correction for correction in found if correction is not None)
+    tilt_rad, heading_rad = apart(first.attitude, tilted(10.0))
+    assert tilt_rad == pytest.approx(0.0, abs=1e-6)
+    assert heading_rad == pytest.approx(0.4, abs=1e-6)
+
+
+def test_an_attitude_that_is_poorly_known_is_taken_from_the_autopilot_at_once() -> None:
+    poor = SURE._replace(tilt_std_rad=15.0 * DEGREE)
+    assert words(Anchor(), poor, tilted(10.0), 0.1)[0] == 0.0
+
+
+def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
+    anchor = Anchor()
+    anchor.hear(Word(1.0, tilted(0.0)))
+    assert anchor.due(0.99) is None
+    assert anchor.due(1.0) == Word(1.0, tilted(0.0))
+    assert anchor.due(2.0) is None
+
+
+# ---------------------------------------------------------------- late, and silent
+
+
+def test_a_sighting_waits_for_the_imu_to_come_up_to_its_exposure() -> None:
+    # GIVEN an IMU whose samples come 60 ms late, on a vehicle that turns
+    flight = Flight(circle(3.0, 2.5), seed=32, duration_s=20.0)
+    late, prompt = new_estimator(), new_estimator()
+    arrivals = [
+        (arrival_s + (0.06 if isinstance(sample, ImuSample) else 0.0), sample)
+        for arrival_s, sample in flight.samples
+    ]
+    quick = [(s.time_s + 0.01 if isinstance(s, PadSighting) else t, s) for t, s in arrivals]
+    for _, sample in sorted(quick, key=lambda item: item[0]):
+        feed(late, sample)
+    for _, sample in flight.samples:
+        feed(prompt, sample)
+    told, expected = late.pad(20.0), prompt.pad(20.0)
+    assert told is not None
+    assert expected is not None
+    assert told.relative_position_ned_m == pytest.approx(expected.relative_position_ned_m, abs=0.02)
+
+
+def test_when_the_imu_falls_silent_only_a_tenth_of_a_second_is_foretold() -> None:
+    estimator = new_estimator()
+    for _, sample in FLIGHT.samples:
+        feed(estimator, sample)
+    end_s = FLIGHT.duration_s
+    now, soon, later = (estimator.vehicle(end_s + age_s) for age_s in (0.0, 0.1, 0.4))
+    assert now is not None
+    assert soon is not None
+    assert later is not None
+    assert norm(rotation_vector_from_quat(quat_multiply(quat_conjugate(now.attitude), soon.attitude))) > 0.05
+    assert later.attitude == pytest.approx(soon.attitude, abs=0.01)
+    assert later.rate_body_rad_s == ZERO3
+    assert later.imu_age_s == pytest.approx(0.405, abs=0.002)
+    assert np.subtract(later.velocity_ned_m_s, soon.velocity_ned_m_s) == pytest.approx(0.0, abs=0.02)
+    assert estimator.vehicle(end_s + 0.6) is None
