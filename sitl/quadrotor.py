@@ -7,8 +7,8 @@ The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are 
     I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
 whose gyroscopic part is (-q h, +p h, 0): roll and pitch have opposite signs, which the paper's text misses.
 
-Thrust, contact, wind and what brakes its turning are held over a step; within it drag and rotation are integrated by RK4. It all
-runs on plain floats, because arrays of three cost ten times as much.
+Thrust, contact, wind and the rotational drag are held over a step; within it drag and rotation are integrated
+by RK4. It all runs on plain floats, because arrays of three cost ten times as much.
 """
 
 from __future__ import annotations

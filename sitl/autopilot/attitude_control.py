@@ -1,7 +1,7 @@
 """Attitude: quaternion proportional control around the rate loop of `rate_control`.
 
-The attitude error is turned into rates. ArduPilot puts a shaped reference before it (`AttitudeReference`), whose
-rates are fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
+The attitude error is turned into rates. ArduPilot puts a shaped reference before it (`AttitudeReference`),
+whose rates are fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
 """
 
 from __future__ import annotations

@@ -263,7 +263,7 @@ PX4 = Manner(
     position_control=Px4Control,
     attitude_gains=AttitudeGains(
         # MC_ROLLRATE_P, _I, _D, MC_RR_INT_LIM, MC_YAWRATE_P, _I, _D, MC_YR_INT_LIM; the pseudo-inverse of a
-        # "+" is normalised so that a whole 1 is 0.71 of each motor about roll and pitch, and all of it about yaw
+        # "+" is normalised so that a whole 1 is 0.71 of each motor about roll and pitch, all of it about yaw
         shares=ShareGains((0.15, 0.2), (0.2, 0.1), (0.003, 0.0), (0.3, 0.3), math.sqrt(2.0), 4.0),
         # IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MC_YAW_TQ_CUTOFF
         filters=RateFilters(40.0, 30.0, yaw_torque_hz=2.0),
