@@ -68,6 +68,9 @@ LINGER_S: Final = 1.0
 # the last requests (hold, land, disarm) are repeated after it for this long
 LAST_REQUESTS_S: Final = 12.0
 LAST_HOLD_S: Final = 2.0
+# a cycle that comes late reads the link until nothing has come for so many turns of the event loop
+QUIET_TURNS: Final = 3
+TURNS_TO_READ: Final = 500
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 # entering one of these voids what was asked before
 NO_MORE_ERRANDS: Final = (*END_PHASES, Phase.HOLD)
@@ -152,7 +155,7 @@ class App:
         self._phase = Phase.CONNECT
         self._new_notices: list[Notice] = []
         self._latency_ms: float | None = None
-        self._cycles = self._late_cycles = 0
+        self._cycles = self._late_cycles = self._heard = 0
         self._last_exposure_s: float | None = None
         self._stop_requested = False
         self._log_problem_told = False
@@ -244,20 +247,35 @@ class App:
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
         period_s = 1.0 / self._config.plan.rate_hz
-        next_s = self._clock.now_s()
+        due_s = self._clock.now_s()
         ended_s: float | None = None
         while not self._finished(ended_s):
-            await self._control_step(self._clock.now_s())
+            late_s = self._clock.now_s() - due_s
+            self._cycles += 1
+            self._late_cycles += late_s > 0.5 * period_s
+            if late_s > period_s:
+                await self._read_link()
+                due_s = self._clock.now_s()  # what was missed is not made up for
+            await self._control_step(self._clock.now_s(), late_s)
             self._service.alive()
             if ended_s is None and self._phase in END_PHASES:
                 ended_s = self._clock.now_s()
-            # a cycle that came late is not made up for: the next one works with what is true then
-            due_s = next_s + period_s
-            next_s = max(due_s, self._clock.now_s())
-            self._cycles += 1
-            self._late_cycles += next_s > due_s + 0.5 * period_s
-            await self._clock.sleep_until(next_s)
+            due_s += period_s
+            await self._clock.sleep_until(due_s)
         return self._phase
+
+    async def _read_link(self) -> None:
+        """Whoever was held up believes nothing from before: first what has come meanwhile is read.
+
+        The event loop takes in a datagram a turn; the next turn hands it on.
+        """
+        quiet = 0
+        for _ in range(TURNS_TO_READ):
+            heard = self._heard
+            await asyncio.sleep(0.0)
+            quiet = quiet + 1 if self._heard == heard else 0
+            if quiet == QUIET_TURNS:
+                return
 
     def _finished(self, ended_s: float | None) -> bool:
         """Whether the flight is over and nothing asked of the autopilot is open, or has been for too long."""
@@ -267,7 +285,7 @@ class App:
         open_requests = self._errands.busy or self._planner.waiting
         return since_s >= (LAST_REQUESTS_S if open_requests else LINGER_S)
 
-    async def _control_step(self, now_s: float) -> None:
+    async def _control_step(self, now_s: float, late_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self._sensing.take_attitude(self.session.state)
         for words in self._estimator.take_corrections():
@@ -287,7 +305,8 @@ class App:
         controlled = self._control().step(plan, vehicle, pad, now_s, obeyed=self.session.state.offboard)
         await self._clock.spend(self._config.compute.control_s)
         if controlled is not None:
-            self._send_setpoint(*controlled)
+            setpoint, report = controlled
+            self._send_setpoint(setpoint, replace(report, cycle_late_s=late_s))
 
     def _control(self) -> Controller:
         if self._controller is None:
@@ -341,6 +360,7 @@ class App:
         while True:
             data = await self._hardware.transport.read()
             now_s = self._clock.now_s()
+            self._heard += 1
             self._log.write_mavlink(data, now_s, "in")
             self.session.receive(data, now_s)
             self._sensing.take_samples(self.session.take_samples())

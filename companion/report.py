@@ -53,6 +53,7 @@ def result_table(result: Result, bounds: Mapping[str, float]) -> Table:
         "velocity error (rms)": _optional(result.estimate.velocity_rmse_m_s, "m/s"),
         "pad velocity error (rms)": _optional(result.estimate.pad_velocity_rmse_m_s, "m/s"),
         "exposure to setpoint": _optional(result.latency_ms.exposure_to_setpoint_p50, "ms (median)"),
+        "control cycles late": _optional(result.latency_ms.cycle_late_p99, "ms (p99)"),
         "control cycles unsolved": f"{result.control.unsolved} of {result.control.cycles}",
         "simulated / real time": f"{result.sim.real_time_factor:.1f}",
     }

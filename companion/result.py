@@ -82,10 +82,12 @@ class EstimateResult(_Part):
 
 
 class Latency(_Part):
-    """From a frame's mid-exposure to the first setpoint that used it."""
+    """From a frame's mid-exposure to the first setpoint that used it; how late control cycles began."""
 
     exposure_to_setpoint_p50: float | None
     exposure_to_setpoint_p99: float | None
+    cycle_late_p50: float | None = None
+    cycle_late_p99: float | None = None
 
 
 class ControlResult(_Part):
@@ -95,6 +97,7 @@ class ControlResult(_Part):
     unsolved: int = 0
     late: int = 0
     stopped: int = 0
+    blind: int = 0
     limited: int = 0
     iterations_p99: float | None = None
 
@@ -219,7 +222,7 @@ def build_result(
         time=phase_times(kept.get("plan", ())),
         vision=_vision(kept.get("frame_report", ()), kept.get("sighting", ()), track),
         estimate=_estimate(kept, track),
-        latency_ms=latency(kept.get("setpoint", ())),
+        latency_ms=latency(kept.get("setpoint", ()), kept.get("control_report", ())),
         control=control_result(kept.get("control_report", ())),
         sim=SimResult(real_time_factor=round(real_time_factor, 2)),
         events=tuple(_event(notice) for notice in kept.get("notice", ())),
@@ -256,6 +259,7 @@ def control_result(reports: Sequence[ControlReport]) -> ControlResult:
         unsolved=sum(not report.solved for report in reports),
         late=sum(report.late for report in reports),
         stopped=sum(report.stopped for report in reports),
+        blind=sum(report.blind for report in reports),
         limited=sum(bool(report.limited) for report in reports),
         iterations_p99=_round(np.percentile(iterations, 99)) if iterations else None,
     )
@@ -348,16 +352,25 @@ def _rms(rows: FloatArray) -> float | None:
     return _round(math.sqrt(float(np.mean(np.sum(rows**2, axis=1))))) if len(rows) else None
 
 
-def latency(setpoints: Sequence[Setpoint]) -> Latency:
-    """Milliseconds from each frame's exposure to the first setpoint that used it: p50 and p99."""
+def latency(setpoints: Sequence[Setpoint], reports: Sequence[ControlReport] = ()) -> Latency:
+    """Milliseconds from each frame's exposure to the first setpoint that used it, and of the cycles' delay."""
     first: dict[float, float] = {}
     for setpoint in setpoints:
         if setpoint.exposure_time_s is not None:
             first.setdefault(setpoint.exposure_time_s, setpoint.time_s)
-    if not first:
-        return Latency(exposure_to_setpoint_p50=None, exposure_to_setpoint_p99=None)
-    delays_ms = 1e3 * np.array([sent - exposed for exposed, sent in first.items()])
-    p50, p99 = np.percentile(delays_ms, [50, 99])
+    exposure_p50, exposure_p99 = _percentiles_ms([sent - exposed for exposed, sent in first.items()])
+    late_p50, late_p99 = _percentiles_ms([report.cycle_late_s for report in reports])
     return Latency(
-        exposure_to_setpoint_p50=round(float(p50), 3), exposure_to_setpoint_p99=round(float(p99), 3)
+        exposure_to_setpoint_p50=exposure_p50,
+        exposure_to_setpoint_p99=exposure_p99,
+        cycle_late_p50=late_p50,
+        cycle_late_p99=late_p99,
     )
+
+
+def _percentiles_ms(delays_s: Sequence[float]) -> tuple[float, float] | tuple[None, None]:
+    """p50 and p99."""
+    if not delays_s:
+        return None, None
+    p50, p99 = np.percentile(1e3 * np.array(delays_s), [50, 99])
+    return round(float(p50), 3), round(float(p99), 3)

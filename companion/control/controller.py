@@ -23,6 +23,7 @@ from companion.control.plant import Plant
 from companion.control.setpoints import (
     Heading,
     attitude_setpoint,
+    blind_setpoint,
     boosted,
     ground_setpoint,
     lean_boost,
@@ -48,6 +49,8 @@ from companion.messages import (
 RESTART_AFTER_S = 0.5
 # states are to be fresh; older ones are carried on for no longer than this
 LONGEST_PREDICTION_S = 0.4
+# without the IMU for longer the vehicle is told not to accelerate
+BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
 
@@ -131,6 +134,9 @@ class Controller:
         if not obeyed:
             self._gate.reset()
             self._flying = False
+        if vehicle.imu_age_s > BLIND_S:
+            setpoint, report = self._wait_for_imu(plan.reference, vehicle, pad, now_s)
+            return setpoint, replace(report, obeyed=obeyed)
         if self._flying and not self._stopped:
             self._plant.observe(vehicle, elapsed_s)
         else:
@@ -153,6 +159,30 @@ class Controller:
         self._tracker.reset()
         self._failures = FAILURES_TO_STOP
         self._flying = True
+
+    def _wait_for_imu(
+        self, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
+    ) -> tuple[Setpoint, ControlReport]:
+        """Until the IMU is heard again or the estimate is given up; how it moves by now nobody knows."""
+        plant, self._flying = self._plant, False
+        setpoint = blind_setpoint(
+            now_s,
+            self._config,
+            vehicle.velocity_ned_m_s,
+            plant.disturbance_ned_m_s2,
+            plant.hover_thrust,
+            self._look(),
+        )
+        setpoint, limited = self._gate.apply(_seen(setpoint, reference, pad), now_s)
+        return setpoint, ControlReport(
+            now_s,
+            solved=False,
+            iterations=0,
+            solve_s=0.0,
+            limited=limited,
+            hover_thrust=plant.hover_thrust,
+            blind=True,
+        )
 
     def _rest(
         self, reference: Reference, pad: PadState | None, now_s: float

@@ -145,6 +145,22 @@ def stop_setpoint(now_s: float, config: ControlConfig, hover_thrust: float, head
     return Setpoint(time_s=now_s, heading_rad=heading.heading_rad)
 
 
+def blind_setpoint(
+    now_s: float,
+    config: ControlConfig,
+    velocity_ned_m_s: Vector3,
+    wind_ned_m_s2: Vector3,
+    hover_thrust: float,
+    heading: Heading,
+) -> Setpoint:
+    """Accelerate no way: at the velocity last known and as high as now, or level but for the wind's lean."""
+    if config.setpoint == "attitude":
+        north, east, _ = wind_ned_m_s2
+        return attitude_setpoint(now_s, velocity_ned_m_s, (-north, -east, 0.0), hover_thrust, heading)
+    north, east, _ = velocity_ned_m_s
+    return Setpoint(now_s, velocity_ned_m_s=(north, east, 0.0), heading_rad=heading.heading_rad)
+
+
 def _upward_share(acceleration_m_s2: Vector3) -> float:
     """Cosine of the lean that makes an acceleration."""
     force = force_from_acceleration(acceleration_m_s2)

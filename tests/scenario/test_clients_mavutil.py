@@ -48,6 +48,15 @@ def heard(client: Any, kind: str, holds: Callable[[Any], bool] = lambda _: True)
     raise AssertionError(f"no such {kind}")
 
 
+def arm(client: Any) -> None:
+    """Ask until it is granted: ArduPilot's checks pass in STABILIZE before its filter knows where it is."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not client.motors_armed():
+        assert time.monotonic() < deadline, "not armed"
+        client.arducopter_arm()
+        client.recv_match(type="HEARTBEAT", blocking=True, timeout=1.0)
+
+
 def fly(client: Any, mode: str, *, above_sea_level: bool) -> None:
     """What mavutil's users do."""
     assert client.wait_heartbeat(timeout=PATIENCE_S) is not None
@@ -58,14 +67,13 @@ def fly(client: Any, mode: str, *, above_sea_level: bool) -> None:
     heard(client, "SYS_STATUS", lambda s: bool(s.onboard_control_sensors_health & PREARM_CHECK))
     client.set_mode(mode)
     heard(client, "HEARTBEAT", lambda _: client.flightmode == mode)
-    client.arducopter_arm()
-    client.motors_armed_wait()
+    arm(client)
     nans = (math.nan,) * 6
     home_m = 1e-3 * heard(client, "HOME_POSITION").altitude if above_sea_level else 0.0
     client.mav.command_long_send(1, 1, NAV_TAKEOFF, 0, *nans, home_m + HEIGHT_M)
     heard(client, "GLOBAL_POSITION_INT", lambda p: p.relative_alt > 1000 * HEIGHT_M - 400)
     client.set_mode("LAND")
-    client.motors_disarmed_wait()
+    heard(client, "HEARTBEAT", lambda _: not client.motors_armed())
 
 
 def fly_px4() -> None:

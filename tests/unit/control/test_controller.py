@@ -233,6 +233,43 @@ def test_taking_over_in_wind_by_attitude_keeps_the_lean() -> None:
     assert answer[0].attitude == pytest.approx(lean, abs=5e-3)
 
 
+@pytest.mark.parametrize("kind", ["velocity", "attitude"])
+def test_without_the_imu_it_is_told_not_to_accelerate_until_samples_come_again(kind: str) -> None:
+    fly = controller(setpoint=kind)
+    drifting = (1.0, -0.5, 0.4)
+    silent_from, silent_to = 10, 24
+    for k in range(30):
+        now = k * PERIOD_S
+        silent = silent_from <= k < silent_to
+        vehicle = _vehicle(now, velocity_ned_m_s=drifting, imu_age_s=0.12 if silent else 0.004)
+        answer = fly.step(_plan(now, _hover(now)), vehicle, _pad(now, (3.0, 0.0, 2.0)), now)
+        assert answer is not None
+        setpoint, report = answer
+        assert report.blind is silent
+        if k != silent_to - 1:  # the limits let it come down from what was commanded before
+            continue
+        if kind == "attitude":
+            assert setpoint.attitude is not None
+            assert tilt_from_quat(setpoint.attitude) < math.radians(3.0)
+        else:
+            assert setpoint.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.0))
+            assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3)
+    assert report.solved
+
+
+def test_without_the_imu_it_goes_on_leaning_against_the_wind() -> None:
+    fly = controller(setpoint="attitude")
+    lean = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
+    for k in range(90):
+        now = k * PERIOD_S
+        fly.step(_plan(now, _hover(now)), _vehicle(now, attitude=lean), _pad(now), now)
+    now += PERIOD_S
+    answer = fly.step(_plan(now, _hover(now)), _vehicle(now, attitude=lean, imu_age_s=0.2), _pad(now), now)
+    assert answer is not None
+    assert answer[1].blind
+    assert answer[0].attitude == pytest.approx(lean, abs=0.02)
+
+
 def test_a_stopwatch_times_the_solve_and_none_is_needed() -> None:
     ticks = count(1.0, 0.25)  # read before and after, and before the search
     timed = controller(lambda: next(ticks)).step(_plan(0.0, _hover(0.0)), _vehicle(0.0), _pad(0.0), 0.0)

@@ -187,10 +187,15 @@ def test_nothing_is_left_when_the_boot_is_broken_off(
 
 def test_nothing_is_left_when_its_start_is_interrupted(tmp_path: Path) -> None:
     program = fake("px4", tmp_path, calls=False)
-    interrupt = threading.Timer(0.4, os.kill, (os.getpid(), signal.SIGINT))
-    interrupt.start()
-    with pytest.raises(KeyboardInterrupt):
-        vehicle(program)
+    # a shell that runs the tests in the background has it ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        interrupt = threading.Timer(0.4, os.kill, (os.getpid(), signal.SIGINT))
+        interrupt.start()
+        with pytest.raises(KeyboardInterrupt):
+            vehicle(program)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert program.is_gone
 
 
