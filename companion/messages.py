@@ -435,8 +435,8 @@ class ControlReport:
     Not `solved`: the last plan was flown on; `late`: the clock ended the search; `stopped`: for want of a
     plan the vehicle was told to stand still. `hover_thrust` is the share of full thrust that carries the
     weight, as learnt by then; while not `obeyed`, the autopilot hears setpoints without following them.
-    `blind`: for want of IMU samples the vehicle was told not to accelerate. `cycle_late_s`: how much later than
-    due the cycle began, which is the event loop's delay.
+    `blind`: for want of IMU samples the vehicle was told not to accelerate. `cycle_late_s` is how much later
+    than due the cycle began: the event loop's delay.
     """
 
     time_s: float

@@ -353,7 +353,7 @@ def _rms(rows: FloatArray) -> float | None:
 
 
 def latency(setpoints: Sequence[Setpoint], reports: Sequence[ControlReport] = ()) -> Latency:
-    """Milliseconds from each frame's exposure to the first setpoint that used it, and of the cycles' delay."""
+    """Milliseconds from a frame's exposure to the first setpoint that used it, and of the cycles' delay."""
     first: dict[float, float] = {}
     for setpoint in setpoints:
         if setpoint.exposure_time_s is not None:

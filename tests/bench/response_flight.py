@@ -90,7 +90,7 @@ async def _flown(scenario: Scenario, kind: Kind, seed: int, firmware: FirmwareSp
     session = Session(LinkConfig(system_id=0))
     clock = Clock()
     actions = PymavlinkActions(
-        session, app_end.write, clock, LinkConfig(), attitude_setpoints=kind == "attitude"
+        session, app_end.write, clock, LinkConfig(set_parameters=True), attitude_setpoints=kind == "attitude"
     )
 
     async def listen() -> None:
