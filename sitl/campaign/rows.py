@@ -43,10 +43,13 @@ RESULT_KEYS: Final = {
     "pad_velocity_rmse_m_s": "estimate.pad_velocity_rmse_m_s",
     "latency_p50_ms": "latency_ms.exposure_to_setpoint_p50",
     "latency_p99_ms": "latency_ms.exposure_to_setpoint_p99",
+    "cycle_late_p50_ms": "latency_ms.cycle_late_p50",
+    "cycle_late_p99_ms": "latency_ms.cycle_late_p99",
     "control_cycles": "control.cycles",
     "control_unsolved": "control.unsolved",
     "control_late": "control.late",
     "control_stopped": "control.stopped",
+    "control_blind": "control.blind",
     "control_limited": "control.limited",
     "control_iterations_p99": "control.iterations_p99",
     "real_time_factor": "sim.real_time_factor",
@@ -84,10 +87,13 @@ class Row(StrictModel):
     pad_velocity_rmse_m_s: float | None = None
     latency_p50_ms: float | None = None
     latency_p99_ms: float | None = None
+    cycle_late_p50_ms: float | None = None
+    cycle_late_p99_ms: float | None = None
     control_cycles: int | None = None
     control_unsolved: int | None = None
     control_late: int | None = None
     control_stopped: int | None = None
+    control_blind: int | None = None
     control_limited: int | None = None
     control_iterations_p99: float | None = None
     real_time_factor: float | None = None

@@ -33,6 +33,7 @@ KINDS: Final[dict[Manner, tuple[Kind, ...]]] = {
     "ardupilot": ("attitude", "velocity"),
 }
 DOWN: Final = 2
+HEADING: Final = 3
 
 
 def answer(command: FloatArray, period_s: float, dead_time_s: float, w: float, zeta: float) -> FloatArray:
@@ -80,6 +81,8 @@ def along(record: Record, axis: int, kind: Kind) -> list[float]:
     """The fit along one axis while it was excited."""
     rows = record.axis == axis
     period_s = float(np.median(np.diff(record.time_s)))
+    if axis == HEADING:
+        return fit([record.command_heading_rad[rows]], np.unwrap(record.heading_rad[rows]), [], period_s)
     a, v = record.command_acceleration_m_s2[rows, axis], record.command_velocity_m_s[rows, axis]
     speed = record.velocity_m_s[rows, axis]
     heard = kind == "velocity" or (axis == DOWN and kind != "attitude")
@@ -106,6 +109,9 @@ def rows_of(vehicle: VehicleConfig, manner: Manner, kind: Kind, record: Record) 
                 f"{100.0 * explained:.0f} %",
             ]
         )
+    dead_s, w, zeta, explained, gain = along(record, HEADING, kind)
+    found = (f"{dead_s:.3f}", f"{w:.1f}", f"{zeta:.2f}", f"{dead_s + 2.0 * zeta / w:.3f}", f"{gain:.2f}")
+    rows.append([f"{manner} {kind} heading", *found, "", f"{100.0 * explained:.0f} %"])
     return rows
 
 
