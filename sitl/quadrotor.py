@@ -7,8 +7,8 @@ The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are 
     I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
 whose gyroscopic part is (-q h, +p h, 0): roll and pitch have opposite signs, which the paper's text misses.
 
-Thrust, contact and wind are held over a step; within it drag and rotation are integrated by RK4. It all
-runs on plain floats, because arrays of three cost ten times as much.
+Thrust, contact, wind and the rotational drag are held over a step; within it drag and rotation are integrated
+by RK4. It all runs on plain floats, because arrays of three cost ten times as much.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ class QuadrotorParameters(StrictModel):
     rotor_drag_axial_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
     body_drag_area_m2: float = Field(ge=0.0, le=1.0)
     linear_drag_n_s_m: float = Field(default=0.0, ge=0.0, le=10.0)
+    turning_drag_n_m_s: float = Field(default=0.0, ge=0.0, le=1.0)
 
     def hover_share(self) -> float:
         """Share of full thrust that carries the weight."""
@@ -134,6 +135,7 @@ class Quadrotor:
         share, mean = self._spin(state.thrust_share, commands, dt_s)
         speeds, thrust, spin, torque = self._rotors(state.thrust_share, share, mean, thrust_ratio, dt_s)
         ix, iy, iz = self._inertia
+        drag, (p, q, r) = self.parameters.turning_drag_n_m_s, state.rate_body_rad_s
         held: _Held = (
             *wind_ned_m_s,
             self._plane_drag * speeds + self._linear_drag,
@@ -145,9 +147,9 @@ class Quadrotor:
             force_ned_n[2] / self.mass_kg + GRAVITY_M_S2,
             spin / ix,
             spin / iy,
-            (torque[0] + torque_body_n_m[0]) / ix,
-            (torque[1] + torque_body_n_m[1]) / iy,
-            (torque[2] + torque_body_n_m[2]) / iz,
+            (torque[0] + torque_body_n_m[0] - drag * p) / ix,
+            (torque[1] + torque_body_n_m[1] - drag * q) / iy,
+            (torque[2] + torque_body_n_m[2] - drag * r) / iz,
             *self._coupling,
         )
         x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s

@@ -13,8 +13,8 @@ from pydantic import ConfigDict, Field, model_validator
 
 from companion.config import Shape, StrictModel, find_file, load_model
 from companion.messages import Manner
-from sitl.autopilot.attitude_control import RateGains
 from sitl.autopilot.estimator import EstimatorName
+from sitl.autopilot.rate_control import RateGains
 from sitl.contact import ContactParameters
 from sitl.exposure import DirtSettings
 from sitl.faults import Fault
@@ -36,12 +36,15 @@ Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class Airframe(StrictModel):
-    """The plant's parameters (configs/airframes), and how the autopilot's rate loops are tuned to it."""
+    """The plant's parameters (configs/airframes), and how the rate loops are tuned to it.
+
+    Without `rates` the autopilot flies by its own defaults.
+    """
 
     name: str
     body: QuadrotorParameters
     legs: ContactParameters
-    rates: RateGains = RateGains()
+    rates: RateGains | None = None
 
 
 class PadSettings(StrictModel):

@@ -40,6 +40,7 @@ from sitl.autopilot.modes import (
     StickLaw,
     Task,
 )
+from sitl.autopilot.rate_control import RateFilters, ShareGains
 from sitl.parameters import Setting
 
 _GUIDED = FLAG_CUSTOM | FLAG_GUIDED | FLAG_STABILIZE | FLAG_MANUAL
@@ -204,10 +205,15 @@ ARDUPILOT = Manner(
     attitude_gains=AttitudeGains(
         tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P
         yaw_p=4.5,  # ATC_ANG_YAW_P
-        damps_error=True,
+        # ATC_RAT_RLL_P, _I, _D, _IMAX, ATC_RAT_YAW_P, _I, _D, _IMAX; a whole 1 is half of each motor's range
+        shares=ShareGains((0.135, 0.18), (0.135, 0.018), (0.0036, 0.0), (0.5, 0.5), 1.0, 2.0),
+        # INS_GYRO_FILTER, ATC_RAT_RLL_FLTD, ATC_RAT_RLL_FLTT, ATC_RAT_YAW_FLTE
+        filters=RateFilters(20.0, 20.0, target_hz=20.0, yaw_error_hz=2.5, damps_error=True),
         # ATC_INPUT_TC, ATC_ACCEL_R_MAX and _P_MAX 110000, ATC_ACCEL_Y_MAX 27000 cdeg/s², ATC_SLEW_YAW
         reference=ReferenceLimits(0.15, math.radians(1100.0), math.radians(270.0), math.radians(60.0)),
     ),
+    throttle_hz=2.0,  # POSCONTROL_THROTTLE_CUTOFF_FREQ_HZ
+    outer_period_s=0.0025,  # SCHED_LOOP_RATE
     imu_messages=("RAW_IMU", "SCALED_IMU"),
     imu_filter=4,  # 20 Hz: INS_GYRO_FILTER and INS_ACCEL_FILTER
 )

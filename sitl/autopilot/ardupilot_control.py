@@ -17,6 +17,7 @@ from typing import Final
 
 from companion.geometry import GRAVITY_M_S2, Vector3, wrap_angle
 from sitl.autopilot.position_control import OutputLimits, PositionControl
+from sitl.autopilot.rate_control import TwoPoles
 from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.autopilot.shaping import (
     Limits,
@@ -41,8 +42,7 @@ _TRACK_SHARE: Final = 0.05
 class ArdupilotGains:
     """Defaults of ArduCopter 4.6, named beside each; SI units.
 
-    The acceleration's gains are PSC_ACCZ_P 0.5 and PSC_ACCZ_I 1.0 (throttle per cm/s², times 0.001) over what
-    a throttle is worth on a vehicle that hovers at 0.36, as the recorded one does.
+    The acceleration's gains are of the throttle: what that is worth depends on where the vehicle hovers.
     """
 
     sideways: Limits = _SIDEWAYS
@@ -56,9 +56,10 @@ class ArdupilotGains:
     height_p: float = 1.0  # PSC_POSZ_P
     climb_p: float = 5.0  # PSC_VELZ_P
     climb_hz: float = 5.0  # PSC_VELZ_FLTE
-    acceleration_p: float = 0.05 * GRAVITY_M_S2 / 0.36
-    acceleration_i: float = 0.10 * GRAVITY_M_S2 / 0.36
-    acceleration_hz: float = 20.0  # PSC_ACCZ_FLTE
+    throttle_p: float = 0.05  # PSC_ACCZ_P 0.5: a thousandth of a throttle for each cm/s²
+    throttle_i: float = 0.10  # PSC_ACCZ_I 1.0
+    throttle_hz: float = 20.0  # PSC_ACCZ_FLTE
+    accelerometer_hz: float = 20.0  # INS_ACCEL_FILTER
     limits: OutputLimits = _OUTPUT
 
 
@@ -87,7 +88,8 @@ class ArdupilotControl(PositionControl):
         self._error_x, self._error_y = LowPass(gains.velocity_hz), LowPass(gains.velocity_hz)
         self._rate_x, self._rate_y = LowPass(gains.velocity_hz), LowPass(gains.velocity_hz)
         self._climb_error = LowPass(gains.climb_hz)
-        self._throttle_error = LowPass(gains.acceleration_hz)
+        self._throttle_error = LowPass(gains.throttle_hz)
+        self._felt = TwoPoles(gains.accelerometer_hz)
         self._throttle_integral = 0.0
 
     def _let_go_sideways(self) -> None:
@@ -219,12 +221,14 @@ class ArdupilotControl(PositionControl):
         path.slower_m_s = reference - velocity[2]
         self.velocity_reference = (*self.velocity_reference[:2], reference)
         wanted = gains.climb_p * self._climb_error.step(path.slower_m_s, dt) + path.acceleration
-        error = self._throttle_error.step(wanted - acceleration[2], dt)
-        made = gains.acceleration_p * error + self._throttle_integral
+        felt = self._felt.step(acceleration, dt)[2]
+        error = self._throttle_error.step(wanted - felt, dt)
+        worth = GRAVITY_M_S2 / self._hover  # of a whole throttle
+        made = worth * gains.throttle_p * error + self._throttle_integral
         low, high = (self._hover_share(share) for share in gains.limits.thrust_range)
         path.limit = 1.0 if made >= -low else -1.0 if made <= -high else 0.0
         if not frozen and not error * path.limit > 0.0:
-            change = gains.acceleration_i * error * dt
+            change = worth * gains.throttle_i * error * dt
             self._throttle_integral = clamp(self._throttle_integral + change, 2.0 * GRAVITY_M_S2)
         return made
 

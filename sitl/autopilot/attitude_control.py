@@ -1,24 +1,17 @@
-"""Attitude and body rates: quaternion proportional control around a PID on the rates.
+"""Attitude: quaternion proportional control around the rate loop of `rate_control`.
 
-The attitude error is turned into rates, the rates' errors into torques. Gains are per unit of inertia, so
-that one set fits most airframes. ArduPilot puts a shaped reference before it (`AttitudeReference`), whose
-rates are fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
+The attitude error is turned into rates. ArduPilot puts a shaped reference before it (`AttitudeReference`),
+whose rates are fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
 
-from pydantic import Field
-
-from companion.config import StrictModel
 from companion.geometry import IDENTITY, ZERO3, Quaternion, Vector3, quat_integrate
+from sitl.autopilot.rate_control import RateControl, RateFilters, RateGains, ShareGains
 from sitl.autopilot.shaping import clamp, signed_root_law
-
-Gain = Annotated[float, Field(ge=0.0, le=200.0)]
-Three = tuple[Gain, Gain, Gain]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,31 +24,15 @@ class ReferenceLimits:
     yaw_rate_rad_s: float
 
 
-class RateGains(StrictModel):
-    """The innermost loop's tuning about roll, pitch and yaw, per unit of inertia: it goes with a frame.
-
-    `proportional` 1/s, `integral` 1/s², `derivative` unitless.
-    """
-
-    proportional: Three = (20.0, 20.0, 8.0)
-    integral: Three = (12.0, 12.0, 3.0)
-    derivative: Three = (0.25, 0.25, 0.0)
-
-
 @dataclass(frozen=True, slots=True)
 class AttitudeGains:
-    """Gains from angle to rate (1/s), limits rad/s and rad/s².
+    """Gains from angle to rate (1/s), limits rad/s; `shares` and `filters` are the rate loop's."""
 
-    `damps_error`: the rate loop's derivative is the error's (ArduPilot), so that a changing setpoint is fed
-    forward, not the measured rate's (PX4).
-    """
-
+    shares: ShareGains
+    filters: RateFilters
     tilt_p: float = 6.5
     yaw_p: float = 2.8
     rate_limit_rad_s: tuple[float, float, float] = (3.8, 3.8, 3.5)
-    integral_limit_rad_s2: float = 6.0
-    derivative_filter_s: float = 0.008
-    damps_error: bool = False
     reference: ReferenceLimits | None = None
 
 
@@ -89,17 +66,13 @@ class AttitudeReference:
 class AttitudeControl:
     """One step a gyroscope sample; `reset` on the ground, so that nothing winds up against it."""
 
-    def __init__(self, inertia_kg_m2: Vector3, gains: AttitudeGains, rates: RateGains | None = None) -> None:
-        self._inertia = inertia_kg_m2
+    def __init__(self, inertia_kg_m2: Vector3, gains: AttitudeGains, rates: RateGains) -> None:
         self._gains = gains
-        rates = rates or RateGains()
-        self._p, self._i, self._d = rates.proportional, rates.integral, rates.derivative
-        self.reset()
+        self._rates = RateControl(inertia_kg_m2, rates, gains.filters)
 
     def reset(self) -> None:
-        """Forget the integral and the filtered rate."""
-        self._integral = ZERO3
-        self._slow_rate: Vector3 | None = None
+        """Forget what the rate loop keeps."""
+        self._rates.reset()
 
     def step(
         self,
@@ -115,37 +88,7 @@ class AttitudeControl:
 
         `feed_rate` (body, rad/s) is what the setpoint itself turns at; `frozen` stops the integral.
         """
-        wanted = self._rate_setpoint(attitude, setpoint, feed_rate)
-        gains = self._gains
-        ex, ey, ez = wanted[0] - rate[0], wanted[1] - rate[1], wanted[2] - rate[2]
-        damped = (-ex, -ey, -ez) if gains.damps_error else rate
-        slow = self._slow_rate or damped
-        share = dt_s / (dt_s + gains.derivative_filter_s)
-        slow = (
-            slow[0] + share * (damped[0] - slow[0]),
-            slow[1] + share * (damped[1] - slow[1]),
-            slow[2] + share * (damped[2] - slow[2]),
-        )
-        before = self._slow_rate or slow
-        self._slow_rate = slow
-        ix, iy, iz = self._integral
-        (px, py, pz), (dx, dy, dz) = self._p, self._d
-        jx, jy, jz = self._inertia
-        lx, ly, lz = jx * rate[0], jy * rate[1], jz * rate[2]
-        torque = (
-            jx * (px * ex + ix - dx * (slow[0] - before[0]) / dt_s) + rate[1] * lz - rate[2] * ly,
-            jy * (py * ey + iy - dy * (slow[1] - before[1]) / dt_s) + rate[2] * lx - rate[0] * lz,
-            jz * (pz * ez + iz - dz * (slow[2] - before[2]) / dt_s) + rate[0] * ly - rate[1] * lx,
-        )
-        if not frozen:
-            kx, ky, kz = self._i
-            limit = gains.integral_limit_rad_s2
-            self._integral = (
-                clamp(ix + kx * ex * dt_s, limit),
-                clamp(iy + ky * ey * dt_s, limit),
-                clamp(iz + kz * ez * dt_s, limit),
-            )
-        return torque
+        return self._rates.step(rate, self._rate_setpoint(attitude, setpoint, feed_rate), dt_s, frozen=frozen)
 
     def _rate_setpoint(self, q: Quaternion, setpoint: Quaternion | None, feed: Vector3) -> Vector3:
         """Body rates (rad/s): twice the vector part of the error, shorter way round, plus the feed."""

@@ -11,13 +11,15 @@ import math
 
 from companion.geometry import IDENTITY, ZERO3, Quaternion, add, yaw_from_quat
 from sitl.autopilot.airframe import Airframe, hover_thrust
-from sitl.autopilot.attitude_control import AttitudeControl, AttitudeReference, RateGains, turn_about_down
+from sitl.autopilot.attitude_control import AttitudeControl, AttitudeReference, turn_about_down
 from sitl.autopilot.estimator import Estimator
 from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.manners import Manner
 from sitl.autopilot.mixer import Mixer, Motors
 from sitl.autopilot.position_control import lean_cosine
+from sitl.autopilot.rate_control import RateGains
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
+from sitl.autopilot.shaping import low_pass
 
 STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
 _IDLE = 0.04
@@ -40,7 +42,8 @@ class Cascade:
         gains = manner.attitude_gains
         self._position = manner.position_control(self._hover)
         self._thrust_is_upward = manner.thrust_is_upward
-        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates)
+        self._throttle_hz = manner.throttle_hz
+        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe))
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = Mixer(airframe, _IDLE)
         self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)
@@ -48,7 +51,7 @@ class Cascade:
         self._share = 1.0
         self._feed_rate = ZERO3
         self._rates_alone = False
-        self.thrust = 0.0
+        self.thrust = self._throttle = 0.0
         self.attitude_setpoint: Quaternion = IDENTITY
 
     @property
@@ -66,6 +69,7 @@ class Cascade:
         self._position.reset(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
         self._attitude.reset()
         self._spool, self._share, self.thrust = 0.0, 1.0, 0.0
+        self._throttle = 0.0
         self._feed_rate, self._rates_alone = ZERO3, False
         self.attitude_setpoint = self._position.attitude
         if self._reference is not None:
@@ -109,8 +113,6 @@ class Cascade:
             self.thrust = min(self.thrust, self._spool)
         else:
             self._feel_ground(descending, estimate, still_speed_m_s, dt_s)
-        if self._reference is not None and not self._rates_alone:
-            self._reference.step(self.attitude_setpoint, self._feed_rate, dt_s)
 
     def step(self, estimate: Estimator, dt_s: float) -> Motors:
         """Motor commands 0..1 of an armed vehicle."""
@@ -118,6 +120,7 @@ class Cascade:
             return _IDLING
         reference, wanted, feed = self._reference, self.attitude_setpoint, self._feed_rate
         if reference is not None and not self._rates_alone:
+            reference.step(wanted, feed, dt_s)
             wanted, feed = reference.attitude, reference.rate
         torque = self._attitude.step(
             estimate.attitude,
@@ -143,7 +146,8 @@ class Cascade:
             frozen,
         )
         self._leave_rates(estimate)
-        self.attitude_setpoint, self.thrust = law.attitude, law.thrust
+        self.attitude_setpoint = law.attitude
+        self._throttle_up(estimate, dt_s)
         self._feed_rate = turn_about_down(estimate.attitude, law.yaw_rate_rad_s)
         # a law that shapes its setpoints still goes down for a while after a climb is asked for
         return law.velocity_reference[2] > _DESCENDING_M_S and not self.wants_up(setpoint, estimate)
@@ -171,14 +175,24 @@ class Cascade:
         if not thrust_is_climb_rate:
             upward = self._thrust_is_upward and setpoint.attitude is not None
             self.thrust = min(1.0, share / lean_cosine(estimate.attitude)) if upward else share
+            self._throttle = self.thrust
             return share < 0.85 * self._hover
         climb = 2.0 * (share - 0.5)
         climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
         position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
         acceleration = estimate.acceleration_ned_m_s2
         law.step_climb(position, velocity, acceleration, estimate.attitude, climb, dt_s, frozen)
-        self.thrust = law.thrust
+        self._throttle_up(estimate, dt_s)
         return climb < -_DESCENDING_M_S
+
+    def _throttle_up(self, estimate: Estimator, dt_s: float) -> None:
+        """Take over the height law's thrust: as it is, or raised by the lean that is flown and filtered."""
+        law = self._position
+        if self._throttle_hz is None:
+            self.thrust = law.thrust
+            return
+        wanted = min(1.0, max(0.0, law.upward / lean_cosine(estimate.attitude)))
+        self.thrust = self._throttle = low_pass(self._throttle, wanted, self._throttle_hz, dt_s)
 
     def _leave_rates(self, estimate: Estimator) -> None:
         """From body rates back to attitudes: the reference starts where the vehicle leans by then."""

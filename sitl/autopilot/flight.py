@@ -1,6 +1,6 @@
 """The flight controller's loop: estimator, commander, navigator and the cascade, at the pace of the physics.
 
-Attitude and rates at every call (400 Hz), everything outer at 100 Hz. SI units.
+Attitude and rates at every call (400 Hz), everything outer at the manner's own pace. SI units.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from sitl.autopilot.mixer import Motors
 from sitl.autopilot.modes import Severity, StickLaw, Task
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
 
-_OUTER_PERIOD_S = 0.01
 _EARLY_S = 1e-6
 _THRUST_OPTION = 8
 
@@ -41,15 +40,17 @@ class FlightLoop(FlightState):
         if self.booted_s is None:
             self.booted_s = now_s
         # a step that comes late is made up for by the next ones, a long silence is not
-        self._outer_due_s = max(self._outer_due_s, now_s - _OUTER_PERIOD_S) + _OUTER_PERIOD_S
+        self._outer_due_s = (
+            max(self._outer_due_s, now_s - self.manner.outer_period_s) + self.manner.outer_period_s
+        )
         self._now_s = now_s
         estimate = self.estimate
-        estimate.update_position(truth, _OUTER_PERIOD_S)
+        estimate.update_position(truth, self.manner.outer_period_s)
         self._note_arming()  # by commands since the step before
         self._watch(now_s - self.booted_s, now_s - self._setpoint_s)
         self._note_arming()  # by a failsafe in this one
         if self._lander is not None:
-            self._lander.watch(self._view(), _OUTER_PERIOD_S)
+            self._lander.watch(self._view(), self.manner.outer_period_s)
         if self._commander.armed:
             self._fly()
         elif not self._navigator.home_is_fixed:
@@ -82,7 +83,7 @@ class FlightLoop(FlightState):
         self._watch_mission()
         self._hand.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up
-        self._commander.update(_OUTER_PERIOD_S)
+        self._commander.update(self.manner.outer_period_s)
 
     def _begin_task(self) -> None:
         """Another task than in the last step."""
@@ -103,7 +104,11 @@ class FlightLoop(FlightState):
             cascade.lift_off()
             self._commander.say(Severity.INFO, texts.lifted)
         cascade.outer(
-            setpoint, self.estimate, self._thrust_is_climb_rate(), self._still_speed(), _OUTER_PERIOD_S
+            setpoint,
+            self.estimate,
+            self._thrust_is_climb_rate(),
+            self._still_speed(),
+            self.manner.outer_period_s,
         )
         if cascade.landed:
             self._navigator.let_go()
@@ -116,13 +121,17 @@ class FlightLoop(FlightState):
             self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
             now = self._commander.situation
             return self.manner.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
-        by_sticks = self._hand.setpoint(self._commander.mode, heading, self._now_s, _OUTER_PERIOD_S)
+        by_sticks = self._hand.setpoint(
+            self._commander.mode, heading, self._now_s, self.manner.outer_period_s
+        )
         if by_sticks is not None:
             self._navigator.let_go()
             return by_sticks
         task = self.task
         if task is Task.MISSION:
-            here = Here(self.estimate.position_ned_m, heading, self._cascade.landed, _OUTER_PERIOD_S)
+            here = Here(
+                self.estimate.position_ned_m, heading, self._cascade.landed, self.manner.outer_period_s
+            )
             wanted = self._runner.step(here)
             self._commander.subtask = wanted if isinstance(wanted, Task) else None
             if isinstance(wanted, MotionSetpoint):
@@ -159,7 +168,7 @@ class FlightLoop(FlightState):
         if not self._lands_precisely:
             self._lands_precisely = True
             lander.begin(required=self.task is not Task.MISSION or self._runner.precision_required)
-        return lander.fly(self._view(), _OUTER_PERIOD_S)
+        return lander.fly(self._view(), self.manner.outer_period_s)
 
     def _view(self) -> View:
         estimate = self.estimate

@@ -20,7 +20,6 @@ from companion.messages import LandedState
 from companion.messages import Manner as MannerName
 from sitl.autopilot.airframe import Airframe, hover_thrust
 from sitl.autopilot.ardupilot import ARDUPILOT
-from sitl.autopilot.attitude_control import RateGains
 from sitl.autopilot.cascade import Cascade
 from sitl.autopilot.commander import Commander, Text
 from sitl.autopilot.estimator import Estimator, EstimatorErrors
@@ -31,6 +30,7 @@ from sitl.autopilot.mission_items import Command, ItemFrame, MissionItem, Missio
 from sitl.autopilot.modes import Mode, Result, StickLaw, Task
 from sitl.autopilot.navigator import Navigator
 from sitl.autopilot.px4 import PX4
+from sitl.autopilot.rate_control import RateGains
 from sitl.autopilot.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.sticks import Radio
 from sitl.parameters import Parameters

@@ -92,7 +92,8 @@ class Manner:
     makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
     hover.
     A thrust that comes with an attitude and `thrust_is_upward` is raised for the lean that is flown, as
-    ArduPilot's ATC_ANGLE_BOOST does.
+    ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a low-pass of `throttle_hz`.
+    The position controller runs every `outer_period_s`.
     `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
     register value that the simulated IMU knows. `home_s` after its start it has set home, and its checks pass
     for a mode that needs no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the
@@ -144,6 +145,8 @@ class Manner:
     lands_precisely: frozenset[Task]
     position_control: Callable[[float], PositionControl]
     attitude_gains: AttitudeGains
+    throttle_hz: float | None
+    outer_period_s: float
     imu_messages: tuple[str, ...]
     imu_filter: int
     home_s: float

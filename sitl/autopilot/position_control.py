@@ -46,7 +46,7 @@ class PositionControl(ABC):
     """Keeps the heading and what the law keeps; results are in its public fields.
 
     `velocity_reference` is the velocity it flies towards by now, `saturated` tells that the lean is at its
-    limit.
+    limit. `thrust` is `upward`, its vertical share, over the cosine of the lean that is asked for.
     """
 
     def __init__(self, hover_thrust: float, limits: OutputLimits) -> None:
@@ -59,7 +59,7 @@ class PositionControl(ABC):
         self.yaw_rad = yaw_rad
         self.yaw_rate_rad_s = 0.0
         self.attitude: Quaternion = quat_from_euler(0.0, 0.0, yaw_rad)
-        self.thrust = self._hover
+        self.thrust = self.upward = self._hover
         self.velocity_reference = velocity_ned_m_s
         self.saturated = False
         self._forget(velocity_ned_m_s)
@@ -91,8 +91,8 @@ class PositionControl(ABC):
         """Only the height: thrust for a climb rate at an attitude that someone else commands."""
         setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
         down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
-        upward = self._hover * (1.0 - down / GRAVITY_M_S2)
-        self.thrust = self._bounded_thrust(upward / lean_cosine(attitude))
+        self.upward = self._hover * (1.0 - down / GRAVITY_M_S2)
+        self.thrust = self._bounded_thrust(self.upward / lean_cosine(attitude))
 
     def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
         """Somebody else commands the attitude: start from heading and velocity as they are by then."""
@@ -159,7 +159,8 @@ class PositionControl(ABC):
         if self.saturated:
             ax, ay, sideways = ax * limit / sideways, ay * limit / sideways, limit
         force = math.hypot(sideways, GRAVITY_M_S2)
-        self.thrust = self._bounded_thrust(self._hover * up * force / GRAVITY_M_S2**2)
+        self.upward = self._hover * up / GRAVITY_M_S2
+        self.thrust = self._bounded_thrust(self.upward * force / GRAVITY_M_S2)
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         forward, right = c * ax + s * ay, c * ay - s * ax
         pitch = math.atan2(-forward, GRAVITY_M_S2)

@@ -45,6 +45,7 @@ from sitl.autopilot.modes import (
 from sitl.autopilot.px4_control import Px4Control
 from sitl.autopilot.px4_lander import PX4Lander
 from sitl.autopilot.px4_parameters import PARAMETERS
+from sitl.autopilot.rate_control import RateFilters, ShareGains
 from sitl.parameters import Setting
 
 _AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
@@ -260,7 +261,15 @@ PX4 = Manner(
     lander=PX4Lander,
     lands_precisely=frozenset({Task.PRECISION_LAND}),
     position_control=Px4Control,
-    attitude_gains=AttitudeGains(),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
+    attitude_gains=AttitudeGains(
+        # MC_ROLLRATE_P, _I, _D, MC_RR_INT_LIM, MC_YAWRATE_P, _I, _D, MC_YR_INT_LIM; the pseudo-inverse of a
+        # "+" is normalised so that a whole 1 is 0.71 of each motor about roll and pitch, all of it about yaw
+        shares=ShareGains((0.15, 0.2), (0.2, 0.1), (0.003, 0.0), (0.3, 0.3), math.sqrt(2.0), 4.0),
+        # IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MC_YAW_TQ_CUTOFF
+        filters=RateFilters(40.0, 30.0, yaw_torque_hz=2.0),
+    ),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
+    throttle_hz=None,
+    outer_period_s=0.01,
     imu_messages=("HIGHRES_IMU",),
     imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF
 )

@@ -156,6 +156,11 @@ class Path1:
             self.velocity += gain
 
 
+def low_pass(value: float, to: float, cutoff_hz: float, dt_s: float) -> float:
+    """A filtered value one step on."""
+    return value + dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz)) * (to - value)
+
+
 class LowPass:
     """A first-order filter that starts from its first value."""
 

@@ -63,10 +63,16 @@ def result(seed: int, scenario: str, outcome: str) -> dict[str, Any]:
             "unsolved": 0,
             "late": 0,
             "stopped": 0,
+            "blind": 0,
             "limited": 3,
             "iterations_p99": 35.0,
         },
-        "latency_ms": {"exposure_to_setpoint_p50": 100.0, "exposure_to_setpoint_p99": 104.0},
+        "latency_ms": {
+            "exposure_to_setpoint_p50": 100.0,
+            "exposure_to_setpoint_p99": 104.0,
+            "cycle_late_p50": 0.1,
+            "cycle_late_p99": 1.5,
+        },
         "sim": {"real_time_factor": 3.5},
         "events": [{"time_s": 0.0, "kind": "pid", "text": str(os.getpid())}],
     }

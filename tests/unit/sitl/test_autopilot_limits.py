@@ -72,7 +72,7 @@ def test_a_commanded_climb_ends_the_suspicion_of_the_ground(manner: Manner, stoo
         flight.run(0.1, velocity(0.0, 0.0, 0.5))
     flight.run(stood_s, velocity(0.0, 0.0, 1.0))
     assert landed_state(flight) is not LandedState.ON_GROUND
-    for _ in range(30):
+    for _ in range(40):
         flight.run(0.1, velocity(0.0, 0.0, -1.0))
         assert landed_state(flight) is not LandedState.ON_GROUND
     assert flight.vehicle.height_m > 0.5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from math import nan
 
 import numpy as np
@@ -15,15 +16,15 @@ from sitl.autopilot import MANNERS, EstimatorErrors, Task
 from sitl.autopilot.ardupilot import ARDUPILOT
 from sitl.autopilot.attitude_control import (
     AttitudeControl,
-    AttitudeGains,
     AttitudeReference,
-    RateGains,
     turn_about_down,
 )
 from sitl.autopilot.estimator import Estimator
 from sitl.autopilot.landed import LandedDetector
 from sitl.autopilot.mixer import Mixer
+from sitl.autopilot.px4 import PX4
 from sitl.autopilot.px4_control import Px4Control
+from sitl.autopilot.rate_control import RateFilters, RateGains
 from sitl.autopilot.setpoints import MotionSetpoint
 from sitl.parameters import Parameter, Parameters, Setting
 from tests.unit.sitl.autopilot_flight import Frame450
@@ -79,7 +80,7 @@ def test_torque_turns_the_body_towards_the_setpoint_by_the_shorter_way(yaw_deg: 
     wanted = quat_multiply(attitude, quat_from_euler(small[0], small[1], small[2]))
     for sign in (1.0, -1.0):
         w, x, y, z = wanted
-        control = AttitudeControl((1.0, 1.0, 1.0), AttitudeGains())
+        control = AttitudeControl((1.0, 1.0, 1.0), PX4.attitude_gains, RateGains())
         torque = control.step(
             attitude, ZERO3, (sign * w, sign * x, sign * y, sign * z), ZERO3, 0.0025, frozen=True
         )
@@ -90,11 +91,12 @@ def test_torque_turns_the_body_towards_the_setpoint_by_the_shorter_way(yaw_deg: 
 def test_a_yaw_rate_is_a_turn_about_the_worlds_down_axis_at_any_lean() -> None:
     attitude = quat_from_euler(0.3, 0.2, 1.0)
     rates = RateGains(proportional=(1.0, 1.0, 1.0))
-    control = AttitudeControl((1.0, 1.0, 1.0), AttitudeGains(), rates)
+    unfiltered = replace(PX4.attitude_gains, filters=RateFilters(40.0, 30.0))
+    control = AttitudeControl((1.0, 1.0, 1.0), unfiltered, rates)
     feed = turn_about_down(attitude, 0.5)
     wanted_rate = control.step(attitude, ZERO3, attitude, feed, 0.0025, frozen=True)
     assert quat_rotate(attitude, wanted_rate) == pytest.approx((0.0, 0.0, 0.5), abs=1e-9)
-    alone = AttitudeControl((1.0, 1.0, 1.0), AttitudeGains(), rates)
+    alone = AttitudeControl((1.0, 1.0, 1.0), unfiltered, rates)
     assert alone.step(attitude, ZERO3, None, (0.1, -0.2, 0.3), 0.0025, frozen=True) == (0.1, -0.2, 0.3)
 
 
