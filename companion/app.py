@@ -314,7 +314,7 @@ class App:
             self._controller = Controller(
                 self._config.control, self._vehicle, self._clock.now_s, manner=manner, setup=setup
             )
-            flown = resolved(self._config.control, manner, takes_thrust=setup.takes_thrust)
+            flown = resolved(self._config.control, manner)
             for misfit in misfits(flown, self._vehicle, setup):
                 self._notice("setup", misfit, "warning")
         return self._controller

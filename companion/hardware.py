@@ -9,6 +9,7 @@ from typing import Protocol
 
 from companion.clock import Clock
 from companion.config import CameraConfig, CompanionConfig, RangeConfig, find_file, load_model
+from companion.control.setpoints import resolved
 from companion.link.actions import PymavlinkActions, VehicleActions
 from companion.link.mavsdk_link import MavsdkActions
 from companion.link.session import Session
@@ -108,5 +109,5 @@ def make_own_actions(
 
 
 def _sends_attitudes(config: CompanionConfig) -> bool:
-    """Whether attitudes are asked for by name: else an ArduPilot that takes no thrust gets velocities."""
-    return config.control.setpoint == "attitude"
+    """Whether an ArduPilot, for which it matters, gets attitudes."""
+    return resolved(config.control, "ardupilot").setpoint == "attitude"

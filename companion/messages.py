@@ -212,15 +212,13 @@ class PadState:
 class AutopilotSetup:
     """What the autopilot's parameters say of how it obeys; None: not told.
 
-    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways. `takes_thrust`: the thrust of an
-    attitude setpoint is thrust, not a climb rate.
+    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways.
     """
 
     tilt_deg: float | None = None
     hover_thrust: float | None = None
     acceleration_m_s2: float | None = None
     jerk_m_s3: float | None = None
-    takes_thrust: bool = True
 
 
 class LandedState(StrEnum):

@@ -54,7 +54,7 @@ class ControlConfig(StrictModel):
     """The tracker and what it sends."""
 
     controller: Literal["mpc", "riccati", "pid"] = "mpc"
-    # acceleration: sideways without velocity, for PX4 alone; auto: that to PX4. ArduPilot gets velocity then
+    # acceleration: sideways without velocity, for PX4 alone; auto: that to PX4, attitude to ArduPilot
     setpoint: Literal["auto", "velocity", "acceleration", "attitude"] = "auto"
     rate_hz: float = Field(default=30.0, ge=10.0, le=100.0)
     horizon_steps: int = Field(default=20, ge=5, le=100)

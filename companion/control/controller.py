@@ -90,7 +90,7 @@ class Controller:
         In virtual time it stands still while the solver works: then iterations alone bound it.
         """
         setup = setup or AutopilotSetup()
-        config = resolved(config, manner, takes_thrust=setup.takes_thrust)
+        config = resolved(config, manner)
         if setup.hover_thrust is not None:
             vehicle = vehicle.model_copy(update={"hover_thrust": setup.hover_thrust})
         response = vehicle.responses.of(manner, flown_kind(config))

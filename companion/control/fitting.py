@@ -56,11 +56,6 @@ def misfits(config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup
             f"tilt: the autopilot leans {setup.tilt_deg:.0f} deg at most, control.limits.tilt_deg is "
             f"{config.limits.tilt_deg:.0f}; the autopilot's is taken"
         )
-    if not setup.takes_thrust and config.setpoint == "velocity":
-        found.append(
-            "GUID_OPTIONS: thrust is read as climb rate, so velocities are sent; with bit 3 (8) set, "
-            "attitudes are, which follow pads that turn and land in wind"
-        )
     return found
 
 

@@ -35,19 +35,19 @@ class Heading:
     rate_rad_s: float = 0.0
 
 
-def resolved(config: ControlConfig, manner: Manner, *, takes_thrust: bool = True) -> ControlConfig:
+def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
     """Settings in which the kind of setpoint is the one that this autopilot gets.
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
     derivative, and its own estimate of the velocity, would else act on every turn and gust besides ours.
     ArduPilot shapes velocities and accelerations so slowly that no loop around them is quick: it gets
-    attitudes, and velocities while its parameters have it read thrust as a climb rate (`takes_thrust`).
+    attitudes.
     """
     kind = config.setpoint
     if kind == "auto" and config.controller == "pid":
         kind = "velocity"  # its gains are tuned for the autopilot's velocity loop below it
     elif kind in ("auto", "acceleration"):
-        kind = "acceleration" if manner == "px4" else "attitude" if takes_thrust else "velocity"
+        kind = "acceleration" if manner == "px4" else "attitude"
     return config.model_copy(update={"setpoint": kind})
 
 

@@ -1,19 +1,15 @@
-"""Those of the autopilot's parameters on which our loop depends. Pure.
-
-They are read; one alone may be written, where the settings allow it: ArduPilot's GUID_OPTIONS, for attitude
-setpoints whose thrust is thrust.
-"""
+"""Those of the autopilot's parameters on which our loop depends: read, never written. Pure."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST, ParameterRequest, ParameterRequests
+from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.messages import AutopilotSetup, Manner
 
 NAMES: Final[dict[Manner, tuple[str, ...]]] = {
     "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER"),
-    "ardupilot": (GUIDED_OPTIONS, "ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER"),
+    "ardupilot": ("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER"),
 }
 _CENTI: Final = 0.01
 
@@ -21,9 +17,8 @@ _CENTI: Final = 0.01
 class SetupReader:
     """Asks for them all at once; `setup` is None until each has been answered or given up."""
 
-    def __init__(self, requests: ParameterRequests, *, may_set: bool) -> None:
-        """`may_set`: GUID_OPTIONS may be set."""
-        self._requests, self._may_set = requests, may_set
+    def __init__(self, requests: ParameterRequests) -> None:
+        self._requests = requests
         self._manner: Manner | None = None
         self._asked: dict[str, ParameterRequest] = {}
 
@@ -36,17 +31,6 @@ class SetupReader:
         for request in self._asked.values():
             self._requests.submit(request)
 
-    def step(self) -> None:
-        """Have thrust taken for thrust, once it is known not to be, where that is allowed."""
-        read = self._asked.get(GUIDED_OPTIONS)
-        if not self._may_set or read is None or read.wanted is not None or read.value is None:
-            return
-        options = int(read.value)
-        if not options & THRUST_IS_THRUST:
-            wish = ParameterRequest(GUIDED_OPTIONS, wanted=float(options | THRUST_IS_THRUST))
-            self._asked[GUIDED_OPTIONS] = wish
-            self._requests.submit(wish)
-
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
@@ -55,13 +39,11 @@ class SetupReader:
         value = {name: request.value for name, request in self._asked.items()}
         if self._manner == "px4":
             return AutopilotSetup(tilt_deg=value["MPC_TILTMAX_AIR"], hover_thrust=value["MPC_THR_HOVER"])
-        options = value[GUIDED_OPTIONS]
         return AutopilotSetup(
             tilt_deg=_scaled(value["ANGLE_MAX"]),
             hover_thrust=value["MOT_THST_HOVER"],
             acceleration_m_s2=_scaled(value["WPNAV_ACCEL"]),
             jerk_m_s3=value["PSC_JERK_XY"],
-            takes_thrust=options is not None and bool(int(options) & THRUST_IS_THRUST),
         )
 
 

@@ -88,7 +88,7 @@ class Session:
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
         self._reads_setup = reads_setup
-        self._setup = SetupReader(self._parameters, may_set=config.set_parameters)
+        self._setup = SetupReader(self._parameters)
         self._rates = TelemetryRates()
         self._texts = StatusTexts()
         self._replies: list[Message] = []
@@ -215,7 +215,6 @@ class Session:
         if self.state.connected:
             self._synchronise(messages, now_s)
             self._ask(now_s)
-            self._setup.step()
             messages += self._parameters.to_send(now_s, self._system_id)
         messages += self._commands.to_send(now_s)
         return b"".join(self._codec.encode(message) for message in messages)

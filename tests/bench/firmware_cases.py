@@ -23,9 +23,10 @@ MEET: Final = {"point_ned_m": [10.0, 0.0], "time_s": 22.0, "spread_m": 2.0}
 PASS: Final = {"lateral_error_m": 0.15, "vertical_speed_m_s": 0.5, "horizontal_speed_m_s": 0.3}
 WIND: Final = {"mean_m_s": 8.0, "turbulence": "moderate"}
 CALM: Final[dict[str, Any]] = {"mean_m_s": 0.0}
+# what each is sent by default first; velocities to ArduPilot are no part of what has to land
 SETPOINTS: Final[dict[Manner, tuple[str, ...]]] = {
     "px4": ("acceleration", "attitude"),
-    "ardupilot": ("velocity", "attitude"),
+    "ardupilot": ("attitude",),
 }
 
 

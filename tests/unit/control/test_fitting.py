@@ -56,6 +56,5 @@ def test_its_limits_on_velocity_setpoints_bind_no_attitude() -> None:
 
 def test_what_does_not_fit_is_told_a_line_each() -> None:
     assert misfits(CONFIG, VEHICLE, AutopilotSetup(tilt_deg=45.0, hover_thrust=VEHICLE.hover_thrust)) == []
-    velocity = CONFIG.model_copy(update={"setpoint": "velocity"})
-    told = misfits(velocity, VEHICLE, AutopilotSetup(tilt_deg=20.0, hover_thrust=0.2, takes_thrust=False))
-    assert [line.split(":")[0] for line in told] == ["hover thrust", "tilt", "GUID_OPTIONS"]
+    told = misfits(CONFIG, VEHICLE, AutopilotSetup(tilt_deg=20.0, hover_thrust=0.2))
+    assert [line.split(":")[0] for line in told] == ["hover thrust", "tilt"]
