@@ -6,6 +6,7 @@
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop
 # make bench-mpc             what a step of the MPC costs, beside setting it up anew
+# make bench-response PX4=BIN ARDUCOPTER=BIN  how the autopilots answer setpoints, beside what is believed
 # make bench-margins         landings with a response, a delay, stamps and a mass other than believed
 # make bench-campaign        how much faster a campaign is on two jobs
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
@@ -31,7 +32,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -106,6 +107,9 @@ bench-landing: $(VENV)/.dev
 # three quarters of an hour on two cores; give it again after an interruption, and it goes on
 bench-firmware: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_firmware $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER)) --seeds $(SEEDS)
+
+bench-response: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.bench_response $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_fuzz
