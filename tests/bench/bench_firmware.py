@@ -12,14 +12,14 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from companion.config import ConfigError
+from companion.config import ConfigError, Kind
 from companion.messages import Manner
 from sitl.campaign.figures import Bar, values
 from sitl.campaign.rows import Row
@@ -73,7 +73,9 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--case", default="", help="cases whose name begins so, alone")
-    parser.add_argument("--setpoint", default="", help="this kind of setpoint alone")
+    parser.add_argument(
+        "--setpoint", choices=get_args(Kind), default="", help="this kind alone, instead of those shipped"
+    )
     parser.add_argument(
         "--sensors",
         choices=("boards", "autopilot"),
@@ -98,8 +100,7 @@ def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: C
     kinds = [
         (spec, setpoint)
         for spec in specs
-        for setpoint in SETPOINTS[spec.kind]
-        if options.setpoint in ("", setpoint)
+        for setpoint in ((options.setpoint,) if options.setpoint else SETPOINTS[spec.kind])
     ]
     flights = [
         f for spec, s in kinds for f in write_flights(spec, s, options.sensors, cases, seeds, options.out)
