@@ -22,7 +22,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -33,11 +32,12 @@ from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.desk import DeskFlight, Trial, desk_settings, fly
 from companion.messages import Outcome, Phase
 from companion.record import FlightLog
+from companion.result import latency
 from tests.bench.cpu_watch import CpuWatch
 
 CORE_PERCENT: Final = 40.0
 LATENCY_MS: Final = 60.0
-CALLBACK_MS: Final = 5.0
+LOOP_MS: Final = 5.0
 GROUND: Final = frozenset({Phase.CONNECT, Phase.ARM})
 ENDED: Final = frozenset({Phase.LANDED, Phase.ABORT})
 REST: Final = "rest (threads' own, MAVSDK)"
@@ -142,27 +142,23 @@ def _bars(span: FlightSpan, log: FlightLog, trial: Trial, *, fast: bool) -> list
     bars = [Bar("CPU", 100.0 * _share(span, fast=fast), CORE_PERCENT, "% of a core")]
     if fast:
         return bars
-    latency_ms = [1e3 * (late_s - trial.scenario.camera.latency_s) for late_s in _latencies_s(log)]
-    p50, p99 = np.percentile(latency_ms, (50, 99))
+    delays = latency(log.kept["setpoint"], log.kept["control_report"])
+    exposure_p50, exposure_p99 = delays.exposure_to_setpoint_p50, delays.exposure_to_setpoint_p99
+    assert exposure_p50 is not None
+    assert exposure_p99 is not None
+    assert delays.cycle_late_p99 is not None
+    camera_ms = 1e3 * trial.scenario.camera.latency_s
     longest = sorted(span.watch.callbacks, reverse=True)
-    held = sum(callback.cpu_s > 1e-3 * CALLBACK_MS for callback in longest)
-    print(f"exposure to setpoint, beyond the camera's delay: p50 {p50:.1f} ms, p99 {p99:.1f} ms")
+    held = sum(callback.cpu_s > 1e-3 * LOOP_MS for callback in longest)
+    print(f"exposure to setpoint, beyond the camera's delay: p50 {exposure_p50 - camera_ms:.1f} ms")
+    print(f"event loop's delay, by the control cycles: p50 {delays.cycle_late_p50:.1f} ms")
     shown = ", ".join(f"{1e3 * callback.cpu_s:.1f} ({callback.part})" for callback in longest[:5])
-    print(f"longest callbacks, ms: {shown}; {held} of {len(longest)} above {CALLBACK_MS:g} ms")
+    print(f"longest callbacks, ms: {shown}; {held} of {len(longest)} above {LOOP_MS:g} ms")
     return [
         *bars,
-        Bar("exposure to setpoint p99", float(p99), LATENCY_MS, "ms"),
-        Bar("longest callback", 1e3 * longest[0].cpu_s, CALLBACK_MS, "ms"),
+        Bar("exposure to setpoint p99", exposure_p99 - camera_ms, LATENCY_MS, "ms"),
+        Bar("event loop's delay p99", delays.cycle_late_p99, LOOP_MS, "ms"),
     ]
-
-
-def _latencies_s(log: FlightLog) -> list[float]:
-    """From each exposure to the first setpoint that knew of it."""
-    first: dict[float, float] = {}
-    for setpoint in log.kept["setpoint"]:
-        if setpoint.exposure_time_s is not None:
-            first.setdefault(setpoint.exposure_time_s, setpoint.time_s - setpoint.exposure_time_s)
-    return list(first.values())
 
 
 def _cpu_s() -> float:

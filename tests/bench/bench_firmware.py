@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, get_args
+
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
