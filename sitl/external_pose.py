@@ -1,7 +1,7 @@
 """Where somebody else's vehicle is: its simulator's MAVLink messages -> poses, and poses between them. Pure.
 
-    SIM_STATE             ArduPilot's SITL: the truth. Float quaternion, altitude (m) and velocity; place in
-                          1e-7 deg (11 mm). Older ones have the place as float alone (0.4 m). Without a stamp
+    SIM_STATE             ArduPilot's SITL: the truth. Float quaternion and velocity; place in 1e-7 deg
+                          (11 mm), altitude (m) in steps of 10 mm. Older ones have the place as float alone (0.4 m). Without a stamp
     HIL_STATE_QUATERNION  PX4's SITL and SIH: the truth. 1e-7 deg, mm, cm/s; PX4 leaves the stamp 0
     LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, for want of better; its frame is
                           tied to the globe by a GLOBAL_POSITION_INT
@@ -40,7 +40,10 @@ GLOBAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 
 MEMORY_S: Final = 2.0
 LONGEST_GUESS_S: Final = 0.1  # how far a pose is carried on beyond the newest message
-SMOOTHING_S: Final = 0.1  # place follows velocity, and the message's place over so long: 11 mm steps vanish
+# the message's place is rounded to a cell; velocity leads within it, and is drawn back into it and to its middle
+CELL_M: Final = 0.006
+BACK_S: Final = 0.1
+CENTRING_S: Final = 1.0
 JUMP_M: Final = 1.0  # a place that is this far from where the velocity led is a new one
 GAP_S: Final = 0.5
 # what is beyond these is no multirotor's
@@ -228,14 +231,21 @@ class PoseTrack:
 
 
 def _smoothed(last: Pose, pose: Pose) -> Pose:
-    """The place that velocity leads to, drawn to the message's; the height, in mm or finer, is its own."""
+    """The place that velocity leads to, kept within the cell that the message's is rounded to.
+
+    A vehicle low over a pad sees a step of a centimetre as a pad that jumps.
+    """
     dt_s = pose.time_s - last.time_s
+    back, centring = -math.expm1(-dt_s / BACK_S), -math.expm1(-dt_s / CENTRING_S)
     led = add(last.position_ned_m, scale(add(last.velocity_ned_m_s, pose.velocity_ned_m_s), 0.5 * dt_s))
     missed = subtract(pose.position_ned_m, led)
     if norm(missed) > JUMP_M:
         return pose
-    north, east, _ = add(led, scale(missed, 1.0 - math.exp(-dt_s / SMOOTHING_S)))
-    return pose._replace(position_ned_m=(north, east, pose.position_ned_m[2]))
+    x, y, z = (
+        place + centring * (inside := max(-CELL_M, min(CELL_M, off))) + back * (off - inside)
+        for place, off in zip(led, missed, strict=True)
+    )
+    return pose._replace(position_ned_m=(x, y, z))
 
 
 def _carried_on(pose: Pose, dt_s: float) -> Pose:

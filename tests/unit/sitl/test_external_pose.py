@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -106,6 +107,26 @@ def test_steps_of_whole_numbers_are_smoothed_away() -> None:
             offset_m = 0.5 * step_m  # what cutting off costs in the mean
             worst = max(worst, abs(kept.position_ned_m[0] + offset_m - true_m))
     assert worst < 0.002
+
+
+@pytest.mark.parametrize(("axis", "step_m"), [(0, 0.0111), (2, 0.01)])
+def test_a_vehicle_that_hovers_does_not_jump_from_step_to_step(axis: int, step_m: float) -> None:
+    """The camera's view between two frames: what rounding adds to how the vehicle moves."""
+    track, dt_s, wander_m, w = PoseTrack(), 0.02, 0.03, 2.0
+
+    def along(value: float) -> tuple[float, float, float]:
+        return (value, 0.0, 0.0) if axis == 0 else (0.0, 0.0, value)
+
+    missed = []
+    for k in range(1000):
+        true_m, speed = wander_m * math.sin(w * dt_s * k), wander_m * w * math.cos(w * dt_s * k)
+        told = math.floor(true_m / step_m) * step_m
+        kept = track.put(Pose(dt_s * k, along(told), along(speed), LEVEL, (0.0, 0.0, 0.0)))
+        assert kept is not None
+        missed.append(kept.position_ned_m[axis] - true_m)
+    settled = missed[100:]
+    assert max(abs(b - a) for a, b in pairwise(settled)) / dt_s < 0.02  # m/s
+    assert max(map(abs, settled)) < step_m
 
 
 def test_a_leap_is_believed_and_an_old_message_is_not() -> None:
