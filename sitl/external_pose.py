@@ -1,7 +1,8 @@
 """Where somebody else's vehicle is: its simulator's MAVLink messages -> poses, and poses between them. Pure.
 
     SIM_STATE             ArduPilot's SITL: the truth. Float quaternion and velocity; place in 1e-7 deg
-                          (11 mm), altitude (m) in steps of 10 mm. Older ones have the place as float alone (0.4 m). Without a stamp
+                          (11 mm), altitude in cm. Older ones have the place as float alone (0.4 m). Without
+                          a stamp
     HIL_STATE_QUATERNION  PX4's SITL and SIH: the truth. 1e-7 deg, mm, cm/s; PX4 leaves the stamp 0
     LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, for want of better; its frame is
                           tied to the globe by a GLOBAL_POSITION_INT
@@ -40,7 +41,7 @@ GLOBAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 
 MEMORY_S: Final = 2.0
 LONGEST_GUESS_S: Final = 0.1  # how far a pose is carried on beyond the newest message
-# the message's place is rounded to a cell; velocity leads within it, and is drawn back into it and to its middle
+# the message's place is rounded to a cell: velocity leads, drawn back into the cell and, slowly, to its middle
 CELL_M: Final = 0.006
 BACK_S: Final = 0.1
 CENTRING_S: Final = 1.0
