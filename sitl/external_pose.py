@@ -41,7 +41,7 @@ GLOBAL_POSITION: Final = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 
 MEMORY_S: Final = 2.0
 LONGEST_GUESS_S: Final = 0.1  # how far a pose is carried on beyond the newest message
-# the message's place is rounded to a cell: velocity leads, drawn back into the cell and, slowly, to its middle
+# the message's place is rounded to a cell: velocity leads, drawn back into it and, slowly, to its middle
 CELL_M: Final = 0.006
 BACK_S: Final = 0.1
 CENTRING_S: Final = 1.0
