@@ -157,7 +157,7 @@ class App:
         self._latency_ms: float | None = None
         self._cycles = self._late_cycles = self._heard = 0
         self._last_exposure_s: float | None = None
-        self._stop_requested = False
+        self._stop_requested = self._on_pad = False
         self._log_problem_told = False
         self._start_s = self._clock.now_s()
 
@@ -315,7 +315,7 @@ class App:
                 self._config.control, self._vehicle, self._clock.now_s, manner=manner, setup=setup
             )
             flown = resolved(self._config.control, manner)
-            for misfit in misfits(flown, self._vehicle, setup):
+            for misfit in misfits(flown, self._vehicle, setup, manner):
                 self._notice("setup", misfit, "warning")
         return self._controller
 
@@ -331,7 +331,9 @@ class App:
             stop_requested=self._stop_requested,
         )
         plan = self._planner.step(inputs, now_s)
-        if plan.phase in NO_MORE_ERRANDS and plan.phase is not self._phase:
+        # a disarming that was asked for on the pad is none for a vehicle that has left it
+        left_pad, self._on_pad = self._on_pad and not plan.on_ground, plan.on_ground
+        if left_pad or (plan.phase in NO_MORE_ERRANDS and plan.phase is not self._phase):
             self._errands.void()
         self._phase = plan.phase
         self._log.write("plan", plan, now_s)

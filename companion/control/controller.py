@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.fitting import fitted
+from companion.control.fitting import fitted, hover_thrust
 from companion.control.flight_model import Motion, advance, flown_kind, lags, velocity_gains
 from companion.control.limits import LimitsGate
 from companion.control.mpc import Solution
@@ -91,8 +91,7 @@ class Controller:
         """
         setup = setup or AutopilotSetup()
         config = resolved(config, manner)
-        if setup.hover_thrust is not None:
-            vehicle = vehicle.model_copy(update={"hover_thrust": setup.hover_thrust})
+        vehicle = vehicle.model_copy(update={"hover_thrust": hover_thrust(vehicle, setup, manner)})
         response = vehicle.responses.of(manner, flown_kind(config))
         self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, manner)

@@ -11,9 +11,11 @@ from __future__ import annotations
 from typing import Final
 
 from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
-from companion.messages import AutopilotSetup
+from companion.messages import AutopilotSetup, Manner
 
 QUICK_S: Final = 0.14
+LEAST_HOVER: Final = 0.1  # as the vehicle's file may say
+MOST_HOVER: Final = 0.9
 HOVER_DIFFERS: Final = 0.15  # as a share; less is learnt within a second
 # the loop's frequency as a share of the ringing's over its peak's square
 RINGING_SHARE: Final = 0.3
@@ -42,14 +44,26 @@ def fitted(
     )
 
 
-def misfits(config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup) -> list[str]:
+def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner) -> float:
+    """The share of full thrust to begin with: ArduPilot's, which has learnt it, else the vehicle's file's.
+
+    PX4 keeps what it learns to itself; its parameter is what somebody has typed.
+    """
+    told = setup.hover_thrust
+    learnt = manner == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER
+    return told if learnt and told is not None else vehicle.hover_thrust
+
+
+def misfits(
+    config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner
+) -> list[str]:
     """What of the settings does not fit the autopilot's own, a line each; `config` is the resolved one."""
     found = []
-    told = setup.hover_thrust
-    if told is not None and abs(told / vehicle.hover_thrust - 1.0) > HOVER_DIFFERS:
+    told, taken = setup.hover_thrust, hover_thrust(vehicle, setup, manner)
+    if told is not None and not abs(told / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
         found.append(
             f"hover thrust: the autopilot's is {told:.2f}, vehicle '{vehicle.name}' says "
-            f"{vehicle.hover_thrust:.2f}; the autopilot's is taken"
+            f"{vehicle.hover_thrust:.2f}; {taken:.2f} is taken"
         )
     if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
         found.append(

@@ -96,7 +96,12 @@ class Estimator:
             and max(map(abs, force)) <= LARGEST_FORCE_M_S2
         )
         taken = usable and self._vehicle.add_imu(sample)
-        while taken and self._early and self._exposed_s(self._early[0]) <= sample.time_s:
+        while (
+            taken
+            and self._vehicle.aligned
+            and self._early
+            and self._exposed_s(self._early[0]) <= sample.time_s
+        ):
             first, *self._early = self._early
             self._see(first)
         return self._count("imu", taken)
@@ -142,11 +147,15 @@ class Estimator:
     def add_sighting(self, sighting: PadSighting) -> bool:
         """Take one sighting, fused at its exposure, if need be once the IMU has come as far.
 
-        It is refused before the alignment.
+        It is refused before the alignment, and before another after the IMU was lost.
         """
         values = (*sighting.pad_position_body_m, *sighting.body_from_pad, *sighting.covariance.flat)
-        if self._motion.newest_s is None or not self._usable(sighting.time_s, values):
+        if not self._vehicle.aligned:
+            self._early.clear()
             return self._count("sighting", False)
+        if not self._usable(sighting.time_s, values):
+            return self._count("sighting", False)
+        assert self._motion.newest_s is not None
         if self._exposed_s(sighting) > self._motion.newest_s:
             self._early.append(sighting)
             return True

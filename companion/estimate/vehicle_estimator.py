@@ -306,6 +306,11 @@ class VehicleEstimator:
         self._strapdown, self._fields, self._span_s = Strapdown(), _Mean(), None
         self._second_gyro, self._shaking, self._anchor = SecondGyro(), Shaking(), Anchor()
 
+    @property
+    def aligned(self) -> bool:
+        """Whether there is an attitude, from an alignment that still holds."""
+        return self._ekf is not None
+
     def begin(self, start: InitialState) -> None:
         """Make what there is only after the alignment."""
         self.start = start

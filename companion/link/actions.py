@@ -7,6 +7,7 @@ stop when it stops.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -18,10 +19,11 @@ from companion.link.commands import request_message
 from companion.link.dialogue import Dialogue
 from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE, STICK_MODES
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
-from companion.link.performing import Handler, Performances, Refused
+from companion.link.performing import Handler, Performances, Refused, Unanswered
 from companion.link.session import Session
 from companion.messages import Action, ActionKind, ActionResult
 
+_SILENT_S: Final = 0.5  # attitudes come many times a second
 _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
 
 
@@ -151,13 +153,28 @@ class PymavlinkActions:
         await self.dialogue.set_mode(LAND_MODE[self.dialogue.manner()])
 
     async def disarm(self, action: Action) -> None:
-        """Plainly first; by force only where the action asks for it and the settings allow it."""
+        """Plainly first; by force where that is refused, the action asks for it and the settings allow it.
+
+        It is for where the vehicle stands now. When the autopilot falls silent or changes its mode by itself,
+        a failsafe may have taken it up: then nothing more is sent.
+        """
+        before = self._session.state.mode
+
+        def void() -> str:
+            state = self._session.state
+            if state.armed and state.mode != before:
+                return f"the autopilot has changed to {state.mode}"
+            silent_s = self.dialogue.now_s() - state.attitude_time_s
+            return f"attitude not heard for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
+
         try:
-            await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0))
+            await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0), void=void)
+        except Unanswered:
+            raise
         except Refused:
             if not (action.force and self._config.force_disarm):
                 raise
-            await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE))
+            await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE), void=void)
         await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
 
     async def request_pad_position(self, action: Action) -> None:

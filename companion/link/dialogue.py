@@ -16,7 +16,7 @@ from companion.link.codec import mavlink
 from companion.link.commands import NO_ANSWER, Command, Pending, request_message
 from companion.link.modes import mode_parameters
 from companion.link.parameters import ParameterRequest
-from companion.link.performing import Refused
+from companion.link.performing import Refused, Unanswered
 from companion.link.session import Session
 from companion.messages import Manner
 
@@ -41,6 +41,10 @@ class Dialogue:
         """Send nothing more of all that is waited for."""
         for pending in self._waited_for:
             self._session.withdraw(pending)
+
+    def now_s(self) -> float:
+        """The time."""
+        return self._clock.now_s()
 
     def manner(self) -> Manner:
         """Whose manners the autopilot has.
@@ -75,15 +79,18 @@ class Dialogue:
         """Send a command to the autopilot and wait for its answer.
 
         Raises:
-            Refused: it does not answer, or not "accepted", or it is void.
+            Unanswered: it does not answer.
+            Refused: it answers something else than "accepted", or it is void.
         """
         self.manner()
         if position is None:
             parameters = (*parameters, *(self.unused(),) * (7 - len(parameters)))
         command = Command(number, parameters, position, target_system=self._session.system_id)
         outcome = await self.outcome(self._session.command(command), void=void)
+        if outcome == NO_ANSWER:
+            raise Unanswered("the autopilot does not answer")
         if outcome != "accepted":
-            raise Refused("the autopilot does not answer" if outcome == NO_ANSWER else outcome)
+            raise Refused(outcome)
 
     async def confirm(
         self, holds: Callable[[], bool], what: str, void: Callable[[], str] = _wanted_still

@@ -208,11 +208,14 @@ class MavsdkActions:
 
     async def _disarm(self, action: Action) -> None:
         """By MAVSDK, which refuses in the air; then by ours, which may force it where asked and allowed."""
+        before = self._session.state.mode
         try:
             await self._connect()
             await self._try(self._action.disarm())
             await self._own.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
         except Refused:
+            if self._session.state.mode != before:
+                raise  # somebody else has the vehicle by now
             await self._own.disarm(action)
 
     # ------------------------------------------------------------ MAVSDK

@@ -20,6 +20,10 @@ class Refused(Exception):  # noqa: N818 - it reads as what happened
     """An action came to nothing; the text says why."""
 
 
+class Unanswered(Refused):
+    """Nothing was heard of it, so that it may have been carried out or not."""
+
+
 class Performances:
     """The actions under way."""
 

@@ -168,7 +168,10 @@ class Session:
 
     def _hear_state(self, message: Message, message_id: int, now_s: float) -> None:
         was_armed = self.state.armed
-        self.state = update_state(self.state, message, self._measured_s(message, message_id, now_s))
+        measured_s = self._measured_s(message, message_id, now_s)
+        if measured_s is None:
+            return
+        self.state = update_state(self.state, message, measured_s)
         if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
             self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
@@ -195,12 +198,15 @@ class Session:
                 # the autopilot has restarted, or answers were lost: find the offset quickly again
                 self._syncs_sent, self._timesync_due_s = 0, now_s
 
-    def _measured_s(self, message: Message, message_id: int, now_s: float) -> float:
-        """Our time at which the message's values were measured; of arrival when its stamp cannot tell."""
+    def _measured_s(self, message: Message, message_id: int, now_s: float) -> float | None:
+        """Our time at which the message's values were measured; None: long ago, or no time at all.
+
+        While the autopilot's clock is unknown it is the time of arrival.
+        """
         if message_id not in _STAMPED:
             return now_s
         measured_s = self._boot_clock.time_s(message.time_boot_ms * 1e-3, now_s)
-        return now_s if measured_s is None else measured_s
+        return now_s if measured_s is None and not self._boot_clock.settled else measured_s
 
     # ------------------------------------------------------------ out
 

@@ -55,6 +55,8 @@ class Departure:
         if phase is Phase.CONNECT:
             return self._connect(vehicle, autopilot, now_s)
         if phase is Phase.ARM:
+            if vehicle is None or not vehicle.aligned:
+                return (Event.ESTIMATE_LOST, "before the autopilot would arm"), ""
             return ((Event.ARMED, "motors turn") if autopilot.armed else None), ""
         if phase is Phase.TAKE_OFF:
             return self._take_off(vehicle, autopilot, height_m, now_s), ""

@@ -13,7 +13,7 @@ from typing import Final
 
 from companion.config import PlanConfig, VehicleConfig
 from companion.geometry import yaw_from_quat
-from companion.messages import Action, ActionKind, DescentCone, LandedState, LevelOff, Phase
+from companion.messages import Action, ActionKind, DescentCone, LandedState, LevelOff, Phase, VehicleState
 from companion.plan.departure import Departure
 from companion.plan.ground import Ground
 from companion.plan.guidance import Guide
@@ -218,14 +218,17 @@ class Flight:
             self._say("waiting", waiting_for, now_s, "info")
         if self._phase is Phase.WAYPOINT and self._waypoints.further:
             return self._at_first(inputs)
-        if finding is None or inputs.vehicle is None:
-            return finding
-        if finding[0] is Event.AIRBORNE and self.surroundings.lost:
-            return Event.REFUSED, "no estimate at the take-off: where the obstacles are is not known"
-        here_m, first_m = inputs.vehicle.position_ned_m, self._waypoints.first_from_home_m
-        if finding[0] is Event.AIRBORNE and not self.surroundings.straight_clear(here_m, first_m):
-            return Event.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
+        if finding is not None and finding[0] is Event.AIRBORNE:
+            return self._first_way(inputs.vehicle) or finding
         return finding
+
+    def _first_way(self, vehicle: VehicleState | None) -> Finding:
+        """What is in the way of the autopilot's own flight to the first waypoint."""
+        if vehicle is None or self.surroundings.lost:
+            return Event.REFUSED, "no estimate at the take-off: where the obstacles are is not known"
+        if not self.surroundings.straight_clear(vehicle.position_ned_m, self._waypoints.first_from_home_m):
+            return Event.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
+        return None
 
     def _at_first(self, inputs: PlanInputs) -> Finding:
         """Whether the autopilot has come to the first of several waypoints, which all count alike."""
@@ -332,7 +335,8 @@ class Flight:
             self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
             return
         stood_s = now_s - self._touchdown.contact_s
-        if stood_s >= 2.0 * after_s and rested_s < 0.0 and not self._requests.asked(ActionKind.DISARM):
+        unshown = self._touchdown.unshown_s(now_s, down=down) >= after_s
+        if stood_s >= 2.0 * after_s and unshown and not self._requests.asked(ActionKind.DISARM):
             self._watch.let_go()
             self._requests.ask(Action(ActionKind.LAND), now_s)
 

@@ -41,8 +41,13 @@ class Requests:
         return bool(self._pending)
 
     def ask(self, action: Action, now_s: float) -> None:
-        """Open a request, unless one of its kind is open or has been granted since `forget`."""
-        if action.kind not in self._pending and action.kind not in self._accepted:
+        """Open a request, unless one of its kind is open or has been granted since `forget`.
+
+        One that may be carried out by force takes the place of one that may not.
+        """
+        pending = self._pending.get(action.kind)
+        stronger = pending is not None and action.force and not pending.action.force
+        if action.kind not in self._accepted and (pending is None or stronger):
             self._pending[action.kind] = _Pending(action, due_s=now_s)
 
     def tell(self, action: Action) -> None:

@@ -54,6 +54,7 @@ _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
+_FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
 # Further than this it is not about to stand, whatever is near.
 _MOST_FOOT_LEAN_RAD = math.radians(15.0)
 # It leans more while it corrects, by so much over what it has or may have at contact: a foot hangs lower.
@@ -169,7 +170,8 @@ class Touchdown:
         self._since_s, self._slack = now_s, slack
         self._contact_due_s: float | None = None
         self.contact_s: float | None = None
-        self._settled, self._touching, self._away, self._resting = Held(), Held(), Held(), Held()
+        self._settled, self._touching, self._away = Held(), Held(), Held()
+        self._resting, self._falling, self._unshown = Held(), Held(), Held()
         self._too_fast, self._far_aside = Held(), Held()
         self._sunk_s = now_s
         self._lean_m_s2, self._tilt_rad = (0.0, 0.0), 0.0
@@ -199,8 +201,13 @@ class Touchdown:
 
         What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands.
         """
-        falls = vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
+        jolted = vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
+        falls = self._falling.for_s(jolted, now_s) >= _FALLS_S
         return self._resting.for_s(down and not falls, now_s)
+
+    def unshown_s(self, now_s: float, *, down: bool) -> float:
+        """How long (s) nothing has shown the feet down, without a break; negative when something does."""
+        return self._unshown.for_s(not down, now_s)
 
     def feel(self, attitude: Quaternion, now_s: float) -> None:
         """Take in how the vehicle leans: what it takes to go with the pad and against the wind."""

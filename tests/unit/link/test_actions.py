@@ -228,6 +228,34 @@ def test_an_autopilot_that_misses_the_touchdown_is_disarmed_by_force_where_asked
     assert autopilot.armed is not (asked and allowed)
 
 
+def forced(autopilot: FakeAutopilot) -> list[float]:
+    return [m.param2 for m in autopilot.commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM) if m.param2 != 0.0]
+
+
+def test_silence_is_no_refusal_that_force_would_answer() -> None:
+    autopilot = FakeAutopilot(armed=True, deaf_to={mavlink.MAV_CMD_COMPONENT_ARM_DISARM: 99})
+    [result] = perform(autopilot, Action(ActionKind.DISARM, force=True), config=LinkConfig(force_disarm=True))
+    assert (result.accepted, result.text) == (False, "the autopilot does not answer")
+    assert forced(autopilot) == []
+
+
+def test_a_vehicle_that_a_failsafe_has_taken_up_is_not_disarmed_by_force() -> None:
+    autopilot = FakeAutopilot(armed=True, believes_in_air=True, mode="OFFBOARD")
+    autopilot.deaf_to[mavlink.MAV_CMD_COMPONENT_ARM_DISARM] = 1
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.DISARM, force=True)))
+        await asyncio.sleep(0.1)
+        autopilot.mode = "AUTO.RTL"
+        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
+        return [await asking]
+
+    [result] = fly(autopilot, story, LinkConfig(force_disarm=True))
+    assert (result.accepted, result.text) == (False, "the autopilot has changed to AUTO.RTL")
+    assert autopilot.armed
+    assert forced(autopilot) == []
+
+
 def test_the_pads_position_is_asked_of_the_ground_station() -> None:
     ground, asked = Codec(255, 190), []
 

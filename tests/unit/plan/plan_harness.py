@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from companion.config import PlanConfig, VehicleConfig
-from companion.geometry import ZERO3, Vector3, geodetic_from_ned, ned_from_geodetic, quat_from_euler
+from companion.geometry import ZERO3, Vector3, add, geodetic_from_ned, ned_from_geodetic, quat_from_euler
 from companion.messages import (
     Action,
     ActionKind,
@@ -200,6 +200,7 @@ class World:
         self.acceleration: Vector3 = ZERO3
         self.blind: Callable[[float, float], bool] = lambda _t, _height: False
         self.noise_m = 0.0
+        self.jolted: Callable[[float], bool] = lambda _t: False  # the IMU feels 4 m/s2 more, upward
         self.blind_drift_m_s = 0.0  # the believed pad falls so fast while unseen
         self.lie_m: Callable[[float], float] = lambda _t: 0.0  # the believed pad lies so much too low
         self.gust: Callable[[float], Vector3] = lambda _t: ZERO3
@@ -271,7 +272,7 @@ class World:
             rate_body_rad_s=ZERO3,
             position_ned_m=(p[0] - ORIGIN_NED_M[0], p[1] - ORIGIN_NED_M[1], p[2] - ORIGIN_NED_M[2]),
             velocity_ned_m_s=self.velocity,
-            acceleration_ned_m_s2=self.acceleration,
+            acceleration_ned_m_s2=add(self.acceleration, (0.0, 0.0, -4.0 * self.jolted(self.now_s))),
             gyro_bias_rad_s=ZERO3,
             accel_bias_m_s2=ZERO3,
             attitude_std_rad=0.01,

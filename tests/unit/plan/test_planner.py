@@ -218,6 +218,16 @@ def test_an_autopilot_that_never_finds_itself_landed_is_disarmed_by_force_and_ne
     assert last[ActionKind.DISARM][1]
 
 
+def test_a_pad_that_jolts_the_vehicle_now_and_then_is_stood_on_all_the_same() -> None:
+    w = world(heave())
+    flight = w.fly(60.0, until=lambda x: x.flight.told("commit") != [])
+    w.autopilot.doubts = True
+    w.jolted = lambda now_s: math.fmod(now_s, 1.8) < 0.05
+    w.fly(30.0)
+    assert flight.phase is Phase.LANDED
+    assert ActionKind.LAND not in {a.kind for s in flight.steps for a in s.actions}
+
+
 def test_an_autopilot_that_nothing_shows_to_be_down_is_let_land() -> None:
     w = world(still())
     flight = w.fly(60.0, until=lambda x: bool(x.flight.steps) and x.flight.steps[-1].on_ground)

@@ -23,6 +23,16 @@ def test_an_action_is_sent_once_however_often_it_is_asked() -> None:
     assert sent == [ARM]
 
 
+def test_a_disarming_that_may_be_forced_takes_the_place_of_one_that_may_not() -> None:
+    r, plain, forced = requests(), Action(ActionKind.DISARM), Action(ActionKind.DISARM, force=True)
+    r.ask(plain, 0.0)
+    assert r.due(0.0) == (plain,)
+    assert r.hear(refused(ActionKind.DISARM), 0.1) == ()
+    r.ask(forced, 0.2)
+    r.ask(plain, 0.3)
+    assert r.due(0.3) == (forced,)
+
+
 def test_a_refused_action_is_tried_again_only_after_a_pause() -> None:
     r = requests()
     r.ask(ARM, 0.0)

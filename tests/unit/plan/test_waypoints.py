@@ -149,14 +149,21 @@ def test_a_waypoint_over_an_obstacle_is_not_refused() -> None:
 
 def test_with_no_estimate_at_the_take_off_obstacles_have_no_place_and_it_lands() -> None:
     world = World(still(), config=PlanConfig(obstacles=(pole(5.0, 0.1),)))
-    world.fly(10.0, until=lambda w: w.autopilot.armed)
+    world.fly(10.0, until=lambda w: phases(w)[-1:] == [Phase.TAKE_OFF])
     world.vehicle_known = False
-    world.fly(10.0, until=lambda w: phases(w)[-1] is Phase.TAKE_OFF)
-    world.vehicle_known = True
     world.fly(40.0)
     assert phases(world)[-2:] == [Phase.TAKE_OFF, Phase.ABORT]
     assert ActionKind.LAND in {kind for _, kind in world.autopilot.heard}
     assert any("where the obstacles are is not known" in text for text in world.flight.told("phase"))
+
+
+def test_an_estimate_that_is_lost_before_the_motors_turn_is_not_flown_by() -> None:
+    world = World(still())
+    world.fly(10.0, until=lambda w: w.autopilot.armed)
+    world.vehicle_known = False
+    world.fly(10.0)
+    assert phases(world)[-2:] == [Phase.ARM, Phase.ABORT]
+    assert not world.autopilot.armed
 
 
 @pytest.mark.parametrize("start_m", [-15.0, -22.0])
