@@ -38,6 +38,7 @@ from companion.estimate.estimator import Estimator
 from companion.hardware import ActionsFactory, Hardware
 from companion.link.codec import Severity
 from companion.link.session import Session
+from companion.link.transport import backlog_read
 from companion.messages import (
     Action,
     ActionKind,
@@ -68,9 +69,6 @@ LINGER_S: Final = 1.0
 # the last requests (hold, land, disarm) are repeated after it for this long
 LAST_REQUESTS_S: Final = 12.0
 LAST_HOLD_S: Final = 2.0
-# a cycle that comes late reads the link until nothing has come for so many turns of the event loop
-QUIET_TURNS: Final = 3
-TURNS_TO_READ: Final = 500
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 # entering one of these voids what was asked before
 NO_MORE_ERRANDS: Final = (*END_PHASES, Phase.HOLD)
@@ -254,7 +252,8 @@ class App:
             self._cycles += 1
             self._late_cycles += late_s > 0.5 * period_s
             if late_s > period_s:
-                await self._read_link()
+                # whoever was held up believes nothing from before
+                await backlog_read(lambda: self._heard)
                 due_s = self._clock.now_s()  # what was missed is not made up for
             await self._control_step(self._clock.now_s(), late_s)
             self._service.alive()
@@ -263,19 +262,6 @@ class App:
             due_s += period_s
             await self._clock.sleep_until(due_s)
         return self._phase
-
-    async def _read_link(self) -> None:
-        """Whoever was held up believes nothing from before: first what has come meanwhile is read.
-
-        The event loop takes in a datagram a turn; the next turn hands it on.
-        """
-        quiet = 0
-        for _ in range(TURNS_TO_READ):
-            heard = self._heard
-            await asyncio.sleep(0.0)
-            quiet = quiet + 1 if self._heard == heard else 0
-            if quiet == QUIET_TURNS:
-                return
 
     def _finished(self, ended_s: float | None) -> bool:
         """Whether the flight is over and nothing asked of the autopilot is open, or has been for too long."""

@@ -11,6 +11,7 @@ import logging
 import math
 import os
 from collections import deque
+from collections.abc import Callable
 from typing import Final, Protocol
 
 import serial
@@ -23,6 +24,8 @@ _READ_QUEUE_BYTES: Final = 1 << 16
 _WRITE_QUEUE_BYTES: Final = 2048  # 0.36 s of a line at 57600 baud
 _READ_BYTES: Final = 4096
 _PEER_SILENCE_S: Final = 3.0
+_QUIET_TURNS: Final = 3
+_TURNS_TO_READ: Final = 500
 _log = logging.getLogger(__name__)
 
 
@@ -303,6 +306,20 @@ class SerialTransport:
             self._loop.remove_writer(self._fd)
             self._outbox.clear()
             self._port.close()
+
+
+async def backlog_read(heard: Callable[[], int]) -> None:
+    """Run the event loop until nothing more comes in; `heard` counts what has been taken from a transport.
+
+    The loop takes in one datagram a turn, and hands it on in the next.
+    """
+    quiet = 0
+    for _ in range(_TURNS_TO_READ):
+        before = heard()
+        await asyncio.sleep(0.0)
+        quiet = quiet + 1 if heard() == before else 0
+        if quiet == _QUIET_TURNS:
+            return
 
 
 async def open_transport(spec: str, system_id: int = 0) -> Transport:

@@ -13,7 +13,14 @@ import pytest
 from companion.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
-from companion.link.transport import SerialTransport, TcpTransport, UdpTransport, memory_pair, open_transport
+from companion.link.transport import (
+    SerialTransport,
+    TcpTransport,
+    UdpTransport,
+    backlog_read,
+    memory_pair,
+    open_transport,
+)
 
 
 async def read_count(transport: UdpTransport | SerialTransport, count: int) -> bytes:
@@ -351,3 +358,29 @@ async def test_tcp_drops_whole_writes_while_nobody_takes_them() -> None:
 async def test_a_tcp_port_where_nobody_listens_is_told_in_one_line() -> None:
     with pytest.raises(ConfigError, match=r"^link\.connection: tcp:127\.0\.0\.1:1: Connection refused$"):
         await open_transport("tcp:127.0.0.1:1")
+
+
+# ---------------------------------------------------------------- after a pause
+
+
+async def test_all_that_came_during_a_pause_is_read_before_anything_else() -> None:
+    port = free_port()
+    transport = await open_transport(f"udpin:127.0.0.1:{port}")
+    read = 0
+
+    async def listen() -> None:
+        nonlocal read
+        while True:
+            read += len(await transport.read())
+
+    listening = asyncio.create_task(listen())
+    await asyncio.sleep(0.01)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        beat = Codec(1, 1).encode(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3))
+        for _ in range(60):  # the event loop does not run meanwhile
+            autopilot.sendto(beat, ("127.0.0.1", port))
+    await backlog_read(lambda: read)
+    assert read == 60 * len(beat)
+    listening.cancel()
+    await asyncio.gather(listening, return_exceptions=True)
+    transport.close()
