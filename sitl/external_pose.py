@@ -234,7 +234,8 @@ class PoseTrack:
 def _smoothed(last: Pose, pose: Pose) -> Pose:
     """The place that velocity leads to, kept within the cell that the message's is rounded to.
 
-    A vehicle low over a pad sees a step of a centimetre as a pad that jumps.
+    A vehicle low over a pad sees a step of a centimetre as a pad that jumps. Where the velocity itself jumps,
+    as at a contact, it does not tell what happened between two messages, and the place counts at once.
     """
     dt_s = pose.time_s - last.time_s
     back, centring = -math.expm1(-dt_s / BACK_S), -math.expm1(-dt_s / CENTRING_S)
@@ -242,10 +243,15 @@ def _smoothed(last: Pose, pose: Pose) -> Pose:
     missed = subtract(pose.position_ned_m, led)
     if norm(missed) > JUMP_M:
         return pose
-    x, y, z = (
-        place + centring * (inside := max(-CELL_M, min(CELL_M, off))) + back * (off - inside)
-        for place, off in zip(led, missed, strict=True)
-    )
+
+    def drawn(place: float, off: float, jump_m_s: float) -> float:
+        if abs(jump_m_s) * dt_s > CELL_M:
+            return place + off
+        inside = max(-CELL_M, min(CELL_M, off))
+        return place + centring * inside + back * (off - inside)
+
+    jumps = subtract(pose.velocity_ned_m_s, last.velocity_ned_m_s)
+    x, y, z = map(drawn, led, missed, jumps)
     return pose._replace(position_ned_m=(x, y, z))
 
 
