@@ -74,7 +74,7 @@ bench-state: $(VENV)/.dev
 
 # half an hour's flights on two processes take about ten minutes; Fig. 14's picture is left beside
 bench-experiments: $(VENV)/.dev
-	$(BIN)/python -m companion.experiments.command fig14 --seed 100 --seeds $(STATE_SEEDS) --jobs 2 -o fig14.png
+	$(BIN)/python -m companion.research.command fig14 --seed 100 --seeds $(STATE_SEEDS) --jobs 2 -o fig14.png
 
 bench-pad: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.bench_pad_filter

@@ -19,12 +19,22 @@ import typer
 from rich.console import Console
 from typer.exceptions import TyperException
 
-from companion.app import App
-from companion.check.command import HELP as CHECK_HELP
-from companion.check.command import check_command
-from companion.clock import start_unix_s
+from companion.app.app import App
+from companion.app.hardware import make_actions, open_hardware
+from companion.app.terminal import StatusView
+from companion.base.clock import start_unix_s
+from companion.base.files import write_atomically
+from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
-from companion.desk import (
+from companion.flightlog.record import FlightLog
+from companion.flightlog.replay.command import HELP as REPLAY_HELP
+from companion.flightlog.replay.command import replay_command
+from companion.flightlog.report import result_table, write_plots
+from companion.flightlog.result import Result, from_start
+from companion.sim.external import External
+from companion.sim.flights import HELP as FLIGHTS_HELP
+from companion.sim.flights import reason, score, serve_flights
+from companion.sim.runner import (
     DeskFlight,
     SimulatorError,
     Trial,
@@ -33,24 +43,14 @@ from companion.desk import (
     fly,
     stopping_on_signals,
 )
-from companion.external import External
-from companion.files import write_atomically
-from companion.flights import HELP as FLIGHTS_HELP
-from companion.flights import reason, score, serve_flights
-from companion.fuzzy.command import HELP as FUZZY_HELP
-from companion.fuzzy.command import fuzzy_command
-from companion.hardware import make_actions, open_hardware
-from companion.identify import HELP as IDENTIFY_HELP
-from companion.identify import identify_command
-from companion.messages import Outcome, Phase
-from companion.pads.command import HELP as PAD_HELP
-from companion.pads.command import pad_command
-from companion.record import FlightLog
-from companion.replay.command import HELP as REPLAY_HELP
-from companion.replay.command import replay_command
-from companion.report import result_table, write_plots
-from companion.result import Result, from_start
-from companion.terminal import StatusView
+from companion.tools.check.command import HELP as CHECK_HELP
+from companion.tools.check.command import check_command
+from companion.tools.fuzzy.command import HELP as FUZZY_HELP
+from companion.tools.fuzzy.command import fuzzy_command
+from companion.tools.identify import HELP as IDENTIFY_HELP
+from companion.tools.identify import identify_command
+from companion.tools.pads.command import HELP as PAD_HELP
+from companion.tools.pads.command import pad_command
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 from sitl.firmware.spec import FirmwareSpec
 

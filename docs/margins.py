@@ -16,9 +16,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from companion.base.messages import Manner
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
-from companion.control.margins import DOWN, SIDEWAYS, Case, loop_transfer, margins
-from companion.messages import Manner
+from companion.control.response.margins import DOWN, SIDEWAYS, Case, loop_transfer, margins
 
 mpl.use("Agg")
 

@@ -24,8 +24,7 @@ from matplotlib.figure import Figure
 from mcap.reader import make_reader
 from numpy.typing import NDArray
 
-from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
-from companion.geometry import (
+from companion.base.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     add,
     matrix_from_quat,
@@ -36,13 +35,14 @@ from companion.geometry import (
     subtract,
     vector3,
 )
+from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import load_pad
-from companion.sense.aruco import PadDetector
-from companion.sense.lens import Lens
-from companion.sense.pose import PadPose, estimate_pose
-from companion.sense.search import SearchPlanner
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings
+from companion.sense.vision.aruco import PadDetector
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.pose import PadPose, estimate_pose
+from companion.sense.vision.search import SearchPlanner
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings
 
 mpl.use("Agg")
 

@@ -2,10 +2,10 @@
 
     python -m docs.settings_table
 
-Name, unit, default and bounds come from the pydantic models (`companion.config`, `sitl.scenario`); what a
-setting means comes from docs/meanings.yaml, or from the comment beside the field. A setting without either
-stops the writing with a line that names it; meanings of settings that are gone are told. A table stands
-between `<!-- table:NAME -->` and `<!-- end -->`; the rest of a page is left alone.
+Name, unit, default and bounds come from the pydantic models (`companion.config`, `sitl.scenario.scenario`);
+what a setting means comes from docs/meanings.yaml, or from the comment beside the field. A setting without
+either stops the writing with a line that names it; meanings of settings that are gone are told. A table
+stands between `<!-- table:NAME -->` and `<!-- end -->`; the rest of a page is left alone.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from companion.config import (
     read_yaml,
 )
 from companion.pad import Marker, Pad
-from sitl.faults import Fault, FaultTimes
-from sitl.pad_motion import Motion
-from sitl.scenario import Scenario
+from sitl.faults.faults import Fault, FaultTimes
+from sitl.pad.motion import Motion
+from sitl.scenario.scenario import Scenario
 
 DOCS: Final = Path(__file__).resolve().parent
 PAGES: Final = ("settings.md", "scenarios.md", "obstacles.md")

@@ -14,24 +14,24 @@ from typing import Annotated, Final
 import typer
 from typer.exceptions import TyperException
 
+from companion.base.messages import Manner
 from companion.config import ConfigError
-from companion.messages import Manner
 from sitl.campaign.command import HELP as CAMPAIGN_HELP
 from sitl.campaign.command import campaign_command
-from sitl.external_server import serve_external
+from sitl.external.server import serve_external
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
-from sitl.hold_command import HELP as HOLD_HELP
-from sitl.hold_command import hold_command
-from sitl.orders import socket_folder, terminated_as_interrupted
-from sitl.port_options import GroundPortOption, PortOption, TcpPortOption
-from sitl.scenario import load_scenario
-from sitl.scenario_commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
-from sitl.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
-from sitl.signing import read_key
-from sitl.view import HELP as VIEW_HELP
-from sitl.view import view_command
+from sitl.mavlink.signing import read_key
+from sitl.run.hold_command import HELP as HOLD_HELP
+from sitl.run.hold_command import hold_command
+from sitl.run.orders import socket_folder, terminated_as_interrupted
+from sitl.run.port_options import GroundPortOption, PortOption, TcpPortOption
+from sitl.run.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
+from sitl.run.view import HELP as VIEW_HELP
+from sitl.run.view import view_command
+from sitl.scenario.commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
+from sitl.scenario.scenario import load_scenario
 
 FIRMWARE_FAILED: Final = 1
 USER_ERROR: Final = 2

@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.camera.detection import View
 from calibration.camera.surface import Surface
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 Model = Literal["brown", "rational"]
 STEPS: Final = 12

@@ -17,9 +17,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from calibration.camera.surface import Surface
+from companion.base.geometry import FloatArray
+from companion.base.page import Rectangle, code_rectangles
 from companion.config import ConfigError, StrictModel
-from companion.geometry import FloatArray
-from companion.page import Rectangle, code_rectangles
 
 Pattern = Literal["charuco", "grid", "chessboard"]
 # OpenCV has some names twice, in capitals and not

@@ -29,10 +29,10 @@ from calibration.camera.printing import board_yaml, write_board
 from calibration.camera.quality import Assessment, assess
 from calibration.camera.result import Origin, camera_config, camera_yaml, summary_lines
 from calibration.command_line import RefusedError, run
-from companion.clock import start_unix_s
+from companion.base.clock import start_unix_s
+from companion.base.files import write_atomically
 from companion.config import CaptureConfig, ConfigError, validate
-from companion.files import write_atomically
-from companion.sense.camera import is_camera
+from companion.sense.camera.source import is_camera
 
 NAME: Final = "calibrate-camera"
 HELP: Final = """Calibrate a camera with a printed board: focal length, principal point, distortion.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.detection import View
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 COLUMNS: Final = 6
 ROWS: Final = 4

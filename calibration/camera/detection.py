@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.camera.board import Board
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 # a view with fewer says little more than its own pose takes (6 numbers)
 FEWEST_POINTS: Final = 6

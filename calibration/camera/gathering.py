@@ -19,8 +19,8 @@ from calibration.camera.images import Photo, photo_paths, read_photos
 from calibration.camera.live import write_image
 from calibration.camera.mismatch import hint, what_is_seen
 from calibration.camera.printing import board_yaml
+from companion.base.files import write_atomically
 from companion.config import ConfigError, find_file, load_model, validate
-from companion.files import write_atomically
 
 DEFAULT_BOARD: Final = "charuco_a4"
 # what a folder of kept frames holds beside them

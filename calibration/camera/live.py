@@ -21,9 +21,9 @@ from calibration.camera.capture import CaptureSession
 from calibration.camera.detection import BoardFinder, View
 from calibration.camera.overlay import draw
 from calibration.camera.quality import assess
+from companion.base.mjpeg import MjpegServer
 from companion.config import CaptureConfig, ConfigError
-from companion.mjpeg import MjpegServer
-from companion.sense.camera import FrameSource, open_camera
+from companion.sense.camera.source import FrameSource, open_camera
 
 OVERLAY_PERIOD_S: Final = 1.0
 

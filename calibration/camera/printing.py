@@ -8,10 +8,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from calibration.camera.board import Board
+from companion.base.files import write_atomically
+from companion.base.page import RULER_MM, Page, save
+from companion.base.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 from companion.config import ConfigError
-from companion.files import write_atomically
-from companion.page import RULER_MM, Page, save
-from companion.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 
 
 def sheet_mm(board: Board, paper: PaperName) -> tuple[float, float]:

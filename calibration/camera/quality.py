@@ -14,8 +14,8 @@ from calibration.camera.detection import View
 from calibration.camera.solving import held_out_rms_px, rms_of_all, solve
 from calibration.camera.surface import Surface
 from calibration.camera.uncertainty import Uncertainty, projection_std_px, uncertainty
-from companion.geometry import FloatArray
-from companion.sense.lens import radial_factor
+from companion.base.geometry import FloatArray
+from companion.sense.vision.lens import radial_factor
 
 FEWEST_VIEWS: Final = 8
 SMALLEST_COVERAGE: Final = 0.55

@@ -22,7 +22,7 @@ from calibration.camera.adjustment import (
 from calibration.camera.detection import FEWEST_POINTS, View, on_a_plane
 from calibration.camera.surface import Surface
 from calibration.camera.weights import weighted
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 FEWEST_VIEWS: Final = 2
 # with fewer, the board's shape and the camera cannot be told apart

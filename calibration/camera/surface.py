@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 BEND_COUNT: Final = 3
 

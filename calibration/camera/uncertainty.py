@@ -26,7 +26,7 @@ from calibration.camera.adjustment import (
     solve_scaled,
 )
 from calibration.camera.solving import FEWEST_VIEWS_FOR_SHAPE
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 # the mesh on which the projection's uncertainty is worked out: rows, columns
 MAP_SHAPE: Final = (13, 21)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import digamma, polygamma
 
 from calibration.camera.adjustment import Solution, normal_equations, refine, solve_scaled
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 ROUNDS: Final = 4
 SMALLEST_CHANGE: Final = 0.01  # of a weight

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.magnetometer.coverage import BoolArray
 from calibration.magnetometer.fit import correlation_samples
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 _CALM_SHARE: Final = 0.1  # of the median: what is accelerated by more does not show down
 LEAST_CALM: Final = 50

@@ -15,9 +15,9 @@ from calibration.magnetometer.fit import EllipsoidFit, Objective, fit_ellipsoid
 from calibration.magnetometer.onboard import parameters_for
 from calibration.magnetometer.quality import FLATTEST, Figures, flatness, judge
 from calibration.magnetometer.recording import Recording
+from companion.base.geometry import FloatArray, Vector3, vector3
 from companion.config.calibration import Provenance
 from companion.config.magnetometer import MagnetometerCalibration, MagnetometerQuality
-from companion.geometry import FloatArray, Vector3, vector3
 
 _LEAST_KEPT: Final = 0.1  # of the samples; fewer are what happened to lie near something
 

@@ -19,9 +19,9 @@ from calibration.magnetometer.coverage_map import picture, text_map
 from calibration.magnetometer.guidance import Progress, progress
 from calibration.magnetometer.live import LiveSource
 from calibration.magnetometer.recording import Recording, paired
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.mjpeg import MjpegServer
 from companion.config import ConfigError
-from companion.mjpeg import MjpegServer
 
 ENOUGH: Final = 0.88  # of the sphere: then it stops by itself
 LEAST_SAMPLES: Final = 500

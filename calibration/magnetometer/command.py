@@ -25,10 +25,10 @@ from calibration.magnetometer.recording import Recording
 from calibration.magnetometer.report import lines, result_table, yaml_text
 from calibration.magnetometer.sources import read_recording
 from calibration.magnetometer.true_field import field_at, field_by, year_of
-from companion.clock import start_unix_s
+from companion.base.clock import start_unix_s
+from companion.base.files import write_atomically
 from companion.config import CompanionConfig, ConfigError, load_config
 from companion.config.magnetometer import Sensor
-from companion.files import write_atomically
 
 PROGRAM: Final = "calibrate-magnetometer"
 HELP: Final = """Calibrate a magnetometer: turn the vehicle about, or give a recording of that.

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 BoolArray = NDArray[np.bool_]
 

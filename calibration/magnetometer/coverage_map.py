@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.magnetometer.coverage import BoolArray, cells_of
 from calibration.magnetometer.guidance import Progress
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 _DISC_PX: Final = 300
 _MARGIN_PX: Final = 30

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from calibration.magnetometer.ellipsoid import Ellipsoid
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 UNKNOWNS: Final = 9
 _ROWS: Final = np.array([0, 1, 2, 0, 0, 1])

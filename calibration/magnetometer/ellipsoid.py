@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.linalg import LinAlgError
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 LEAST_SAMPLES: Final = 10  # the quadric has nine unknowns
 _SUBSET: Final = 10

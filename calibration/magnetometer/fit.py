@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from calibration.magnetometer.coverage import WHOLE, BoolArray, covered_share
 from calibration.magnetometer.distance import UNKNOWNS, distance, pack, unpack
 from calibration.magnetometer.ellipsoid import Ellipsoid, NoEllipsoidError, robust_start
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 Objective = Literal["likelihood", "residual"]
 

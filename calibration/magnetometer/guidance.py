@@ -14,7 +14,7 @@ import numpy as np
 
 from calibration.magnetometer.coverage import CELLS, BoolArray, covered_cells, lattice
 from calibration.magnetometer.ellipsoid import Ellipsoid, NoEllipsoidError, algebraic_fit
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 _MOST_SAMPLES: Final = 3000
 _LEAST_SAMPLES: Final = 30

@@ -1,8 +1,8 @@
 """Live samples: from the MPU9250 by the app's own driver, and from an autopilot over MAVLink.
 
-Which of an autopilot's messages is heard is the app's own choice (`companion.link.onboard`): RAW_IMU of
-ArduPilot, HIGHRES_IMU of PX4; both carry the autopilot's own calibration, which its parameters tell and which
-is taken off again.
+Which of an autopilot's messages is heard is the app's own choice
+(`companion.link.telemetry.autopilot_sensors`): RAW_IMU of ArduPilot, HIGHRES_IMU of PX4; both carry the
+autopilot's own calibration, which its parameters tell and which is taken off again.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ import numpy as np
 from calibration.magnetometer.onboard import NAMES
 from calibration.magnetometer.recording import Recording, paired
 from calibration.magnetometer.telemetry import HEARD, Telemetry
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_euler
+from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError, ImuConfig
-from companion.geometry import FloatArray, matrix_from_quat, quat_from_euler
 from companion.link.codec import Codec, heartbeat, mavlink
 from companion.link.commands import set_message_interval
-from companion.link.onboard import IMU_MESSAGES
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import TelemetryRates
+from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 from companion.link.transport import Transport, open_transport
-from companion.messages import ImuSample, MagSample
-from companion.sense.i2c import RegisterBus, SensorError, open_bus
-from companion.sense.mpu9250 import Mpu9250
+from companion.sense.imu.i2c import RegisterBus, SensorError, open_bus
+from companion.sense.imu.mpu9250 import Mpu9250
 
 BATCH_S: Final = 0.1
 PATIENCE_S: Final = 8.0  # without a sample for so long there is something wrong

@@ -24,15 +24,15 @@ from pyulog import ULog
 from calibration.magnetometer.onboard import UT_PER_GAUSS, UT_PER_MGAUSS, onboard_of
 from calibration.magnetometer.recording import Recording, paired
 from calibration.magnetometer.telemetry import HEARD, Telemetry
+from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_euler, vector3
+from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
 from companion.config.magnetometer import load_magnetometer_calibration
-from companion.geometry import FloatArray, matrix_from_quat, quat_from_euler, vector3
+from companion.flightlog.replay.dataflash import DataFlashLog
+from companion.flightlog.replay.flight_record import Place
+from companion.flightlog.replay.mcap_log import read_mcap
+from companion.flightlog.replay.ulog import read_ulog
 from companion.link.codec import Codec
-from companion.messages import GpsFix, ImuSample, MagSample
-from companion.replay.dataflash import DataFlashLog
-from companion.replay.flight_record import Place
-from companion.replay.mcap_log import read_mcap
-from companion.replay.ulog import read_ulog
 
 _SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
 _FIRST_YEAR: Final = 2000.0

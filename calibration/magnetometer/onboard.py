@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
-from companion.geometry import FloatArray
-from companion.messages import Manner
+from companion.base.geometry import FloatArray
+from companion.base.messages import Manner
 
 UT_PER_MGAUSS: Final = 0.1
 UT_PER_GAUSS: Final = 100.0

@@ -14,8 +14,8 @@ import numpy as np
 
 from calibration.magnetometer.calibrate import Calibrated
 from calibration.magnetometer.coverage import BoolArray
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError
-from companion.geometry import FloatArray
 
 _MOST_POINTS: Final = 3000
 _RAW, _CALIBRATED, _DROPPED = "tab:red", "tab:blue", "black"

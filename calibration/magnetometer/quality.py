@@ -13,8 +13,8 @@ import numpy as np
 from calibration.magnetometer.alignment import Alignment, Dip
 from calibration.magnetometer.coverage import WHOLE
 from calibration.magnetometer.fit import EllipsoidFit
+from companion.base.geometry import FloatArray
 from companion.config.magnetometer import Verdict
-from companion.geometry import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

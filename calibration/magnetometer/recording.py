@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from calibration.magnetometer.onboard import Onboard
+from companion.base.geometry import FloatArray
+from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
-from companion.geometry import FloatArray
-from companion.messages import ImuSample, MagSample
-from companion.replay.flight_record import Place
+from companion.flightlog.replay.flight_record import Place
 
 MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
 LEAST_SAMPLES: Final = 50  # fewer are no recording of a turn at all

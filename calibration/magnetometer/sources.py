@@ -13,10 +13,10 @@ from calibration.magnetometer.logs import read_dataflash_compass, read_own_log, 
 from calibration.magnetometer.recording import Recording
 from calibration.magnetometer.tables import SampleTable, read_numpy_table, read_text_table
 from calibration.magnetometer.units import COUNTS, UT_PER, unit_called, worked_out
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.config.magnetometer import Sensor
-from companion.geometry import FloatArray
-from companion.replay.reading import log_file
+from companion.flightlog.replay.reading import log_file
 
 _LOGS: Final[dict[bytes, Callable[[Path], Recording]]] = {
     b"\x89MCAP0\r\n": read_own_log,

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.magnetometer.units import unit_called
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError
-from companion.geometry import FloatArray
 
 _SEPARATORS: Final = (",", ";", "\t", None)  # None: blanks
 _LEAST_ROWS: Final = 3

@@ -1,9 +1,9 @@
 """An autopilot's compass by its MAVLink messages, live or of a .tlog.
 
-Of the messages that carry a magnetometer the app's own choice is taken (`companion.link.onboard`): RAW_IMU
-of ArduPilot, HIGHRES_IMU of PX4. Both hold the field as the autopilot has calibrated it, in its body axes;
-its parameters, where they are heard, say how, and that is taken off again. PX4's RAW_IMU and SCALED_IMU hold
-the raw field in the compass's own axes.
+Of the messages that carry a magnetometer the app's own choice is taken
+(`companion.link.telemetry.autopilot_sensors`): RAW_IMU of ArduPilot, HIGHRES_IMU of PX4. Both hold the field
+as the autopilot has calibrated it, in its body axes; its parameters, where they are heard, say how, and that
+is taken off again. PX4's RAW_IMU and SCALED_IMU hold the raw field in the compass's own axes.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Final
 
 from calibration.magnetometer.onboard import onboard_of
 from calibration.magnetometer.recording import Recording, paired
+from companion.base.messages import ImuSample, MagSample, Manner
 from companion.config import ConfigError
-from companion.link import readings
+from companion.flightlog.replay.flight_record import Place
 from companion.link.codec import Message, is_autopilot_heartbeat, mavlink
-from companion.link.onboard import IMU_MESSAGES
-from companion.messages import ImuSample, MagSample, Manner
-from companion.replay.flight_record import Place
+from companion.link.telemetry import readings
+from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 
 MANNERS: Final[dict[int, Manner]] = {
     mavlink.MAV_AUTOPILOT_PX4: "px4",

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Final
 
 from calibration.magnetometer.calibrate import TrueField
-from companion.clock import start_unix_s
+from companion.base.clock import start_unix_s
+from companion.base.geometry import Vector3
+from companion.base.magnetic_field import FIRST_YEAR, LAST_YEAR, field_ned_ut
 from companion.config import CompanionConfig, ConfigError
-from companion.geometry import Vector3
-from companion.magnetic_field import FIRST_YEAR, LAST_YEAR, field_ned_ut
-from companion.replay.flight_record import Place
+from companion.flightlog.replay.flight_record import Place
 
 _CARRIED_ON_YEARS: Final = 10.0  # the model errs by a degree or so as far beyond its years
 _POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")

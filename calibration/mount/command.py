@@ -49,8 +49,8 @@ from calibration.mount.shared import (
 )
 from calibration.mount.solve import NoSolutionError, solve
 from calibration.mount.verdict import reasons
+from companion.base.mjpeg import MjpegServer
 from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_config, load_model
-from companion.mjpeg import MjpegServer
 
 HELP: Final = """How camera and inertial sensor sit on the vehicle, found in the field.
 

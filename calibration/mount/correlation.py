@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.mount.rotations import log, nearest_rotation, transposed
 from calibration.mount.samples import Indices, Inertial, Sightings
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 PAIR_S: Final = 0.25  # long enough to turn by more than a pose's noise, short enough for coning not to count
 LONGEST_PAIR_S: Final = 0.5

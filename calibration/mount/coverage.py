@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from companion.geometry import norm
-from companion.messages import ImuSample, PadSighting
+from companion.base.geometry import norm
+from companion.base.messages import ImuSample, PadSighting
 
 IN_VIEW_S: Final = 0.25
 SHORTEST_S: Final = 30.0

@@ -7,8 +7,8 @@ from contextlib import ExitStack, asynccontextmanager, closing
 from dataclasses import dataclass
 
 from companion.config import CameraConfig, CompanionConfig, find_file, load_model
-from companion.sense.camera import FrameSource, open_camera
-from companion.sense.i2c import RegisterBus, open_bus
+from companion.sense.camera.source import FrameSource, open_camera
+from companion.sense.imu.i2c import RegisterBus, open_bus
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,15 +14,15 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.geometry import FloatArray, matrix_from_quat
+from companion.base.messages import Frame, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
-from companion.geometry import FloatArray, matrix_from_quat
-from companion.messages import Frame, PadSighting
 from companion.pad import Pad
-from companion.sense.aruco import PadDetector, SearchPass
-from companion.sense.lens import Lens
-from companion.sense.pose import PadPose, estimate_pose
-from companion.sense.search import SearchPlanner
-from companion.sense.vision import body_from_camera, sighting_of
+from companion.sense.vision.aruco import PadDetector, SearchPass
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.pipeline import body_from_camera, sighting_of
+from companion.sense.vision.pose import PadPose, estimate_pose
+from companion.sense.vision.search import SearchPlanner
 
 # how far the pad may have moved since the last sighting, of its distance
 STRAYED: Final = 0.06

@@ -14,8 +14,8 @@ import numpy as np
 from calibration.mount.rest import Rest, find_rests
 from calibration.mount.samples import Inertial
 from calibration.mount.six_faces import ASKED, FACES, face_of
-from companion.geometry import FloatArray
-from companion.messages import ImuSample
+from companion.base.geometry import FloatArray
+from companion.base.messages import ImuSample
 
 HOLD_S: Final = 3.0
 # between two rests the vehicle has been turned by this at least

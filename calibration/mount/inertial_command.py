@@ -47,6 +47,7 @@ from calibration.mount.six_faces import (
     mounting_matrix,
 )
 from calibration.mount.table import read_table
+from companion.base.messages import ImuSample
 from companion.config import (
     CompanionConfig,
     ConfigError,
@@ -57,9 +58,8 @@ from companion.config import (
     load_config,
     load_model,
 )
-from companion.messages import ImuSample
+from companion.flightlog.record import LOG_NAMES
 from companion.pad import load_pad
-from companion.record import LOG_NAMES
 
 ACCELEROMETER_HELP: Final = """Accelerometer offset, scale and skew from rests on six faces; gyroscope bias.
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.mount.rest import Rest
 from calibration.mount.six_faces import AccelerometerFit, GyroFit, fitting_mountings, mounting_matrix
+from companion.base.geometry import Vector3, vector3
 from companion.config import AccelerometerCalibration, GyroCalibration
-from companion.geometry import Vector3, vector3
 
 
 def accelerometer_calibration(fit: AccelerometerFit, faces: Sequence[str]) -> AccelerometerCalibration:

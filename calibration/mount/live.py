@@ -18,7 +18,8 @@ from calibration.mount.coverage import MotionCoverage, Progress
 from calibration.mount.devices import Boards
 from calibration.mount.eye import GravityFreeEye
 from calibration.mount.recording import INERTIAL, MARK, RecordingMark
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.messages import Frame, FrameReport, ImuSample, PadSighting
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -29,12 +30,11 @@ from companion.config import (
     load_inertial,
     load_model,
 )
-from companion.messages import Frame, FrameReport, ImuSample, PadSighting
+from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
-from companion.record import FlightLog
-from companion.sense.fifo import SamplesLostError
-from companion.sense.i2c import SensorError
-from companion.sense.mpu9250 import Mpu9250
+from companion.sense.imu.fifo import SamplesLostError
+from companion.sense.imu.i2c import SensorError
+from companion.sense.imu.mpu9250 import Mpu9250
 
 PROGRESS_S: Final = 1.0
 SILENCE_S: Final = 5.0

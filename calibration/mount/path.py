@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.mount.rotations import exp
 from calibration.mount.samples import Indices, Inertial
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 STRETCH_S: Final = 2.0
 MARGIN_S: Final = 0.35  # what the stamps may be off

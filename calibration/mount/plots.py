@@ -11,8 +11,8 @@ from calibration.mount.rotations import log, transposed
 from calibration.mount.samples import Inertial, Sightings
 from calibration.mount.solve import Solution
 from calibration.mount.unknowns import GYRO_BIAS
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError
-from companion.geometry import FloatArray
 
 AXES: Final = ("forward", "right", "down")
 COLOURS: Final = ("tab:blue", "tab:orange", "tab:green")

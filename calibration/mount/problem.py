@@ -26,7 +26,7 @@ from calibration.mount.unknowns import (
     Beginnings,
     Unknowns,
 )
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 DIFFERENCE: Final = 1e-6
 # of a beginning, so that a stretch with few sightings has a solution all the same: metres, rad, m/s

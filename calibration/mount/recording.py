@@ -23,6 +23,8 @@ from mcap.records import Channel, Message, Metadata
 
 from calibration.mount.eye import GravityFreeEye
 from calibration.mount.samples import Inertial, Sightings
+from companion.base.geometry import FloatArray, matrix_from_quat
+from companion.base.messages import Frame, ImuSample, PadSighting
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -32,13 +34,11 @@ from companion.config import (
     VehicleConfig,
     validate,
 )
-from companion.geometry import FloatArray, matrix_from_quat
-from companion.messages import Frame, ImuSample, PadSighting
+from companion.flightlog.record import LOG_NAMES, SETTINGS_RECORD
+from companion.flightlog.replay.flight_record import FlightRecord, Rig
+from companion.flightlog.replay.mcap_log import read_mcap, records
 from companion.pad import Pad
-from companion.record import LOG_NAMES, SETTINGS_RECORD
-from companion.replay.flight_record import FlightRecord, Rig
-from companion.replay.mcap_log import read_mcap, records
-from companion.sense.vision import body_from_camera, turn_covariance
+from companion.sense.vision.pipeline import body_from_camera, turn_covariance
 
 # the chip's accelerometer is filtered a millisecond less than its gyroscope, whose delay both are stamped by
 # (register map RM-MPU-9250A-00 rev. 1.6, tables of CONFIG and ACCEL_CONFIG 2)

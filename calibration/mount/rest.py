@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from calibration.mount.samples import Indices, Inertial
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 BLOCK_S: Final = 0.25
 REST_S: Final = 1.5

@@ -12,10 +12,10 @@ from calibration.mount.live import read_imu, until_done
 from calibration.mount.rest import find_rests
 from calibration.mount.samples import Inertial
 from calibration.mount.six_faces import mounting_matrix
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.messages import ImuSample
 from companion.config import ConfigError, ImuConfig
-from companion.messages import ImuSample
-from companion.sense.mpu9250 import Mpu9250
+from companion.sense.imu.mpu9250 import Mpu9250
 
 LOOK_S: Final = 0.5
 REMIND_S: Final = 10.0

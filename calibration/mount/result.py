@@ -10,9 +10,7 @@ from calibration.mount.recording import Recording
 from calibration.mount.solve import Solution
 from calibration.mount.unknowns import POSITION, Trust
 from calibration.mount.verdict import rotation_from
-from companion.config import MountCalibration, MountStd
-from companion.config.calibration import Provenance
-from companion.geometry import (
+from companion.base.geometry import (
     BODY_FROM_DOWNWARD_CAMERA,
     FloatArray,
     Vector3,
@@ -23,8 +21,10 @@ from companion.geometry import (
     quat_multiply,
     vector3,
 )
-from companion.record import versions
-from companion.sense.vision import body_from_camera
+from companion.config import MountCalibration, MountStd
+from companion.config.calibration import Provenance
+from companion.flightlog.record import versions
+from companion.sense.vision.pipeline import body_from_camera
 
 
 def shutter_s(recording: Recording) -> float:

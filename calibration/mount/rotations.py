@@ -1,13 +1,13 @@
 """Rotations by the thousand: exponential and logarithm of rotation vectors, as arrays.
 
-`companion.geometry` decides order and sign; these are the same functions over a leading axis.
+`companion.base.geometry` decides order and sign; these are the same functions over a leading axis.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 SMALL_RAD = 1e-6
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 LONGEST_IMU_GAP_S = 0.05
 Indices = NDArray[np.intp]

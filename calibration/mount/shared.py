@@ -13,7 +13,8 @@ import yaml
 
 from calibration.command_line import RefusedError
 from calibration.mount.devices import Boards, open_boards
-from companion.clock import start_unix_s
+from companion.base.clock import start_unix_s
+from companion.base.files import write_atomically
 from companion.config import (
     CONFIG_FOLDER,
     CompanionConfig,
@@ -22,8 +23,7 @@ from companion.config import (
     StrictModel,
     load_model,
 )
-from companion.files import write_atomically
-from companion.record import LOG_NAMES, FlightLog
+from companion.flightlog.record import LOG_NAMES, FlightLog
 
 NAME: Final = "calibrate-mount"
 ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]

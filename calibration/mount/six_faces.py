@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from calibration.mount.rest import Rest
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     FloatArray,
     Vector3,

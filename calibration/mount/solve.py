@@ -33,7 +33,7 @@ from calibration.mount.unknowns import (
     Trust,
     Unknowns,
 )
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 FEWEST_OF_STRETCH: Final = 8
 STUDENT_FREEDOM: Final = 5.0

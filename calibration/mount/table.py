@@ -17,8 +17,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from calibration.mount.samples import Inertial
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError
-from companion.geometry import GRAVITY_M_S2, FloatArray
 
 NAMES: Final = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 # of a time column, by what its name ends in

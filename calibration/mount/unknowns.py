@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from calibration.mount.rotations import exp
-from companion.geometry import GRAVITY_M_S2, FloatArray
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)

@@ -14,7 +14,7 @@ from calibration.mount.correlation import WIDEST_OFFSET_S
 from calibration.mount.rotations import log
 from calibration.mount.solve import Solution
 from calibration.mount.unknowns import ACCEL_MATRIX, GYRO_BIAS, GYRO_MATRIX, POSITION
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 FEWEST_SIGHTINGS: Final = 120
 FEWEST_STRETCHES: Final = 6

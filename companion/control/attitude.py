@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vector3,

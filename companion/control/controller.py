@@ -13,13 +13,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.base.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
+from companion.base.messages import (
+    AutopilotSetup,
+    ControlReport,
+    Manner,
+    PadState,
+    PlanStep,
+    Reference,
+    Setpoint,
+    VehicleState,
+)
 from companion.config import ControlConfig, VehicleConfig
-from companion.control.fitting import fitted, hover_thrust
-from companion.control.flight_model import Motion, advance, flown_kind, lags, velocity_gains
 from companion.control.limits import LimitsGate
-from companion.control.mpc import Solution
-from companion.control.pad_motion import PadPath, predict_pad, resting_path
-from companion.control.plant import Plant
+from companion.control.mpc.mpc import Solution
+from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
+from companion.control.pad_prediction import PadPath, predict_pad, resting_path
+from companion.control.response.fitting import fitted, hover_thrust
+from companion.control.response.flight_model import Motion, advance, flown_kind, lags, velocity_gains
+from companion.control.response.plant import Plant
 from companion.control.setpoints import (
     Heading,
     attitude_setpoint,
@@ -31,19 +43,7 @@ from companion.control.setpoints import (
     stop_setpoint,
     velocity_setpoint,
 )
-from companion.control.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.tracker import make_tracker
-from companion.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
-from companion.messages import (
-    AutopilotSetup,
-    ControlReport,
-    Manner,
-    PadState,
-    PlanStep,
-    Reference,
-    Setpoint,
-    VehicleState,
-)
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5

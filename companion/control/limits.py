@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import math
 
-from companion.config import LimitsConfig
-from companion.control.attitude import attitude_from_acceleration
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
     Quaternion,
@@ -26,7 +24,9 @@ from companion.geometry import (
     subtract,
     wrap_angle,
 )
-from companion.messages import Setpoint
+from companion.base.messages import Setpoint
+from companion.config import LimitsConfig
+from companion.control.attitude import attitude_from_acceleration
 
 # after a longer pause than this the command may still jump no further than in this time
 LONGEST_STEP_S = 0.2

@@ -16,15 +16,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
+from companion.base.messages import Manner, PadState, Setpoint
 from companion.config import ControlConfig
 from companion.control.attitude import (
     attitude_from_acceleration,
     force_from_acceleration,
     thrust_from_acceleration,
 )
-from companion.control.flight_model import Motion, advance
-from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
-from companion.messages import Manner, PadState, Setpoint
+from companion.control.response.flight_model import Motion, advance
 
 
 @dataclass(frozen=True, slots=True)

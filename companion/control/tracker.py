@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+from companion.base.geometry import Vector3
 from companion.config import ControlConfig
-from companion.control.flight_model import Motion
-from companion.control.mpc import Mpc, Solution, Target
-from companion.control.pid_tracker import PidTracker
-from companion.control.riccati_tracker import RiccatiTracker
-from companion.geometry import Vector3
+from companion.control.baselines.pid_tracker import PidTracker
+from companion.control.baselines.riccati_tracker import RiccatiTracker
+from companion.control.mpc.mpc import Mpc, Solution, Target
+from companion.control.response.flight_model import Motion
 
 
 class Tracker(Protocol):

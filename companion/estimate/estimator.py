@@ -15,14 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.config import EstimateConfig, VehicleConfig
-from companion.estimate import freezing
-from companion.estimate.camera_delay import CameraDelay
-from companion.estimate.gating import Timeline
-from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
-from companion.estimate.vehicle_estimator import FUTURE_S, VehicleEstimator
-from companion.geometry import (
+from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
@@ -37,7 +30,7 @@ from companion.geometry import (
     vector3,
     yaw_from_quat,
 )
-from companion.messages import (
+from companion.base.messages import (
     AutopilotAttitude,
     GpsFix,
     ImuSample,
@@ -48,6 +41,13 @@ from companion.messages import (
     RangeSample,
     VehicleState,
 )
+from companion.config import EstimateConfig, VehicleConfig
+from companion.estimate.gating import Timeline
+from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.camera_delay import CameraDelay
+from companion.estimate.pad.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
+from companion.estimate.vehicle import freezing
+from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
 CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive

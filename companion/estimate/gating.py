@@ -15,7 +15,7 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar, runtime_checka
 
 import numpy as np
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 # 99.9 % points of the chi-square distribution by degrees of freedom (any statistics table)
 CHI_SQUARE_999: Final = {1: 10.828, 2: 13.816, 3: 16.266, 4: 18.467, 6: 22.458}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 
-from companion.geometry import (
+from companion.base.geometry import (
     ZERO3,
     Quaternion,
     Vector3,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+from companion.base.messages import AutopilotSetup, Manner
 from companion.link.parameters import ParameterRequest, ParameterRequests
-from companion.messages import AutopilotSetup, Manner
 
 NAMES: Final[dict[Manner, tuple[str, ...]]] = {
     "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER"),

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from companion.geometry import IDENTITY, ZERO3, norm, vector3
+from companion.base.geometry import IDENTITY, ZERO3, norm, vector3
+from companion.base.messages import PadBeacon
 from companion.link.codec import Message, mavlink
-from companion.messages import PadBeacon
 
 _HAS_POSITION: Final = 0b01
 _HAS_VELOCITY: Final = 0b10

@@ -19,8 +19,8 @@ from typing import Any, Final, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega
 
-from companion.geometry import ZERO3, Vector3
-from companion.messages import Setpoint
+from companion.base.geometry import ZERO3, Vector3
+from companion.base.messages import Setpoint
 
 mavlink: Any = ardupilotmega
 Message = Any

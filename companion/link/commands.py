@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
 
-from companion.geometry import Vector3
+from companion.base.geometry import Vector3
 from companion.link.codec import (
     AUTOPILOT_COMPONENT,
     Message,

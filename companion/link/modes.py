@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 
 PX4_MODES: Final[dict[str, tuple[int, int]]] = {  # main and sub mode (px4_custom_mode.h)
     "MANUAL": (1, 0),

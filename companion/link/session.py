@@ -12,21 +12,21 @@ import math
 from dataclasses import replace
 from typing import Final
 
+from companion.base.geometry import Quaternion
+from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
 from companion.config import LinkConfig, SenseConfig
-from companion.geometry import Quaternion
 from companion.link import codec
-from companion.link.alignment import HeadingAlignment
 from companion.link.autopilot_setup import SetupReader
 from companion.link.beacon import pad_beacon
-from companion.link.boot_clock import BootClock
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
 from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
-from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import OWN_RATES_HZ, TelemetryRates
-from companion.link.telemetry import StatusTexts, add_text, update_state
-from companion.link.timesync import TimeSync, clock_ns
-from companion.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
+from companion.link.telemetry.alignment import HeadingAlignment
+from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, OnboardSensors, Sample
+from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
+from companion.link.timing.boot_clock import BootClock
+from companion.link.timing.timesync import TimeSync, clock_ns
 
 HEARD: Final = frozenset(
     {

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from companion.base.messages import Manner
 from companion.link.codec import mavlink
-from companion.messages import Manner
 
 TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,

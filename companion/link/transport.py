@@ -16,7 +16,7 @@ from typing import Final, Protocol
 
 import serial
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import CONNECTION_FORM, ConfigError
 from companion.link.codec import has_autopilot_heartbeat
 

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from companion.base.geometry import FloatArray
+from companion.base.messages import MarkerGroup
 from companion.config import StrictModel
-from companion.geometry import FloatArray
-from companion.messages import MarkerGroup
 
 DictionaryName = Literal["4x4_50", "5x5_50", "6x6_50"]
 DICTIONARIES: Final[dict[DictionaryName, int]] = {

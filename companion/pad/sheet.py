@@ -17,8 +17,8 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
+from companion.base.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 from companion.config import StrictModel
-from companion.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 
 Metres = Annotated[float, Field(gt=0.05, le=12.0)]
 Interval = tuple[float, float]

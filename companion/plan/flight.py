@@ -11,23 +11,31 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from companion.base.geometry import yaw_from_quat
+from companion.base.messages import (
+    Action,
+    ActionKind,
+    DescentCone,
+    LandedState,
+    LevelOff,
+    Phase,
+    VehicleState,
+)
 from companion.config import PlanConfig, VehicleConfig
-from companion.geometry import yaw_from_quat
-from companion.messages import Action, ActionKind, DescentCone, LandedState, LevelOff, Phase, VehicleState
-from companion.plan.departure import Departure
-from companion.plan.ground import Ground
-from companion.plan.guidance import Guide
-from companion.plan.inputs import PlanInputs
-from companion.plan.landing import Landing, Unseen
-from companion.plan.min_jerk import Motion
-from companion.plan.mission import BY_THE_PAD, Event
-from companion.plan.requests import Requests
-from companion.plan.search import Search
-from companion.plan.sight import PadKnowledge, vehicle_motion
-from companion.plan.surroundings import Say, Surroundings
-from companion.plan.touchdown import Finding, Touchdown
-from companion.plan.watch import Watch
-from companion.plan.waypoints import Waypoints
+from companion.plan.landing.approach import Landing, Unseen
+from companion.plan.landing.ground_contact import Ground
+from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
+from companion.plan.landing.touchdown import Finding, Touchdown
+from companion.plan.mission.departure import Departure
+from companion.plan.mission.failsafe_monitor import Watch
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.requests import Requests
+from companion.plan.mission.table import BY_THE_PAD, Event
+from companion.plan.obstacles.surroundings import Say, Surroundings
+from companion.plan.search.search import Search
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
+from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6
 _WORTH_TELLING_M: Final = 0.2

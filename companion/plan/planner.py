@@ -10,21 +10,21 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from companion.base.geometry import ned_from_geodetic
+from companion.base.messages import ActionKind, LandedState, Notice, Phase, PlanStep
 from companion.config import PlanConfig, VehicleConfig
-from companion.geometry import ned_from_geodetic
-from companion.messages import ActionKind, LandedState, Notice, Phase, PlanStep
-from companion.plan.avoidance import Avoidance
 from companion.plan.flight import Flight
-from companion.plan.ground import Ground
-from companion.plan.guidance import Guide, SpeedLaw
-from companion.plan.inputs import PlanInputs
-from companion.plan.mission import FINAL, TAKES_CONTROL, Event, transition
-from companion.plan.requests import Requests
-from companion.plan.sight import PadKnowledge
-from companion.plan.surroundings import Severity
-from companion.plan.touchdown import Finding
-from companion.plan.watch import Watch
-from companion.plan.waypoints import check_places
+from companion.plan.landing.ground_contact import Ground
+from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.landing.touchdown import Finding
+from companion.plan.mission.failsafe_monitor import Watch
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.requests import Requests
+from companion.plan.mission.table import FINAL, TAKES_CONTROL, Event, transition
+from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.obstacles.surroundings import Severity
+from companion.plan.trajectory.guidance import Guide, SpeedLaw
+from companion.plan.trajectory.waypoints import check_places
 
 __all__ = ["PlanInputs", "Planner"]
 

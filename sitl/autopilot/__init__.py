@@ -1,12 +1,9 @@
 """The simulator's flight controller: PX4's or ArduPilot's manners around one cascade."""
 
-from sitl.autopilot.airframe import Airframe, hover_thrust
-from sitl.autopilot.autopilot import Autopilot
-from sitl.autopilot.estimator import ESTIMATORS, NO_ERRORS, EstimatorErrors, EstimatorName
-from sitl.autopilot.flight_state import MANNERS
-from sitl.autopilot.mixer import Motors
-from sitl.autopilot.modes import Result, Severity, Task
-from sitl.autopilot.setpoints import (
+from sitl.autopilot.control.airframe import Airframe, hover_thrust
+from sitl.autopilot.control.estimator import ESTIMATORS, NO_ERRORS, EstimatorErrors, EstimatorName
+from sitl.autopilot.control.mixer import Motors
+from sitl.autopilot.control.setpoints import (
     AttitudeSetpoint,
     Frame,
     Ignore,
@@ -14,6 +11,9 @@ from sitl.autopilot.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
+from sitl.autopilot.flight.autopilot import Autopilot
+from sitl.autopilot.flight.flight_state import MANNERS
+from sitl.autopilot.flight.modes import Result, Severity, Task
 
 __all__ = [
     "ESTIMATORS",

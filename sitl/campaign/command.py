@@ -19,8 +19,8 @@ from typing import Annotated, Final
 import typer
 from rich.console import Console
 
+from companion.base.files import write_atomically
 from companion.config import ConfigError
-from companion.files import write_atomically
 from sitl.campaign import SCENARIOS
 from sitl.campaign.manifest import MANIFEST_NAME, Flight, Plan, check_goes_on, make_plan, read_manifest
 from sitl.campaign.pool import fly_locally
@@ -29,7 +29,7 @@ from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_
 from sitl.campaign.worker import Flown
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 from sitl.firmware.spec import FirmwareSpec
-from sitl.orders import terminated_as_interrupted
+from sitl.run.orders import terminated_as_interrupted
 
 INTERRUPTED: Final = 130
 FAILED: Final = 1

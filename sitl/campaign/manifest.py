@@ -27,7 +27,7 @@ from companion.config import (
     validate,
 )
 from sitl.firmware.spec import FirmwareSpec
-from sitl.scenario import Scenario, load_scenario
+from sitl.scenario.scenario import Scenario, load_scenario
 
 MANIFEST_NAME: Final = "campaign.json"
 SHIPPED_SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"

@@ -22,7 +22,7 @@ from matplotlib.patches import Circle, Rectangle
 from companion.pad import Pad, load_pad
 from sitl.campaign.figures import by_scenario, share, values
 from sitl.campaign.rows import OUTCOMES, Row
-from sitl.scenario import Scenario
+from sitl.scenario.scenario import Scenario
 
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS: Final = ("o", "^", "s", "D", "v", "P", "X")

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from sitl.campaign.figures import Spread, by_scenario, share, spread, worst
 from sitl.campaign.rows import OUTCOMES, Row
-from sitl.scenario import PassBounds
+from sitl.scenario.scenario import PassBounds
 
 WORST_SHOWN: Final = 10
 # a column, its heading, the factor to the unit shown, its digits, and the bound that a touchdown keeps

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import IO, Any, Final
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
 from companion.config import ConfigError
 from sitl.campaign.manifest import Flight
 

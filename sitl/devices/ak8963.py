@@ -9,8 +9,8 @@ from __future__ import annotations
 import struct
 from typing import Final
 
-from companion.geometry import Vector3
-from sitl.sensors import MagSensor
+from companion.base.geometry import Vector3
+from sitl.sensors.sensors import MagSensor
 
 ADDRESS: Final = 0x0C
 _WIA, _ST1, _HXL, _ST2, _CNTL1, _CNTL2, _ASAX = 0x00, 0x02, 0x03, 0x09, 0x0A, 0x0B, 0x10

@@ -15,10 +15,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3
 from sitl.devices import ak8963
 from sitl.devices.ak8963 import Ak8963Device
-from sitl.inertial import ImuSensor
+from sitl.sensors.inertial import ImuSensor
 
 FIFO_BYTES: Final = 512
 Fault = Literal["none", "nack", "ones", "stuck"]

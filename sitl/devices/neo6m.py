@@ -16,8 +16,8 @@ from typing import Final
 
 import pymap3d
 
-from companion.geometry import Vector3
-from sitl.sensors import GpsReading, GpsSensor
+from companion.base.geometry import Vector3
+from sitl.sensors.sensors import GpsReading, GpsSensor
 
 _WEEK: Final = 2400
 _FIRST_TIME_OF_WEEK_MS: Final = 302_400_000  # Wednesday noon, GPS time

@@ -11,8 +11,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from companion.config import GpsConfig, ImuConfig
-from companion.geometry import (
+from companion.base.geometry import (
     ZERO3,
     Vector3,
     add,
@@ -21,15 +20,16 @@ from companion.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
 )
+from companion.config import GpsConfig, ImuConfig
 from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Interface, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
-from sitl.inertial import ImuErrors, ImuSensor
-from sitl.quadrotor import QuadrotorState
-from sitl.sensor_flaws import BoardTruth
-from sitl.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
+from sitl.sensors.flaws import BoardTruth
+from sitl.sensors.inertial import ImuErrors, ImuSensor
+from sitl.sensors.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
+from sitl.vehicle.quadrotor import QuadrotorState
 
 OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
 # How the simulated chip is soldered in: face up, its x axis forward. Its axes are right-handed with z out of

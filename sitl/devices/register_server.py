@@ -1,4 +1,4 @@
-"""Serves a register bus to an app in another process: `companion.bus_format` on a unix socket."""
+"""Serves a register bus to an app in another process: `companion.base.bus_format` on a unix socket."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from companion.bus_format import (
+from companion.base.bus_format import (
     REQUEST_BYTES,
     BusFormatError,
     ReadRequest,
     decode_request,
     encode_reply,
 )
-from sitl.unix_socket import UnixServer
+from sitl.camera.unix_socket import UnixServer
 
 
 class RegisterDevice(Protocol):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from sitl.sensors import RangeSensor
+from sitl.sensors.sensors import RangeSensor
 
 SPEED_OF_SOUND_M_S: Final = 340.0
 _NO_ECHO_S: Final = 0.03  # how long it listens

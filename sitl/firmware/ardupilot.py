@@ -13,9 +13,9 @@ import struct
 from contextlib import ExitStack, closing
 from typing import Final
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
+from companion.base.geometry import Vector3
 from companion.config import ConfigError
-from companion.geometry import Vector3
 from sitl.firmware.base import ANSWER_S, Moment, Setup
 from sitl.firmware.process import (
     INSTANCES,
@@ -27,7 +27,7 @@ from sitl.firmware.process import (
     is_free,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.quadrotor import Four
+from sitl.vehicle.quadrotor import Four
 
 # magic, frame rate (Hz), frame count, 16 pulses (us); ArduPilot's SIM_JSON documentation
 PULSES: Final = struct.Struct("<HHI16H")

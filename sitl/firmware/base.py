@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple, Protocol
 
-from companion.geometry import Vector3
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import Four, QuadrotorState
-from sitl.scenario import Airframe
+from companion.base.geometry import Vector3
+from sitl.scenario.scenario import Airframe
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.quadrotor import Four, QuadrotorState
 
 # an answer takes a fraction of a millisecond; a machine too busy for this one is hopeless
 ANSWER_S: Final = 5.0

@@ -1,7 +1,7 @@
 """Between a firmware and who talks to it: its MAVLink passes through unchanged; the ground station hears it.
 
-The counterpart of `sitl.network` for the bundled autopilots. Once a tick what the firmware has sent goes to
-every client, so that load on the machine changes nothing.
+The counterpart of `sitl.mavlink.network` for the bundled autopilots. Once a tick what the firmware has sent
+goes to every client, so that load on the machine changes nothing.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-from companion.geometry import Vector3
+from companion.base.geometry import Vector3
 from sitl.firmware.base import Firmware
-from sitl.framing import FrameReader, MavFrame, dialect
-from sitl.ground_station import GroundStation
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.ground_station import GroundStation
 
 mavlink: Any = dialect
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 
 FirmwareOption = Annotated[
     Manner | None,

@@ -15,9 +15,9 @@ import socket
 from contextlib import ExitStack, closing
 from typing import Any, Final
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
+from companion.base.geometry import scale
 from companion.config import ConfigError
-from companion.geometry import scale
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware.barometer import Barometer, pressure_hpa
 from sitl.firmware.base import ANSWER_S, Moment, Setup
@@ -32,8 +32,8 @@ from sitl.firmware.process import (
     is_free,
 )
 from sitl.firmware.spec import FirmwareSpec, number_text
-from sitl.framing import FrameReader, dialect
-from sitl.quadrotor import Four
+from sitl.mavlink.framing import FrameReader, dialect
+from sitl.vehicle.quadrotor import Four
 
 mavlink: Any = dialect
 

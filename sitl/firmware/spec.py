@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from companion.base.messages import Manner
 from companion.config import ConfigError
-from companion.messages import Manner
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 

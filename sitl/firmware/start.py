@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from typing import Any, Final
 
-from companion.clock import sleep_s, wall_clock_s
+from companion.base.clock import sleep_s, wall_clock_s
 from companion.config import ConfigError
 from sitl.firmware.ardupilot import ArduPilot
 from sitl.firmware.barometer import Barometer
@@ -15,9 +15,9 @@ from sitl.firmware.base import Firmware, Moment, Setup
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.px4 import Px4
 from sitl.firmware.spec import FirmwareSpec
-from sitl.framing import FrameReader, MavFrame, dialect
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import QuadrotorState
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.quadrotor import QuadrotorState
 
 mavlink: Any = dialect
 

@@ -6,16 +6,16 @@ from typing import Final
 
 import numpy as np
 
-from companion.geometry import Quaternion, Vector3
+from companion.base.geometry import Quaternion, Vector3
 from sitl.firmware.barometer import Barometer
 from sitl.firmware.base import Moment, Setup
 from sitl.firmware.network import FirmwareNetwork
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.start import boot, start_firmware
-from sitl.ground_station import GroundStation
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import Four
-from sitl.world import Motion, World
+from sitl.mavlink.ground_station import GroundStation
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.quadrotor import Four
+from sitl.world.world import Motion, World
 
 # what the chip passes on; the firmware filters by itself
 IMU_FILTER: Final = 1

@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from companion.geometry import FloatArray
-from companion.messages import Manner
+from companion.base.geometry import FloatArray
+from companion.base.messages import Manner
 from tests.bench.autopilot_record import ON_GROUND, Record
 
 Figures = dict[str, float | None]

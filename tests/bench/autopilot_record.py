@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 AUTOPILOT: Final = (1, 1)
 CLIENT: Final = (255, 191)

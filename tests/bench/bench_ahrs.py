@@ -28,12 +28,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.geometry import FloatArray, Quaternion, Vector3, quat_rotate, vector3
+from companion.base.messages import ImuSample, MagSample
 from companion.config import EstimateConfig, VehicleConfig, find_file, load_model
-from companion.estimate.complementary import OrientationFilter
+from companion.estimate.ahrs.complementary import OrientationFilter
+from companion.estimate.ahrs.madgwick import MadgwickFilter, align
 from companion.estimate.estimator import Estimator
-from companion.estimate.madgwick import MadgwickFilter, align
-from companion.geometry import FloatArray, Quaternion, Vector3, quat_rotate, vector3
-from companion.messages import ImuSample, MagSample
 
 EKF_BAR_DEG: Final = 2.5
 MADGWICK_BAR_DEG: Final = 0.1

@@ -28,8 +28,8 @@ from calibration.camera.board import Board, read_dictionary
 from calibration.camera.detection import BoardFinder, View
 from calibration.camera.images import photo_paths, read_photos
 from calibration.camera.quality import Assessment, assess
+from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
-from companion.geometry import FloatArray
 from tests.unit.calibration.board_pictures import BoardPainter, hand_held_poses
 
 VIEWS: Final = 25

@@ -17,7 +17,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.progress import track
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
 from sitl.campaign.manifest import Flight, make_plan
 from sitl.campaign.pool import fly_locally
 

@@ -25,14 +25,14 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from companion.app import Status
+from companion.app.app import Status
+from companion.base.clock import start_unix_s
+from companion.base.messages import Outcome, Phase
 from companion.cli import prepare_opencv
-from companion.clock import start_unix_s
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
-from companion.desk import DeskFlight, Trial, desk_settings, fly
-from companion.messages import Outcome, Phase
-from companion.record import FlightLog
-from companion.result import latency
+from companion.flightlog.record import FlightLog
+from companion.flightlog.result import latency
+from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
 from tests.bench.cpu_watch import CpuWatch
 
 CORE_PERCENT: Final = 40.0

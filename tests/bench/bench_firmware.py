@@ -19,8 +19,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.messages import Manner
 from companion.config import ConfigError, Kind
-from companion.messages import Manner
 from sitl.campaign.figures import Bar, values
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from companion.clock import wall_clock_s
-from companion.messages import Manner
+from companion.base.clock import wall_clock_s
+from companion.base.messages import Manner
 from tests.bench.fuzzing import Fuzz, FuzzResult
 
 # manner, whether it has a key, whether most frames are orders, share of the frames

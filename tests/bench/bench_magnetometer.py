@@ -32,15 +32,15 @@ from calibration.magnetometer.fit import fit_ellipsoid
 from calibration.magnetometer.live import Chip
 from calibration.magnetometer.report import yaml_text
 from calibration.magnetometer.sources import read_recording
-from companion.clock import run_in_virtual_time
+from companion.base.clock import run_in_virtual_time
+from companion.base.geometry import FloatArray
 from companion.config import ImuConfig
-from companion.desk import Trial
-from companion.geometry import FloatArray
+from companion.sim.runner import Trial
 from sitl.devices.rack import SensorErrors
-from sitl.in_process import carried
-from sitl.scenario import Scenario, SensorSettings
-from sitl.sensor_quality import sensor_errors
-from sitl.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.run.in_process import carried
+from sitl.run.sensor_quality import sensor_errors
+from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.scenario import Scenario, SensorSettings
 from tests.bench.streams import fly_stream, rerun, rms, settings_of
 from tests.unit.calibration.magnetometer_truth import FIELD_UT, turned
 
@@ -153,7 +153,7 @@ def flown(seeds: int, console: Console) -> dict[str, bool]:
         trial = Trial.load(SCENARIO, seed)
         with (
             tempfile.TemporaryDirectory() as folder,
-            mock.patch("sitl.simulation.sensor_errors", magnetometer_from_the_shop),
+            mock.patch("sitl.run.simulation.sensor_errors", magnetometer_from_the_shop),
         ):
             done, truth = run_in_virtual_time(carried_about(trial.scenario, seed))
             path = Path(folder) / "magnetometer.yaml"

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from companion.base.messages import Manner
 from companion.config import ConfigError
-from companion.messages import Manner
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
 from tests.bench.bench_firmware import line, table

@@ -37,9 +37,9 @@ from calibration.mount.result import configured_rotation, mount_calibration, shu
 from calibration.mount.rotations import log
 from calibration.mount.solve import Solution, solve
 from calibration.mount.verdict import reasons
-from companion.clock import run_in_virtual_time
+from companion.base.clock import run_in_virtual_time
+from companion.base.geometry import FloatArray
 from companion.config import CompanionConfig, InertialCalibration, MountCalibration, load_model, validate
-from companion.geometry import FloatArray
 from tests.bench.consistency import band
 from tests.scenario.flying import fly, scenario_file
 from tests.unit.calibration.mount_world import Held, mount_errors, record_sway, scenario_of

@@ -23,11 +23,11 @@ import osqp
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.geometry import ZERO3, FloatArray, Vector3, add, vector3
 from companion.config import ControlConfig
-from companion.control.flight_model import Motion, advance
-from companion.control.mpc import SETTINGS, Cone, Mpc, Problem, Target
-from companion.control.target import within_reach
-from companion.geometry import ZERO3, FloatArray, Vector3, add, vector3
+from companion.control.mpc.mpc import SETTINGS, Cone, Mpc, Problem, Target
+from companion.control.mpc.target import within_reach
+from companion.control.response.flight_model import Motion, advance
 
 LAGS_S: Final = (0.11, 0.11, 0.04)
 STEP_P99_MS: Final = 5.0

@@ -19,13 +19,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
+from companion.base.geometry import Vector3
 from companion.config import Box, Cylinder, PlanConfig, Shape
-from companion.geometry import Vector3
-from companion.plan.avoidance import Avoidance
-from companion.plan.guidance import Guide
-from companion.plan.min_jerk import Motion
-from companion.plan.obstacles import Obstacle, clearance_m, route
+from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
 
 CYCLE_S: Final = 1.0 / 30.0
 RADIUS_M: Final = 0.4

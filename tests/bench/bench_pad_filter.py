@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
 from tests.unit.estimate.pad_scores import (
     BLIND_S,
     NEES_BAND,

@@ -24,13 +24,13 @@ from pymavlink.dialects.v20 import common as mavlink
 from rich.console import Console
 from rich.table import Table
 
-from companion.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
-from companion.messages import Manner, Outcome, Phase
+from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
+from companion.base.messages import Manner, Outcome, Phase
 from sitl.autopilot import Autopilot
-from sitl.endpoint import MavlinkEndpoint
-from sitl.scenario import PassBounds, Scenario
-from sitl.score import judge
-from sitl.world import World
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.scenario.scenario import PassBounds, Scenario
+from sitl.world.score import judge
+from sitl.world.world import World
 
 STEP_S: Final = 1.0 / 400.0
 STEPS_A_TICK: Final = 4

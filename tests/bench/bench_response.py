@@ -20,9 +20,9 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
+from companion.base.geometry import FloatArray
+from companion.base.messages import Manner
 from companion.config import ConfigError, Kind, VehicleConfig, find_file, load_model
-from companion.geometry import FloatArray
-from companion.messages import Manner
 from sitl.firmware.spec import FirmwareSpec
 from tests.bench.response_flight import Record, fly
 

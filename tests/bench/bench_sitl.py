@@ -27,7 +27,7 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from tests.bench.answers import Figures, figures
 from tests.bench.autopilot_record import Record, read_tlog
 from tests.bench.setpoint_flight import fly

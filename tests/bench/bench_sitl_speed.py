@@ -24,13 +24,13 @@ from rich.console import Console
 from rich.table import Table
 
 from sitl.autopilot import Autopilot
-from sitl.camera import CameraModel
-from sitl.contact import Contact
+from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
-from sitl.network import Network
-from sitl.onboard import OnboardSensors
-from sitl.simulation import PHYSICS_STEP_S, Simulation
-from sitl.world import World
+from sitl.mavlink.network import Network
+from sitl.run.simulation import PHYSICS_STEP_S, Simulation
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.world.contact import Contact
+from sitl.world.world import World
 from tests.bench.speed_flight import HIGH_M, Client, SpeedFlight, fly
 
 BARE_FACTOR: Final = 40.0

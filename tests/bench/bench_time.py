@@ -18,23 +18,23 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
 from companion.config import CONFIG_FOLDER
 from companion.control.controller import Controller
-from companion.desk import Trial, desk_settings, fly
 from companion.estimate.estimator import Estimator
+from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.plan.planner import Planner
-from companion.record import FlightLog
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.neo6m import Neo6m
-from companion.sense.ultrasonic import Ultrasonic
-from companion.sense.vision import Vision
+from companion.sense.gps.neo6m import Neo6m
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.range.ultrasonic import Ultrasonic
+from companion.sense.vision.pipeline import Vision
+from companion.sim.runner import Trial, desk_settings, fly
 from sitl.autopilot import Autopilot
-from sitl.camera import CameraModel
+from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
-from sitl.network import Network
-from sitl.world import World
+from sitl.mavlink.network import Network
+from sitl.world.world import World
 
 REAL_TIME_FACTOR: Final = 3.0
 PARTS: Final[dict[str, dict[type[Any], tuple[str, ...]]]] = {

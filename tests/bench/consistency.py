@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import chi2
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 SHARE: Final = 0.95
 

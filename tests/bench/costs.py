@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from companion.clock import wall_clock_s
+from companion.base.clock import wall_clock_s
 from companion.config import CompanionConfig
-from companion.estimate.ekf import ImuStep, VehicleEkf
-from companion.estimate.pad_filter import PadFilter, PadFix
+from companion.estimate.pad.pad_filter import PadFilter, PadFix
+from companion.estimate.vehicle.ekf import ImuStep, VehicleEkf
 from tests.bench.streams import INPUTS, Stream, feed, new_estimator
 
 

@@ -17,13 +17,13 @@ from typing import Any, Final, NamedTuple
 
 from companion.control.controller import Controller
 from companion.estimate.estimator import Estimator
+from companion.flightlog.record import FlightLog, _McapFile, _TlogFile
 from companion.link.session import Session
 from companion.plan.planner import Planner
-from companion.record import FlightLog, _McapFile, _TlogFile
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.neo6m import Neo6m
-from companion.sense.ultrasonic import Ultrasonic
-from companion.sense.vision import Vision
+from companion.sense.gps.neo6m import Neo6m
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.range.ultrasonic import Ultrasonic
+from companion.sense.vision.pipeline import Vision
 
 TASKS: Final = "tasks between the stages"
 LOOP: Final = "event loop"

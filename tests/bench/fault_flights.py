@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from companion.base.geometry import FloatArray
 from companion.config import merge, validate
-from companion.desk import Trial
-from companion.geometry import FloatArray
-from sitl.scenario import Scenario
+from companion.sim.runner import Trial
+from sitl.scenario.scenario import Scenario
 from tests.bench.consistency import recovery_s
 from tests.bench.samples import Samples
 

@@ -13,10 +13,10 @@ from typing import Any, Final, Literal
 
 import yaml
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from sitl.campaign.manifest import Flight, code_digest, scenario_digest
 from sitl.firmware.spec import FirmwareSpec
-from sitl.scenario import Scenario
+from sitl.scenario.scenario import Scenario
 
 Sensors = Literal["boards", "autopilot"]
 MEET: Final = {"point_ned_m": [10.0, 0.0], "time_s": 22.0, "spread_m": 2.0}

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 
 from sitl.autopilot import Autopilot
-from sitl.commands import FORCE_MAGIC, HANDLERS
-from sitl.framing import dialect
+from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS
+from sitl.mavlink.framing import dialect
 
 mavlink: Any = dialect
 Rng = np.random.Generator

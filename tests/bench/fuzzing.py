@@ -17,12 +17,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from companion.messages import Manner
-from sitl.framing import FrameReader, dialect
-from sitl.ground_station import GroundStation
-from sitl.network import VEHICLE, Network, Port
-from sitl.onboard import OnboardSensors
-from sitl.signing import Signing
+from companion.base.messages import Manner
+from sitl.mavlink.framing import FrameReader, dialect
+from sitl.mavlink.ground_station import GroundStation
+from sitl.mavlink.network import VEHICLE, Network, Port
+from sitl.mavlink.signing import Signing
+from sitl.sensors.autopilot_sensors import OnboardSensors
 from tests.bench.fuzz_orders import Orders
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from sitl.campaign.manifest import Flight, code_digest, scenario_digest
-from sitl.scenario import Scenario
+from sitl.scenario.scenario import Scenario
 
 FASTEST_LINE_M_S: Final = 4.2
 FASTEST_TURN_M_S: Final = 2.5

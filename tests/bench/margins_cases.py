@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import yaml
 
+from companion.base.messages import Manner
 from companion.config import find_file, merge, read_yaml
-from companion.messages import Manner
 from tests.bench.landing_cases import PASS, Case
 
 SCENARIOS: Final = ("static", "line", "circle", "figure_8", "heave")

@@ -14,10 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from companion.clock import Clock, run_in_virtual_time
-from companion.config import ControlConfig, Kind, LinkConfig
-from companion.control.setpoints import Heading, attitude_setpoint
-from companion.geometry import (
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import (
     GRAVITY_M_S2,
     FloatArray,
     level_acceleration,
@@ -25,15 +23,17 @@ from companion.geometry import (
     vector3,
     yaw_from_quat,
 )
-from companion.link.actions import PymavlinkActions
+from companion.base.messages import Action, ActionKind, Manner, Setpoint
+from companion.config import ControlConfig, Kind, LinkConfig
+from companion.control.setpoints import Heading, attitude_setpoint
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
 from companion.link.transport import memory_pair
-from companion.messages import Action, ActionKind, Manner, Setpoint
 from sitl.firmware.spec import FirmwareSpec
-from sitl.in_process import InProcess
-from sitl.pad_paths import Meeting, StaticMotion
-from sitl.scenario import PadSettings, Scenario
-from sitl.world import World
+from sitl.pad.paths import Meeting, StaticMotion
+from sitl.run.in_process import InProcess
+from sitl.scenario.scenario import PadSettings, Scenario
+from sitl.world.world import World
 
 PERIOD_S: Final = 1.0 / ControlConfig().rate_hz
 SAMPLES_PER_SETPOINT: Final = 4

@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from companion.base.geometry import FloatArray, ned_from_geodetic, quat_conjugate, quat_multiply
+from companion.base.geometry import rotation_vector_from_quat as rotation_vector
+from companion.base.messages import PadState, Truth, VehicleState
 from companion.estimate.estimator import Estimator
-from companion.geometry import FloatArray, ned_from_geodetic, quat_conjugate, quat_multiply
-from companion.geometry import rotation_vector_from_quat as rotation_vector
-from companion.messages import PadState, Truth, VehicleState
-from companion.result import TruthTrack
-from sitl.simulation import HOME
+from companion.flightlog.result import TruthTrack
+from sitl.run.simulation import HOME
 
 SEEN_GAP_S: Final = 0.5  # unseen for so long, the pad is out of view
 

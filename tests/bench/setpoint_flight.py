@@ -10,14 +10,14 @@ from typing import Final
 
 import numpy as np
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from sitl.autopilot import ESTIMATORS, Autopilot, EstimatorName
-from sitl.endpoint import MavlinkEndpoint
-from sitl.onboard import OnboardSensors
-from sitl.pad_paths import Meeting, StaticMotion
-from sitl.scenario import PadSettings, Scenario
-from sitl.simulation import HOME, MAGNETIC_FIELD_NED_UT, PHYSICS_STEP_S
-from sitl.world import World
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.pad.paths import Meeting, StaticMotion
+from sitl.run.simulation import HOME, MAGNETIC_FIELD_NED_UT, PHYSICS_STEP_S
+from sitl.scenario.scenario import PadSettings, Scenario
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.world.world import World
 from tests.bench.autopilot_record import Record, Stamped, decoder, record_of
 
 STEPS_PER_TALK: Final = 2

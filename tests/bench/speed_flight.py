@@ -20,14 +20,14 @@ from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.clock import Clock, run_in_virtual_time
-from companion.geometry import Vector3
-from companion.messages import Frame, Manner
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import Vector3
+from companion.base.messages import Frame, Manner
 from sitl.devices.ports import MemoryPort
-from sitl.pad_paths import CircleMotion, Meeting
-from sitl.scenario import PadSettings, Scenario
-from sitl.simulation import Simulation
-from sitl.wind import WindSettings
+from sitl.pad.paths import CircleMotion, Meeting
+from sitl.run.simulation import Simulation
+from sitl.scenario.scenario import PadSettings, Scenario
+from sitl.world.wind import WindSettings
 
 READY_S: Final = 6.5
 TALK_S: Final = 0.05

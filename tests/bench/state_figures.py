@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from tests.bench.consistency import Consistency, consistency, nees
 from tests.bench.costs import Costs
 from tests.bench.fault_flights import LARGEST_ATTITUDE_DEG, RECOVERY_S, FaultFlight, usual_for

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from tests.bench.consistency import Consistency, band
 from tests.bench.samples import Samples
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from rich.table import Table
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from tests.bench.consistency import Consistency
 from tests.bench.costs import Costs
 from tests.bench.fault_flights import LARGEST_ATTITUDE_DEG, RECOVERY_S, FaultFlight, usual_for

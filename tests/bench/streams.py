@@ -24,10 +24,7 @@ from typing import Any, Final
 
 import cv2
 
-from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_model
-from companion.desk import Trial, desk_settings, fly
-from companion.estimate.estimator import Estimator
-from companion.messages import (
+from companion.base.messages import (
     AutopilotAttitude,
     GpsFix,
     ImuSample,
@@ -39,9 +36,12 @@ from companion.messages import (
     Truth,
     VehicleState,
 )
+from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_model
+from companion.estimate.estimator import Estimator
+from companion.flightlog.record import FlightLog
+from companion.flightlog.result import TruthTrack
 from companion.pad import load_pad
-from companion.record import FlightLog
-from companion.result import TruthTrack
+from companion.sim.runner import Trial, desk_settings, fly
 from tests.bench.samples import Answer, Samples, ask, rms, samples_of
 
 __all__ = [

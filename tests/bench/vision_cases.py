@@ -20,10 +20,10 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.geometry import FloatArray
 from companion.config import VisionConfig
-from companion.geometry import FloatArray
-from companion.sense.vision import Vision
-from sitl.scene_camera import ground_otherwise
+from companion.sense.vision.pipeline import Vision
+from sitl.run.scene_camera import ground_otherwise
 from tests.bench.consistency import nees
 from tests.bench.vision_judge import Judged, bound_m2, eyes, judge, noise_px
 from tests.bench.vision_shots import ATTITUDE_STD_RAD, Stage

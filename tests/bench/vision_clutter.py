@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.base.messages import PadPrior
 from companion.config import VisionConfig
-from companion.messages import PadPrior
 from companion.pad import DICTIONARIES, Pad
-from sitl.textures import PAD_BLACK, PAD_WHITE, GreyImage, Texture, board_texture, ground_texture
+from sitl.camera.textures import PAD_BLACK, PAD_WHITE, GreyImage, Texture, board_texture, ground_texture
 from tests.bench.vision_cases import SEED
 from tests.bench.vision_judge import eyes
 from tests.bench.vision_shots import CAMERAS, Shot, Stage, pad_of

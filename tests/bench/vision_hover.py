@@ -6,8 +6,8 @@ of 5 m/s. It leans by 3.4 degrees, turns at 3.2 deg/s and drifts at 0.19 m/s (rm
 was recorded in the open (log171.bin of dronekit-la-testdata, 195 to 210 s) turned at 4.3, 2.5 and 1.2 deg/s
 rms.
 
-The vibration: what the simulated gyroscope and accelerometer feel of the rotors (`sitl.inertial`), integrated
-to the motion that the camera makes: at half throttle 92 Hz, 0.05 px at a focal length of 1065 px.
+The vibration: what the simulated gyroscope and accelerometer feel of the rotors (`sitl.sensors.inertial`),
+integrated to the motion that the camera makes: at half throttle 92 Hz, 0.05 px at a focal length of 1065 px.
 
 World NED and FRD, SI. Places count from where the vehicle was at the moment asked for.
 """
@@ -21,8 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.config import VehicleConfig
-from companion.geometry import (
+from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
@@ -33,12 +32,13 @@ from companion.geometry import (
     quat_rotate,
     vector3,
 )
+from companion.config import VehicleConfig
 from sitl.autopilot import ESTIMATORS, Autopilot
-from sitl.inertial import ImuErrors
-from sitl.scenario import Scenario, load_scenario
-from sitl.simulation import HOME, PHYSICS_STEP_S
-from sitl.wind import WindSettings
-from sitl.world import World
+from sitl.run.simulation import HOME, PHYSICS_STEP_S
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.sensors.inertial import ImuErrors
+from sitl.world.wind import WindSettings
+from sitl.world.world import World
 
 WIND: Final = WindSettings(mean_m_s=5.0, turbulence="moderate")
 HEIGHT_M: Final = 6.0
@@ -145,7 +145,7 @@ class Moment:
         return add((x, y, z), quat_rotate(attitude, shaken)), attitude
 
     def _vibration(self, since_s: float) -> tuple[Vector3, Vector3]:
-        """Displacement (m) and small turn (rad), body axes, by integrals of what `sitl.inertial` adds."""
+        """Displacement (m) and small turn (rad), body axes, by integrals of `sitl.sensors.inertial`."""
         turn_rate, turn = self.rotor_rate_rad_s, self.shaken_rad
         phase = self.rotor_phase_rad + turn_rate * since_s
         s, c, s2, c2 = math.sin(phase), math.cos(phase), math.sin(2.0 * phase), math.cos(2.0 * phase)

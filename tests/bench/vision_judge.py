@@ -21,11 +21,11 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.geometry import FloatArray, Quaternion, quat_conjugate, quat_multiply, quat_rotate
+from companion.base.messages import PadSighting
 from companion.config import CameraConfig, VisionConfig
-from companion.geometry import FloatArray, Quaternion, quat_conjugate, quat_multiply, quat_rotate
-from companion.messages import PadSighting
-from companion.sense.aruco import Detection
-from companion.sense.vision import Vision
+from companion.sense.vision.aruco import Detection
+from companion.sense.vision.pipeline import Vision
 from tests.bench.vision_shots import ATTITUDE_STD_RAD, Shot, Stage, vehicle
 
 FLIP_RAD: Final = math.radians(10.0)

@@ -20,10 +20,10 @@ import cv2
 import numpy as np
 from rich.table import Table
 
+from companion.base.geometry import FloatArray
 from companion.config import VisionConfig
-from companion.geometry import FloatArray
-from companion.sense.aruco import CodeReader
-from companion.sense.corners import refine_quads
+from companion.sense.vision.aruco import CodeReader
+from companion.sense.vision.corners import refine_quads
 
 REFERENCES: Final = "gold_corners.json"
 OWN_DICTIONARY: Final = ("gb", "tutorial_dict.yml")

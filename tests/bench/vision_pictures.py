@@ -12,7 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sitl.textures import GreyImage
+from sitl.camera.textures import GreyImage
 from tests.bench.vision_cases import MOST_TILT_RAD, Case
 from tests.bench.vision_clutter import clutter_shots
 from tests.bench.vision_shots import Stage

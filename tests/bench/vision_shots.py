@@ -19,9 +19,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from companion.config import CameraConfig, VehicleConfig, find_file, load_model
-from companion.estimate.estimator import READOUT_S
-from companion.geometry import (
+from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
@@ -39,11 +37,13 @@ from companion.geometry import (
     subtract,
     vector3,
 )
-from companion.messages import Frame, MarkerGroup, PadPrior
+from companion.base.messages import Frame, MarkerGroup, PadPrior
+from companion.config import CameraConfig, VehicleConfig, find_file, load_model
+from companion.estimate.estimator import READOUT_S
 from companion.pad import Marker, Pad, load_pad
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings
-from sitl.textures import Texture
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings
+from sitl.camera.textures import Texture
 from tests.bench.vision_hover import Moment
 
 SHIPPED_PAD: Final = "moving_1300"

@@ -18,8 +18,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from companion.config import VisionConfig
-from companion.geometry import (
+from companion.base.geometry import (
     Quaternion,
     Vector3,
     quat_conjugate,
@@ -30,7 +29,8 @@ from companion.geometry import (
     quat_rotate_inverse,
     yaw_from_quat,
 )
-from companion.messages import Frame, PadPrior, PadSighting
+from companion.base.messages import Frame, PadPrior, PadSighting
+from companion.config import VisionConfig
 from companion.pad import DICTIONARIES, Pad
 from tests.bench.vision_cases import SEED
 from tests.bench.vision_judge import eyes

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from tests.bench.autopilot_record import ON_GROUND, Record
 
 SET_MESSAGE_INTERVAL: Final = 511

@@ -9,14 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.config import EkfConfig
-from companion.estimate import ekf_model as model
-from companion.estimate.complementary import blend
-from companion.estimate.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
-from companion.estimate.ekf_start import InitialState
-from companion.estimate.gating import Timeline
-from companion.estimate.madgwick import align
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     quat_conjugate,
@@ -26,6 +19,13 @@ from companion.geometry import (
     rotation_vector_from_quat,
     vector3,
 )
+from companion.config import EkfConfig
+from companion.estimate.ahrs.complementary import blend
+from companion.estimate.ahrs.madgwick import align
+from companion.estimate.gating import Timeline
+from companion.estimate.vehicle import ekf_model as model
+from companion.estimate.vehicle.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf_start import InitialState
 
 FIELD = (20.9, 0.6, 42.9)
 angles = st.floats(-math.pi, math.pi)

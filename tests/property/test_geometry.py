@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion import geometry as g
+from companion.base import geometry as g
 
 angles = st.floats(-math.pi, math.pi)
 components = st.floats(-100.0, 100.0)

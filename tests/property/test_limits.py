@@ -5,10 +5,10 @@ import math
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from companion.base.geometry import GRAVITY_M_S2, Vector3, level_acceleration, norm, subtract, tilt_from_quat
+from companion.base.messages import Setpoint
 from companion.config import LimitsConfig
 from companion.control.limits import LONGEST_STEP_S, LimitsGate
-from companion.geometry import GRAVITY_M_S2, Vector3, level_acceleration, norm, subtract, tilt_from_quat
-from companion.messages import Setpoint
 
 CONFIG = LimitsConfig()
 HOVER_THRUST = 0.5

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, matrix_from_quat, norm, quat_from_euler
-from sitl.contact import Contact
-from sitl.ground import Board, thrust_ratio
-from sitl.pad_motion import PadTruth, build_pad_motion
-from sitl.pad_paths import FigureEightMotion
-from sitl.quadrotor import Four, Quadrotor, QuadrotorState
-from sitl.scenario import load_airframe
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, matrix_from_quat, norm, quat_from_euler
+from sitl.pad.motion import PadTruth, build_pad_motion
+from sitl.pad.paths import FigureEightMotion
+from sitl.scenario.scenario import load_airframe
+from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorState
+from sitl.world.contact import Contact
+from sitl.world.ground import Board, thrust_ratio
 
 DT = 0.0025
 X500 = load_airframe("x500")

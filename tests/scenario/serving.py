@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from companion.base.messages import Manner
 from companion.config import CONFIG_FOLDER
-from companion.messages import Manner
 
 START_TIMEOUT_S = 30.0
 

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.messages import Manner, Outcome, Phase
 from companion.config import CONFIG_FOLDER
-from companion.desk import DeskFlight, Trial, desk_settings, fly
-from companion.messages import Manner, Outcome, Phase
-from companion.record import FlightLog
-from sitl.sensor_telemetry import SensorMessages
+from companion.flightlog.record import FlightLog
+from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
+from sitl.mavlink.sensor_telemetry import SensorMessages
 from tests.scenario.flying import fly as fly_command
 from tests.scenario.flying import run, scenario_file
 from tests.scenario.test_faults import failing, texts

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from tests.scenario.serving import serving
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"

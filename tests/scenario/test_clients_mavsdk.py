@@ -22,7 +22,7 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.mission_raw import MissionItem
 from mavsdk.plugins.offboard import AccelerationNed, Attitude, PositionNedYaw, VelocityNedYaw
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from tests.scenario.serving import serving
 
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down

@@ -17,9 +17,9 @@ from pymavlink import mavutil
 
 from companion.cli import LATE_S
 from sitl.devices.ports import MemoryPort
-from sitl.external_link import open_relay
-from sitl.scenario import Scenario, load_scenario
-from sitl.simulation import Simulation
+from sitl.external.link import open_relay
+from sitl.run.simulation import Simulation
+from sitl.scenario.scenario import Scenario, load_scenario
 from tests.scenario.flying import COMMAND, ROOT, environment, scenario_file
 
 FLIGHT_TIMEOUT_S = 180.0

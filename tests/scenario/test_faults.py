@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
+from companion.base.messages import ActionKind, Outcome
 from companion.config import CONFIG_FOLDER
 from companion.control.controller import Controller
-from companion.desk import DeskFlight, Trial, desk_settings, fly
-from companion.messages import ActionKind, Outcome
-from companion.record import FlightLog
-from companion.sense.neo6m import Neo6m
-from companion.sense.vision import Vision
+from companion.flightlog.record import FlightLog
+from companion.sense.gps.neo6m import Neo6m
+from companion.sense.vision.pipeline import Vision
+from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
 from sitl.devices.mpu9250 import Mpu9250Device
 
 # by then the vehicle is on its way down to the pad

@@ -14,13 +14,14 @@ from typing import Any, NoReturn
 
 import pytest
 
-from companion import cli, desk
+from companion import cli
+from companion.base.messages import Manner, Outcome, Phase
 from companion.config import ConfigError
-from companion.desk import SimulatorError, SimulatorProcess, Trial
-from companion.flights import Answer, answer
-from companion.messages import Manner, Outcome, Phase
+from companion.sim import runner
+from companion.sim.flights import Answer, answer
+from companion.sim.runner import SimulatorError, SimulatorProcess, Trial
 from sitl.firmware import px4, start
-from sitl.server import Service, _kept_free
+from sitl.run.server import Service, _kept_free
 from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started
 from tests.unit.sitl.campaign_parts import scenario_file
 from tests.unit.sitl.external_vehicle import ARDUPILOT, Sender, heartbeat
@@ -88,7 +89,7 @@ def test_nothing_is_left_when_the_apps_settings_are_wrong(
     def refuses(*_: object) -> NoReturn:
         raise ConfigError("a.yaml: wrong")
 
-    monkeypatch.setattr(desk, "App", refuses)
+    monkeypatch.setattr(runner, "App", refuses)
     program = fake("px4", tmp_path)
     assert asked(program, scenario_file(tmp_path)).refused == "a.yaml: wrong"
     assert program.is_gone

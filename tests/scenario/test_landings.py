@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from sitl.campaign import SCENARIOS
-from sitl.scenario import load_scenario
+from sitl.scenario.scenario import load_scenario
 from tests.scenario.flying import fly, scenario_file
 
 HARDER = ("deck", "glare", "random_turns", "waypoints", "weak_motor")

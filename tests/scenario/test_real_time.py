@@ -17,7 +17,7 @@ import yaml
 from pymavlink import mavutil
 
 from companion.cli import LATE_S
-from sitl.report import read_report
+from sitl.run.report import read_report
 from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
 
 DESK = ("--sitl", "--no-ui", "--scenario", "line", "--seed", "0")

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.desk import Trial
-from companion.messages import PadSighting
-from sitl.faults import FrameLate, FrameLost, RangeSpikes
+from companion.base.messages import PadSighting
+from companion.sim.runner import Trial
+from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
 from tests.bench.streams import (
     INPUTS,
     Event,

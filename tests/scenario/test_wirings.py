@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from companion.clock import Clock
+from companion.app.hardware import Hardware, open_hardware
+from companion.base.clock import Clock
+from companion.base.messages import Outcome
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, merge, validate
-from companion.desk import DeskFlight, SimulatorProcess, Trial, desk_settings, fly
-from companion.hardware import Hardware, open_hardware
-from companion.messages import Outcome
-from companion.record import FlightLog
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.neo6m import Neo6m
-from companion.sense.range_finder import make_range_finder
+from companion.flightlog.record import FlightLog
+from companion.sense.gps.neo6m import Neo6m
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.range.range_finder import make_range_finder
+from companion.sim.runner import DeskFlight, SimulatorProcess, Trial, desk_settings, fly
 from tests.scenario.flying import scenario_file
 
 PATIENCE_S = 40.0

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from tests.bench.consistency import band, consistency, nees, recovery_s
 
 COVARIANCE = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, 0.5], [0.0, 0.5, 1.0]])

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from companion.base.messages import Manner
 from companion.config import ConfigError
-from companion.messages import Manner
 from sitl.campaign.manifest import Flight
 from sitl.campaign.rows import Row
 from sitl.firmware.spec import FirmwareSpec
-from sitl.scenario import Scenario, load_scenario
+from sitl.scenario.scenario import Scenario, load_scenario
 from tests.bench import bench_firmware
 from tests.bench.bench_firmware import judge, line, main, median_bar
 from tests.bench.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights

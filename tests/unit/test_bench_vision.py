@@ -8,18 +8,18 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.config import VisionConfig
-from companion.geometry import (
+from companion.base.geometry import (
     quat_conjugate,
     quat_from_euler,
     quat_from_rotation_vector,
     quat_multiply,
     quat_rotate,
 )
-from companion.messages import PadSighting
-from companion.sense.aruco import GROUPS, PadDetector, SearchPass
-from sitl.scene_camera import ground_otherwise
-from sitl.simulation import PHYSICS_STEP_S
+from companion.base.messages import PadSighting
+from companion.config import VisionConfig
+from companion.sense.vision.aruco import GROUPS, PadDetector, SearchPass
+from sitl.run.scene_camera import ground_otherwise
+from sitl.run.simulation import PHYSICS_STEP_S
 from tests.bench import vision_hover
 from tests.bench.vision_cases import Case, Outcome
 from tests.bench.vision_clutter import clutter_board, random_code

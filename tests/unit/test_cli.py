@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from companion.base.messages import Outcome
 from companion.cli import EXIT_CODES, next_flight_folder
-from companion.messages import Outcome
 
 
 def test_every_outcome_has_an_exit_code_of_its_own() -> None:

@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from companion import cli, desk
+from companion import cli
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.desk import SimulatorError, SimulatorProcess, Trial, desk_settings
-from companion.external import External
+from companion.sim import runner
+from companion.sim.external import External
+from companion.sim.runner import SimulatorError, SimulatorProcess, Trial, desk_settings
 
 UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
 
@@ -92,8 +93,8 @@ async def test_an_autopilot_that_is_not_there_is_said_in_the_worlds_own_words(tm
 async def test_what_the_world_waits_for_is_said_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(desk, "EXTERNAL_START_TIMEOUT_S", 1.0)
-    monkeypatch.setattr(desk, "WORDS_PERIOD_S", 0.05)
+    monkeypatch.setattr(runner, "EXTERNAL_START_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(runner, "WORDS_PERIOD_S", 0.05)
     words = tmp_path / "stderr"
     words.write_text("companion-sitl: waiting for a vehicle\n")
     silent = await asyncio.create_subprocess_exec("sleep", "60", stdout=asyncio.subprocess.PIPE)

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from companion.clock import Clock, NothingScheduled, run_in_virtual_time
+from companion.base.clock import Clock, NothingScheduled, run_in_virtual_time
 
 
 async def test_a_real_loop_is_not_virtual() -> None:

@@ -34,12 +34,12 @@ from companion.config import (
     load_config,
     validate,
 )
-from companion.experiments.command import app as experiments_cli
-from companion.result import Result
+from companion.flightlog.result import Result
+from companion.research.command import app as experiments_cli
 from docs import settings_table
 from sitl.campaign import SCENARIOS
 from sitl.cli import cli as sitl_cli
-from sitl.scenario import Scenario, load_scenario
+from sitl.scenario.scenario import Scenario, load_scenario
 
 ROOT = CONFIG_FOLDER.parent
 PAGES = {page.name: page for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
@@ -88,7 +88,7 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
         "calibrate-magnetometer": "calibration.magnetometer.command",
         "calibrate-mount": "calibration.mount.command",
         "calibrate-camera": "calibration.camera.command",
-        "companion-experiments": "companion.experiments.command",
+        "companion-experiments": "companion.research.command",
     }
     module = [ours[words[0]], *words[1:]] if words[0] in ours else words[2:]
     return subprocess.run(

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from companion.app.calibration_warnings import forced_calibrations
 from companion.config import CameraConfig, CompanionConfig, find_file, load_model
-from companion.doubts import forced_calibrations
 
 PROVENANCE = {"tool": "t", "source": "s", "date": "2026-01-01T00:00:00+00:00", "samples": 4}
 QUALITY = {

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.files import write_atomically
 from companion.config import ConfigError
-from companion.files import write_atomically
 
 
 def test_a_file_is_replaced_whole(tmp_path: Path) -> None:

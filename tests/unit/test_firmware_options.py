@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from companion import cli
+from companion.base.messages import Manner
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.desk import Trial, desk_settings
-from companion.external import External
-from companion.flights import Request
-from companion.messages import Manner
+from companion.sim.external import External
+from companion.sim.flights import Request
+from companion.sim.runner import Trial, desk_settings
 from sitl import cli as simulator
 from sitl.campaign.manifest import Flight, check_goes_on, make_plan
 from sitl.campaign.worker import Worker

@@ -7,8 +7,8 @@ import json
 
 import pytest
 
-from companion import flights
-from companion.flights import Answer, Request, answer
+from companion.sim import flights
+from companion.sim.flights import Answer, Request, answer
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from companion import hardware
+from companion.app import hardware
 from companion.config import CompanionConfig, SenseConfig
 from companion.config.reading import validate
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.base.geometry import IDENTITY, ZERO3
+from companion.base.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
 from companion.config import (
     CONFIG_FOLDER,
     CompanionConfig,
@@ -16,10 +18,8 @@ from companion.config import (
     load_config,
     load_vehicle,
 )
-from companion.geometry import IDENTITY, ZERO3
-from companion.identify import identify_command, read_flight
-from companion.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
-from companion.record import FlightLog
+from companion.flightlog.record import FlightLog
+from companion.tools.identify import identify_command, read_flight
 
 PERIOD_S = 1.0 / 30.0
 HOVER_THRUST = 0.56

@@ -2,7 +2,7 @@
 
 import pytest
 
-from companion.magnetic_field import field_ned_ut
+from companion.base.magnetic_field import field_ned_ut
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,10 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.message_json import encode, schema_of
+from companion.base.messages import Frame, ImuSample, Notice, PadSighting, PlanStep, Reference, VehicleState
 from companion.config import ConfigError
-from companion.message_json import encode, schema_of
-from companion.messages import Frame, ImuSample, Notice, PadSighting, PlanStep, Reference, VehicleState
-from companion.record import FlightLog, split_packets
+from companion.flightlog.record import FlightLog, split_packets
 
 START_UNIX_S = 1.7e9
 
@@ -137,7 +137,7 @@ def test_a_full_disk_ends_the_log_and_says_so_but_raises_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = FlightLog(tmp_path, START_UNIX_S)
-    monkeypatch.setattr("companion.record._TlogFile.write", _raise_full)
+    monkeypatch.setattr("companion.flightlog.record._TlogFile.write", _raise_full)
     log.write_mavlink(heartbeats(1)[0], 1.0, "in")
     log.write("notice", Notice(1.0, "a", "b"), 1.0)
     log.close()
@@ -146,7 +146,7 @@ def test_a_full_disk_ends_the_log_and_says_so_but_raises_nothing(
 
 def test_what_the_disk_lost_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = FlightLog(tmp_path, START_UNIX_S)
-    monkeypatch.setattr("companion.record._McapFile.write", _raise_full)
+    monkeypatch.setattr("companion.flightlog.record._McapFile.write", _raise_full)
     log.write("imu", imu(0.0), 0.0)
     until_told = threading.Event()
     for _ in range(200):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from companion.config import Box, Cylinder
-from companion.geometry import ZERO3, quat_from_euler, quat_rotate_inverse, subtract
-from companion.messages import (
+from companion.base.geometry import ZERO3, quat_from_euler, quat_rotate_inverse, subtract
+from companion.base.messages import (
     ControlReport,
     FrameReport,
     Outcome,
@@ -23,8 +22,9 @@ from companion.messages import (
     Truth,
     VehicleState,
 )
-from companion.report import outline_m, result_table, write_plots
-from companion.result import (
+from companion.config import Box, Cylinder
+from companion.flightlog.report import outline_m, result_table, write_plots
+from companion.flightlog.result import (
     Result,
     TruthTrack,
     build_result,

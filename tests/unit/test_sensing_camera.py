@@ -9,22 +9,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.check.samples import Samples
-from companion.check.session import Outlets, PadCheck
-from companion.check.steps import Say
-from companion.clock import Clock, run_in_virtual_time
+from companion.app.hardware import Hardware
+from companion.app.sensing import Sensing
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Frame
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig, find_file, load_model
-from companion.hardware import Hardware
+from companion.flightlog.record import FlightLog
 from companion.link.transport import memory_pair
-from companion.messages import Frame
 from companion.pad import load_pad
-from companion.record import FlightLog
-from companion.sense.camera_health import patience_with
-from companion.sense.camera_keeper import KeptCamera, LiveSource
-from companion.sense.vision import Vision
-from companion.sensing import Sensing
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings
+from companion.sense.camera.health import patience_with
+from companion.sense.camera.keeper import KeptCamera, LiveSource
+from companion.sense.vision.pipeline import Vision
+from companion.tools.check.samples import Samples
+from companion.tools.check.session import Outlets, PadCheck
+from companion.tools.check.steps import Say
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings
 from tests.unit.sense.camera_frames import ScriptedCamera
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.service import ServiceNotifier
+from companion.app.systemd import ServiceNotifier
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from companion.slots import Slot
+from companion.base.slots import Slot
 
 
 async def test_a_slow_reader_sees_the_newest_value_only() -> None:

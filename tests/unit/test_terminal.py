@@ -5,10 +5,10 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from companion.app import Status
-from companion.geometry import ZERO3
-from companion.messages import FrameReport, Notice, PadState, Phase, VehicleState
-from companion.terminal import StatusView
+from companion.app.app import Status
+from companion.app.terminal import StatusView
+from companion.base.geometry import ZERO3
+from companion.base.messages import FrameReport, Notice, PadState, Phase, VehicleState
 
 VEHICLE = VehicleState(
     1.0, (1, 0, 0, 0), ZERO3, (0.0, 0.0, -6.5), ZERO3, ZERO3, ZERO3, ZERO3, 0, 0, 0, True, True

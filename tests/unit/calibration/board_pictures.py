@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from calibration.camera.board import Board
 from calibration.camera.detection import View
+from companion.base.geometry import FloatArray
 from companion.config import CameraConfig
-from companion.geometry import FloatArray
 
 FINER: Final = 3  # samples along a pixel's side
 MESH_PX: Final = 4

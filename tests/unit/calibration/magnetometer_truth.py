@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 
 FIELD_UT = 48.0
 DIP_RAD = 1.1

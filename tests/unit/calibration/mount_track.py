@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.mount.rotations import exp, log, transposed
 from calibration.mount.samples import Inertial, Sightings
-from companion.geometry import GRAVITY_M_S2, FloatArray, matrix_from_quat, quat_from_euler
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, matrix_from_quat, quat_from_euler
 
 H = 1e-4
 

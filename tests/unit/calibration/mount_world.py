@@ -15,12 +15,12 @@ from calibration.mount.devices import Boards
 from calibration.mount.rotations import exp, log, nearest_rotation
 from calibration.mount.shared import OpenBoards
 from calibration.mount.solve import Solution
-from companion.clock import run_in_virtual_time
+from companion.base.clock import run_in_virtual_time
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import CompanionConfig, InertialCalibration, find_file, merge, validate
-from companion.geometry import GRAVITY_M_S2, FloatArray
-from sitl.hand_paths import HandMotion
-from sitl.in_process import InProcess, carried
-from sitl.scenario import Scenario, load_scenario
+from sitl.run.in_process import InProcess, carried
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.vehicle.hand_paths import HandMotion
 
 
 @dataclass

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calibration.camera.board import Board
+from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
-from companion.geometry import FloatArray
 from tests.unit.calibration.board_pictures import BLACK, WHITE, BoardPainter, Pose
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))

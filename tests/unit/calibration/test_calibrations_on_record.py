@@ -23,10 +23,10 @@ from companion.config import (
     validate,
 )
 from companion.config.calibration import Provenance
-from companion.desk import Trial, calibrations_left_out, desk_settings, fly
-from companion.record import FlightLog
-from companion.replay.mcap_log import read_mcap
-from companion.replay.settings import choose
+from companion.flightlog.record import FlightLog
+from companion.flightlog.replay.mcap_log import read_mcap
+from companion.flightlog.replay.settings import choose
+from companion.sim.runner import Trial, calibrations_left_out, desk_settings, fly
 from tests.unit.calibration.mount_world import Held, record_sway, scenario_of
 
 ORIGIN = Provenance(tool="t", source="s", date="d", samples=1)

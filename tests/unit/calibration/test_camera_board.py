@@ -13,8 +13,8 @@ import pytest
 from calibration.camera.board import Board, read_dictionary
 from calibration.camera.detection import BoardFinder
 from calibration.camera.printing import board_yaml, pattern_corner_mm, sheet_mm, write_board
+from companion.base.paper import PaperName
 from companion.config import CONFIG_FOLDER, ConfigError, load_model, validate
-from companion.paper import PaperName
 
 CHARUCO = Board(columns=7, rows=5, square_m=0.034, marker_m=0.025)
 LEGACY = Board(columns=5, rows=6, square_m=0.03, marker_m=0.02, legacy_pattern=True)

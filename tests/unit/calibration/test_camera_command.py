@@ -17,10 +17,10 @@ from calibration.camera.board import Board
 from calibration.camera.command import NAME, app
 from calibration.camera.printing import board_yaml
 from calibration.command_line import run
+from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model
-from companion.messages import Frame
-from companion.sense.camera import open_camera
-from sitl.frame_server import FrameServer
+from companion.sense.camera.source import open_camera
+from sitl.camera.frame_server import FrameServer
 from tests.unit.calibration.board_pictures import BoardPainter, hand_held_poses, tour_poses
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))

@@ -16,8 +16,8 @@ from calibration.camera.quality import Assessment, assess, unfolded_share
 from calibration.camera.solving import solve
 from calibration.camera.uncertainty import projection_std_px, uncertainty
 from calibration.camera.weights import usual_variance
+from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
-from companion.geometry import FloatArray
 from tests.unit.calibration.board_pictures import BoardPainter, Pose, hand_held_poses, ideal_view, tour_poses
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))

@@ -10,10 +10,10 @@ import yaml
 
 from calibration.command_line import run
 from calibration.magnetometer import command
+from companion.base.geometry import FloatArray
+from companion.base.magnetic_field import field_ned_ut
 from companion.config import ConfigError, load_model
 from companion.config.magnetometer import MagnetometerCalibration
-from companion.geometry import FloatArray
-from companion.magnetic_field import field_ned_ut
 from tests.unit.calibration.magnetometer_truth import FIELD_UT, turned
 
 CASE = turned(11, samples=1500)

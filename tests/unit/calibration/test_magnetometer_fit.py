@@ -9,7 +9,7 @@ from calibration.magnetometer.alignment import align, dip_of
 from calibration.magnetometer.distance import distance, pack, unpack
 from calibration.magnetometer.ellipsoid import Ellipsoid, NoEllipsoidError, algebraic_fit
 from calibration.magnetometer.fit import EllipsoidFit, fit_ellipsoid, whiteness_sigma
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from tests.unit.calibration.magnetometer_truth import DIP_RAD, FIELD_UT, Turned, turned
 
 SEEDS = range(16)

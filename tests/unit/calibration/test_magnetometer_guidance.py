@@ -10,7 +10,7 @@ import pytest
 from calibration.magnetometer.coverage import CELLS, BoolArray, covered_cells, covered_share, lattice
 from calibration.magnetometer.coverage_map import picture, text_map
 from calibration.magnetometer.guidance import hint, progress
-from companion.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
+from companion.base.geometry import FloatArray, matrix_from_quat, quat_from_rotation_vector, vector3
 from tests.unit.calibration.magnetometer_truth import turned
 
 CENTRES = lattice(CELLS)

@@ -10,12 +10,12 @@ import pytest
 from calibration.magnetometer.calibrate import calibrate
 from calibration.magnetometer.recording import Recording
 from calibration.magnetometer.report import yaml_text
+from companion.app.sensing import Sensing, load_used_magnetometer
+from companion.base.geometry import matrix_from_quat, quat_from_euler
+from companion.base.messages import MagSample
 from companion.config import CompanionConfig, ConfigError, ImuConfig, SenseConfig
 from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
-from companion.geometry import matrix_from_quat, quat_from_euler
-from companion.messages import MagSample
-from companion.sense.mpu9250 import Mpu9250
-from companion.sensing import Sensing, load_used_magnetometer
+from companion.sense.imu.mpu9250 import Mpu9250
 from tests.unit.calibration.magnetometer_truth import turned
 from tests.unit.sense.imu_rig import FIELD, REST, STILL, Rig
 

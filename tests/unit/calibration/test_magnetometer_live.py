@@ -14,15 +14,15 @@ from rich.console import Console
 from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
 from calibration.magnetometer.collecting import ENOUGH, Limits, collect
 from calibration.magnetometer.live import Autopilot, Chip
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError, ImuConfig
-from companion.geometry import FloatArray
 from companion.link.transport import memory_pair
-from companion.sense.mpu9250 import Mpu9250
-from sitl.hand_paths import HandMotion
-from sitl.in_process import InProcess, carried
-from sitl.scenario import Scenario, load_scenario
-from sitl.simulation import MAGNETIC_FIELD_NED_UT
+from companion.sense.imu.mpu9250 import Mpu9250
+from sitl.run.in_process import InProcess, carried
+from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.vehicle.hand_paths import HandMotion
 
 FIELD = TrueField(MAGNETIC_FIELD_NED_UT, "the simulator's")
 

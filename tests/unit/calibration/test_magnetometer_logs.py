@@ -13,13 +13,13 @@ from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
 from calibration.magnetometer.onboard import NAMES, Onboard, onboard_of, parameters_for
 from calibration.magnetometer.recording import Recording
 from calibration.magnetometer.sources import read_recording
+from companion.base.geometry import FloatArray, vector3
+from companion.base.messages import ImuSample, MagSample, Manner
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
 from companion.config.magnetometer import Sensor
-from companion.geometry import FloatArray, vector3
+from companion.flightlog.record import FlightLog
 from companion.link.codec import Codec, mavlink
-from companion.messages import ImuSample, MagSample, Manner
 from companion.pad import load_pad
-from companion.record import FlightLog
 from tests.unit.calibration.magnetometer_truth import Turned, turned
 from tests.unit.replay.log_files import DataFlash
 

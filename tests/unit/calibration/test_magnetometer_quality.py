@@ -13,7 +13,7 @@ from calibration.magnetometer.ellipsoid import Ellipsoid
 from calibration.magnetometer.fit import EllipsoidFit
 from calibration.magnetometer.quality import Figures, judge
 from calibration.magnetometer.recording import Recording
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from tests.unit.calibration.magnetometer_truth import FIELD_UT, turned
 
 GOOD_FIT = EllipsoidFit(

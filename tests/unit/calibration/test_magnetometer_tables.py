@@ -10,8 +10,8 @@ import pytest
 from calibration.magnetometer.recording import Recording
 from calibration.magnetometer.sources import read_recording
 from calibration.magnetometer.tables import read_numpy_table, read_text_table
+from companion.base.geometry import FloatArray
 from companion.config import ConfigError
-from companion.geometry import FloatArray
 from tests.unit.calibration.magnetometer_truth import turned
 
 RAW = turned(0, samples=80).raw

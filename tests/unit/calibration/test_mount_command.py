@@ -21,7 +21,9 @@ from calibration.mount.recording import read_recording
 from calibration.mount.result import camera_angles_deg, shutter_s
 from calibration.mount.shared import NAME
 from calibration.mount.solve import solve
-from companion.clock import run_in_virtual_time
+from companion.base.clock import run_in_virtual_time
+from companion.base.geometry import IDENTITY, matrix_from_quat
+from companion.base.messages import Frame, ImuSample, PadSighting
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -34,13 +36,11 @@ from companion.config import (
     load_vehicle,
     validate,
 )
-from companion.geometry import IDENTITY, matrix_from_quat
-from companion.messages import Frame, ImuSample, PadSighting
+from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
-from companion.record import FlightLog
-from companion.sense.camera import at_exposure
-from companion.sense.vision import body_from_camera
-from sitl.camera import body_from_camera as simulated_body_from_camera
+from companion.sense.camera.source import at_exposure
+from companion.sense.vision.pipeline import body_from_camera
+from sitl.camera.camera import body_from_camera as simulated_body_from_camera
 from tests.unit.calibration.mount_world import Held, record_sway, scenario_of
 
 MOUNT_DEG = (2.0, -3.0, 1.5)
@@ -244,7 +244,7 @@ def test_a_card_that_is_full_at_the_end_is_told(
     def full(_file: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("companion.record._McapFile.close", full)
+    monkeypatch.setattr("companion.flightlog.record._McapFile.close", full)
     assert calibrate("record", tmp_path / "new", "--seconds", "5") == 2
     assert "No space left on device" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()

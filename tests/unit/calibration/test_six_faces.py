@@ -26,10 +26,10 @@ from calibration.mount.six_faces import (
     mounting_matrix,
 )
 from calibration.mount.table import canonical, read_table
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance
-from companion.geometry import GRAVITY_M_S2, FloatArray
-from companion.sense.mounting import body_axes
+from companion.sense.imu.mounting import body_axes
 from tests.unit.sense.imu_rig import Rig
 
 USUAL = (180.0, 0.0, 0.0)

@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import yaml
 
-from companion.check.causes import Mounting
-from companion.check.samples import Samples
-from companion.check.session import Outlets, PadCheck
-from companion.check.steps import Say
-from companion.check.wizard import Report
-from companion.clock import Clock, run_in_virtual_time
+from companion.app.hardware import Hardware
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
-from companion.desk import SIMULATED_HARDWARE
-from companion.hardware import Hardware
 from companion.link.transport import memory_pair
-from companion.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
-from companion.sense.camera import FrameSource
-from sitl.hand_paths import HandMotion
-from sitl.in_process import carried
-from sitl.scenario import Scenario
+from companion.sense.camera.source import FrameSource
+from companion.sim.runner import SIMULATED_HARDWARE
+from companion.tools.check.causes import Mounting
+from companion.tools.check.samples import Samples
+from companion.tools.check.session import Outlets, PadCheck
+from companion.tools.check.steps import Say
+from companion.tools.check.wizard import Report
+from sitl.run.in_process import carried
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.hand_paths import HandMotion
 
 SEED = 3
 # as the shipped settings have it

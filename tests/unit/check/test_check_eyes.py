@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from companion.check.eyes import CheckingEyes
-from companion.messages import Frame, PadPrior
-from companion.sense.vision import VisionResult
+from companion.base.messages import Frame, PadPrior
+from companion.sense.vision.pipeline import VisionResult
+from companion.tools.check.eyes import CheckingEyes
 
 IMAGE = np.tile(np.arange(64, dtype=np.uint8), (48, 1))
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.check.picture import draw
-from companion.check.wizard import Wizard
+from companion.base.geometry import IDENTITY
+from companion.base.messages import Frame, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
-from companion.geometry import IDENTITY
-from companion.messages import Frame, PadSighting
 from companion.pad import load_pad
-from companion.sense.vision import Vision
+from companion.sense.vision.pipeline import Vision
+from companion.tools.check.picture import draw
+from companion.tools.check.wizard import Wizard
 from tests.unit.check.hand_check import MOUNTING
 
 GREEN, RED = (80, 220, 80), (60, 60, 255)  # forward, right; blue, green, red

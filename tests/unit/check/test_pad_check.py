@@ -12,12 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.check.report import cause_lines, report_json, verdict_line
-from companion.check.samples import Samples
-from companion.check.steps import STEPS, Say
-from companion.check.wizard import STEP_TIMEOUT_S, Report, Wizard
-from companion.config import ConfigError
-from companion.geometry import (
+from companion.base.geometry import (
     Quaternion,
     Vector3,
     quat_from_euler,
@@ -26,7 +21,12 @@ from companion.geometry import (
     quat_rotate_inverse,
     scale,
 )
-from companion.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
+from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
+from companion.config import ConfigError
+from companion.tools.check.report import cause_lines, report_json, verdict_line
+from companion.tools.check.samples import Samples
+from companion.tools.check.steps import STEPS, Say
+from companion.tools.check.wizard import STEP_TIMEOUT_S, Report, Wizard
 from tests.unit.check.hand_check import MOUNTING, Checked, check, mirrored, settings, vehicle_file
 
 QUESTIONS = (

@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.config import ControlConfig, VehicleConfig
-from companion.control.controller import Controller
-from companion.geometry import (
+from companion.base.geometry import (
     IDENTITY,
     ZERO3,
     FloatArray,
@@ -24,7 +22,17 @@ from companion.geometry import (
     scale,
     subtract,
 )
-from companion.messages import ControlReport, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from companion.base.messages import (
+    ControlReport,
+    PadState,
+    Phase,
+    PlanStep,
+    Reference,
+    Setpoint,
+    VehicleState,
+)
+from companion.config import ControlConfig, VehicleConfig
+from companion.control.controller import Controller
 from tests.unit.control.control_vehicles import (
     AttitudeAutopilot,
     SwayingAutopilot,

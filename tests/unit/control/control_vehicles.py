@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.control.attitude import attitude_from_acceleration
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
@@ -26,7 +25,8 @@ from companion.geometry import (
     scale,
     subtract,
 )
-from companion.messages import Setpoint
+from companion.base.messages import Setpoint
+from companion.control.attitude import attitude_from_acceleration
 
 
 @dataclass

@@ -4,12 +4,7 @@ import math
 
 import pytest
 
-from companion.control.attitude import (
-    attitude_from_acceleration,
-    force_from_acceleration,
-    thrust_from_acceleration,
-)
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     Vector3,
     euler_from_quat,
@@ -18,6 +13,11 @@ from companion.geometry import (
     quat_rotate,
     tilt_from_quat,
     yaw_from_quat,
+)
+from companion.control.attitude import (
+    attitude_from_acceleration,
+    force_from_acceleration,
+    thrust_from_acceleration,
 )
 
 HEADINGS_DEG = (0.0, 90.0, 180.0, 270.0, 33.0)

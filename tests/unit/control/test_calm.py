@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray
 from tests.unit.control.control_plants import (
     Flight,
     Loop,

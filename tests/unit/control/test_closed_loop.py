@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.geometry import ZERO3, Vector3, tilt_from_quat
+from companion.base.geometry import ZERO3, Vector3, tilt_from_quat
 from tests.unit.control.control_plants import (
     Loop,
     PadMotion,

@@ -7,10 +7,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from companion.config import ControlConfig
-from companion.control.attitude import attitude_from_acceleration
-from companion.control.controller import FAILURES_TO_STOP, Controller
-from companion.geometry import (
+from companion.base.geometry import (
     IDENTITY,
     ZERO3,
     Vector3,
@@ -18,7 +15,10 @@ from companion.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.messages import PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from companion.base.messages import PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from companion.config import ControlConfig
+from companion.control.attitude import attitude_from_acceleration
+from companion.control.controller import FAILURES_TO_STOP, Controller
 from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
 
 PERIOD_S = 1.0 / 30.0

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from companion.control.disturbance import LastingObserver, ThrustScale
-from companion.control.flight_model import advance_axis
-from companion.geometry import Vector3
+from companion.base.geometry import Vector3
+from companion.control.disturbance_observer import LastingObserver, ThrustScale
+from companion.control.response.flight_model import advance_axis
 
 PERIOD_S = 1.0 / 30.0
 TAU_S = 0.11

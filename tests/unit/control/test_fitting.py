@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from companion.base.messages import AutopilotSetup, Manner
 from companion.config import ARDUPILOT, PX4, AxisResponse, ControlConfig, KindResponse
-from companion.control.fitting import QUICK_S, fitted, hover_thrust, loop_rad_s, misfits
-from companion.messages import AutopilotSetup, Manner
+from companion.control.response.fitting import QUICK_S, fitted, hover_thrust, loop_rad_s, misfits
 from tests.unit.control.control_plants import vehicle_config
 
 CONFIG = ControlConfig()

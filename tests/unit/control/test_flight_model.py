@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from companion.base.messages import Manner
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
-from companion.control.flight_model import (
+from companion.control.response.flight_model import (
     Motion,
     advance,
     advance_axis,
@@ -13,7 +14,6 @@ from companion.control.flight_model import (
     lags,
     velocity_gains,
 )
-from companion.messages import Manner
 from tests.unit.control.control_plants import vehicle_config
 
 TAU_S = 0.18

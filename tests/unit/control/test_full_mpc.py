@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.control.full_mpc import (
+from companion.base.geometry import FloatArray
+from companion.research.model.full_mpc import (
     FullMpc,
     FullMpcConfig,
     FullSolution,
@@ -16,8 +17,8 @@ from companion.control.full_mpc import (
     load_full,
     within_reach,
 )
-from companion.control.nominal import NO_PUSH, Reference, along, push_effect
-from companion.control.quadrotor import (
+from companion.research.model.nominal import NO_PUSH, Reference, along, push_effect
+from companion.research.model.quadrotor import (
     ANGLES,
     PHI,
     POSITION,
@@ -28,7 +29,6 @@ from companion.control.quadrotor import (
     QuadrotorModel,
     load_quadrotor,
 )
-from companion.geometry import FloatArray
 
 MODEL = load_quadrotor("x500")
 CONFIG = load_full("full")

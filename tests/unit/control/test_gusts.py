@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from companion.base.geometry import Quaternion, Vector3, quat_from_euler, quat_multiply
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.disturbance import WindObserver
-from companion.geometry import Quaternion, Vector3, quat_from_euler, quat_multiply
+from companion.control.disturbance_observer import WindObserver
 
 PERIOD_S = 1.0 / 30.0
 SENSOR_LAG_S = 0.035

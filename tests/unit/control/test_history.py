@@ -2,8 +2,8 @@
 
 import pytest
 
-from companion.control.flight_model import Motion, advance
-from companion.control.history import Command, CommandHistory
+from companion.control.response.flight_model import Motion, advance
+from companion.control.response.history import Command, CommandHistory
 
 LAGS_S = (0.18, 0.18, 0.05)
 GAINS_1_S = (2.5, 2.5, 4.0)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from companion.control.flight_model import advance_axis
-from companion.control.identification import (
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
+from companion.control.response.flight_model import advance_axis
+from companion.control.response.identification import (
     Estimate,
     Flown,
     Response,
@@ -14,7 +15,6 @@ from companion.control.identification import (
     prediction_error_m_s,
     windows,
 )
-from companion.geometry import GRAVITY_M_S2, FloatArray
 
 PERIOD_S = 1.0 / 30.0
 DELAY_S = 0.06

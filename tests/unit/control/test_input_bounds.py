@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, tilt_from_quat, vector3
+from companion.base.messages import Setpoint
 from companion.config import LimitsConfig
 from companion.control.attitude import attitude_from_acceleration, thrust_from_acceleration
-from companion.control.input_bounds import input_bounds, input_rows, shrunk
 from companion.control.limits import LimitsGate
-from companion.geometry import GRAVITY_M_S2, FloatArray, tilt_from_quat, vector3
-from companion.messages import Setpoint
+from companion.control.mpc.input_bounds import input_bounds, input_rows, shrunk
 
 LIMITS = LimitsConfig()
 

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
+from companion.base.messages import LevelOff, Reference
 from companion.config import ControlConfig
-from companion.control.flight_model import Motion
-from companion.control.mpc import Mpc, Target
-from companion.control.pad_motion import resting_path
-from companion.control.target import make_target
-from companion.geometry import GRAVITY_M_S2, FloatArray
-from companion.messages import LevelOff, Reference
+from companion.control.mpc.mpc import Mpc, Target
+from companion.control.mpc.target import make_target
+from companion.control.pad_prediction import resting_path
+from companion.control.response.flight_model import Motion
 
 CONFIG = ControlConfig()
 N, DT = CONFIG.horizon_steps, CONFIG.step_s

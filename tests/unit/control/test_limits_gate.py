@@ -5,10 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.config import LimitsConfig
-from companion.control.attitude import attitude_from_acceleration
-from companion.control.limits import LONGEST_STEP_S, LimitsGate
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
@@ -17,7 +14,10 @@ from companion.geometry import (
     tilt_from_quat,
     yaw_from_quat,
 )
-from companion.messages import Setpoint
+from companion.base.messages import Setpoint
+from companion.config import LimitsConfig
+from companion.control.attitude import attitude_from_acceleration
+from companion.control.limits import LONGEST_STEP_S, LimitsGate
 
 CONFIG = LimitsConfig()
 INSIDE, OUTSIDE = 1.0 - 1e-6, 1.0 + 1e-6

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from companion.base.messages import Manner
 from companion.config import (
     CONFIG_FOLDER,
     AxisResponse,
@@ -16,8 +17,7 @@ from companion.config import (
     find_file,
     load_model,
 )
-from companion.control.margins import DOWN, SIDEWAYS, Case, Margins, loop_transfer, margins, respond
-from companion.messages import Manner
+from companion.control.response.margins import DOWN, SIDEWAYS, Case, Margins, loop_transfer, margins, respond
 
 VEHICLES = sorted(path.stem for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"))
 FLOWN: tuple[tuple[Manner, Kind], ...] = (

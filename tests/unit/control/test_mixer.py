@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from companion.control.mixer import Mixer
-from companion.control.quadrotor import load_quadrotor
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
+from companion.research.model.mixer import Mixer
+from companion.research.model.quadrotor import load_quadrotor
 
 MODEL = load_quadrotor("x500")
 PERIOD_S = 0.02

@@ -9,13 +9,20 @@ import numpy as np
 import osqp
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 from companion.config import ControlConfig, LimitsConfig
-from companion.control.flight_model import Motion, advance, discretise
-from companion.control.input_bounds import input_rows
-from companion.control.mpc import Cone, Mpc, Target, needed_inputs
-from companion.control.qp import Layout, axis_cost, axis_costs, constraint_matrix, cost_matrix, step_matrices
-from companion.control.target import within_reach
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
+from companion.control.mpc.input_bounds import input_rows
+from companion.control.mpc.mpc import Cone, Mpc, Target, needed_inputs
+from companion.control.mpc.qp import (
+    Layout,
+    axis_cost,
+    axis_costs,
+    constraint_matrix,
+    cost_matrix,
+    step_matrices,
+)
+from companion.control.mpc.target import within_reach
+from companion.control.response.flight_model import Motion, advance, discretise
 
 TAU_S = 0.11
 LAGS_S = (TAU_S, TAU_S, 0.04)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from companion.control.pad_motion import predict_pad, resting_path, turn_rate
-from companion.geometry import Vector3, rotate_yaw
-from companion.messages import PadState
+from companion.base.geometry import Vector3, rotate_yaw
+from companion.base.messages import PadState
+from companion.control.pad_prediction import predict_pad, resting_path, turn_rate
 from tests.unit.control.control_plants import PadMotion, circle, line, still
 
 TIMES_S = np.linspace(0.0, 2.0, 21)

@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray
 from companion.config import ConfigError
-from companion.control.pid import AttitudePid, AxisGains, CascadedPid, PidTarget, PositionPid, load_gains
-from companion.control.quadrotor import PHI, POSITION, PSI, THETA, VELOCITY, Z, load_quadrotor
-from companion.geometry import GRAVITY_M_S2, ZERO3, FloatArray
+from companion.research.model.pid import (
+    AttitudePid,
+    AxisGains,
+    CascadedPid,
+    PidTarget,
+    PositionPid,
+    load_gains,
+)
+from companion.research.model.quadrotor import PHI, POSITION, PSI, THETA, VELOCITY, Z, load_quadrotor
 
 GAINS = load_gains("pid")
 MODEL = load_quadrotor("x500")

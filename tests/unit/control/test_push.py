@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from companion.control.full_mpc import load_full
-from companion.control.nominal import push_effect
-from companion.control.push import PushObserver, stationary_gain
-from companion.control.quadrotor import PSI, STATES, load_quadrotor
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
+from companion.research.model.disturbance_filter import PushObserver, stationary_gain
+from companion.research.model.full_mpc import load_full
+from companion.research.model.nominal import push_effect
+from companion.research.model.quadrotor import PSI, STATES, load_quadrotor
 
 MODEL = load_quadrotor("x500")
 CONFIG = load_full("full").push

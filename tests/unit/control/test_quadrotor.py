@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, quat_from_euler, quat_integrate, quat_rotate
 from companion.config import ConfigError, find_file
-from companion.control.quadrotor import (
+from companion.research.model.quadrotor import (
     ANGLES,
     POSITION,
     RATES,
@@ -19,9 +20,8 @@ from companion.control.quadrotor import (
     state_from_ned,
     structure,
 )
-from companion.geometry import GRAVITY_M_S2, FloatArray, quat_from_euler, quat_integrate, quat_rotate
-from sitl.quadrotor import Quadrotor, QuadrotorState
-from sitl.scenario import load_airframe
+from sitl.scenario.scenario import load_airframe
+from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState
 
 SHIPPED = ("x500", "sih", "arducopter_sitl")
 

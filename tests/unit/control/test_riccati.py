@@ -10,8 +10,8 @@ import pytest
 import scipy.linalg
 from scipy import sparse
 
-from companion.control.riccati import Tracking, Weights, solve_tracking
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
+from companion.control.baselines.riccati import Tracking, Weights, solve_tracking
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,12 @@ import math
 
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, quat_rotate
+from companion.base.messages import Manner, Setpoint, VehicleState
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.flight_model import Motion, velocity_gains
-from companion.control.plant import Plant
+from companion.control.response.flight_model import Motion, velocity_gains
+from companion.control.response.plant import Plant
 from companion.control.setpoints import (
     Heading,
     boosted,
@@ -17,8 +19,6 @@ from companion.control.setpoints import (
     stop_setpoint,
     velocity_setpoint,
 )
-from companion.geometry import GRAVITY_M_S2, ZERO3, Vector3, quat_rotate
-from companion.messages import Manner, Setpoint, VehicleState
 from tests.unit.control.control_plants import vehicle_config
 
 LAGS_S = (0.11, 0.11, 0.04)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.control.pad_motion import PadPath, resting_path
-from companion.control.target import HeadingReference, make_target, sample, stop_reference, within_reach
-from companion.geometry import FloatArray
-from companion.messages import DescentCone, Reference
+from companion.base.geometry import FloatArray
+from companion.base.messages import DescentCone, Reference
+from companion.control.mpc.target import HeadingReference, make_target, sample, stop_reference, within_reach
+from companion.control.pad_prediction import PadPath, resting_path
 
 ROWS_S: FloatArray = 5.0 + 0.1 * np.arange(6, dtype=np.float64)
 

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.geometry import ZERO3, Vector3
 from companion.config import ControlConfig, LimitsConfig, PidConfig, PidGains
-from companion.control.flight_model import Motion
-from companion.control.mpc import Mpc, Target, needed_inputs
-from companion.control.pid_tracker import PidTracker
-from companion.control.riccati_tracker import RiccatiTracker
+from companion.control.baselines.pid_tracker import PidTracker
+from companion.control.baselines.riccati_tracker import RiccatiTracker
+from companion.control.mpc.mpc import Mpc, Target, needed_inputs
+from companion.control.response.flight_model import Motion
 from companion.control.tracker import Tracker, make_tracker
-from companion.geometry import ZERO3, Vector3
 from tests.unit.control.control_plants import (
     Loop,
     PadMotion,

@@ -13,9 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from companion.config import EstimateConfig, VehicleConfig
-from companion.estimate.estimator import Estimator
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
@@ -35,7 +33,7 @@ from companion.geometry import (
     subtract,
     vector3,
 )
-from companion.messages import (
+from companion.base.messages import (
     GpsFix,
     ImuSample,
     MagSample,
@@ -44,6 +42,8 @@ from companion.messages import (
     RangeSample,
     VehicleState,
 )
+from companion.config import EstimateConfig, VehicleConfig
+from companion.estimate.estimator import Estimator
 
 HOME = (47.0, 8.0, 400.0)
 FIELD_NED_UT = (20.9, 0.6, 42.9)

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter
-from companion.geometry import FloatArray
+from companion.estimate.pad.pad_filter import HeightFix, PadEstimate, PadFilter
 from tests.unit.estimate.pad_track import IMU_HZ, Track, lever
 from tests.unit.estimate.single_model_filter import SingleModelFilter
 

@@ -16,12 +16,12 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import HeightFix, PadFix
-from companion.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
-from sitl.driven_paths import RandomTurnsMotion
-from sitl.pad_motion import Motion, build_pad_motion
-from sitl.pad_paths import (
+from companion.estimate.pad.pad_filter import HeightFix, PadFix
+from sitl.pad.driven_paths import RandomTurnsMotion
+from sitl.pad.motion import Motion, build_pad_motion
+from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,
     HeaveMotion,

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from filterpy.kalman import KalmanFilter
 
+from companion.base.geometry import FloatArray
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import PadFix
-from companion.geometry import FloatArray
+from companion.estimate.pad.pad_filter import PadFix
 
 JERK_M_S3_RTHZ = 1.0
 TIME_CONSTANTS_S = (1.5, 1.5, 1.0)

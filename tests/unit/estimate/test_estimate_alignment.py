@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, Vector3, vector3
 from companion.config import AlignmentConfig
-from companion.estimate.alignment import Alignment, Block, StaticAligner, StillnessDetector
-from companion.geometry import GRAVITY_M_S2, Vector3, vector3
+from companion.estimate.ahrs.alignment import Alignment, Block, StaticAligner, StillnessDetector
 
 CONFIG = AlignmentConfig(still_s=1.0, timeout_s=4.0)
 BIAS = (0.02, -0.01, 0.005)

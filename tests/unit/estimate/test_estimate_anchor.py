@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from companion.estimate.anchor import Anchor, Own, Word, apart
-from companion.estimate.estimator import Estimator
-from companion.geometry import (
+from companion.base.geometry import (
     ZERO3,
     Quaternion,
     Vector3,
@@ -20,7 +18,9 @@ from companion.geometry import (
     quat_multiply,
     rotation_vector_from_quat,
 )
-from companion.messages import AutopilotAttitude, ImuSample, PadSighting
+from companion.base.messages import AutopilotAttitude, ImuSample, PadSighting
+from companion.estimate.estimator import Estimator
+from companion.estimate.vehicle.anchor import Anchor, Own, Word, apart
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator, slow_turns, smooth
 
 DEGREE = math.radians(1.0)

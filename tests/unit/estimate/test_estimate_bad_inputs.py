@@ -9,9 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.estimate.fix_watch import FixWatch
-from companion.estimate.shaking import Shaking
-from companion.geometry import (
+from companion.base.geometry import (
     Vector3,
     add,
     quat_conjugate,
@@ -19,7 +17,9 @@ from companion.geometry import (
     rotation_vector_from_quat,
     vector3,
 )
-from companion.messages import GpsFix, ImuSample, MagSample
+from companion.base.messages import GpsFix, ImuSample, MagSample
+from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.vibration_monitor import Shaking
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
 
 FLOWN = Flight(path=circle(8.0, 4.0), duration_s=36.0)

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from companion.geometry import (
+from companion.base.geometry import (
     Vector3,
     add,
     norm,
@@ -21,7 +21,7 @@ from companion.geometry import (
     subtract,
     vector3,
 )
-from companion.messages import AutopilotAttitude, ImuSample
+from companion.base.messages import AutopilotAttitude, ImuSample
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, hover, new_estimator
 
 STEP_S = 14.0

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.estimate.camera_delay import LARGEST_S, CameraDelay
-from companion.estimate.motion import MotionHistory
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     Quaternion,
     Vector3,
@@ -19,6 +17,8 @@ from companion.geometry import (
     quat_rotate_inverse,
     subtract,
 )
+from companion.estimate.motion import MotionHistory
+from companion.estimate.pad.camera_delay import LARGEST_S, CameraDelay
 
 IMU_S = 0.005
 FRAME_S = 1.0 / 30.0

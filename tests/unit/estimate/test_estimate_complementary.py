@@ -8,10 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.config import OrientationConfig
-from companion.estimate.complementary import OrientationFilter, blend, shortest_turn
-from companion.estimate.freezing import fill, held
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     Quaternion,
@@ -25,6 +22,9 @@ from companion.geometry import (
     vector3,
     yaw_from_quat,
 )
+from companion.config import OrientationConfig
+from companion.estimate.ahrs.complementary import OrientationFilter, blend, shortest_turn
+from companion.estimate.vehicle.freezing import fill, held
 
 FIELD = (20.9, 0.6, 42.9)
 DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)

@@ -8,12 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.config import EkfConfig
-from companion.estimate import ekf_model as model
-from companion.estimate.ekf import GpsStep, ImuStep, VehicleEkf
-from companion.estimate.ekf_start import InitialState
-from companion.estimate.freezing import fill, held
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     Quaternion,
@@ -29,6 +24,11 @@ from companion.geometry import (
     vector3,
     yaw_from_quat,
 )
+from companion.config import EkfConfig
+from companion.estimate.vehicle import ekf_model as model
+from companion.estimate.vehicle.ekf import GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf_start import InitialState
+from companion.estimate.vehicle.freezing import fill, held
 
 FIELD = (20.9, 0.6, 42.9)
 ANTENNA = (0.1, 0.05, -0.05)

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.estimate import ekf_model as model
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     FloatArray,
     matrix_from_quat,
@@ -19,6 +18,7 @@ from companion.geometry import (
     quat_rotate,
     vector3,
 )
+from companion.estimate.vehicle import ekf_model as model
 
 ANTENNA = (0.1, -0.2, -0.3)
 Measurement = Callable[[FloatArray], tuple[FloatArray, FloatArray]]

@@ -7,13 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.config import EkfConfig
-from companion.estimate import ekf_model as model
-from companion.estimate.ekf import GpsStep, ImuStep, VehicleEkf
-from companion.estimate.ekf_start import InitialState
-from companion.estimate.gating import Timeline
-from companion.estimate.second_gyro import BiasStep
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     ZERO3,
@@ -32,6 +26,12 @@ from companion.geometry import (
     vector3,
     yaw_from_quat,
 )
+from companion.config import EkfConfig
+from companion.estimate.gating import Timeline
+from companion.estimate.vehicle import ekf_model as model
+from companion.estimate.vehicle.ekf import GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf_start import InitialState
+from companion.estimate.vehicle.gyro_bias_check import BiasStep
 
 FIELD = (20.9, 0.6, 42.9)
 DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)

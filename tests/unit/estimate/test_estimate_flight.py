@@ -9,9 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from companion.config import EstimateConfig, OrientationConfig
-from companion.config.estimate import PadFilterConfig
-from companion.geometry import (
+from companion.base.geometry import (
     quat_conjugate,
     quat_multiply,
     quat_rotate,
@@ -22,7 +20,9 @@ from companion.geometry import (
     vector3,
     yaw_from_quat,
 )
-from companion.messages import GpsFix, ImuSample, MagSample, PadSighting, RangeSample
+from companion.base.messages import GpsFix, ImuSample, MagSample, PadSighting, RangeSample
+from companion.config import EstimateConfig, OrientationConfig
+from companion.config.estimate import PadFilterConfig
 from tests.unit.estimate.estimate_flight import (
     ANTENNA,
     FIELD_NED_UT,

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.geometry import quat_from_euler, quat_multiply
+from companion.base.messages import AutopilotAttitude, GpsFix, PadSighting
 from companion.config import EstimateConfig, OrientationConfig
 from companion.estimate.estimator import Estimator
-from companion.estimate.freezing import fill, held, plain, thawed
 from companion.estimate.gating import Gate
-from companion.geometry import quat_from_euler, quat_multiply
-from companion.messages import AutopilotAttitude, GpsFix, PadSighting
+from companion.estimate.vehicle.freezing import fill, held, plain, thawed
 from tests.unit.estimate.estimate_flight import (
     ANTENNA,
     FIELD_NED_UT,

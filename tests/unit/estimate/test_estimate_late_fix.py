@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3
 from companion.config import EkfConfig
-from companion.estimate.ekf import EkfInput, GpsStep, ImuStep, VehicleEkf
-from companion.estimate.ekf_start import InitialState
 from companion.estimate.gating import Timeline
-from companion.geometry import GRAVITY_M_S2, IDENTITY, ZERO3
+from companion.estimate.vehicle.ekf import EkfInput, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf_start import InitialState
 
 DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
 STD_M, STD_M_S = (3.0, 3.0, 4.5), (0.15, 0.15, 0.2)

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.estimate.madgwick import MadgwickFilter, align, field_gradient, tilt_gradient
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     IDENTITY,
     Quaternion,
@@ -25,6 +24,7 @@ from companion.geometry import (
     rotation_vector_from_quat,
     vector3,
 )
+from companion.estimate.ahrs.madgwick import MadgwickFilter, align, field_gradient, tilt_gradient
 
 FIELD = (20.9, 0.6, 42.9)
 DECLINATION = math.atan2(FIELD[1], FIELD[0])

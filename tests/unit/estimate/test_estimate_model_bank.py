@@ -10,8 +10,9 @@ import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import expm
 
+from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
-from companion.estimate.model_bank import (
+from companion.estimate.pad.model_bank import (
     BankState,
     ModelBank,
     Step,
@@ -20,8 +21,7 @@ from companion.estimate.model_bank import (
     change_chances,
     mix,
 )
-from companion.estimate.pad_models import HorizontalModels, Turn, VerticalModels, course_turn
-from companion.geometry import FloatArray
+from companion.estimate.pad.pad_models import HorizontalModels, Turn, VerticalModels, course_turn
 
 DT_S = 1.0 / 30.0
 DWELL_S = 3.0

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.geometry import IDENTITY, quat_from_euler, yaw_from_quat
 from companion.estimate.motion import MotionHistory
-from companion.geometry import IDENTITY, quat_from_euler, yaw_from_quat
 
 
 def filled(duration_s: float = 2.0, span_s: float = 5.0) -> MotionHistory:

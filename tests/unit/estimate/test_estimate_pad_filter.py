@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from companion.base.geometry import IDENTITY, Vector3
 from companion.config import PadFilterConfig
-from companion.estimate.freezing import plain, thawed
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
-from companion.geometry import IDENTITY, Vector3
+from companion.estimate.pad.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
+from companion.estimate.vehicle.freezing import plain, thawed
 
 SENSOR = (0.0, 0.0, 0.08)
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from companion.estimate.second_gyro import BiasStep, SecondGyro
-from companion.geometry import (
+from companion.base.geometry import (
     IDENTITY,
     ZERO3,
     Quaternion,
@@ -24,6 +23,7 @@ from companion.geometry import (
     scale,
     vector3,
 )
+from companion.estimate.vehicle.gyro_bias_check import BiasStep, SecondGyro
 
 Told = Callable[[float], tuple[float, Quaternion] | None]  # what arrives from the autopilot, if anything
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from companion.geometry import norm, quat_conjugate, quat_multiply, rotation_vector_from_quat
-from companion.messages import ImuSample
+from companion.base.geometry import norm, quat_conjugate, quat_multiply, rotation_vector_from_quat
+from companion.base.messages import ImuSample
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
 
 INTERVAL_S = 0.005

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.estimate.strapdown import Increment, Strapdown
-from companion.geometry import (
+from companion.base.geometry import (
     IDENTITY,
     Quaternion,
     Vector3,
@@ -24,6 +23,7 @@ from companion.geometry import (
     subtract,
     vector3,
 )
+from companion.estimate.vehicle.strapdown import Increment, Strapdown
 
 Signal = Callable[[float], Vector3]
 

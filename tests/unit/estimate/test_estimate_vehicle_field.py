@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from companion.geometry import Vector3, add, yaw_from_quat
-from companion.messages import MagSample
+from companion.base.geometry import Vector3, add, yaw_from_quat
+from companion.base.messages import MagSample
 from tests.unit.estimate.estimate_flight import Flight, feed, new_estimator
 
 STANDING = Flight(

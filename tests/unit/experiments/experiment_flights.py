@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from companion.geometry import IDENTITY, ZERO3, Vector3, geodetic_from_ned, vector3
-from companion.messages import GpsFix, Outcome, Phase, PlanStep, Truth, VehicleState
-from companion.result import (
+from companion.base.geometry import IDENTITY, ZERO3, Vector3, geodetic_from_ned, vector3
+from companion.base.messages import GpsFix, Outcome, Phase, PlanStep, Truth, VehicleState
+from companion.flightlog.result import (
     EstimateResult,
     Latency,
     PadResult,
@@ -18,7 +18,7 @@ from companion.result import (
     Touchdown,
     VisionResult,
 )
-from sitl.simulation import HOME
+from sitl.run.simulation import HOME
 
 
 def result(outcome: Outcome = Outcome.LANDED) -> Result:

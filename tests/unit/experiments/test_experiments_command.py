@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from companion.experiments.command import main
-from companion.experiments.output import writable
+from companion.research.command import main
+from companion.research.output import writable
 
 
 def _said(

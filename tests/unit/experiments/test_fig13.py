@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.base.geometry import Vector3, add
 from companion.config import ConfigError
-from companion.experiments import fig13
-from companion.experiments.flown import Flown
-from companion.geometry import Vector3, add
+from companion.research import fig13
+from companion.research.flown import Flown
 from tests.unit.experiments.experiment_flights import fix, result, state, truth
 
 FAR_ORIGIN = (40.0, -30.0, 2.0)

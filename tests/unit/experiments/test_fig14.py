@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from companion.experiments import fig14
-from companion.experiments.command import app
-from companion.experiments.fig14 import BY_NAME, Result, flight_of, judge, load_settings
-from companion.experiments.fig14_flight import Track, fly
-from companion.experiments.fig14_pilots import (
+from companion.plan.obstacles.obstacles import Obstacle, clearance_m
+from companion.research.command import app
+from companion.research.fig14 import figure as fig14
+from companion.research.fig14.figure import BY_NAME, Result, flight_of, judge, load_settings
+from companion.research.fig14.flight import Track, fly
+from companion.research.fig14.pilots import (
     FLIP,
     KEPT_CLEAR_M,
     PILOTS,
@@ -25,17 +26,16 @@ from companion.experiments.fig14_pilots import (
     rows_of,
     surroundings,
 )
-from companion.experiments.fig14_reference import (
+from companion.research.fig14.reference import (
     ITERATION_S,
     LEAST_CLEAR_M,
     closest_m,
     draw_scene,
     plan_reference,
 )
-from companion.experiments.fig14_report import picture, step_line, table
-from companion.experiments.fig14_world import CASES, FLOWN_S, disturbed, draw_world
-from companion.experiments.tune_pid import TRAINING
-from companion.plan.obstacles import Obstacle, clearance_m
+from companion.research.fig14.report import picture, step_line, table
+from companion.research.fig14.world import CASES, FLOWN_S, disturbed, draw_world
+from companion.research.tune_pid import TRAINING
 
 SEED = 4
 

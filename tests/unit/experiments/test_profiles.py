@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.experiments import profiles
-from companion.experiments.flown import Flown
-from companion.experiments.profiles import Descent
-from companion.messages import Outcome, Phase, Truth
+from companion.base.messages import Outcome, Phase, Truth
+from companion.research import profiles
+from companion.research.flown import Flown
+from companion.research.profiles import Descent
 from tests.unit.experiments.experiment_flights import plans, result, truth
 
 SPEED = 0.5

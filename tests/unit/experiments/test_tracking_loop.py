@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from companion.base.messages import Setpoint
 from companion.config import ControlConfig
-from companion.experiments import tune_flight_pid
-from companion.experiments.tracking_loop import CASES, TrackingLoop, _streamed
-from companion.messages import Setpoint
+from companion.research import tune_flight_pid
+from companion.research.tracking_loop import CASES, TrackingLoop, _streamed
 
 
 def test_the_app_s_controller_tracks_in_the_simulated_world_and_repeats() -> None:

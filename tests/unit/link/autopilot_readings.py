@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
 from companion.config import AutopilotSensorsConfig, SenseConfig
-from companion.link.boot_clock import BootClock
 from companion.link.codec import Codec, Message, mavlink
-from companion.link.onboard import OnboardSensors
-from companion.link.timesync import TimeSync
-from companion.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
+from companion.link.telemetry.autopilot_sensors import OnboardSensors
+from companion.link.timing.boot_clock import BootClock
+from companion.link.timing.timesync import TimeSync
 
 OFFSET_S = 50.0  # the autopilot's clock is ahead of ours by this
 START_S = 100.0

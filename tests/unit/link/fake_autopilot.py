@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from companion.base.messages import Manner
 from companion.link.codec import Codec, Message, mavlink, status_texts, timesync
 from companion.link.modes import custom_mode
-from companion.messages import Manner
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
 DENIED = mavlink.MAV_RESULT_DENIED

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from companion.link.boot_clock import BootClock, Instant
-from companion.link.timesync import TimeSync
+from companion.link.timing.boot_clock import BootClock, Instant
+from companion.link.timing.timesync import TimeSync
 
 Delay = Callable[[float], float]
 IMU_S = 0.005

@@ -8,14 +8,14 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
 from companion.config import LinkConfig
-from companion.link.actions import PymavlinkActions
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.beacon import follow_target
 from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
 from companion.link.transport import Transport, memory_pair
-from companion.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
 Answer = Callable[[bytes, float], bytes]

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.geometry import (
+from companion.base.geometry import (
     Quaternion,
     quat_from_euler,
     quat_multiply,
@@ -15,8 +15,8 @@ from companion.geometry import (
     rotate_yaw,
     wrap_angle,
 )
-from companion.link.alignment import AlignmentSettings, HeadingAlignment
-from companion.messages import Setpoint
+from companion.base.messages import Setpoint
+from companion.link.telemetry.alignment import AlignmentSettings, HeadingAlignment
 
 YAWS = [0.0, 90.0, 180.0, 270.0]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from companion.base.messages import AutopilotSetup, Manner
 from companion.link.autopilot_setup import NAMES, SetupReader
 from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequests
-from companion.messages import AutopilotSetup, Manner
 
 TOLD: dict[str, float] = {
     "ANGLE_MAX": 3000.0, "WPNAV_ACCEL": 250.0, "PSC_JERK_XY": 5.0,

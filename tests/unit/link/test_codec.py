@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from companion.geometry import quat_from_euler
+from companion.base.geometry import quat_from_euler
+from companion.base.messages import PadBeacon, Setpoint
 from companion.link import codec
 from companion.link.beacon import follow_target, pad_beacon
 from companion.link.codec import Codec, mavlink
-from companion.messages import PadBeacon, Setpoint
 
 
 def attitudes(sender: Codec, count: int) -> list[bytes]:

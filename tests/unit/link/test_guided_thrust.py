@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
+from companion.base.messages import Action, ActionKind, ActionResult, Setpoint
 from companion.config import LinkConfig
-from companion.geometry import GRAVITY_M_S2, quat_from_euler
-from companion.link.actions import PymavlinkActions
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
-from companion.messages import Action, ActionKind, ActionResult, Setpoint
 from sitl.autopilot import NO_ERRORS, Autopilot
-from sitl.endpoint import MavlinkEndpoint
+from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot_flight import HOME, Flight, Frame450, SimpleVehicle
 
 HOVER_THRUST = 0.35

@@ -12,15 +12,15 @@ from typing import Any
 import pytest
 from mavsdk import LogLevel
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Action, ActionKind, Manner
 from companion.config import ConfigError, LinkConfig
-from companion.link import mavsdk_link
+from companion.link.actions import mavsdk_link
+from companion.link.actions.mavsdk_link import MavsdkActions
+from companion.link.actions.performing import Refused
 from companion.link.codec import mavlink
-from companion.link.mavsdk_link import MavsdkActions
-from companion.link.performing import Refused
 from companion.link.session import Session
 from companion.link.transport import memory_pair
-from companion.messages import Action, ActionKind, Manner
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
 MANNERS: list[Manner] = ["px4", "ardupilot"]

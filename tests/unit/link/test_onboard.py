@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import pytest
 
-from companion.link.boot_clock import WRAP_S, BootClock
+from companion.base.messages import GpsFix, MagSample, Manner, RangeSample
 from companion.link.codec import mavlink
-from companion.link.onboard import CLIMB_ACCURACY_M_S, IMU_LATENCY_S
-from companion.link.readings import UNKNOWN_SPEED_M_S
-from companion.messages import GpsFix, MagSample, Manner, RangeSample
+from companion.link.telemetry.autopilot_sensors import CLIMB_ACCURACY_M_S, IMU_LATENCY_S
+from companion.link.telemetry.readings import UNKNOWN_SPEED_M_S
+from companion.link.timing.boot_clock import WRAP_S, BootClock
 from tests.unit.link.autopilot_readings import START_S, Onboard, distance, gps, highres, packed, raw, scaled
 
 # ---------------------------------------------------------------- time

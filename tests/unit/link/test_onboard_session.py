@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import pytest
 
+from companion.base.messages import ImuSample
 from companion.config import AutopilotSensorsConfig, LinkConfig, SenseConfig
 from companion.link.codec import Message, mavlink
 from companion.link.session import Session
-from companion.messages import ImuSample
 from tests.unit.link.autopilot_readings import distance, gps, highres, raw
 from tests.unit.link.fake_autopilot import FakeAutopilot
 

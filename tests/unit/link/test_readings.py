@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from companion.geometry import GRAVITY_M_S2
-from companion.link.readings import gps_fix, imu_sample, mag_sample, range_sample, stamp_s
-from companion.messages import RangeSample
+from companion.base.geometry import GRAVITY_M_S2
+from companion.base.messages import RangeSample
+from companion.link.telemetry.readings import gps_fix, imu_sample, mag_sample, range_sample, stamp_s
 from tests.unit.link.autopilot_readings import distance, gps, highres, raw, scaled
 
 T = 3.0

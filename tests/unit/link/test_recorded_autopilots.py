@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.geometry import norm
+from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
 from companion.config import CONFIG_FOLDER, SenseConfig
-from companion.geometry import norm
-from companion.link.boot_clock import BootClock
 from companion.link.codec import Codec, mavlink
-from companion.link.onboard import SENSOR_MESSAGES, OnboardSensors, Sample
-from companion.link.timesync import TimeSync
-from companion.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
+from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, OnboardSensors, Sample
+from companion.link.timing.boot_clock import BootClock
+from companion.link.timing.timesync import TimeSync
 
 # a worktree lies one folder deeper than a checkout
 FOLDERS = [folder / "shared" / "data" / "autopilot" for folder in CONFIG_FOLDER.resolve().parents[1:3]]

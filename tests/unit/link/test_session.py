@@ -7,14 +7,14 @@ import math
 import pytest
 from pydantic import ValidationError
 
+from companion.base.geometry import quat_from_euler
+from companion.base.messages import PadBeacon, Setpoint
 from companion.config import LinkConfig
-from companion.geometry import quat_from_euler
 from companion.link.beacon import follow_target
 from companion.link.codec import Codec, Message, heartbeat, mavlink, status_texts, timesync
 from companion.link.commands import NO_ANSWER, Command
 from companion.link.session import Session
 from companion.link.streams import TELEMETRY_RATES_HZ
-from companion.messages import PadBeacon, Setpoint
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
 DELAY_S = 0.004

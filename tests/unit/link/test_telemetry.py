@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from companion.geometry import euler_from_quat, quat_from_euler
+from companion.base.geometry import euler_from_quat, quat_from_euler
+from companion.base.messages import AutopilotState, LandedState, Manner
 from companion.link.codec import Codec, Message, mavlink, status_texts
 from companion.link.modes import ARDUCOPTER_MODES, PX4_MODES, custom_mode, mode_name, mode_parameters
-from companion.link.telemetry import StatusTexts, add_text, update_state
-from companion.messages import AutopilotState, LandedState, Manner
+from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 
 FRESH = AutopilotState(time_s=0.0)
 

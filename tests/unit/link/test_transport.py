@@ -10,7 +10,7 @@ import tty
 
 import pytest
 
-from companion.clock import run_in_virtual_time
+from companion.base.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
 from companion.link.transport import (

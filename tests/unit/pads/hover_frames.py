@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
+from companion.base.geometry import add, quat_conjugate, quat_from_euler, quat_multiply, quat_rotate, subtract
+from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
-from companion.geometry import add, quat_conjugate, quat_from_euler, quat_multiply, quat_rotate, subtract
-from companion.messages import Frame, PadPrior
 from companion.pad import Pad
-from companion.pads.coverage import HOVER, Spread
-from companion.sense.vision import Vision
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings
+from companion.sense.vision.pipeline import Vision
+from companion.tools.pads.coverage import HOVER, Spread
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings
 
 BOARD = (0.0, 0.0, -0.1)
 

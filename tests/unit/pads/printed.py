@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.geometry import FloatArray
+from companion.base.geometry import FloatArray
 from companion.pad import DICTIONARIES, Marker, Pad
-from companion.pads.printing import Tile
+from companion.tools.pads.printing import Tile
 
 MM_PER_POINT = 25.4 / 72.0
 PX_PER_MM = 6.0

@@ -9,8 +9,8 @@ import pytest
 
 from companion.config import CameraConfig, find_file, load_model
 from companion.pad import Marker, Pad, load_pad
-from companion.pads.coverage import HOVER, SMALL_LENS, Spread, predict, seen_between
-from companion.pads.recall import FITTED, Optics, RecallModel
+from companion.tools.pads.coverage import HOVER, SMALL_LENS, Spread, predict, seen_between
+from companion.tools.pads.recall import FITTED, Optics, RecallModel
 from tests.unit.pads.hover_frames import Hover
 
 CERTAIN = RecallModel(0.01, 50.0, 50.0, 50.0, 1.0)

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
+from companion.base.page import PNG_DPI, save
 from companion.pad import Pad, load_pad
-from companion.pads.labels import place_labels, words_of
-from companion.pads.printing import clip, draw_pad, tiles
-from companion.page import PNG_DPI, save
+from companion.tools.pads.labels import place_labels, words_of
+from companion.tools.pads.printing import clip, draw_pad, tiles
 from tests.unit.pads.printed import (
     PX_PER_MM,
     Printed,

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.config import PlanConfig, VehicleConfig
-from companion.geometry import ZERO3, Vector3, add, geodetic_from_ned, ned_from_geodetic, quat_from_euler
-from companion.messages import (
+from companion.base.geometry import ZERO3, Vector3, add, geodetic_from_ned, ned_from_geodetic, quat_from_euler
+from companion.base.messages import (
     Action,
     ActionKind,
     ActionResult,
@@ -29,8 +28,9 @@ from companion.messages import (
     RangeSample,
     VehicleState,
 )
-from companion.plan.fuzzy_velocity import load_table
+from companion.config import PlanConfig, VehicleConfig
 from companion.plan.planner import PlanInputs, Planner
+from companion.plan.speed.fuzzy_velocity import load_table
 
 HOME = (47.0, 8.0, 400.0)
 ORIGIN_NED_M = (0.8, -1.1, -2.3)  # the EKF's origin from home

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.plan.fuzzy_check import sample_points, table_error, worst_slips_m_s
-from companion.plan.fuzzy_rules import INPUTS, load_rules
-from companion.plan.fuzzy_velocity import SpeedTable, load_table
+from companion.plan.speed.fuzzy_check import sample_points, table_error, worst_slips_m_s
+from companion.plan.speed.fuzzy_rules import INPUTS, load_rules
+from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
 
 
 @pytest.fixture(scope="module")

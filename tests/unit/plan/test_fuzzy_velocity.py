@@ -5,8 +5,8 @@ import pytest
 import yaml
 
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.plan.fuzzy_rules import load_rules, mamdani
-from companion.plan.fuzzy_velocity import SpeedTable, load_table, write_table
+from companion.plan.speed.fuzzy_rules import load_rules, mamdani
+from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table, write_table
 
 SHIPPED = CONFIG_FOLDER / "fuzzy" / "landing.yaml"
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from companion.geometry import quat_from_euler
-from companion.messages import AutopilotState, RangeSample, VehicleState
-from companion.plan.ground import Ground
+from companion.base.geometry import quat_from_euler
+from companion.base.messages import AutopilotState, RangeSample, VehicleState
+from companion.plan.landing.ground_contact import Ground
 from tests.unit.plan.plan_harness import World, still
 
 SENSOR_M = (-0.03, 0.0, 0.08)

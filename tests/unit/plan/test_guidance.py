@@ -4,12 +4,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from companion.base.geometry import norm, subtract
 from companion.config import GuidanceConfig, PlanConfig
-from companion.geometry import norm, subtract
-from companion.plan.avoidance import Avoidance
-from companion.plan.course import Way, paced
-from companion.plan.guidance import Guide
-from companion.plan.min_jerk import Motion
+from companion.plan.obstacles.avoidance import Avoidance
+from companion.plan.trajectory.course import Way, paced
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
 
 CYCLE_S = 1.0 / 30.0
 CONFIG = GuidanceConfig()

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from companion.plan.min_jerk import Motion, Trajectory, brake, jerk_at_start, plan, quintic
+from companion.plan.trajectory.min_jerk import Motion, Trajectory, brake, jerk_at_start, plan, quintic
 
 START = Motion((1.0, -2.0, -7.0), (0.8, -0.3, 0.5), (0.2, 0.1, -0.4))
 FINAL = Motion((4.0, 1.0, -3.0), (-0.5, 0.4, 0.2), (0.1, -0.2, 0.3))

@@ -1,7 +1,7 @@
 import pytest
 
-from companion.messages import ActionKind, Phase
-from companion.plan.mission import FINAL, TRANSITIONS, Event, transition
+from companion.base.messages import ActionKind, Phase
+from companion.plan.mission.table import FINAL, TRANSITIONS, Event, transition
 
 UNENDING = [phase for phase in Phase if phase not in FINAL]
 AIRBORNE = [p for p in UNENDING if p not in {Phase.CONNECT, Phase.ARM}]

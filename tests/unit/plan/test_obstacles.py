@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from companion.base.geometry import Vector3
 from companion.config import Box, Cylinder, Shape
-from companion.geometry import Vector3
-from companion.plan.obstacles import Obstacle, clearance_m, line_clear, route
+from companion.plan.obstacles.obstacles import Obstacle, clearance_m, line_clear, route
 
 MARGIN_M = 0.7
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.geometry import Vector3, ned_from_geodetic
+from companion.base.messages import Action, ActionKind, ActionResult, Phase, PlanStep, RangeSample
 from companion.config import LandingConfig, MissionConfig, PlanConfig
-from companion.geometry import Vector3, ned_from_geodetic
-from companion.messages import Action, ActionKind, ActionResult, Phase, PlanStep, RangeSample
 from tests.unit.plan.plan_harness import (
     HOME,
     LEG_M,

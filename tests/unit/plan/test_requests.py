@@ -1,5 +1,5 @@
-from companion.messages import Action, ActionKind, ActionResult
-from companion.plan.requests import Requests
+from companion.base.messages import Action, ActionKind, ActionResult
+from companion.plan.mission.requests import Requests
 
 ARM = Action(ActionKind.ARM)
 GO = Action(ActionKind.GO_TO, position=(47.0, 8.0, 7.0))

@@ -4,14 +4,14 @@ from itertools import pairwise
 
 import pytest
 
+from companion.base.geometry import geodetic_from_ned
+from companion.base.messages import PadBeacon
 from companion.config import GuidanceConfig, SearchConfig
-from companion.geometry import geodetic_from_ned
-from companion.messages import PadBeacon
-from companion.plan.guidance import Guide
-from companion.plan.min_jerk import Motion
-from companion.plan.search import Search, square_spiral
-from companion.plan.sight import PadKnowledge
-from companion.plan.whereabouts import Lead, Whereabouts, turn_rate
+from companion.plan.landing.relative_state import PadKnowledge
+from companion.plan.search.pad_locator import Lead, Whereabouts, turn_rate
+from companion.plan.search.search import Search, square_spiral
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
 from tests.unit.plan.plan_harness import World, still
 
 ORIGIN = (47.0, 8.0, 400.0)

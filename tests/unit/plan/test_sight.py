@@ -1,7 +1,7 @@
 import pytest
 
-from companion.messages import PadState
-from companion.plan.sight import PadKnowledge, Sightings, look, pad_motion
+from companion.base.messages import PadState
+from companion.plan.landing.relative_state import PadKnowledge, Sightings, look, pad_motion
 from tests.unit.plan.plan_harness import ORIGIN_NED_M, World, still
 
 

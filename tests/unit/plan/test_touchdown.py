@@ -2,14 +2,14 @@ import math
 
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler
+from companion.base.messages import LandedState, RangeSample
 from companion.config import GuidanceConfig, TouchdownConfig
-from companion.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler
-from companion.messages import LandedState, RangeSample
-from companion.plan.guidance import Guide
-from companion.plan.min_jerk import Motion
-from companion.plan.mission import Event
-from companion.plan.sight import Sight
-from companion.plan.touchdown import Held, Touchdown, aligned, contact_signs, gentle
+from companion.plan.landing.relative_state import Sight
+from companion.plan.landing.touchdown import Held, Touchdown, aligned, contact_signs, gentle
+from companion.plan.mission.table import Event
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()

@@ -2,11 +2,11 @@ from dataclasses import replace
 
 import pytest
 
+from companion.base.messages import AutopilotState, Manner, Phase
 from companion.config import MissionConfig, PhaseTimesConfig
-from companion.messages import AutopilotState, Manner, Phase
-from companion.plan.inputs import PlanInputs
-from companion.plan.mission import Event
-from companion.plan.watch import Watch, is_pilots
+from companion.plan.mission.failsafe_monitor import Watch, is_pilots
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.table import Event
 from tests.unit.plan.plan_harness import World, still
 
 CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))

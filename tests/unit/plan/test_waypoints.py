@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.geometry import Vector3
+from companion.base.messages import ActionKind, Phase
 from companion.config import Box, ConfigError, Cylinder, MissionConfig, PhaseTimesConfig, PlanConfig, Shape
-from companion.geometry import Vector3
-from companion.messages import ActionKind, Phase
-from companion.plan.obstacles import Obstacle, clearance_m
+from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from tests.unit.plan.plan_harness import VEHICLE, World, line, still
 
 

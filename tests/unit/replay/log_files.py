@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from companion.config import load_config
-from companion.config.reading import CONFIG_FOLDER
-from companion.geometry import (
+from companion.base.geometry import (
     Quaternion,
     Vector3,
     euler_from_quat,
@@ -22,11 +20,13 @@ from companion.geometry import (
     scale,
     vector3,
 )
-from companion.messages import GpsFix, ImuSample, MagSample, Phase, PlanStep, RangeSample, Truth
+from companion.base.messages import GpsFix, ImuSample, MagSample, Phase, PlanStep, RangeSample, Truth
+from companion.config import load_config
+from companion.config.reading import CONFIG_FOLDER
+from companion.flightlog.record import FlightLog
+from companion.flightlog.replay.flight_record import Rig
+from companion.flightlog.replay.run import new_estimator
 from companion.pad import load_pad
-from companion.record import FlightLog
-from companion.replay.flight_record import Rig
-from companion.replay.run import new_estimator
 from tests.unit.estimate.estimate_flight import (
     ANTENNA,
     HOME,

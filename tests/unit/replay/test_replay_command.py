@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from companion import cli
-from companion.record import FlightLog
-from companion.replay.command import log_name
+from companion.flightlog.record import FlightLog
+from companion.flightlog.replay.command import log_name
 from tests.unit.estimate.estimate_flight import Flight, hover, pad_at_rest, sprint
 from tests.unit.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
 
@@ -159,7 +159,7 @@ def test_a_log_that_starts_in_flight_is_aligned_all_the_same(
 def test_the_help_shows_how_to_start() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "companion.cli", "replay", "--help"],
-        cwd=Path(cli.__file__).parents[1],
+        cwd=Path(__file__).resolve().parents[3],
         capture_output=True,
         text=True,
         timeout=60,

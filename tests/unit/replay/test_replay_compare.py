@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from companion.geometry import IDENTITY, Quaternion, quat_from_euler, quat_multiply
-from companion.messages import ImuSample
-from companion.replay.compare import attitude_errors_deg
-from companion.replay.flight_record import Ask, Event, Track, track_of
-from companion.replay.run import asked_regularly
+from companion.base.geometry import IDENTITY, Quaternion, quat_from_euler, quat_multiply
+from companion.base.messages import ImuSample
+from companion.flightlog.replay.compare import attitude_errors_deg
+from companion.flightlog.replay.flight_record import Ask, Event, Track, track_of
+from companion.flightlog.replay.run import asked_regularly
 
 
 def errors_deg(ours: Quaternion, theirs: Quaternion) -> list[float]:

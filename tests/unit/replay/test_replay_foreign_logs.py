@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
-from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
-from companion.replay.compare import Comparison, Errors
-from companion.replay.dataflash import read_dataflash
-from companion.replay.flight_record import Event, FlightRecord, Sample
-from companion.replay.run import replay
-from companion.replay.settings import choose
-from companion.replay.ulog import read_ulog
+from companion.flightlog.replay.compare import Comparison, Errors
+from companion.flightlog.replay.dataflash import read_dataflash
+from companion.flightlog.replay.flight_record import Event, FlightRecord, Sample
+from companion.flightlog.replay.run import replay
+from companion.flightlog.replay.settings import choose
+from companion.flightlog.replay.ulog import read_ulog
 from tests.unit.estimate.estimate_flight import ANTENNA, Flight, hover, pad_at_rest
 from tests.unit.replay.log_files import BOOT_S, FLIGHT, DataFlash, Ulog, write_dataflash, write_ulog
 

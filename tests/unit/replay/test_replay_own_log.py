@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from mcap.reader import SeekingReader
 
+from companion.base.message_json import decode, encode
+from companion.base.messages import ImuSample, Notice, PadSighting, VehicleState
 from companion.config import ConfigError
-from companion.message_json import decode, encode
-from companion.messages import ImuSample, Notice, PadSighting, VehicleState
-from companion.record import FlightLog
-from companion.replay.compare import Comparison, repetition
-from companion.replay.flight_record import FlightRecord
-from companion.replay.mcap_log import read_mcap
-from companion.replay.run import replay
-from companion.replay.settings import choose
+from companion.flightlog.record import FlightLog
+from companion.flightlog.replay.compare import Comparison, repetition
+from companion.flightlog.replay.flight_record import FlightRecord
+from companion.flightlog.replay.mcap_log import read_mcap
+from companion.flightlog.replay.run import replay
+from companion.flightlog.replay.settings import choose
 from tests.unit.estimate.estimate_flight import FIELD_NED_UT
 from tests.unit.replay.log_files import FLIGHT, own_rig, write_own
 

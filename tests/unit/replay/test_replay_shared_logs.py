@@ -3,10 +3,10 @@
 import pytest
 
 from companion.config import CONFIG_FOLDER
-from companion.replay.compare import ReplayResult, build_result
-from companion.replay.reading import read_log
-from companion.replay.run import replay
-from companion.replay.settings import choose
+from companion.flightlog.replay.compare import ReplayResult, build_result
+from companion.flightlog.replay.reading import read_log
+from companion.flightlog.replay.run import replay
+from companion.flightlog.replay.settings import choose
 
 LOGS = CONFIG_FOLDER.parent.parent / "shared" / "data" / "flightlogs"
 

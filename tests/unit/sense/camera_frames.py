@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.clock import Clock
-from companion.messages import Frame
-from companion.sense.camera_thread import ReadBack
+from companion.base.clock import Clock
+from companion.base.messages import Frame
+from companion.sense.camera.reader import ReadBack
 
 AGE_S = 0.02
 _RNG = np.random.default_rng(11)

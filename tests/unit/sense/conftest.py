@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.config import CameraConfig, VehicleConfig, find_file, load_model
-from companion.geometry import (
+from companion.base.geometry import (
     Quaternion,
     Vector3,
     quat_conjugate,
@@ -17,10 +16,11 @@ from companion.geometry import (
     quat_multiply,
     quat_rotate,
 )
-from companion.messages import Frame
+from companion.base.messages import Frame
+from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import Pad, load_pad
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings
 
 # the vehicle's position (from the pad's surface, NED) and attitude, the pad's heading -> frame, truth
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]

@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from companion.base.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler
+from companion.base.messages import ImuSample, MagSample
 from companion.config import ImuConfig, SenseConfig, load_inertial
-from companion.geometry import GRAVITY_M_S2, Vector3, matrix_from_quat, quat_from_euler
-from companion.messages import ImuSample, MagSample
-from companion.sense.i2c import RegisterBus, SensorError
-from companion.sense.mpu9250 import Mpu9250
+from companion.sense.imu.i2c import RegisterBus, SensorError
+from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Mpu9250Device
-from sitl.inertial import NO_IMU_ERRORS, ImuErrors, ImuSensor
-from sitl.sensors import MagErrors, MagSensor
+from sitl.sensors.inertial import NO_IMU_ERRORS, ImuErrors, ImuSensor
+from sitl.sensors.sensors import MagErrors, MagSensor
 
 STEP_S = 1.0 / 400.0
 REST: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)

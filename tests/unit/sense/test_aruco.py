@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.base.geometry import Quaternion, Vector3, quat_from_euler
+from companion.base.messages import Frame, MarkerGroup
 from companion.config import VisionConfig
-from companion.geometry import Quaternion, Vector3, quat_from_euler
-from companion.messages import Frame, MarkerGroup
 from companion.pad import DICTIONARIES, DictionaryName, Pad
-from companion.sense.aruco import GROUPS, Detection, PadDetector, SearchPass, farthest_apart
+from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass, farthest_apart
 
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
 LEVEL = quat_from_euler(0.0, 0.0, 0.3)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from companion.config import CONFIG_FOLDER
-from companion.sense.aruco import CodeReader
-from companion.sense.corners import refine_quads
+from companion.sense.vision.aruco import CodeReader
+from companion.sense.vision.corners import refine_quads
 
 PHOTOS = [
     ("singlemarkersoriginal.jpg", None, 6),

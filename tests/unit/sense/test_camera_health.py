@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.base.messages import Frame
 from companion.config import CameraConfig
-from companion.messages import Frame
-from companion.sense.camera_health import CameraHealth, patience_with
+from companion.sense.camera.health import CameraHealth, patience_with
 from tests.unit.sense.camera_frames import AGE_S, noisy_frame
 
 PERIOD_S = 1 / 30

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Frame
 from companion.config import CameraConfig, ConfigError
-from companion.messages import Frame
-from companion.sense import camera_keeper
-from companion.sense.camera_health import patience_with
-from companion.sense.camera_keeper import CameraReport, KeptCamera, LiveSource
-from companion.sense.camera_thread import Device, EndOfFrames, ThreadedCamera
+from companion.sense.camera import keeper as camera_keeper
+from companion.sense.camera.health import patience_with
+from companion.sense.camera.keeper import CameraReport, KeptCamera, LiveSource
+from companion.sense.camera.reader import Device, EndOfFrames, ThreadedCamera
 from tests.unit.sense.camera_frames import ScriptedCamera
 
 Act = Callable[[Frame], Frame | None]

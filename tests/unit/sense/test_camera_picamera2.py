@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import CameraConfig, ConfigError
-from companion.sense import camera_picamera2
-from companion.sense.camera import keep_camera, open_camera
-from companion.sense.camera_picamera2 import SETTLED_FRAMES, Picamera2Device
+from companion.sense.camera import picamera as camera_picamera2
+from companion.sense.camera.picamera import SETTLED_FRAMES, Picamera2Device
+from companion.sense.camera.source import keep_camera, open_camera
 from tests.unit.sense.camera_frames import noisy
 
 PADDED = 704  # bytes of a row, as its ISP likes them

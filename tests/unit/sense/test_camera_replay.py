@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import CameraConfig, ConfigError
-from companion.sense.camera import keep_camera, open_camera
-from companion.sense.camera_replay import open_folder, open_video, recorded_times
-from companion.sense.camera_thread import EndOfFrames
+from companion.sense.camera.folder_replay import open_folder, open_video, recorded_times
+from companion.sense.camera.reader import EndOfFrames
+from companion.sense.camera.source import keep_camera, open_camera
 from tests.unit.sense.camera_frames import noisy
 
 RATE_HZ = 50.0

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import CameraConfig, ConfigError
-from companion.sense import camera_keeper, camera_v4l2
-from companion.sense.camera import keep_camera, open_camera
-from companion.sense.camera_thread import ThreadedCamera
-from companion.sense.camera_v4l2 import MOST_FAILURES, V4l2Device, driver_name, stamp_point
+from companion.sense.camera import keeper, v4l2
+from companion.sense.camera.reader import ThreadedCamera
+from companion.sense.camera.source import keep_camera, open_camera
+from companion.sense.camera.v4l2 import MOST_FAILURES, V4l2Device, driver_name, stamp_point
 from tests.unit.sense.camera_frames import noisy
 
 SIZE = {cv2.CAP_PROP_FRAME_WIDTH: 640.0, cv2.CAP_PROP_FRAME_HEIGHT: 480.0}
@@ -163,10 +163,10 @@ async def test_another_size_than_asked_for_is_refused_and_the_camera_released(
 async def test_opencv_s_wait_for_a_frame_is_cut_to_a_second(
     camera: CameraConfig, plug_in: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delenv(camera_v4l2.WAIT_VARIABLE, raising=False)
+    monkeypatch.delenv(v4l2.WAIT_VARIABLE, raising=False)
     plug_in()
     await device(camera)
-    assert os.environ[camera_v4l2.WAIT_VARIABLE] == "1"
+    assert os.environ[v4l2.WAIT_VARIABLE] == "1"
 
 
 async def test_a_frame_becomes_grey_and_is_stamped_with_the_exposure_that_was_read_back(
@@ -198,7 +198,7 @@ def test_the_driver_s_name_is_the_kernel_s(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "drivers" / "uvcvideo").mkdir(parents=True)
     (tmp_path / "video2" / "device").mkdir(parents=True)
     (tmp_path / "video2" / "device" / "driver").symlink_to(tmp_path / "drivers" / "uvcvideo")
-    monkeypatch.setattr(camera_v4l2, "DRIVERS", tmp_path)
+    monkeypatch.setattr(v4l2, "DRIVERS", tmp_path)
     assert driver_name(2) == "uvcvideo"
 
 
@@ -289,7 +289,7 @@ async def test_a_read_that_hangs_is_left_behind_and_the_camera_opened_anew(
     camera: CameraConfig, plug_in: Install, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Time is real here: a thread that does not come back cannot be pretended."""
-    monkeypatch.setattr(camera_keeper, "LETTING_GO_S", 0.05)
+    monkeypatch.setattr(keeper, "LETTING_GO_S", 0.05)
     hung, may_return = threading.Event(), threading.Event()
 
     def hang_once(number: int) -> Any:

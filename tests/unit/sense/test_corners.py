@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.geometry import FloatArray
-from companion.sense.corners import refine_quads
+from companion.base.geometry import FloatArray
+from companion.sense.vision.corners import refine_quads
 
 SIZE = 240
 SIDE_PX = 118.0

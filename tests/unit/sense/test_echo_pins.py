@@ -12,11 +12,11 @@ import pytest
 from gpiozero.pins.mock import MockFactory, MockPin
 from gpiozero.pins.pi import PiPin
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import ConfigError, RangeConfig, validate
-from companion.sense.echo_pins import EchoPins
-from companion.sense.i2c import SensorError
-from companion.sense.range_finder import EchoRange, make_range_finder
+from companion.sense.imu.i2c import SensorError
+from companion.sense.range.echo_pins import EchoPins
+from companion.sense.range.range_finder import EchoRange, make_range_finder
 
 TRIGGER, ECHO = 23, 24
 CONFIG = RangeConfig(kind="gpio", trigger_pin=TRIGGER, echo_pin=ECHO, rate_hz=16.0)

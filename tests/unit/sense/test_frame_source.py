@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.frame_format import pack_frame
+from companion.base.messages import Frame
 from companion.config import CameraConfig, ConfigError
-from companion.frame_format import pack_frame
-from companion.messages import Frame
-from companion.sense.camera import FrameSource, keep_camera, open_camera
-from companion.sense.camera_socket import MOST_STRANGE, SocketCamera
-from sitl.frame_server import FrameServer
+from companion.sense.camera.frame_socket import MOST_STRANGE, SocketCamera
+from companion.sense.camera.source import FrameSource, keep_camera, open_camera
+from sitl.camera.frame_server import FrameServer
 from tests.unit.sense.camera_frames import AGE_S, noisy_frame
 
 

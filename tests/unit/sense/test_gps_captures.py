@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
+from companion.base.messages import GpsFix
 from companion.config import CONFIG_FOLDER, GpsConfig
-from companion.messages import GpsFix
-from companion.sense.neo6m import Neo6m
+from companion.sense.gps.neo6m import Neo6m
 
 ROOT = CONFIG_FOLDER.parent
 CANDIDATES = [parent / "shared" / "data" / "gps" for parent in ROOT.parents]  # beside the checkout

@@ -9,18 +9,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import Vector3
+from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.geometry import Vector3
-from companion.messages import GpsFix
-from companion.sense.gps_commands import configuration, port_command
-from companion.sense.gps_line import CHANGES, LISTEN_S, LineRate
-from companion.sense.neo6m import Neo6m
+from companion.sense.gps.commands import configuration, port_command
+from companion.sense.gps.line import CHANGES, LISTEN_S, LineRate
+from companion.sense.gps.neo6m import Neo6m
 from companion.sense.serial_port import SerialPort
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import AppEnd, MemoryPort, PtyPort
 from sitl.devices.uart import as_heard
-from sitl.sensors import NO_GPS_ERRORS, GpsSensor
+from sitl.sensors.sensors import NO_GPS_ERRORS, GpsSensor
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 STILL: Vector3 = (0.0, 0.0, 0.0)
@@ -28,7 +28,7 @@ RATES = [4800, 9600, 19200, 38400, 57600, 115200]
 
 
 class Rig:
-    """Receiver, line and driver; the app's loops as in `companion.sensing`."""
+    """Receiver, line and driver; the app's loops as in `companion.app.sensing`."""
 
     def __init__(
         self, wake_baud: int, config: GpsConfig, line: MemoryPort | PtyPort, port: AppEnd | SerialPort

@@ -7,10 +7,10 @@ import struct
 import pymap3d
 import pytest
 
+from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.messages import GpsFix
-from companion.sense.gps_line import SILENCE_S
-from companion.sense.neo6m import Neo6m
+from companion.sense.gps.line import SILENCE_S
+from companion.sense.gps.neo6m import Neo6m
 from sitl.devices.neo6m import nmea, ubx
 
 START_MS = 302_400_200

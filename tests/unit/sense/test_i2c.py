@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion import bus_format
-from companion.bus_format import BusFormatError, ReadRequest, WriteRequest
+from companion.base import bus_format
+from companion.base.bus_format import BusFormatError, ReadRequest, WriteRequest
 from companion.config import ConfigError
-from companion.sense.i2c import SmbusBus, SocketBus, open_bus
+from companion.sense.imu.i2c import SmbusBus, SocketBus, open_bus
 from sitl.devices.register_server import answer, serve_registers
 
 BYTE = st.integers(0, 255)
@@ -198,7 +198,7 @@ class FakeSmbus:
 
 def _smbus_bus(monkeypatch: pytest.MonkeyPatch, funcs: int) -> tuple[SmbusBus, FakeSmbus]:
     fake = FakeSmbus(funcs)
-    monkeypatch.setattr("companion.sense.i2c.smbus2.SMBus", lambda _number: fake)
+    monkeypatch.setattr("companion.sense.imu.i2c.smbus2.SMBus", lambda _number: fake)
     return SmbusBus(1), fake
 
 

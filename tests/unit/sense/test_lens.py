@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from companion.config import CameraConfig, ConfigError, validate
-from companion.sense.lens import Lens
+from companion.sense.vision.lens import Lens
 
 RATIONAL = (0.9, 0.2, 3e-4, -2e-4, 0.01, 1.25, 0.42, 0.04)
 

@@ -9,14 +9,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from companion.base.geometry import GRAVITY_M_S2, quat_from_euler, quat_rotate_inverse
 from companion.config import ConfigError, ImuConfig, validate
-from companion.geometry import GRAVITY_M_S2, quat_from_euler, quat_rotate_inverse
-from companion.sense.ak8963 import Ak8963
-from companion.sense.ak8963_path import BypassPath
-from companion.sense.fifo import SamplesLostError
-from companion.sense.i2c import SensorError
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.sample_clock import SampleClock
+from companion.sense.imu.ak8963 import Ak8963
+from companion.sense.imu.ak8963_path import BypassPath
+from companion.sense.imu.fifo import SamplesLostError
+from companion.sense.imu.i2c import SensorError
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.imu.sample_clock import SampleClock
 from sitl.devices.mpu9250 import Mpu9250Device
 from tests.unit.sense.imu_rig import FIELD, REST, STEP_S, STILL, Rig, at_rest
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from companion.config import ConfigError, ImuConfig, validate
-from companion.sense.ak8963 import Ak8963
-from companion.sense.ak8963_path import BypassPath
+from companion.sense.imu.ak8963 import Ak8963
+from companion.sense.imu.ak8963_path import BypassPath
 from tests.unit.sense.imu_rig import FIELD, REST, STILL, Rig
 
 WIRINGS: dict[str, dict[str, Any]] = {

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from companion.base.geometry import Vector3, ned_from_geodetic
+from companion.base.messages import GpsFix
 from companion.config import GpsConfig
-from companion.geometry import Vector3, ned_from_geodetic
-from companion.messages import GpsFix
-from companion.sense.gps_commands import configuration
-from companion.sense.gps_fixes import EpochClock
-from companion.sense.gps_frames import FrameSplitter
-from companion.sense.gps_line import SILENCE_S
-from companion.sense.neo6m import Neo6m
+from companion.sense.gps.commands import configuration
+from companion.sense.gps.fixes import EpochClock
+from companion.sense.gps.frames import FrameSplitter
+from companion.sense.gps.line import SILENCE_S
+from companion.sense.gps.neo6m import Neo6m
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
-from sitl.sensors import NO_GPS_ERRORS, GpsSensor
+from sitl.sensors.sensors import NO_GPS_ERRORS, GpsSensor
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 BYTE_S = 10.0 / 9600.0

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.config import CameraConfig, VehicleConfig, VisionConfig
-from companion.geometry import (
+from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
@@ -18,18 +17,19 @@ from companion.geometry import (
     quat_from_euler,
     subtract,
 )
-from companion.messages import Frame, PadPrior
+from companion.base.messages import Frame, PadPrior
+from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.pad import Pad
-from companion.sense.aruco import Detection
-from companion.sense.lens import Lens
-from companion.sense.paper_pose import (
+from companion.sense.vision.aruco import Detection
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.paper_pose import (
     extracted,
     marker_pose,
     mean_rotation,
     of_the_group_for_the_distance,
     paper_pose,
 )
-from companion.sense.vision import Vision
+from companion.sense.vision.pipeline import Vision
 
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
 CONFIG = VisionConfig()

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from companion.base.geometry import ZERO3, FloatArray, Vector3, matrix_from_quat, quat_from_euler, vector3
 from companion.config import CameraConfig, VisionConfig
-from companion.geometry import ZERO3, FloatArray, Vector3, matrix_from_quat, quat_from_euler, vector3
 from companion.pad import Pad
-from companion.sense.aruco import Detection
-from companion.sense.lens import Lens
-from companion.sense.pose import estimate_pose
+from companion.sense.vision.aruco import Detection
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.pose import estimate_pose
 
 CONFIG = VisionConfig()
 # corners that are taken for this uncertain, px

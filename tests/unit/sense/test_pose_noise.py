@@ -9,8 +9,8 @@ import pytest
 
 from companion.config import VisionConfig
 from companion.pad import Pad
-from companion.sense.aruco import Detection
-from companion.sense.pose_noise import shaking, side_noise_px, whitening
+from companion.sense.vision.aruco import Detection
+from companion.sense.vision.pose_noise import shaking, side_noise_px, whitening
 
 
 def test_errors_of_sides_are_white_after_whitening() -> None:

@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import RangeSample
 from companion.config import RangeConfig
-from companion.messages import RangeSample
-from companion.sense.range_finder import SerialRange, make_range_finder
+from companion.sense.range.range_finder import SerialRange, make_range_finder
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
-from sitl.sensors import NO_RANGE_ERRORS, RangeSensor
+from sitl.sensors.sensors import NO_RANGE_ERRORS, RangeSensor
 
 Kind = Literal["frames", "polled"]
 KINDS: list[Kind] = ["frames", "polled"]

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.messages import RangeSample
 from companion.config import RangeConfig
-from companion.messages import RangeSample
-from companion.sense.range_gate import MARGIN_M, MARGIN_SHARE, RangeGate
-from sitl.sensors import RangeErrors, RangeSensor
+from companion.sense.range.gate import MARGIN_M, MARGIN_SHARE, RangeGate
+from sitl.sensors.sensors import RangeErrors, RangeSensor
 
 PERIOD_S = 0.08
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from companion.base.messages import MarkerGroup
 from companion.config import CameraConfig, VisionConfig
-from companion.messages import MarkerGroup
 from companion.pad import Pad
-from companion.sense.aruco import GROUPS, SearchPass
-from companion.sense.lens import Lens
-from companion.sense.search import SearchPlanner
+from companion.sense.vision.aruco import GROUPS, SearchPass
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.search import SearchPlanner
 
 
 @pytest.fixture

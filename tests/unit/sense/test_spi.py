@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from companion.config import ConfigError, ImuConfig
-from companion.sense.i2c import open_bus
-from companion.sense.spi import SpiBus
+from companion.sense.imu.i2c import open_bus
+from companion.sense.imu.spi import SpiBus
 from sitl.devices.mpu9250 import Mpu9250Device
 from tests.unit.sense.imu_rig import FIELD, REST, Rig
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from companion.sense.stamps import ENOUGH_UNSTAMPED, StampPoint, StampReader, mid_exposure_s
+from companion.sense.camera.stamps import ENOUGH_UNSTAMPED, StampPoint, StampReader, mid_exposure_s
 
 EXPOSURE_S, READOUT_S = 0.004, 0.012
 

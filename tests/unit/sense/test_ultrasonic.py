@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config import RangeConfig
-from companion.sense.ultrasonic import Ultrasonic
+from companion.sense.range.ultrasonic import Ultrasonic
 from sitl.devices.ultrasonic import frame
 
 BYTE_S = 10.0 / 9600.0

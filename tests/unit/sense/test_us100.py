@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from companion.config import RangeConfig
-from companion.sense.us100 import Us100
+from companion.sense.range.us100 import Us100
 from sitl.devices.ultrasonic import millimetres
 
 CONFIG = RangeConfig(kind="polled", rate_hz=10.0)

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from companion.config import CameraConfig, VehicleConfig, VisionConfig
-from companion.geometry import (
+from companion.base.geometry import (
     Quaternion,
     Vector3,
     euler_from_quat,
@@ -21,9 +20,10 @@ from companion.geometry import (
     rotation_vector_from_quat,
     subtract,
 )
-from companion.messages import Frame, PadPrior, PadSighting
+from companion.base.messages import Frame, PadPrior, PadSighting
+from companion.config import CameraConfig, VehicleConfig, VisionConfig
 from companion.pad import Pad
-from companion.sense.vision import Vision
+from companion.sense.vision.pipeline import Vision
 
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
 LEVEL = quat_from_euler(0.0, 0.0, 0.0)

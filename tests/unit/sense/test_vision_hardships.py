@@ -9,19 +9,19 @@ import cv2
 import numpy as np
 import pytest
 
+from companion.base.geometry import FloatArray, Vector3, quat_from_euler
+from companion.base.messages import Frame, PadPrior, PadSighting
 from companion.config import CameraConfig, VehicleConfig, VisionConfig
-from companion.geometry import FloatArray, Vector3, quat_from_euler
-from companion.messages import Frame, PadPrior, PadSighting
 from companion.pad import Pad
-from companion.sense.aruco import PadDetector, SearchPass
-from companion.sense.lens import Lens
-from companion.sense.pose import estimate_pose
-from companion.sense.print_check import PrintCheck
-from companion.sense.vision import Vision
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings, DirtSettings
-from sitl.light import GlareSettings, LightSettings, ShadowSettings
-from sitl.sensor_chip import ExposureSettings
+from companion.sense.vision.aruco import PadDetector, SearchPass
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.pipeline import Vision
+from companion.sense.vision.pose import estimate_pose
+from companion.sense.vision.print_check import PrintCheck
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings, DirtSettings
+from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
+from sitl.camera.sensor_chip import ExposureSettings
 
 LEVEL = quat_from_euler(0.0, 0.0, 0.3)
 DOWN: Vector3 = (0.0, 0.0, 1.0)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
     Quaternion,
@@ -20,7 +20,7 @@ from companion.geometry import (
     quat_integrate,
     quat_rotate,
 )
-from companion.messages import LandedState, Manner, Truth
+from companion.base.messages import LandedState, Manner, Truth
 from sitl.autopilot import (
     NO_ERRORS,
     AttitudeSetpoint,
@@ -29,7 +29,7 @@ from sitl.autopilot import (
     MotionSetpoint,
     Result,
 )
-from sitl.autopilot.rate_control import RateGains
+from sitl.autopilot.control.rate_control import RateGains
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 RATE_HZ = 400

@@ -8,8 +8,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import Quaternion, Vector3, geodetic_from_ned
-from sitl.external_pose import Sample
+from companion.base.geometry import Quaternion, Vector3, geodetic_from_ned
+from sitl.external.pose import Sample
 
 GROUND = (47.0, 8.0, 400.0)
 ARDUPILOT, PX4 = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, mavlink.MAV_AUTOPILOT_PX4

@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 
+from companion.base.geometry import Vector3
+from companion.base.messages import Manner
 from companion.config import find_file, load_model
-from companion.geometry import Vector3
-from companion.messages import Manner
 from sitl.firmware.barometer import Barometer
 from sitl.firmware.base import Firmware, Moment, Setup
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.start import start_firmware
-from sitl.framing import FrameReader, dialect
-from sitl.onboard import Field, Fix, Inertial, OnboardSensors
-from sitl.quadrotor import QuadrotorState, resting_state
-from sitl.scenario import Airframe
-from sitl.sensors import GpsReading
+from sitl.mavlink.framing import FrameReader, dialect
+from sitl.scenario.scenario import Airframe
+from sitl.sensors.autopilot_sensors import Field, Fix, Inertial, OnboardSensors
+from sitl.sensors.sensors import GpsReading
+from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 
 SOURCE = Path(__file__).with_name("fake_program.py")
 HOME: Vector3 = (47.0, 8.0, 400.0)

@@ -7,8 +7,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.messages import Manner
-from sitl.endpoint import MavlinkEndpoint
+from companion.base.messages import Manner
+from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 
 RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT

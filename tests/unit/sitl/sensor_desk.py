@@ -8,23 +8,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import GpsConfig, ImuConfig, RangeConfig
-from companion.geometry import GRAVITY_M_S2, Vector3, quat_from_euler
-from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
-from companion.sense.i2c import SensorError
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.neo6m import Neo6m
-from companion.sense.ultrasonic import Ultrasonic
-from sitl.actuators import Motors
-from sitl.breaking import Breakable, FaultSchedule
+from companion.sense.gps.neo6m import Neo6m
+from companion.sense.imu.i2c import SensorError
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.range.ultrasonic import Ultrasonic
+from sitl.camera.frame_line import FrameLine
 from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
-from sitl.faults import Fault
-from sitl.faulty_link import LinkSettings, LinkWay
-from sitl.frame_line import FrameLine
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import QuadrotorState
+from sitl.faults.faults import Fault
+from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.faults.injection import Breakable, FaultSchedule
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.actuators import Motors
+from sitl.vehicle.quadrotor import QuadrotorState
 
 STEP_S = 1.0 / 400.0
 FORCE: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)

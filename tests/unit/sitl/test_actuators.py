@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from companion.config import validate
-from sitl.actuators import Motors
-from sitl.quadrotor import QuadrotorState
-from sitl.scenario import Scenario
-from sitl.world import World
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.actuators import Motors
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.world.world import World
 
 HOVER = (0.5, 0.5, 0.5, 0.5)
 

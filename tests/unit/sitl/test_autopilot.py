@@ -7,13 +7,13 @@ from math import nan
 
 import pytest
 
-from companion.geometry import (
+from companion.base.geometry import (
     quat_from_euler,
     tilt_from_quat,
     wrap_angle,
     yaw_from_quat,
 )
-from companion.messages import LandedState, Manner
+from companion.base.messages import LandedState, Manner
 from sitl.autopilot import (
     EstimatorErrors,
     Frame,

@@ -8,7 +8,7 @@ from math import nan
 
 import pytest
 
-from companion.geometry import (
+from companion.base.geometry import (
     euler_from_quat,
     quat_from_euler,
     quat_multiply,
@@ -17,7 +17,7 @@ from companion.geometry import (
     wrap_angle,
     yaw_from_quat,
 )
-from companion.messages import Manner
+from companion.base.messages import Manner
 from sitl.autopilot import (
     AttitudeSetpoint,
     EstimatorErrors,

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.geometry import IDENTITY, ZERO3
-from companion.messages import LandedState, Manner
+from companion.base.geometry import IDENTITY, ZERO3
+from companion.base.messages import LandedState, Manner
 from sitl.autopilot import MANNERS, NO_ERRORS, AttitudeSetpoint, MotionSetpoint, Result
-from sitl.autopilot.cascade import Cascade
-from sitl.autopilot.estimator import Estimator
+from sitl.autopilot.control.cascade import Cascade
+from sitl.autopilot.control.estimator import Estimator
 from tests.unit.sitl.autopilot_flight import STAND_STILL, Flight, Frame450, in_the_air, landed_state, velocity
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])

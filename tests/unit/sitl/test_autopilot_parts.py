@@ -10,23 +10,23 @@ from math import nan
 import numpy as np
 import pytest
 
-from companion.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate, yaw_from_quat
-from companion.messages import Manner, Truth
+from companion.base.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate, yaw_from_quat
+from companion.base.messages import Manner, Truth
 from sitl.autopilot import MANNERS, EstimatorErrors, Task
-from sitl.autopilot.ardupilot import ARDUPILOT
-from sitl.autopilot.attitude_control import (
+from sitl.autopilot.ardupilot.profile import ARDUPILOT
+from sitl.autopilot.control.attitude_control import (
     AttitudeControl,
     AttitudeReference,
     turn_about_down,
 )
-from sitl.autopilot.estimator import Estimator
-from sitl.autopilot.landed import LandedDetector
-from sitl.autopilot.mixer import Mixer
-from sitl.autopilot.px4 import PX4
-from sitl.autopilot.px4_control import Px4Control
-from sitl.autopilot.rate_control import RateFilters, RateGains
-from sitl.autopilot.setpoints import MotionSetpoint
-from sitl.parameters import Parameter, Parameters, Setting
+from sitl.autopilot.control.estimator import Estimator
+from sitl.autopilot.control.landed import LandedDetector
+from sitl.autopilot.control.mixer import Mixer
+from sitl.autopilot.control.rate_control import RateFilters, RateGains
+from sitl.autopilot.control.setpoints import MotionSetpoint
+from sitl.autopilot.flight.parameters import Parameter, Parameters, Setting
+from sitl.autopilot.px4.control import Px4Control
+from sitl.autopilot.px4.profile import PX4
 from tests.unit.sitl.autopilot_flight import Frame450
 
 

@@ -14,7 +14,7 @@ from sitl.campaign.manifest import make_plan
 from sitl.campaign.plots import draw_outcomes, draw_share, draw_touchdowns, looks_of_all, write_plots
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_summary
-from sitl.scenario import PassBounds
+from sitl.scenario.scenario import PassBounds
 from tests.unit.sitl.campaign_parts import row
 
 SCENARIOS = make_plan(["static", "line"], 0, 1, None).scenarios

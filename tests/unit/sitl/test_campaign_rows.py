@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.result import Result
+from companion.flightlog.result import Result
 from docs.settings_table import inner_model
 from sitl.campaign.rows import (
     COLUMNS,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
     Vector3,
@@ -15,11 +15,11 @@ from companion.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
 )
-from sitl.contact import NO_CONTACT, Contact
-from sitl.ground import Board
-from sitl.pad_motion import PadTruth
-from sitl.quadrotor import Four, Quadrotor, QuadrotorState
-from sitl.scenario import load_airframe
+from sitl.pad.motion import PadTruth
+from sitl.scenario.scenario import load_airframe
+from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorState
+from sitl.world.contact import NO_CONTACT, Contact
+from sitl.world.ground import Board
 
 DT = 0.0025
 X500 = load_airframe("x500")

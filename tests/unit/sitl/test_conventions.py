@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Quaternion, Vector3
+from companion.base.messages import ImuSample, MagSample
 from companion.config import CameraConfig, ImuConfig, VehicleConfig, find_file, load_model
-from companion.geometry import GRAVITY_M_S2, FloatArray, Quaternion, Vector3
-from companion.messages import ImuSample, MagSample
 from companion.pad import Marker, Pad, load_pad
-from companion.sense.mpu9250 import Mpu9250
-from sitl.camera import CameraModel, ScenePose
+from companion.sense.imu.mpu9250 import Mpu9250
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings
 from sitl.devices.rack import SensorErrors, SensorRack
-from sitl.exposure import CameraSettings
-from sitl.inertial import ImuErrors
-from sitl.quadrotor import QuadrotorState
-from sitl.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
+from sitl.sensors.inertial import ImuErrors
+from sitl.sensors.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
+from sitl.vehicle.quadrotor import QuadrotorState
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.config import ConfigError, validate
-from companion.geometry import (
+from companion.base.geometry import (
     Vector3,
     matrix_from_quat,
     quat_from_euler,
     subtract,
     tilt_from_quat,
 )
-from sitl.ground import Board, lean_over
-from sitl.pad_motion import PadTruth, build_pad_motion
-from sitl.pad_paths import LineMotion, StaticMotion
-from sitl.quadrotor import QuadrotorState
-from sitl.scenario import Scenario
-from sitl.sea import DeckMotion, DeckSettings
-from sitl.world import World
+from companion.config import ConfigError, validate
+from sitl.pad.motion import PadTruth, build_pad_motion
+from sitl.pad.paths import LineMotion, StaticMotion
+from sitl.pad.sea import DeckMotion, DeckSettings
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.world.ground import Board, lean_over
+from sitl.world.world import World
 
 DT = 0.0025
 STAND = 0.18

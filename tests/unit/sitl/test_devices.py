@@ -10,15 +10,22 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
-from companion.geometry import GRAVITY_M_S2, Vector3
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import GRAVITY_M_S2, Vector3
 from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice, nmea, ubx
 from sitl.devices.ports import MemoryPort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice, frame
-from sitl.inertial import NO_IMU_ERRORS, ImuSensor
-from sitl.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS, GpsSensor, MagSensor, RangeSensor
+from sitl.sensors.inertial import NO_IMU_ERRORS, ImuSensor
+from sitl.sensors.sensors import (
+    NO_GPS_ERRORS,
+    NO_MAG_ERRORS,
+    NO_RANGE_ERRORS,
+    GpsSensor,
+    MagSensor,
+    RangeSensor,
+)
 from tests.unit.sitl.sensor_desk import FORCE, STEP_S, fly
 
 CHIP = 0x68

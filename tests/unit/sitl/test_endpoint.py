@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from sitl.autopilot import EstimatorErrors
-from sitl.endpoint import MavlinkEndpoint
+from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])

@@ -20,26 +20,26 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.frame_format import FrameHeader
+from companion.base.frame_stream import FrameStream
+from companion.base.geometry import Vector3, ned_from_geodetic
+from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER, CameraConfig, RangeConfig, VehicleConfig, find_file, load_model
-from companion.frame_format import FrameHeader
-from companion.frame_stream import FrameStream
-from companion.geometry import Vector3, ned_from_geodetic
 from companion.link.codec import Codec, command_long
-from companion.messages import Outcome, Phase
 from companion.pad import load_pad
+from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.serial_port import SerialPort
-from companion.sense.ultrasonic import Ultrasonic
-from sitl import camera as lens
-from sitl import external_client
+from sitl.camera import camera as lens
+from sitl.camera.exposure import CameraSettings
+from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
 from sitl.devices.ports import PtyPort
-from sitl.exposure import CameraSettings
-from sitl.external import ExternalSimulation, Parts
-from sitl.external_link import UdpEnd, open_link, open_relay
-from sitl.frame_server import FrameServer
-from sitl.report import read_report
-from sitl.scenario import Scenario
+from sitl.external import client as external_client
+from sitl.external.link import UdpEnd, open_link, open_relay
+from sitl.external.session import ExternalSimulation, Parts
+from sitl.run.report import read_report
+from sitl.scenario.scenario import Scenario
 from tests.unit.sitl.external_vehicle import (
     ARDUPILOT,
     GROUND,

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import ned_from_geodetic
+from companion.base.geometry import ned_from_geodetic
 from companion.link.codec import Codec
-from sitl.external_client import COMPONENT, ESTIMATES, VehicleClient
+from sitl.external.client import COMPONENT, ESTIMATES, VehicleClient
 from tests.unit.sitl.external_vehicle import ARDUPILOT, GROUND, PX4, Sender, heartbeat, hil_state, sim_state
 
 SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

@@ -9,8 +9,8 @@ from contextlib import closing
 import pytest
 
 from companion.config import ConfigError
-from sitl import external_link
-from sitl.external_link import check_connection, open_link, open_relay, pump
+from sitl.external import link as external_link
+from sitl.external.link import check_connection, open_link, open_relay, pump
 
 
 @pytest.mark.parametrize(

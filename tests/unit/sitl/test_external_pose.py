@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from companion.geometry import ned_from_geodetic, quat_from_euler, rotation_vector_from_quat
-from sitl import external_pose
-from sitl.external_pose import LONGEST_GUESS_S, Pose, PoseTrack
+from companion.base.geometry import ned_from_geodetic, quat_from_euler, rotation_vector_from_quat
+from sitl.external import pose as external_pose
+from sitl.external.pose import LONGEST_GUESS_S, Pose, PoseTrack
 from tests.unit.sitl.external_vehicle import GROUND, LEVEL, hil_state, sim_state
 
 PLACE, SPEED = (12.0, -7.0, -3.5), (1.0, -0.5, 0.25)

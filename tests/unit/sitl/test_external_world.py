@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from companion.base.messages import Outcome, Phase
 from companion.config import ConfigError
-from companion.messages import Outcome, Phase
-from sitl.external_world import ExternalWorld
-from sitl.scenario import Scenario, load_scenario
+from sitl.external.world import ExternalWorld
+from sitl.scenario.scenario import Scenario, load_scenario
 from tests.unit.sitl.external_vehicle import GROUND, Flight, hop, sample
 
 STEP_S = 0.02
@@ -214,7 +214,7 @@ def test_while_it_stands_there_it_is_at_rest_on_the_pad() -> None:
 
 
 def test_the_same_seed_gives_the_bundled_simulators_pad() -> None:
-    from sitl.world import World
+    from sitl.world.world import World
 
     shipped = load_scenario("static")
     bundled, external = World(shipped, 3).pad_state, ExternalWorld(shipped, 3).pad_at(0.0)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
+from companion.base.geometry import GRAVITY_M_S2, ned_from_geodetic
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
-from companion.geometry import GRAVITY_M_S2, ned_from_geodetic
-from companion.messages import GpsFix, ImuSample, MagSample, RangeSample
-from sitl.faults import (
+from sitl.camera.frame_line import FrameLine
+from sitl.faults.faults import (
     AccelBiasStep,
     AccelClips,
     AccelSpikes,
@@ -38,8 +39,7 @@ from sitl.faults import (
     RangeSpikes,
     RangeStuck,
 )
-from sitl.frame_line import FrameLine
-from sitl.scenario import load_scenario
+from sitl.scenario.scenario import load_scenario
 from tests.unit.sitl.sensor_desk import Heard, fly
 
 START_S, END_S, SECONDS = 6.0, 8.0, 10.0

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from sitl.faulty_link import LinkSettings, LinkWay
+from sitl.faults.faulty_link import LinkSettings, LinkWay
 
 SENT = [0.02 * k for k in range(5000)]
 

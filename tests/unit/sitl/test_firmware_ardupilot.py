@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from companion.base.geometry import quat_from_euler
 from companion.config import ConfigError
-from companion.geometry import quat_from_euler
 from sitl.firmware import ardupilot
 from sitl.firmware.process import FirmwareError
-from sitl.quadrotor import QuadrotorState
+from sitl.vehicle.quadrotor import QuadrotorState
 from tests.unit.sitl.fake_firmware import (
     HOME,
     STEP_S,

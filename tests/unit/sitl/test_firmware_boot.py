@@ -16,17 +16,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.messages import Manner
 from companion.config import ConfigError
-from companion.messages import Manner
 from sitl.firmware import ardupilot, process, px4, start
 from sitl.firmware.base import Moment
 from sitl.firmware.process import Datagrams, FirmwareError, Process
 from sitl.firmware.vehicle import FirmwareVehicle
-from sitl.ground_station import GroundStation
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import Four
-from sitl.scenario import load_scenario
-from sitl.world import World
+from sitl.mavlink.ground_station import GroundStation
+from sitl.scenario.scenario import load_scenario
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.quadrotor import Four
+from sitl.world.world import World
 from tests.unit.sitl.fake_firmware import HOME, STEP_S, Fake, fake, runs, sensors_at_rest, soon
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "ardupilot"])

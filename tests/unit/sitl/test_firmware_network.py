@@ -10,9 +10,9 @@ import pytest
 
 from sitl.firmware.base import Moment
 from sitl.firmware.network import FirmwareNetwork
-from sitl.framing import dialect as mavlink
-from sitl.ground_station import GroundStation
-from sitl.quadrotor import Four
+from sitl.mavlink.framing import dialect as mavlink
+from sitl.mavlink.ground_station import GroundStation
+from sitl.vehicle.quadrotor import Four
 from tests.unit.sitl.external_vehicle import ARDUPILOT, PX4, Sender, heartbeat
 from tests.unit.sitl.fake_firmware import HOME, messages
 

@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from companion.base.geometry import quat_from_euler
 from companion.config import ConfigError
-from companion.geometry import quat_from_euler
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import px4
 from sitl.firmware.base import Firmware
 from sitl.firmware.process import FirmwareError
-from sitl.quadrotor import QuadrotorState, resting_state
+from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from tests.unit.sitl.fake_firmware import (
     STEP_S,
     Fake,

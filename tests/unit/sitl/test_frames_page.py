@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import CONFIG_FOLDER, CameraConfig, find_file, load_model
-from companion.sense.camera import open_camera
+from companion.sense.camera.source import open_camera
 
 PAGE = (CONFIG_FOLDER.parent / "docs" / "frames.md").read_text(encoding="utf-8")
 

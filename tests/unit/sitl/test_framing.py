@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sitl.framing import PATIENCE_S, FrameReader, dialect, number
+from sitl.mavlink.framing import PATIENCE_S, FrameReader, dialect, number
 
 mavlink: Any = dialect
 SENDER = mavlink.MAVLink(None, srcSystem=7, srcComponent=9)

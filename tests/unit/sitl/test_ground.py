@@ -6,11 +6,11 @@ import math
 
 import pytest
 
-from companion.geometry import ZERO3, Vector3, quat_from_euler
+from companion.base.geometry import ZERO3, Vector3, quat_from_euler
 from companion.pad import load_pad
-from sitl.ground import Board, rotor_ratios, thrust_ratio
-from sitl.pad_motion import PadTruth
-from sitl.quadrotor import QuadrotorState
+from sitl.pad.motion import PadTruth
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.world.ground import Board, rotor_ratios, thrust_ratio
 
 R = 0.127
 ROTORS = ((0.25, 0.0, -0.05), (0.0, 0.25, -0.05), (-0.25, 0.0, -0.05), (0.0, -0.25, -0.05))

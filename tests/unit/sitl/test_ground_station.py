@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import Vector3, ned_from_geodetic
-from sitl.ground_station import GroundStation
-from sitl.scenario import BeaconSettings
+from companion.base.geometry import Vector3, ned_from_geodetic
+from sitl.mavlink.ground_station import GroundStation
+from sitl.scenario.scenario import BeaconSettings
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
 PAD: Vector3 = (12.0, -5.0, -0.3)

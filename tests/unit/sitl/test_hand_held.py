@@ -14,19 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.bus_format import REPLY_HEADER_BYTES, WriteRequest, encode_request
-from companion.clock import Clock, run_in_virtual_time
-from companion.config import (
-    CONFIG_FOLDER,
-    CameraConfig,
-    ImuConfig,
-    VehicleConfig,
-    VisionConfig,
-    find_file,
-    load_model,
-    validate,
-)
-from companion.geometry import (
+from companion.base.bus_format import REPLY_HEADER_BYTES, WriteRequest, encode_request
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import (
     FloatArray,
     Vector3,
     add,
@@ -39,20 +29,30 @@ from companion.geometry import (
     scale,
     subtract,
 )
-from companion.messages import Frame, ImuSample, MagSample
+from companion.base.messages import Frame, ImuSample, MagSample
+from companion.config import (
+    CONFIG_FOLDER,
+    CameraConfig,
+    ImuConfig,
+    VehicleConfig,
+    VisionConfig,
+    find_file,
+    load_model,
+    validate,
+)
 from companion.pad import load_pad
-from companion.sense.mpu9250 import Mpu9250
-from companion.sense.vision import Vision
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.vision.pipeline import Vision
+from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
 from sitl.devices.register_server import serve_registers
-from sitl.frame_server import FrameServer
-from sitl.hand_held import HandHeldWorld
-from sitl.hand_paths import FACES, HAND_MOTIONS, HandMotion
-from sitl.in_process import InProcess, carried
-from sitl.scenario import Scenario, load_scenario
-from sitl.scene_camera import CameraTruth
-from sitl.sensor_flaws import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
-from sitl.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.run.in_process import InProcess, carried
+from sitl.run.scene_camera import CameraTruth
+from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.sensors.flaws import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
+from sitl.vehicle.hand_paths import FACES, HAND_MOTIONS, HandMotion
+from sitl.world.hand_held import HandHeldWorld
 
 STEP_S = 0.0025
 STATIC = load_scenario("static")

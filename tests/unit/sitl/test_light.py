@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from companion.base.geometry import matrix_from_quat, quat_from_euler
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
-from companion.geometry import matrix_from_quat, quat_from_euler
 from companion.pad import load_pad
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings, DirtSettings
-from sitl.light import GlareSettings, LightSettings, ShadowSettings
-from sitl.sensor_chip import (
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings, DirtSettings
+from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
+from sitl.camera.sensor_chip import (
     ExposureSettings,
     Metering,
     levelled,

@@ -8,11 +8,11 @@ from typing import Any, cast
 
 import pytest
 
-from companion.clock import Clock
+from companion.base.clock import Clock
 from companion.config import ConfigError
-from sitl.framing import dialect
-from sitl.links import MOST_CLIENTS, UDP_SILENCE_S, UNREAD_BYTES, TcpServer, UdpServer, in_datagrams
-from sitl.network import Port
+from sitl.mavlink.framing import dialect
+from sitl.mavlink.links import MOST_CLIENTS, UDP_SILENCE_S, UNREAD_BYTES, TcpServer, UdpServer, in_datagrams
+from sitl.mavlink.network import Port
 
 HELLO = bytes(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(dialect.MAVLink(None, srcSystem=255)))
 

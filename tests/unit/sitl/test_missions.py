@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import yaw_from_quat
-from companion.messages import Manner
-from sitl.endpoint import MavlinkEndpoint
+from companion.base.geometry import yaw_from_quat
+from companion.base.messages import Manner
+from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.mission_desk import Station, item, mission, plain
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])

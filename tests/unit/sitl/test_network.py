@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.geometry import ZERO3
-from companion.messages import Manner
-from sitl.framing import FrameReader, dialect
-from sitl.ground_station import GroundStation
-from sitl.network import Network
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import resting_state
-from sitl.signing import Signing
+from companion.base.geometry import ZERO3
+from companion.base.messages import Manner
+from sitl.mavlink.framing import FrameReader, dialect
+from sitl.mavlink.ground_station import GroundStation
+from sitl.mavlink.network import Network
+from sitl.mavlink.signing import Signing
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.quadrotor import resting_state
 from tests.bench.fuzzing import Fuzz
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 

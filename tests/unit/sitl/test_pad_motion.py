@@ -8,10 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from companion.geometry import wrap_angle
-from sitl.driven_paths import RandomTurnsMotion, WaypointsMotion
-from sitl.pad_motion import Motion, PadMotion, build_pad_motion
-from sitl.pad_paths import (
+from companion.base.geometry import wrap_angle
+from sitl.pad.driven_paths import RandomTurnsMotion, WaypointsMotion
+from sitl.pad.motion import Motion, PadMotion, build_pad_motion
+from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,
     Heading,

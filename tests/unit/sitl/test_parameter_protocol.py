@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.messages import Manner
+from companion.base.messages import Manner
 from sitl.autopilot import MANNERS
 from tests.unit.sitl.mission_desk import Station
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
-from companion.messages import Manner
-from sitl.autopilot.landing_target import AxisFilter, direction_from_angles
-from sitl.autopilot.px4_lander import PX4Lander, Stage
+from companion.base.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
+from companion.base.messages import Manner
+from sitl.autopilot.flight.landing_target import AxisFilter, direction_from_angles
+from sitl.autopilot.px4.lander import PX4Lander, Stage
 from tests.unit.sitl.mission_desk import Station
 
 BODY_FRD, LOCAL_NED = mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_FRAME_LOCAL_NED

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     Vector3,
     matrix_from_quat,
@@ -18,8 +18,8 @@ from companion.geometry import (
     rotate_yaw,
     tilt_from_quat,
 )
-from sitl.quadrotor import Four, Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
-from sitl.scenario import load_airframe
+from sitl.scenario.scenario import load_airframe
+from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorParameters, QuadrotorState, resting_state
 
 DT = 0.0025
 X500 = load_airframe("x500").body

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from companion.config import CONFIG_FOLDER, ConfigError, load_config, validate
-from sitl.scenario import Airframe, Scenario, load_airframe, load_scenario
-from sitl.world import World
+from sitl.scenario.scenario import Airframe, Scenario, load_airframe, load_scenario
+from sitl.world.world import World
 
 SHIPPED = sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
 BARS = ["circle", "figure_8", "heave", "line", "static"]

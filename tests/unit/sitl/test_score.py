@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from companion.messages import Outcome, Phase
-from sitl.scenario import PassBounds
-from sitl.score import Touchdown, TouchdownResult, Verdict, judge
+from companion.base.messages import Outcome, Phase
+from sitl.scenario.scenario import PassBounds
+from sitl.world.score import Touchdown, TouchdownResult, Verdict, judge
 
 GOOD = Touchdown(
     time_s=40.0,

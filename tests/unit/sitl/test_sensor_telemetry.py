@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import GRAVITY_M_S2, quat_from_euler
-from companion.messages import Manner
+from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
+from companion.base.messages import Manner
 from sitl.autopilot import Autopilot
-from sitl.endpoint import MavlinkEndpoint
-from sitl.inertial import NO_IMU_ERRORS
-from sitl.onboard import OnboardSensors
-from sitl.quadrotor import QuadrotorState, resting_state
-from sitl.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.inertial import NO_IMU_ERRORS
+from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
+from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 
 DT_S = 1.0 / 400.0

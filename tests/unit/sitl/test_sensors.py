@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from companion.geometry import GRAVITY_M_S2, Vector3, ned_from_geodetic
-from sitl.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuSensor, LowPass
-from sitl.sensors import (
+from companion.base.geometry import GRAVITY_M_S2, Vector3, ned_from_geodetic
+from sitl.sensors.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuSensor, LowPass
+from sitl.sensors.sensors import (
     NO_GPS_ERRORS,
     NO_MAG_ERRORS,
     NO_RANGE_ERRORS,

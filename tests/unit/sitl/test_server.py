@@ -13,7 +13,7 @@ import pytest
 
 from companion.config import CONFIG_FOLDER
 from sitl.cli import main
-from sitl.report import read_report
+from sitl.run.report import read_report
 
 COMMAND = (sys.executable, "-m", "sitl.cli")
 

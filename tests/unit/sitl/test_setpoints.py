@@ -8,9 +8,9 @@ from math import inf, isnan, nan
 
 import pytest
 
-from companion.geometry import IDENTITY, ZERO3, Vector3, quat_from_euler
-from sitl.autopilot import ardupilot_setpoints, px4_setpoints
-from sitl.autopilot.setpoints import (
+from companion.base.geometry import IDENTITY, ZERO3, Vector3, quat_from_euler
+from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
+from sitl.autopilot.control.setpoints import (
     STOP,
     AttitudeSetpoint,
     Frame,
@@ -22,6 +22,7 @@ from sitl.autopilot.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
+from sitl.autopilot.px4 import setpoints as px4_setpoints
 
 HERE: Vector3 = (10.0, 20.0, -5.0)
 MASKS = range(1 << 12)

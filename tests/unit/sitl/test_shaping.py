@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from sitl.autopilot.shaping import Limits, LowPass, Path1, Path2, root_law, signed_root_law
+from sitl.autopilot.control.shaping import Limits, LowPass, Path1, Path2, root_law, signed_root_law
 
 LIMITS = Limits(acceleration=2.5, jerk=5.0)
 DT_S = 0.01

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from companion.base.messages import Manner
 from companion.config import ConfigError
-from companion.messages import Manner
-from sitl.endpoint import MavlinkEndpoint
-from sitl.framing import FrameReader, MavFrame, dialect
-from sitl.signing import EPOCH_UNIX_S, STAMPS_PER_S, Signing, read_key, stamp_from_unix
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.signing import EPOCH_UNIX_S, STAMPS_PER_S, Signing, read_key, stamp_from_unix
 from tests.unit.sitl.autopilot_flight import Flight
 
 mavlink: Any = dialect

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Frame, Phase
 from companion.config import validate
-from companion.messages import Frame, Phase
 from sitl.devices.ports import MemoryPort
-from sitl.report import SimulationReport
-from sitl.scenario import Scenario
-from sitl.simulation import Simulation
+from sitl.run.report import SimulationReport
+from sitl.run.simulation import Simulation
+from sitl.scenario.scenario import Scenario
 
 SMALL = {"camera": {"rate_hz": 10.0}}
 

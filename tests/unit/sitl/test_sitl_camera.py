@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.config import CameraConfig, VehicleConfig, find_file, load_model
-from companion.geometry import (
+from companion.base.geometry import (
     FloatArray,
     Quaternion,
     Vector3,
@@ -19,10 +18,11 @@ from companion.geometry import (
     quat_from_euler,
     quat_integrate,
 )
+from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import Marker, Pad, load_pad
-from sitl.camera import CameraModel, ScenePose
-from sitl.exposure import CameraSettings, motion_blur
-from sitl.textures import pad_texture
+from sitl.camera.camera import CameraModel, ScenePose
+from sitl.camera.exposure import CameraSettings, motion_blur
+from sitl.camera.textures import pad_texture
 
 SHARP = CameraSettings(
     exposure_s=0.0, readout_s=0.0, noise_grey=0.0, lens_blur_px=0.5, aperture_m=0.0, vignette=0.0

@@ -3,13 +3,13 @@ import math
 import numpy as np
 import pytest
 
+from companion.base.messages import Outcome, Phase
 from companion.config import Box, ConfigError, Cylinder, Shape, validate
-from companion.messages import Outcome, Phase
-from sitl.obstacles import Obstacles, distance_m, reach_m
-from sitl.quadrotor import resting_state
-from sitl.scenario import PassBounds, Scenario, load_airframe, load_scenario
-from sitl.score import judge
-from sitl.world import World
+from sitl.scenario.scenario import PassBounds, Scenario, load_airframe, load_scenario
+from sitl.vehicle.quadrotor import resting_state
+from sitl.world.obstacles import Obstacles, distance_m, reach_m
+from sitl.world.score import judge
+from sitl.world.world import World
 
 POLE = Cylinder(kind="cylinder", centre_ned_m=(3.0, 4.0), radius_m=1.0, height_m=2.0)
 WALL = Box(kind="box", centre_ned_m=(3.0, 4.0), length_m=4.0, width_m=1.0, heading_deg=30.0, height_m=2.0)

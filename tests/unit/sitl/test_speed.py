@@ -9,18 +9,18 @@ import numpy as np
 import pymap3d
 import pytest
 
-from companion.clock import Clock, run_in_virtual_time
-from companion.geometry import GRAVITY_M_S2, Vector3, geodetic_from_ned, quat_from_euler
-from companion.messages import Frame, Phase
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import GRAVITY_M_S2, Vector3, geodetic_from_ned, quat_from_euler
+from companion.base.messages import Frame, Phase
 from sitl.devices.ak8963 import Ak8963Device
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import MemoryPort
-from sitl.inertial import ImuErrors, ImuSensor
-from sitl.quadrotor import QuadrotorState
-from sitl.scenario import load_scenario
-from sitl.sensors import MagErrors, MagSensor
-from sitl.simulation import Simulation
-from sitl.world import World
+from sitl.run.simulation import Simulation
+from sitl.scenario.scenario import load_scenario
+from sitl.sensors.inertial import ImuErrors, ImuSensor
+from sitl.sensors.sensors import MagErrors, MagSensor
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.world.world import World
 
 CHIP = 0x68
 STEP_S = 1.0 / 400.0

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.geometry import tilt_from_quat, yaw_from_quat
-from companion.messages import Manner
+from companion.base.geometry import tilt_from_quat, yaw_from_quat
+from companion.base.messages import Manner
 from tests.unit.sitl.mission_desk import Station
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.geometry import ned_from_geodetic, quat_from_euler
+from companion.base.messages import Manner
 from companion.config import LinkConfig, SenseConfig
-from companion.geometry import ned_from_geodetic, quat_from_euler
 from companion.link.codec import Codec, command_long
 from companion.link.session import Session
-from companion.messages import Manner
-from sitl import external_pose
 from sitl.autopilot import Autopilot
-from sitl.endpoint import MavlinkEndpoint
-from sitl.quadrotor import QuadrotorState
-from sitl.scenario import Scenario
-from sitl.simulation import HOME
-from sitl.truth_telemetry import HIL_STATE, SIM_STATE, TruthMessages
-from sitl.world import World
+from sitl.external import pose as external_pose
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.mavlink.truth_telemetry import HIL_STATE, SIM_STATE, TruthMessages
+from sitl.run.simulation import HOME
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.quadrotor import QuadrotorState
+from sitl.world.world import World
 
 MANNERS: tuple[Manner, ...] = ("px4", "ardupilot")
 OF = {"px4": HIL_STATE, "ardupilot": SIM_STATE}

@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.clock import Clock
+from companion.base.clock import Clock
+from companion.base.frame_format import FrameHeader, pack_frame
+from companion.base.messages import Frame
+from companion.base.mjpeg import MjpegServer
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.frame_format import FrameHeader, pack_frame
-from companion.messages import Frame
-from companion.mjpeg import MjpegServer
+from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
-from sitl.frame_server import FrameServer
-from sitl.view import Statistics, Wishes, annotated, view
+from sitl.run.view import Statistics, Wishes, annotated, view
 
 GREY = np.full((120, 160), 90, np.uint8)
 RATE_HZ = 100.0

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sitl.wind import (
+from sitl.world.wind import (
     FADE_HEIGHT_M,
     FOOT_M,
     KNOT_M_S,

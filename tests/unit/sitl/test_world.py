@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from companion.config import validate
-from companion.geometry import (
+from companion.base.geometry import (
     GRAVITY_M_S2,
     euler_from_quat,
     quat_from_euler,
@@ -17,10 +16,11 @@ from companion.geometry import (
     wrap_angle,
     yaw_from_quat,
 )
-from sitl.quadrotor import Four, QuadrotorState
-from sitl.scenario import Scenario
-from sitl.wind import shear
-from sitl.world import World
+from companion.config import validate
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.quadrotor import Four, QuadrotorState
+from sitl.world.wind import shear
+from sitl.world.world import World
 
 DT = 0.0025
 OFF: Four = (0.0, 0.0, 0.0, 0.0)

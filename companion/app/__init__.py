@@ -1,0 +1,1 @@
+"""The application: wires the stages to the hardware."""

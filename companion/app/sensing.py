@@ -1,0 +1,337 @@
+"""The sensors' tasks: from each device through its driver into the estimator and the log.
+
+    mpu9250 (registers) ───────┐
+    neo6m, ultrasonic (bytes) ─┼─► estimator
+    autopilot's (telemetry) ───┤
+    camera (frames) ─► vision ─┘
+
+Each task runs until it is cancelled or its device is gone (OSError). A board that the hardware has not got
+has no task: the link hands over the autopilot's samples instead (`take_samples`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Final, Protocol
+
+import numpy as np
+
+from companion.app.hardware import BytePort, Hardware
+from companion.base.clock import Clock
+from companion.base.geometry import vector3
+from companion.base.messages import (
+    AutopilotAttitude,
+    AutopilotState,
+    Frame,
+    FrameReport,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    PadPrior,
+    PadSighting,
+    RangeSample,
+)
+from companion.config import CompanionConfig, SenseConfig, StrictModel, load_inertial
+from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
+from companion.flightlog.record import FlightLog
+from companion.link.codec import Severity
+from companion.link.telemetry.autopilot_sensors import OnboardSensors, Sample
+from companion.sense.camera.keeper import KeptCamera
+from companion.sense.camera.source import at_exposure
+from companion.sense.gps.neo6m import Neo6m
+from companion.sense.imu.i2c import SensorError
+from companion.sense.imu.mpu9250 import Mpu9250
+from companion.sense.range.range_finder import RangeFinder, make_range_finder
+from companion.sense.vision.pipeline import VisionResult
+
+GPS_CONFIGURATION_PERIOD_S: Final = 0.2
+FAULT_PERIOD_S: Final = 2.0
+WATCH_PERIOD_S: Final = 1.0
+
+
+def load_used_magnetometer(sense: SenseConfig) -> MagnetometerCalibration | None:
+    """The calibration of whichever magnetometer the settings use; None when they name none for it.
+
+    Raises:
+        ConfigError: it is missing, or another sensor's.
+    """
+    sensor: Sensor
+    if sense.source == "autopilot":
+        path, sensor, key = sense.autopilot.magnetometer_calibration, "autopilot", "sense.autopilot"
+    else:
+        path, sensor, key = sense.imu.magnetometer_calibration, "mpu9250", "sense.imu"
+    if path is None:
+        return None
+    return load_magnetometer_calibration(path, sensor, f"{key}.magnetometer_calibration")
+
+
+class Tell(Protocol):
+    """How a task says something to people."""
+
+    def __call__(self, kind: str, text: str, severity: Severity) -> None:
+        """Publish a notice."""
+        ...
+
+
+class Eyes(Protocol):
+    """What looks at frames: `companion.sense.vision.pipeline.Vision`, or it with something about it."""
+
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+        """One frame in, what it shows out."""
+        ...
+
+
+class Estimates(Protocol):
+    """Where samples go: the estimator, or whoever wants them as they are."""
+
+    def add_imu(self, sample: ImuSample) -> object: ...
+    def add_mag(self, sample: MagSample) -> object: ...
+    def add_gps(self, fix: GpsFix) -> object: ...
+    def add_range(self, sample: RangeSample) -> object: ...
+    def add_sighting(self, sighting: PadSighting) -> object: ...
+    def add_autopilot_attitude(self, sample: AutopilotAttitude) -> object: ...
+    def pad_prior(self, time_s: float) -> PadPrior | None: ...
+
+
+class Sensing:
+    """All sensors of one vehicle."""
+
+    def __init__(
+        self,
+        config: CompanionConfig,
+        hardware: Hardware,
+        vision: Eyes,
+        estimator: Estimates,
+        onboard: OnboardSensors | None = None,
+        *,
+        clock: Clock,
+        log: FlightLog,
+        tell: Tell,
+        frame_time_offset_s: float = 0.0,
+    ) -> None:
+        """Make the drivers; nothing is read yet.
+
+        `onboard` are the autopilot's sensors, if they are used; `frame_time_offset_s` is added to the frames'
+        stamps.
+
+        Raises:
+            ConfigError: a calibration that the settings name is missing, or another sensor's.
+        """
+        self._config, self._hardware = config, hardware
+        self._onboard = onboard
+        self._magnetometer = load_used_magnetometer(config.sense)
+        self._inertial = load_inertial(config.sense)
+        self._gps = Neo6m(config.sense.gps)
+        self._range: RangeFinder | None = None
+        if hardware.range_port is not None:
+            self._range = make_range_finder(config.sense.range, hardware.range_port, clock)
+        self._vision = vision
+        self._estimator = estimator
+        self._clock, self._log, self._tell = clock, log, tell
+        self._frame_time_offset_s = frame_time_offset_s
+        self.last_range: RangeSample | None = None
+        self.last_frame: FrameReport | None = None
+        self.frame_count = 0
+        self._fault_told_s = self._attitude_s = float("-inf")
+
+    @property
+    def calibrations(self) -> dict[str, StrictModel]:
+        """What samples are put right by before anybody sees them, by name: for the log."""
+        named = {"inertial": self._inertial, "magnetometer": self._magnetometer}
+        return {name: model for name, model in named.items() if model is not None}
+
+    def tasks(self) -> dict[str, Callable[[], Awaitable[None]]]:
+        """What is to run, by the device's name."""
+        hardware, tasks = self._hardware, dict[str, Callable[[], Awaitable[None]]]()
+        if hardware.imu_bus is not None:
+            driver = Mpu9250(hardware.imu_bus, self._config.sense.imu, self._magnetometer, self._inertial)
+            tasks["mpu9250"] = partial(self._imu_task, driver)
+        if hardware.gps_port is not None:
+            tasks["gps"] = partial(self._gps_task, hardware.gps_port)
+            tasks["gps configuration"] = partial(self._gps_configuration_task, hardware.gps_port)
+        if self._range is not None:
+            tasks["ultrasonic"] = partial(self._range_task, self._range)
+        if isinstance(hardware.frames, KeptCamera):
+            tasks["camera's reports"] = partial(self._camera_reports_task, hardware.frames)
+        return {**tasks, "sensors' watch": self._watch_task, "camera": self._vision_task}
+
+    # ------------------------------------------------------------ telemetry
+
+    def take_samples(self, samples: Iterable[Sample]) -> None:
+        """What the autopilot's own sensors have measured, as the link brings it."""
+        for sample in samples:
+            match sample:
+                case ImuSample():
+                    self._take_inertial([sample], [])
+                case MagSample():
+                    self._take_inertial([], [self._calibrated(sample)])
+                case GpsFix():
+                    self._take_fix(sample)
+                case RangeSample():
+                    self._take_range(sample)
+
+    def _calibrated(self, sample: MagSample) -> MagSample:
+        """The autopilot's field in its body axes, by the calibration that is on top of its own."""
+        if self._magnetometer is None:
+            return sample
+        field = self._magnetometer.apply(np.array([sample.field_body_ut]))[0]
+        return replace(sample, field_body_ut=vector3(field.tolist()))
+
+    # ------------------------------------------------------------ inertial
+
+    async def _imu_task(self, driver: Mpu9250) -> None:
+        """Poll the MPU9250; the driver sets the chip up anew after a fault, which is told once."""
+        period_s = 1.0 / self._config.sense.imu.poll_hz
+        next_s, fault = self._clock.now_s(), driver.problem
+        while True:
+            try:
+                # a bus transaction blocks; it takes no virtual time
+                samples = await self._clock.run(driver.poll, self._clock.now_s, modelled_s=0.0)
+                self._take_inertial(*samples)
+                if samples[0]:
+                    fault = self._tell_change(driver.problem, fault)
+            except SensorError as error:
+                fault = self._tell_change(str(error), fault)
+            next_s = max(next_s + period_s, self._clock.now_s())
+            await self._clock.sleep_until(next_s)
+
+    def _tell_change(self, problem: str | None, told: str | None) -> str | None:
+        """Tell a problem that is not the one told last; returns what counts as told."""
+        if problem is not None and problem != told:
+            self._tell("sensor", problem, "warning")
+        return problem
+
+    def _take_inertial(self, imu_samples: list[ImuSample], mag_samples: list[MagSample]) -> None:
+        now_s = self._clock.now_s()
+        for imu in imu_samples:
+            self._estimator.add_imu(imu)
+            self._log.write("imu", imu, now_s)
+        for mag in mag_samples:
+            self._estimator.add_mag(mag)
+            self._log.write("mag", mag, now_s)
+
+    def take_attitude(self, autopilot: AutopilotState) -> None:
+        """The newest attitude that the autopilot has told, once."""
+        if autopilot.attitude is None or autopilot.attitude_time_s <= self._attitude_s:
+            return
+        self._attitude_s = autopilot.attitude_time_s
+        same_imu = self._config.sense.source == "autopilot"
+        sample = AutopilotAttitude(autopilot.attitude_time_s, autopilot.attitude, same_imu)
+        self._estimator.add_autopilot_attitude(sample)
+        self._log.write("autopilot_attitude", sample, self._clock.now_s())
+
+    # ------------------------------------------------------------ serial lines
+
+    async def _gps_task(self, port: BytePort) -> None:
+        """Turn the receiver's bytes into fixes."""
+        while True:
+            data = await port.read()
+            for fix in self._gps.feed(data, self._clock.now_s()):
+                self._take_fix(fix)
+
+    def _take_fix(self, fix: GpsFix) -> None:
+        self._estimator.add_gps(fix)
+        self._log.write("gps", fix, self._clock.now_s())
+
+    async def _gps_configuration_task(self, port: BytePort) -> None:
+        """Find the receiver's rate; send what it has not acknowledged yet, and all again when it forgets."""
+        # a port that is gone is told by the task that reads it
+        with contextlib.suppress(OSError):
+            while True:
+                question = self._gps.pending(self._clock.now_s())
+                port.set_baud(self._gps.baud)
+                port.write(question)
+                await asyncio.sleep(GPS_CONFIGURATION_PERIOD_S)
+
+    async def _range_task(self, finder: RangeFinder) -> None:
+        """Turn the ultrasonic's echoes into distances."""
+        while True:
+            for sample in await finder.read():
+                self._take_range(sample)
+
+    def _take_range(self, sample: RangeSample) -> None:
+        self.last_range = sample
+        self._estimator.add_range(sample)
+        self._log.write("range", sample, self._clock.now_s())
+
+    # ------------------------------------------------------------ watch
+
+    async def _watch_task(self) -> None:
+        """Tell what is wrong with the sensors, each problem once while it lasts."""
+        told: list[str | None] = []
+        while True:
+            await asyncio.sleep(WATCH_PERIOD_S)
+            problems = self._problems(self._clock.now_s())
+            told = told or [None] * len(problems)
+            told = [self._tell_change(*pair) for pair in zip(problems, told, strict=True)]
+
+    def _problems(self, now_s: float) -> list[str | None]:
+        """What is wrong with each of the sensors that are used and do not speak for themselves."""
+        problems: list[str | None] = []
+        if self._hardware.gps_port is not None:
+            problems.append(self._gps.problem)
+        if self._range is not None:
+            self._range.watch(now_s)
+            problems.append(self._range.problem)
+        if self._onboard is not None:
+            problems.append(self._onboard.watch(now_s))
+        return problems
+
+    # ------------------------------------------------------------ camera
+
+    @property
+    def camera_problem(self) -> str | None:
+        """What is wrong with the camera just now, None when nothing is."""
+        frames = self._hardware.frames
+        return frames.problem if isinstance(frames, KeptCamera) else None
+
+    async def _camera_reports_task(self, camera: KeptCamera) -> None:
+        """Tell what becomes of the camera; the flight goes on without sightings meanwhile."""
+        while True:
+            report = await camera.report()
+            kind = "device_lost" if report.severity == "error" else "sensor"
+            self._tell(kind, report.text, report.severity)
+
+    async def _vision_task(self) -> None:
+        """Look at the newest frame; what it shows enters the estimator at its exposure time."""
+        while True:
+            frame = at_exposure(await self._hardware.frames.next(), self._frame_time_offset_s)
+            self._log.write_frame(frame, self._clock.now_s())
+            prior = self._estimator.pad_prior(frame.time_s)
+            try:
+                seen = await self._clock.run(
+                    self._vision.step, frame, prior, modelled_s=self._config.compute.vision_s
+                )
+            except Exception as error:
+                # one frame that cannot be understood must not blind the rest of the flight
+                self._tell_fault(f"frame {frame.sequence} skipped: {type(error).__name__}: {error}")
+                continue
+            self._take_seen(frame, seen)
+
+    def _take_seen(self, frame: Frame, seen: VisionResult) -> None:
+        now_s = self._clock.now_s()
+        if seen.sighting is not None:
+            self._estimator.add_sighting(seen.sighting)
+            self._log.write("sighting", seen.sighting, now_s)
+        self.frame_count += 1
+        self.last_frame = FrameReport(
+            time_s=frame.time_s,
+            received_s=frame.received_s,
+            done_s=now_s,
+            sequence=frame.sequence,
+            marker_count=seen.marker_count,
+            seen=seen.sighting is not None,
+            searched_whole_frame=seen.searched_whole_frame,
+        )
+        self._log.write("frame_report", self.last_frame, now_s)
+
+    def _tell_fault(self, text: str) -> None:
+        """Tell a fault that may come with every frame, but not more often than is of use."""
+        now_s = self._clock.now_s()
+        if now_s - self._fault_told_s >= FAULT_PERIOD_S:
+            self._fault_told_s = now_s
+            self._tell("sensor", text, "warning")

@@ -1,0 +1,108 @@
+"""The live status in the terminal: one small panel, redrawn in place, with the latest notices under it."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from types import TracebackType
+from typing import Final
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from companion.app.app import Status
+from companion.base.messages import MarkerGroup, Notice
+
+NOTICES_SHOWN: Final = 8
+SEVERITY_STYLES: Final = {"info": "", "warning": "yellow", "error": "bold red"}
+GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
+
+
+class StatusView:
+    """Shows the app's status; on a terminal as a live panel, elsewhere as one line a notice."""
+
+    def __init__(self, console: Console, title: str, *, live: bool) -> None:
+        self._console = console
+        self._title = title
+        self._notices: deque[Notice] = deque(maxlen=NOTICES_SHOWN)
+        self._live = Live(console=console, auto_refresh=False) if live and console.is_terminal else None
+
+    def __enter__(self) -> StatusView:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, status: Status) -> None:
+        """Take a new status."""
+        for notice in status.notices:
+            self._notices.append(notice)
+            if self._live is None:
+                self._console.print(_notice_line(notice), highlight=False, soft_wrap=True)
+        if self._live is not None:
+            self._live.update(self._panel(status), refresh=True)
+
+    def _panel(self, status: Status) -> Panel:
+        lines: list[RenderableType] = [status_table(status)]
+        lines += [_notice_line(notice) for notice in self._notices]
+        return Panel(Group(*lines), title=self._title, title_align="left")
+
+
+def status_table(status: Status) -> Table:
+    """Phase, height, pad distance and speed, marker groups, frame rate and latency as one row of a table."""
+    table = Table.grid(padding=(0, 2))
+    cells: dict[str, str | Text] = {
+        "time": f"{status.time_s:6.1f} s",
+        "phase": f"{status.phase.value} ({status.mode or '-'})",
+        "height": _height(status),
+        "pad distance": _pad_distance(status),
+        "pad speed": _pad_speed(status),
+        "markers F/M/C": _markers(status),
+        "frames": _frames(status),
+        "latency": "-" if status.latency_ms is None else f"{status.latency_ms:.0f} ms",
+    }
+    for _ in cells:
+        table.add_column(justify="left")
+    table.add_row(*(Text(name, style="dim") for name in cells))
+    table.add_row(*cells.values())
+    return table
+
+
+def _height(status: Status) -> str:
+    if status.pad is not None:
+        return f"{status.pad.height_m:.2f} m"
+    return "-" if status.vehicle is None else f"{-status.vehicle.position_ned_m[2]:.1f} m"
+
+
+def _pad_distance(status: Status) -> str:
+    if status.pad is None:
+        return "-"
+    return f"{math.hypot(*status.pad.relative_position_ned_m[:2]):.2f} m"
+
+
+def _pad_speed(status: Status) -> str:
+    return "-" if status.pad is None else f"{math.hypot(*status.pad.velocity_ned_m_s[:2]):.2f} m/s"
+
+
+def _markers(status: Status) -> str:
+    if status.last_frame is None:
+        return "-"
+    return "/".join(str(status.last_frame.marker_count.get(group, 0)) for group in GROUPS)
+
+
+def _frames(status: Status) -> str | Text:
+    if status.camera_problem is not None:
+        return Text("no camera", style=SEVERITY_STYLES["error"])
+    return f"{status.frame_rate_hz:.0f}/s"
+
+
+def _notice_line(notice: Notice) -> Text:
+    return Text(f"{notice.time_s:7.1f} s  {notice.text}", style=SEVERITY_STYLES[notice.severity])

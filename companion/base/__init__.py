@@ -1,0 +1,1 @@
+"""What every stage shares: messages, geometry, the clock, formats."""

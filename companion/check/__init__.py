@@ -1,1 +1,0 @@
-"""Checks before a first flight, of a vehicle that is held by hand."""

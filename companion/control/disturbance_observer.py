@@ -1,0 +1,191 @@
+"""What pushes the vehicle besides the command, told by what is measured and by how fast it may be believed.
+
+- The wind's push sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
+  accelerates beyond its lean is the wind's doing. Both are measured and made equally late; no model of the
+  autopilot stands between, and no loop closes through one.
+- What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
+  not quite ours, its integrals wind up, thrust is not worth what was believed. That closes a loop through
+  the autopilot's lag, so it is believed slowly: `margins` tells how slowly.
+
+NED axes, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, level_acceleration
+from companion.control.response.flight_model import advance_axis
+
+# the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
+BIAS_RAD_S: Final = 0.6
+MAXIMUM_BIAS_M_S2: Final = 0.5
+# a larger surprise is a jump of the estimate (a fix came in), not of the vehicle
+LARGEST_VELOCITY_INNOVATION_M_S: Final = 0.3
+LARGEST_ACCELERATION_INNOVATION_M_S2: Final = 3.0
+
+
+class _Axis:
+    """One axis: velocity, the measured acceleration's bias, what the commands alone make (now, and as late
+    as it is measured), and what lasts besides."""
+
+    def __init__(self, bandwidth_rad_s: float, velocity: float, made: float, lasting: float) -> None:
+        self.bandwidth_rad_s = bandwidth_rad_s
+        self.velocity = velocity
+        self.made = self.made_late = made
+        self.bias, self.lasting = 0.0, lasting
+
+    def predict(self, wanted_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
+        _, gained, self.made = advance_axis((0.0, 0.0, self.made), wanted_m_s2, duration_s, tau_s)
+        # the mean of so short a time stands for its course
+        self.made_late += _share(duration_s / sensor_lag_s) * (gained / duration_s - self.made_late)
+
+    def correct(
+        self, velocity: float, acceleration: float, thrust: float, elapsed_s: float, bound: float
+    ) -> None:
+        jump = velocity - self.velocity - (acceleration - self.bias) * elapsed_s
+        innovation = _clamp(jump, LARGEST_VELOCITY_INNOVATION_M_S)
+        # both poles at the bandwidth; a jump is taken over as it is
+        self.velocity = velocity - (1.0 - _share(2.0 * BIAS_RAD_S * elapsed_s)) * innovation
+        self.bias = _clamp(self.bias - BIAS_RAD_S**2 * elapsed_s * innovation, MAXIMUM_BIAS_M_S2)
+        left = thrust - self.bias - self.made_late - self.lasting
+        fresh = _clamp(left, LARGEST_ACCELERATION_INNOVATION_M_S2)
+        self.lasting = _clamp(self.lasting + _share(self.bandwidth_rad_s * elapsed_s) * fresh, bound)
+
+
+class LastingObserver:
+    """What lasts between the acceleration commanded and the one that the thrust makes."""
+
+    def __init__(
+        self, lags_s: Vector3, sensor_lag_s: float, maximum_m_s2: float, bandwidths_rad_s: Vector3
+    ) -> None:
+        """`lags_s` from command to acceleration; `bandwidths_rad_s`: how fast what lasts is believed."""
+        self._lags_s, self._sensor_lag_s = lags_s, sensor_lag_s
+        self._maximum_m_s2 = maximum_m_s2
+        self._bandwidths_rad_s = bandwidths_rad_s
+        self.start(ZERO3, ZERO3)
+
+    def start(
+        self, velocity_ned_m_s: Vector3, made_ned_m_s2: Vector3, lasting_ned_m_s2: Vector3 = ZERO3
+    ) -> None:
+        """Begin anew from what the thrust makes by now, all of it as commanded, and a guess of what lasts."""
+        x, y, z = map(_Axis, self._bandwidths_rad_s, velocity_ned_m_s, made_ned_m_s2, lasting_ned_m_s2)
+        self._axes = (x, y, z)
+
+    @property
+    def lasting_ned_m_s2(self) -> Vector3:
+        """What lasts (m/s2, NED), each axis within the bound."""
+        x, y, z = self._axes
+        return (x.lasting, y.lasting, z.lasting)
+
+    @property
+    def bias_ned_m_s2(self) -> Vector3:
+        """The measured acceleration's bias (m/s2, NED)."""
+        x, y, z = self._axes
+        return (x.bias, y.bias, z.bias)
+
+    @property
+    def made_ned_m_s2(self) -> Vector3:
+        """What the commands alone make by now (m/s2, NED), by the model."""
+        x, y, z = self._axes
+        return (x.made, y.made, z.made)
+
+    def predict(self, wanted_ned_m_s2: Vector3, duration_s: float) -> None:
+        """Carry what the commands make on; `wanted_ned_m_s2` is in effect meanwhile."""
+        if duration_s > 0.0:
+            for axis, wanted, lag_s in zip(self._axes, wanted_ned_m_s2, self._lags_s, strict=True):
+                axis.predict(wanted, duration_s, lag_s, self._sensor_lag_s)
+
+    def correct(self, velocity: Vector3, acceleration: Vector3, thrust: Vector3, elapsed_s: float) -> None:
+        """Take in measured velocity, acceleration and what the thrust made, as late as the acceleration.
+
+        A measurement that is not finite is passed over.
+        """
+        measured = (velocity, acceleration, thrust)
+        if all(math.isfinite(value) for vector in measured for value in vector):
+            for axis, v, a, f in zip(self._axes, *measured, strict=True):
+                axis.correct(v, a, f, elapsed_s, self._maximum_m_s2)
+
+    def relieve_vertical(self, covered_m_s2: float) -> None:
+        """Take off along down what the thrust scale covers from now on."""
+        self._axes[2].lasting -= covered_m_s2
+
+
+class WindObserver:
+    """The wind's push sideways, from how the vehicle leans and how it accelerates. NED, m/s2.
+
+    An attitude that is off cancels: the acceleration was turned by it, too.
+    """
+
+    SMOOTHING_S: Final = 0.06
+
+    def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
+        """`sensor_lag_s` is how late the measured acceleration is: the lean is made as late."""
+        self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew: the first measurement is taken as it is."""
+        self._late: Vector3 | None = None
+        self.thrust_ned_m_s2: Vector3 = ZERO3
+        self.late_thrust_ned_m_s2: Vector3 = ZERO3
+        self.push_ned_m_s2: Vector3 = ZERO3
+
+    def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> None:
+        """Take in attitude and acceleration, the last were `elapsed_s` ago.
+
+        `thrust_ned_m_s2` is then what the lean makes now, `late_thrust_ned_m_s2` the same as late as the
+        acceleration, and `push_ned_m_s2` the wind's part. Along down all of the acceleration is thrust.
+        """
+        x, y, z = acceleration_ned_m_s2
+        if not all(map(math.isfinite, (x, y, z, *attitude))):
+            return
+        lean, carried = level_acceleration(attitude), 1.0 - z / GRAVITY_M_S2
+        now = (lean[0] * carried, lean[1] * carried, z)
+        first = self._late is None
+        late = self._late = now if self._late is None else _follow(self._late, now, elapsed_s / self._lag_s)
+        self.thrust_ned_m_s2, self.late_thrust_ned_m_s2 = now, (late[0], late[1], z)
+        bound = self._maximum_m_s2
+        wind = (_clamp(x - late[0], bound), _clamp(y - late[1], bound), 0.0)
+        smoothing = math.inf if first else elapsed_s / self.SMOOTHING_S
+        self.push_ned_m_s2 = _follow(self.push_ned_m_s2, wind, smoothing)
+
+
+class ThrustScale:
+    """How much more thrust than configured the vehicle needs to hover; learnt from the vertical disturbance.
+
+    A thrust that is off by a factor disturbs in proportion to the thrust itself, sideways too, which a
+    constant disturbance does not describe; hence the lasting part of the vertical one moves over into the
+    factor.
+    """
+
+    LEARNING_TIME_S = 2.0
+    BOUNDS = (0.7, 1.4)
+
+    def __init__(self) -> None:
+        self.factor = 1.0
+
+    def learn(self, disturbance_down_m_s2: float, elapsed_s: float) -> float:
+        """Take in a part of the disturbance; the return (m/s2) is how much of it the factor now covers."""
+        moved = disturbance_down_m_s2 * min(1.0, elapsed_s / self.LEARNING_TIME_S)
+        low, high = self.BOUNDS
+        factor = max(low, min(high, self.factor * (1.0 + moved / GRAVITY_M_S2)))
+        covered = (factor / self.factor - 1.0) * GRAVITY_M_S2
+        self.factor = factor
+        return covered
+
+
+def _follow(state: Vector3, measured: Vector3, exponent: float) -> Vector3:
+    share = _share(exponent)
+    x, y, z = (a + share * (b - a) for a, b in zip(state, measured, strict=True))
+    return (x, y, z)
+
+
+def _share(exponent: float) -> float:
+    """How much of the way a first-order lag goes."""
+    return -math.expm1(-exponent)
+
+
+def _clamp(value: float, bound: float) -> float:
+    return max(-bound, min(bound, value))

@@ -1,0 +1,80 @@
+"""What the MPC's inputs may be: a polytope about zero that lies within every limit on one command.
+
+The input u (m/s2, NED) is made by the specific force f = u - g, which points up and leans. Bounded are its
+horizontal part, its vertical part, the lean of f (with the vertical part: a vehicle that lets itself fall
+leans further for the same push), and its size, which is the thrust. Circles and spheres become planes from
+within, so that what the MPC plans is never cut by the gate. SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
+from companion.config import LimitsConfig
+
+# normals of four directions 45 degrees apart: with both signs, an octagon
+OCTAGON: Final = np.array([(math.cos(k * math.pi / 4), math.sin(k * math.pi / 4)) for k in range(4)])
+EIGHT: Final = np.vstack([OCTAGON, -OCTAGON])
+# an octagon with this share of a circle's radius to its sides lies within the circle
+OCTAGON_WITHIN_CIRCLE: Final = math.cos(math.pi / 8)
+FOUR: Final = EIGHT[::2]
+INPUT_ROWS: Final = 4 + 1 + 8 + 4
+# whatever hover thrust has been learnt, the vehicle may at least rise and sink by this share of g
+LEAST_ROOM: Final = 0.1
+
+
+def input_rows(limits: LimitsConfig) -> FloatArray:
+    """Rows (17, 3) on one input: horizontal (4), vertical (1), lean (8) and thrust (4)."""
+    octagon = np.hstack([OCTAGON, np.zeros((4, 1))])
+    lean = np.hstack([EIGHT, np.full((8, 1), OCTAGON_WITHIN_CIRCLE * _tangent(limits))])
+    ring = _ring_rad(limits)
+    thrust = np.hstack([FOUR * math.sin(ring), np.full((4, 1), -math.cos(ring))])
+    return np.vstack([octagon, [[0.0, 0.0, 1.0]], lean, thrust])
+
+
+def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper bounds (17,) of `input_rows`, for a share of full thrust that carries the weight.
+
+    Zero lies inside with room to spare, whatever the numbers: the vehicle may always hover.
+    """
+    side = min(GRAVITY_M_S2 * _tangent(limits), limits.horizontal_acceleration_m_s2) * OCTAGON_WITHIN_CIRCLE
+    room = LEAST_ROOM * GRAVITY_M_S2
+    sink = max(room, GRAVITY_M_S2 * (1.0 - limits.minimum_thrust / hover_thrust))
+    most = max(GRAVITY_M_S2 + room, GRAVITY_M_S2 * limits.maximum_thrust / hover_thrust)
+    lean = OCTAGON_WITHIN_CIRCLE * _tangent(limits) * GRAVITY_M_S2
+    thrust = most * _ring_within_sphere(limits) - GRAVITY_M_S2 * math.cos(_ring_rad(limits))
+    vertical = limits.vertical_acceleration_m_s2
+    upper = np.array([*[side] * 4, min(vertical, sink), *[lean] * 8, *[thrust] * 4])
+    lower = np.array([*[-side] * 4, -vertical, *[-math.inf] * 12])
+    # a plane that the first five rows imply gets no bound: such a row costs OSQP no iterations
+    rows = input_rows(limits)
+    vertically = np.maximum(rows[:, 2] * upper[4], rows[:, 2] * lower[4])
+    reach = np.hypot(rows[:, 0], rows[:, 1]) * side / OCTAGON_WITHIN_CIRCLE + vertically
+    upper[5:][reach[5:] <= upper[5:]] = math.inf
+    return lower, upper
+
+
+def shrunk(input_m_s2: FloatArray, rows: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """The input (3,), or as much of it, in its own direction, as the bounds allow."""
+    reach = rows @ input_m_s2
+    return input_m_s2 / max(1.0, float(np.max(np.where(reach > 0.0, reach / upper, reach / lower))))
+
+
+def _tangent(limits: LimitsConfig) -> float:
+    return math.tan(math.radians(limits.tilt_deg))
+
+
+def _ring_rad(limits: LimitsConfig) -> float:
+    """How far from upright the normals of the thrust's planes lean: the middle of what the force may."""
+    return 0.5 * math.radians(limits.tilt_deg)
+
+
+def _ring_within_sphere(limits: LimitsConfig) -> float:
+    """The share of a sphere's radius at which the four planes lie within it, up to the greatest lean."""
+    ring, tilt = _ring_rad(limits), math.radians(limits.tilt_deg)
+    aside = math.sin(tilt) * math.sin(ring) * math.cos(math.pi / 4)
+    return min(math.cos(ring), math.cos(tilt) * math.cos(ring) + aside)

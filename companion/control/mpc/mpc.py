@@ -1,0 +1,373 @@
+"""Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
+
+Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
+the reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a
+step changes vectors only (and the cone's slope, when that changes) and starts from the last solution; the
+first starts from the optimum without constraints.
+
+Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
+time is up. Past either bound an answer that is not nearly there gives way to the last solution, moved on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import osqp
+from scipy.sparse import csc_matrix
+
+from companion.base.geometry import FloatArray, Vector3
+from companion.config import ControlConfig
+from companion.control.mpc.free_optimum import FreeOptimum
+from companion.control.mpc.input_bounds import (
+    INPUT_ROWS,
+    OCTAGON,
+    OCTAGON_WITHIN_CIRCLE,
+    input_bounds,
+    input_rows,
+    shrunk,
+)
+from companion.control.mpc.qp import (
+    Layout,
+    axis_costs,
+    cone_rows,
+    constraint_matrix,
+    cost_matrix,
+    step_matrices,
+)
+from companion.control.response.flight_model import Motion
+
+ACCEPTED_RESIDUAL = 1e-2
+# measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
+# OSQP's count of iterations, since its own choice of interval goes by time
+RHO = 1.0
+RHO_BY_ITERATIONS = 1
+RHO_INTERVAL = 50
+SLICE_ITERATIONS = 100
+SETTINGS: Final[dict[str, Any]] = {
+    "eps_abs": 1e-4,
+    "eps_rel": 1e-4,
+    "check_termination": 5,
+    "rho": RHO,
+    "adaptive_rho": RHO_BY_ITERATIONS,
+    "adaptive_rho_interval": RHO_INTERVAL,
+    "polishing": False,
+    "warm_starting": True,
+    "verbose": False,
+}
+# OSQP's status values: solved to its tolerances; out of iterations, to ten times these or not even that
+SOLVED, NEARLY_SOLVED, UNSOLVED = 1, 2, 7
+UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
+# the gate bounds the whole vector's jerk, here it is each axis': stay within it, and clear of jitter
+JERK_SHARE = 0.95 / 3.0**0.5
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Where a descent may be: at most `radius_m` + `slope` * height aside of the axis, upright.
+
+    `apex_m` (N+1, 3) are the points on the axis from which the height counts, at 0, dt, .. N dt.
+    """
+
+    slope: float
+    radius_m: float
+    apex_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Target:
+    """What to track: rows 0..N hold at 0, dt, .. N dt from the start.
+
+    `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
+    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone
+    soft. `lean_m_s2` (N,) bounds the horizontal input over each step further, as far as the
+    jerk allows, or is None. `hover_thrust` is the share of full thrust that carries the weight, as known by
+    now; None: as it was at the start.
+    """
+
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+    acceleration_m_s2: FloatArray
+    floor_down_m: FloatArray | None = None
+    cone: Cone | None = None
+    hover_thrust: float | None = None
+    lean_m_s2: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for a shifted old solution.
+
+    `late`: the stopwatch ended the search.
+    """
+
+    inputs_m_s2: FloatArray
+    states: FloatArray
+    solved: bool
+    iterations: int
+    late: bool = False
+
+
+def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
+    """Inputs (N, 3) under which the model flies the target's acceleration against the disturbance."""
+    a = target.acceleration_m_s2
+    slope = np.diff(a, axis=0) / step_s
+    needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + np.array(lags_s) * slope - np.array(disturbance_m_s2)
+    return needed
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Least 1/2 z'Pz + q'z with lower <= A z <= upper; P is its upper triangle."""
+
+    P: csc_matrix
+    q: FloatArray
+    A: csc_matrix
+    lower: FloatArray
+    upper: FloatArray
+
+
+class Mpc:
+    """The tracker. Keeps the last solution, for a warm start and for when a solve fails."""
+
+    def __init__(
+        self,
+        config: ControlConfig,
+        lags_s: Vector3,
+        stopwatch: Callable[[], float] | None = None,
+        hover_thrust: float = 0.5,
+    ) -> None:
+        """`lags_s` are `flight_model.lags`; `stopwatch` tells seconds, by which a solve may come to its end.
+
+        `hover_thrust` is the share of full thrust that carries the weight, until a target tells it.
+        """
+        self._limits = config.limits
+        self._stopwatch = stopwatch or (lambda: 0.0)
+        self._solve_limit_s = config.solve_limit_s
+        self._slices = -(-config.maximum_iterations // SLICE_ITERATIONS)
+        self._N = config.horizon_steps
+        self._dt = config.step_s
+        self._lags_s = lags_s
+        self._period_s = 1.0 / config.rate_hz
+        self._costs = axis_costs(config, lags_s)
+        self._layout = Layout(self._N)
+        self._rows = self._layout.rows()
+        self._A, self._B = step_matrices(self._dt, lags_s)
+        self._stack_weights()
+        self._fixed_bounds(config, hover_thrust)
+        self._solver = self._set_up(min(SLICE_ITERATIONS, config.maximum_iterations))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last solution."""
+        self._last = np.zeros(self._layout.variables)
+        self._cold = True
+
+    def solve(
+        self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
+    ) -> Solution:
+        """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
+        if not _finite(start):
+            return self._fall_back()
+        self._bound_inputs(target.hover_thrust)
+        needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
+        last_input = self.clip_input(np.array(last_input_m_s2))
+        self._q = q = self._linear_cost(target, needed, last_input)
+        self._update_bounds(start, target, np.array(disturbance_m_s2), last_input)
+        if not self._consistent(q):
+            return self._fall_back()
+        self._solver.update(q=q, l=self._l, u=self._u)
+        if self._cold:
+            x, y = self._free_optimum.solve(q, self._l[self._rows["dynamics"]])
+            self._solver.warm_start(x=x, y=np.concatenate([y, np.zeros(self._l.size - y.size)]))
+            self._cold = False
+        return self._take(*self._search())
+
+    def _consistent(self, q: FloatArray) -> bool:
+        """Whether OSQP may see the data: it goes on with the old data on l > u, and never forgets a NaN."""
+        return bool(np.isfinite(q).all() and (self._l <= self._u).all())
+
+    def problem(self) -> Problem:
+        """The last step's quadratic programme, for who wants to solve it in another way."""
+        P, A = cost_matrix(self._costs, self._N), self._constraints(self._cone_slope)
+        return Problem(P, self._q.copy(), A, self._l.copy(), self._u.copy())
+
+    def clip_input(self, input_m_s2: FloatArray) -> FloatArray:
+        """The input (3,), or as much of it as meets the bounds."""
+        return shrunk(input_m_s2, self._input_rows, self._input_lower, self._input_upper)
+
+    # ------------------------------------------------------------ set-up
+
+    def _stack_weights(self) -> None:
+        self._q_state = np.array([[np.diag(c.Q)[i] for i in range(3) for c in self._costs]])[0]
+        self._R = np.array([c.R for c in self._costs])
+        self._S = np.array([c.S for c in self._costs])
+        self._terminal = np.stack([c.terminal for c in self._costs])
+
+    def _fixed_bounds(self, config: ControlConfig, hover_thrust: float) -> None:
+        limits, rows = config.limits, self._rows
+        count = rows["cone"].stop
+        self._l, self._u = np.full(count, -np.inf), np.full(count, np.inf)
+        speed = limits.horizontal_speed_m_s * OCTAGON_WITHIN_CIRCLE
+        for name, low, high in (
+            ("change", -JERK_SHARE * limits.jerk_m_s3 * self._dt, JERK_SHARE * limits.jerk_m_s3 * self._dt),
+            ("speed", -speed, speed),
+            ("vertical_speed", -limits.climb_speed_m_s, limits.descent_speed_m_s),
+        ):
+            self._l[rows[name]], self._u[rows[name]] = low, high
+        self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
+        self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
+        self._input_rows = input_rows(limits)
+        self._hover_thrust, self._levelled = math.nan, False
+        self._bound_inputs(hover_thrust)
+
+    def _set_up(self, iterations: int) -> osqp.OSQP:
+        P = cost_matrix(self._costs, self._N)
+        self._q = np.zeros(self._layout.variables)
+        self._cone_slope = 1.0
+        constraints = self._constraints(self._cone_slope)
+        self._cone_places = np.flatnonzero(constraints.data != self._constraints(2.0).data)
+        self._free_optimum = FreeOptimum(P, constraints[self._rows["dynamics"]])
+        solver = osqp.OSQP()
+        solver.setup(
+            P,
+            self._q,
+            constraints,
+            self._l,
+            self._u,
+            max_iter=iterations,
+            **SETTINGS,
+        )
+        return solver
+
+    def _constraints(self, cone_slope: float) -> csc_matrix:
+        rows = self._input_rows
+        return constraint_matrix(self._A, self._B, self._N, inputs=rows, cone_slope=cone_slope)
+
+    # ------------------------------------------------------------ each step
+
+    def _linear_cost(self, target: Target, needed: FloatArray, last_input: FloatArray) -> FloatArray:
+        q = np.zeros(self._layout.variables)
+        reference = np.hstack([target.position_m, target.velocity_m_s, target.acceleration_m_s2])
+        states = q[self._layout.states].reshape(self._N, 9)
+        states[:-1] = -self._q_state * reference[1:-1]
+        inputs = q[self._layout.inputs].reshape(self._N, 3)
+        # the change that the reference itself needs is free
+        change = np.diff(needed, axis=0, prepend=needed[:1])
+        first = last_input + (needed[1] - needed[0]) * (self._period_s / self._dt)
+        inputs[:] = -self._R * needed - self._S * change
+        inputs[:-1] += self._S * change[1:]
+        inputs[0] -= self._S * first
+        self._terminal_cost(states[-1], inputs[-1], reference[-1], needed[-1])
+        return q
+
+    def _terminal_cost(
+        self, state: FloatArray, last: FloatArray, reference: FloatArray, needed: FloatArray
+    ) -> None:
+        goal = np.vstack([reference.reshape(3, 3), needed]).T  # (axis, [p, v, a, u])
+        pull = np.einsum("aij,aj->ai", self._terminal, goal)
+        state[:] = -pull[:, :3].T.reshape(9)
+        last -= pull[:, 3]
+
+    def _update_bounds(
+        self, start: Motion, target: Target, disturbance: FloatArray, last_input: FloatArray
+    ) -> None:
+        rows, lower, upper = self._rows, self._l, self._u
+        drift = self._B @ disturbance
+        dynamics = lower[rows["dynamics"]].reshape(self._N, 9)
+        dynamics[:] = drift
+        dynamics[0] += self._A @ np.array([*start.position_m, *start.velocity_m_s, *start.acceleration_m_s2])
+        upper[rows["dynamics"]] = lower[rows["dynamics"]]
+        change = rows["change"].start
+        lower[change : change + 3] = last_input - self._first_change
+        upper[change : change + 3] = last_input + self._first_change
+        upper[rows["floor"]] = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
+        upper[rows["cone"]] = np.inf
+        if target.lean_m_s2 is not None or self._levelled:
+            self._level(target.lean_m_s2, last_input)
+        if target.cone is not None:
+            upper[rows["cone"]] = self._cone(target.cone, start.position_m).ravel()
+
+    def _bound_inputs(self, hover_thrust: float | None) -> None:
+        """Bounds of all inputs, by what hovering takes."""
+        if hover_thrust is None or hover_thrust == self._hover_thrust:
+            return
+        self._hover_thrust = hover_thrust
+        self._input_lower, self._input_upper = input_bounds(self._limits, self._hover_thrust)
+        rows = self._rows["input"]
+        self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
+
+    def _level(self, lean_m_s2: FloatArray | None, last_input: FloatArray) -> None:
+        """Bound the horizontal input over each step, no faster than it may change; None: as ever."""
+        self._levelled = lean_m_s2 is not None
+        most = np.full(self._N, self._input_upper[0])
+        if lean_m_s2 is not None:
+            change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
+            reach = float(np.max(np.abs(OCTAGON @ last_input[:2])))
+            still = reach - self._first_change - change * np.arange(self._N)
+            most = np.minimum(most, np.maximum(lean_m_s2 * OCTAGON_WITHIN_CIRCLE, still))
+        rows = self._rows["input"]
+        self._u[rows].reshape(self._N, INPUT_ROWS)[:, :4] = most[:, None]
+        self._l[rows].reshape(self._N, INPUT_ROWS)[:, :4] = -most[:, None]
+
+    def _cone(self, cone: Cone, position_m: Vector3) -> FloatArray:
+        """Bounds (N, 8) of the cone's rows.
+
+        Outside the cone it is as wide as the way aside: the vehicle comes back in without a climb, and goes
+        down no faster than in.
+        """
+        if cone.slope != self._cone_slope:
+            self._cone_slope = cone.slope
+            new = self._constraints(cone.slope).data[self._cone_places]
+            self._solver.update(Ax=new, Ax_idx=self._cone_places)
+        rows = cone_rows(cone.slope)
+        outside = float(np.max(rows @ (np.array(position_m) - cone.apex_m[0])))
+        radius = max(cone.radius_m * OCTAGON_WITHIN_CIRCLE, outside)
+        bounds: FloatArray = cone.apex_m[1:] @ rows.T + radius
+        return bounds
+
+    def _search(self) -> tuple[Any, int, bool]:
+        """OSQP's last result, how many iterations it took, and whether the stopwatch ended it."""
+        began_s, iterations = self._stopwatch(), 0
+        for _ in range(self._slices):
+            result = self._solver.solve(raise_error=False)
+            iterations += int(result.info.iter)
+            if result.info.status_val not in UNFINISHED:
+                return result, iterations, False
+            if self._stopwatch() - began_s >= self._solve_limit_s:
+                return result, iterations, True
+        return result, iterations, False
+
+    def _take(self, result: Any, iterations: int, late: bool) -> Solution:
+        info, x = result.info, np.array(result.x)
+        if not np.isfinite(x).all() or info.status_val not in (SOLVED, *UNFINISHED):
+            self._cold = True
+            return self._fall_back(iterations)
+        if info.status_val == UNSOLVED and max(info.prim_res, info.dual_res) > ACCEPTED_RESIDUAL:
+            return self._fall_back(iterations, late=late)  # and go on from this iterate next time
+        self._last = x
+        return self._solution(solved=True, iterations=iterations, late=late)
+
+    def _fall_back(self, iterations: int = 0, *, late: bool = False) -> Solution:
+        """The old plan, one period on; when it runs out, it commands no acceleration."""
+        inputs = self._last[self._layout.inputs].reshape(self._N, 3)
+        states = self._last[self._layout.states].reshape(self._N, 9)
+        share = min(1.0, self._period_s / self._dt)
+        following = np.vstack([inputs[1:], np.zeros((1, 3))])
+        inputs += share * (following - inputs)
+        states[:-1] += share * (states[1:] - states[:-1])
+        return self._solution(solved=False, iterations=iterations, late=late)
+
+    def _solution(self, *, solved: bool, iterations: int, late: bool) -> Solution:
+        inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
+        states = self._last[self._layout.states].reshape(self._N, 9).copy()
+        return Solution(inputs, states, solved, iterations, late)
+
+
+def _finite(motion: Motion) -> bool:
+    numbers = (*motion.position_m, *motion.velocity_m_s, *motion.acceleration_m_s2)
+    return all(map(math.isfinite, numbers))

@@ -1,0 +1,116 @@
+"""The plan's reference as the MPC's target: resampled to the moment the command takes effect, and with the
+pad's own motion added where the reference rides on the pad.
+
+Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin
+where the pad was when its path begins. SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
+from companion.base.messages import LevelOff, Reference
+from companion.control.mpc.mpc import Cone, Target
+from companion.control.pad_prediction import PadPath
+
+HEADING_RATE_SMOOTHING_S = 0.4
+
+
+def sample(reference: Reference, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and acceleration (n, 3) of the reference at `times_s` (n,).
+
+    Beyond its last row the reference goes straight on; before its first it stands at that row.
+    """
+    last_row = len(reference.position_m) - 1
+    rows = np.hstack([reference.position_m, reference.velocity_m_s, reference.acceleration_m_s2])
+    place = (times_s - reference.time_s) / reference.step_s
+    inside = np.clip(place, 0.0, last_row)
+    below = np.minimum(inside.astype(int), max(last_row - 1, 0))
+    above = np.minimum(below + 1, last_row)
+    share = (inside - below)[:, None]
+    values = rows[below] * (1.0 - share) + rows[above] * share
+    beyond_s = np.maximum(place - last_row, 0.0)[:, None] * reference.step_s
+    values[:, :3] += values[:, 3:6] * beyond_s
+    values[:, 6:] *= beyond_s <= 0.0
+    return values[:, :3], values[:, 3:6], values[:, 6:]
+
+
+def within_reach(
+    target: Target, position_m: Vector3, horizontal_reach_m: float, vertical_reach_m: float
+) -> Target:
+    """The target, moved as a whole until its start is within reach of the vehicle.
+
+    A quadratic cost pulls the harder the farther the goal is, past all soft bounds; drawn near, a far goal is
+    approached at a steady speed.
+    """
+    away = [float(value) for value in target.position_m[0]]
+    x, y, z = (away[i] - position_m[i] for i in range(3))
+    distance = math.hypot(x, y)
+    excess = max(0.0, 1.0 - horizontal_reach_m / distance) if distance > 0.0 else 0.0
+    down = z - max(-vertical_reach_m, min(vertical_reach_m, z))
+    if excess == 0.0 and down == 0.0:
+        return target
+    shift = np.array([x * excess, y * excess, down])
+    return replace(target, position_m=target.position_m - shift)
+
+
+def make_target(reference: Reference, times_s: FloatArray, path: PadPath) -> Target:
+    """The target at `times_s` (N+1,): the reference on top of the path of its origin."""
+    position, velocity, acceleration = sample(reference, times_s)
+    position += path.displacement_m
+    floor = cone = None
+    if reference.origin == "pad" and reference.minimum_height_m is not None:
+        floor = path.displacement_m[:, 2] - reference.minimum_height_m
+        position[:, 2] = np.minimum(position[:, 2], floor)
+    if reference.origin == "pad" and reference.cone is not None:
+        apex = path.displacement_m - np.array([0.0, 0.0, reference.cone.apex_height_m])
+        cone = Cone(reference.cone.slope, reference.cone.radius_m, apex)
+    return Target(
+        position,
+        velocity + path.velocity_m_s,
+        acceleration + path.acceleration_m_s2,
+        floor,
+        cone,
+        lean_m_s2=None if reference.level_off is None else _lean(reference.level_off, times_s),
+    )
+
+
+def _lean(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
+    """The greatest horizontal input (N,) over each of the steps between `times_s` (N+1,)."""
+    middle_s = 0.5 * (times_s[1:] + times_s[:-1])
+    within = (middle_s >= level_off.from_s) & (middle_s <= level_off.until_s)
+    return np.where(within, GRAVITY_M_S2 * math.tan(level_off.tilt_rad), np.inf)
+
+
+def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -> Reference:
+    """A local reference that stands still at a position."""
+    still = np.zeros((1, 3))
+    return Reference(time_s, "local", 1.0, np.array([position_ned_m]), still, still, heading_rad)
+
+
+class HeadingReference:
+    """Follows the plan's heading no faster than allowed, and tells the rate at which it turns (rad/s)."""
+
+    def __init__(self, maximum_rate_rad_s: float) -> None:
+        self._maximum_rate_rad_s = maximum_rate_rad_s
+        self.reset(0.0)
+
+    def reset(self, heading_rad: float) -> None:
+        """Begin at a heading, not turning."""
+        self.heading_rad = heading_rad if math.isfinite(heading_rad) else 0.0
+        self.rate_rad_s = 0.0
+
+    def step(self, wanted_rad: float, elapsed_s: float) -> None:
+        """Turn towards the wanted heading, the shorter way."""
+        if elapsed_s <= 0.0 or not math.isfinite(wanted_rad):
+            return
+        most = self._maximum_rate_rad_s * elapsed_s
+        change = max(-most, min(most, wrap_angle(wanted_rad - self.heading_rad)))
+        self.heading_rad = wrap_angle(self.heading_rad + change)
+        # the estimate of the pad's heading is noisy: its slope is of use only when smoothed
+        share = -math.expm1(-elapsed_s / HEADING_RATE_SMOOTHING_S)
+        self.rate_rad_s += share * (change / elapsed_s - self.rate_rad_s)

@@ -1,0 +1,1 @@
+"""How the vehicle answers setpoints: model, identification, margins."""

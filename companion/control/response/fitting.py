@@ -1,0 +1,95 @@
+"""Settings made to fit how the vehicle answers: no quicker than it bears, no more asked than passes.
+
+The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
+frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far
+below the ringing as the square of its peak says: what is fed back of velocity and of lean peaks there, too.
+`margins` tells what is left. SI units.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from companion.base.messages import AutopilotSetup, Manner
+from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
+
+QUICK_S: Final = 0.14
+LEAST_HOVER: Final = 0.1  # as the vehicle's file may say
+MOST_HOVER: Final = 0.9
+HOVER_DIFFERS: Final = 0.15  # as a share; less is learnt within a second
+# the loop's frequency as a share of the ringing's over its peak's square
+RINGING_SHARE: Final = 0.3
+
+
+def fitted(
+    config: ControlConfig, response: KindResponse, setup: AutopilotSetup | None = None
+) -> ControlConfig:
+    """The settings, of one kind of setpoint, for this response; `setup` is what the autopilot itself says.
+
+    Its limits on acceleration and jerk bind velocity setpoints alone; its tilt binds all.
+    """
+    setup = setup or AutopilotSetup()
+    bounds = {"tilt_deg": setup.tilt_deg}
+    if config.setpoint == "velocity":
+        bounds["horizontal_acceleration_m_s2"] = setup.acceleration_m_s2 or response.acceleration_m_s2
+        bounds["jerk_m_s3"] = setup.jerk_m_s3 or response.jerk_m_s3
+    own = config.limits
+    cut = {name: min(getattr(own, name), most) for name, most in bounds.items() if most is not None}
+    return config.model_copy(
+        update={
+            "limits": own.model_copy(update=cut),
+            "horizontal": _softened(config.horizontal, response.sideways),
+            "vertical": _softened(config.vertical, response.down),
+        }
+    )
+
+
+def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner) -> float:
+    """The share of full thrust to begin with: ArduPilot's, which has learnt it, else the vehicle's file's.
+
+    PX4 keeps what it learns to itself; its parameter is what somebody has typed.
+    """
+    told = setup.hover_thrust
+    learnt = manner == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER
+    return told if learnt and told is not None else vehicle.hover_thrust
+
+
+def misfits(
+    config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner
+) -> list[str]:
+    """What of the settings does not fit the autopilot's own, a line each; `config` is the resolved one."""
+    found = []
+    told, taken = setup.hover_thrust, hover_thrust(vehicle, setup, manner)
+    if told is not None and not abs(told / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
+        found.append(
+            f"hover thrust: the autopilot's is {told:.2f}, vehicle '{vehicle.name}' says "
+            f"{vehicle.hover_thrust:.2f}; {taken:.2f} is taken"
+        )
+    if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
+        found.append(
+            f"tilt: the autopilot leans {setup.tilt_deg:.0f} deg at most, control.limits.tilt_deg is "
+            f"{config.limits.tilt_deg:.0f}; the autopilot's is taken"
+        )
+    return found
+
+
+def loop_rad_s(weights: TrackingConfig) -> float:
+    """The frequency of the loop that these weights make, were the vehicle quick."""
+    return float((weights.effort_m_s2 / weights.position_m) ** 0.5)
+
+
+def _peak(damping: float) -> float:
+    """The greatest gain of a second order."""
+    return 1.0 / (2.0 * damping * (1.0 - damping**2) ** 0.5) if damping < 0.5**0.5 else 1.0
+
+
+def _softened(weights: TrackingConfig, response: AxisResponse) -> TrackingConfig:
+    """Weights whose loop is slower by how much slower the response is."""
+    bearable_rad_s = RINGING_SHARE * response.frequency_rad_s / (response.gain * _peak(response.damping)) ** 2
+    slower = max(1.0, response.delay_s / QUICK_S, loop_rad_s(weights) / bearable_rad_s)
+    return weights.model_copy(
+        update={
+            "position_m": weights.position_m * slower**2,
+            "velocity_m_s": weights.velocity_m_s * slower,
+        }
+    )

@@ -1,0 +1,84 @@
+"""What was commanded lately, and what the vehicle makes of it until the next command arrives.
+
+A command that leaves at t reaches the autopilot's loop at t + delay. To know where the vehicle will be when
+the next one arrives, the commands that are still under way are flown through the model first. NED, SI units.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from companion.base.geometry import ZERO3, Vector3, add, scale, subtract
+from companion.control.response.flight_model import Motion, advance
+
+REMEMBERED = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """An acceleration (m/s2) that was sent at `sent_s`, and the velocity (m/s) that went with it, if any.
+
+    `gains_1_s` are those of the autopilot's loops that follow this velocity; 0 on an axis that has none.
+    """
+
+    sent_s: float
+    acceleration_m_s2: Vector3
+    velocity_m_s: Vector3 | None = None
+    gains_1_s: Vector3 = ZERO3
+
+
+class CommandHistory:
+    """The last commands, and the acceleration that the autopilot's velocity loop makes of them."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._commands: deque[Command] = deque(maxlen=REMEMBERED)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._commands.clear()
+
+    def add(self, command: Command) -> None:
+        """Append the newest command."""
+        self._commands.append(command)
+
+    def last_effect(self, velocity_m_s: Vector3) -> Vector3 | None:
+        """What the newest command makes the autopilot want at this velocity; None when there is none."""
+        return self.effect(self._commands[-1], velocity_m_s) if self._commands else None
+
+    def effect(self, command: Command, velocity_m_s: Vector3) -> Vector3:
+        """Acceleration (m/s2) that the autopilot wants under a command at a velocity."""
+        if command.velocity_m_s is None:
+            return command.acceleration_m_s2
+        (x, y, z), (kx, ky, kz) = subtract(command.velocity_m_s, velocity_m_s), command.gains_1_s
+        return add(command.acceleration_m_s2, (kx * x, ky * y, kz * z))
+
+    def segments(self, from_s: float, to_s: float) -> list[tuple[float, Command | None]]:
+        """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
+        pieces: list[tuple[float, Command | None]] = []
+        current: Command | None = None
+        time_s = from_s
+        for command in self._commands:
+            begins_s = command.sent_s + self._delay_s
+            if begins_s >= to_s:
+                break
+            if begins_s > time_s:
+                pieces.append((begins_s - time_s, current))
+                time_s = begins_s
+            current = command
+        if to_s > time_s:
+            pieces.append((to_s - time_s, current))
+        return pieces
+
+    def carry(
+        self, motion: Motion, from_s: float, to_s: float, disturbance_m_s2: Vector3, lags_s: Vector3
+    ) -> Motion:
+        """The motion at `to_s` from that at `from_s`, under what was commanded and a constant disturbance."""
+        for duration_s, command in self.segments(from_s, to_s):
+            wanted = motion.acceleration_m_s2
+            if command is not None:
+                halfway = add(motion.velocity_m_s, scale(motion.acceleration_m_s2, 0.5 * duration_s))
+                wanted = add(self.effect(command, halfway), disturbance_m_s2)
+            motion = advance(motion, wanted, duration_s, lags_s)
+        return motion

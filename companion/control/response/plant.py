@@ -1,0 +1,124 @@
+"""The vehicle under its autopilot, as far as control knows it.
+
+What was commanded, what pushes, what thrust is worth: joins the command history, the disturbance observer and
+the thrust scale. NED and FRD, SI units.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
+from companion.base.messages import Manner, Setpoint, VehicleState
+from companion.config import ControlConfig, VehicleConfig
+from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
+from companion.control.response.fitting import loop_rad_s
+from companion.control.response.flight_model import Motion, velocity_gains
+from companion.control.response.history import Command, CommandHistory
+
+# how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
+LASTING_SHARE: Final = 0.25
+LASTING_DOWN_SHARE: Final = 0.3
+
+
+class Plant:
+    """Learns from each estimate how the vehicle answers, and carries motions forward through that answer."""
+
+    def __init__(
+        self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3, manner: Manner = "px4"
+    ) -> None:
+        """`lags_s` are `flight_model.lags`."""
+        self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
+        self._lags_s = lags_s
+        self._gains = {
+            heard: velocity_gains(vehicle, config, manner, sideways=heard) for heard in (True, False)
+        }
+        self._nominal_hover_thrust = vehicle.hover_thrust
+        self._history = CommandHistory(config.command_delay_s)
+        sensor_lag_s, most = config.acceleration_estimate_lag_s, config.maximum_disturbance_m_s2
+        sideways = LASTING_SHARE * loop_rad_s(config.horizontal)
+        share = LASTING_DOWN_SHARE if self._by_attitude else LASTING_SHARE
+        bandwidths = (sideways, sideways, share * loop_rad_s(config.vertical))
+        self._lasting = LastingObserver(lags_s, sensor_lag_s, most, bandwidths)
+        self._wind = WindObserver(sensor_lag_s, most)
+        self._thrust_scale = ThrustScale()
+        self._observed_s = 0.0
+
+    @property
+    def disturbance_ned_m_s2(self) -> Vector3:
+        """What pushes besides the command (m/s2, NED)."""
+        return add(self._wind.push_ned_m_s2, self._lasting.lasting_ned_m_s2)
+
+    @property
+    def lasting_disturbance_ned_m_s2(self) -> Vector3:
+        """The part of it that no wind explains (m/s2, NED)."""
+        return self._lasting.lasting_ned_m_s2
+
+    @property
+    def acceleration_ned_m_s2(self) -> Vector3:
+        """Flown acceleration (m/s2, NED): sideways what the lean makes and the wind, as measured."""
+        x, y, _ = subtract(
+            add(self._wind.thrust_ned_m_s2, self._wind.push_ned_m_s2), self._lasting.bias_ned_m_s2
+        )
+        down = add(self._lasting.made_ned_m_s2, self._lasting.lasting_ned_m_s2)[2]
+        return (x, y, down)
+
+    @property
+    def hover_thrust(self) -> float:
+        """Share of full thrust that carries the weight, as learnt."""
+        return self._nominal_hover_thrust * self._thrust_scale.factor
+
+    def begin(self, vehicle: VehicleState) -> None:
+        """Begin anew, nothing commanded: what the vehicle leans it leans against the wind, or into a turn.
+
+        With velocity setpoints the autopilot's own integral goes on to meet that wind.
+        """
+        self._wind.reset()
+        self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
+        met = scale(self._wind.push_ned_m_s2, -1.0) if self._by_velocity else ZERO3
+        self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
+        self._observed_s = vehicle.time_s
+        self._history.clear()
+
+    def observe(self, vehicle: VehicleState, elapsed_s: float) -> None:
+        """Compare what the vehicle does with what was commanded; the last call was `elapsed_s` ago."""
+        for duration_s, command in self._history.segments(self._observed_s, vehicle.time_s):
+            self._lasting.predict(self._wanted(command, vehicle), duration_s)
+        self._observed_s = max(self._observed_s, vehicle.time_s)
+        acceleration = vehicle.acceleration_ned_m_s2
+        self._wind.step(vehicle.attitude, acceleration, elapsed_s)
+        self._lasting.correct(
+            vehicle.velocity_ned_m_s, acceleration, self._wind.late_thrust_ned_m_s2, elapsed_s
+        )
+        if self._by_attitude:
+            down = self._lasting.lasting_ned_m_s2[2]
+            self._lasting.relieve_vertical(self._thrust_scale.learn(down, elapsed_s))
+
+    def carry(self, motion: Motion, from_s: float, to_s: float) -> Motion:
+        """The motion at `to_s` from that at `from_s`, under what is under way to the autopilot."""
+        return self._history.carry(motion, from_s, to_s, self.disturbance_ned_m_s2, self._lags_s)
+
+    def last_input(self, motion: Motion) -> Vector3:
+        """The input (m/s2) that is in effect; before the first command, what explains the motion."""
+        effect = self._history.last_effect(motion.velocity_m_s)
+        if effect is not None:
+            return effect
+        return subtract(motion.acceleration_m_s2, self.disturbance_ned_m_s2)
+
+    def remember(self, setpoint: Setpoint) -> None:
+        """Take note of what left, after all limits."""
+        if setpoint.attitude is None or setpoint.thrust is None:
+            gains = self._gains[setpoint.holds_horizontal_velocity]
+            acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
+            command = Command(setpoint.time_s, acceleration, velocity, gains)
+        else:
+            push = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
+            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -push))
+            command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
+        self._history.add(command)
+
+    def _wanted(self, command: Command | None, vehicle: VehicleState) -> Vector3:
+        """What the autopilot wants in a piece of time; before the first command, what it makes already."""
+        if command is None:
+            return self._lasting.made_ned_m_s2
+        return self._history.effect(command, vehicle.velocity_ned_m_s)

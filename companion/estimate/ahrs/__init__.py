@@ -1,0 +1,1 @@
+"""Orientation without position: alignment, Madgwick and complementary filter."""

@@ -1,0 +1,137 @@
+"""Standing still: the detector, and the first attitude and gyroscope bias from the mean of a few seconds.
+
+Samples are judged in blocks of 0.1 s by the standard deviation within the block, so that a constant bias
+does not look like motion. FRD, SI units, µT.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from companion.base.geometry import ZERO3, Vector3, add, norm, scale, subtract
+from companion.config import AlignmentConfig
+
+BLOCK_S: Final = 0.1
+LARGEST_BIAS_RAD_S: Final = math.radians(10.0)  # zero-rate output of the MPU9250: up to 5 deg/s an axis
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Means over about 0.1 s, and whether the vehicle stood still."""
+
+    rate_body_rad_s: Vector3
+    specific_force_body_m_s2: Vector3
+    samples: int
+    still: bool
+
+
+class StillnessDetector:
+    """Cuts the IMU's stream into blocks and judges each."""
+
+    def __init__(self, config: AlignmentConfig) -> None:
+        self._config = config
+        self._start_s = math.nan
+        self._count = 0
+        self._rate: Vector3 = ZERO3
+        self._force: Vector3 = ZERO3
+        self._first_rate: Vector3 = ZERO3
+        self._first_force: Vector3 = ZERO3
+        self._rate_squares = 0.0
+        self._force_squares = 0.0
+
+    def add(self, time_s: float, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3) -> Block | None:
+        """Take one sample; the finished block when this sample begins a new one."""
+        block = self._finish() if self._count and time_s - self._start_s >= BLOCK_S else None
+        if not self._count:
+            self._start_s, self._first_rate, self._first_force = time_s, rate_body_rad_s, specific_force_m_s2
+        # sums about the first sample: squares of small numbers keep their digits
+        rx, ry, rz = subtract(rate_body_rad_s, self._first_rate)
+        fx, fy, fz = subtract(specific_force_m_s2, self._first_force)
+        self._rate = add(self._rate, (rx, ry, rz))
+        self._force = add(self._force, (fx, fy, fz))
+        self._rate_squares += rx * rx + ry * ry + rz * rz
+        self._force_squares += fx * fx + fy * fy + fz * fz
+        self._count += 1
+        return block
+
+    def _finish(self) -> Block:
+        n, config = self._count, self._config
+        rate, force = scale(self._rate, 1.0 / n), scale(self._force, 1.0 / n)
+        # three axes together
+        rate_std = math.sqrt(max(self._rate_squares / n - norm(rate) ** 2, 0.0))
+        force_std = math.sqrt(max(self._force_squares / n - norm(force) ** 2, 0.0))
+        still = n >= 3 and rate_std < config.still_rate_rad_s and force_std < config.still_force_m_s2
+        block = Block(add(rate, self._first_rate), add(force, self._first_force), n, still)
+        self._count, self._rate, self._force = 0, ZERO3, ZERO3
+        self._rate_squares = self._force_squares = 0.0
+        return block
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Mean readings of the stand-still; `still` False: the time ran out first and they are worth little."""
+
+    rate_body_rad_s: Vector3
+    specific_force_body_m_s2: Vector3
+    field_body_ut: Vector3
+    samples: int
+    still: bool
+
+
+class StaticAligner:
+    """Collects still blocks until there are enough in a row and the magnetometer has spoken."""
+
+    def __init__(self, config: AlignmentConfig) -> None:
+        self._config = config
+        self._start_s: float | None = None
+        self._last_field: Vector3 | None = None
+        self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
+        self._count = self._blocks = self._fields = 0
+
+    def add_field(self, field_body_ut: Vector3) -> None:
+        """Take one magnetometer sample."""
+        self._field = add(self._field, field_body_ut)
+        self._last_field = field_body_ut
+        self._fields += 1
+
+    def add_block(self, time_s: float, block: Block) -> Alignment | None:
+        """Take one block of IMU samples; the alignment when it is complete."""
+        if self._start_s is None:
+            self._start_s = time_s
+        late = time_s - self._start_s > self._config.timeout_s
+        if not self._stands(block):
+            self._restart()
+            if not late or self._last_field is None:
+                return None
+            # no stand-still comes: what is felt now, for a mean over a motion is the attitude of no instant
+            return Alignment(
+                block.rate_body_rad_s, block.specific_force_body_m_s2, self._last_field, block.samples, False
+            )
+        n = block.samples
+        self._rate = add(self._rate, scale(block.rate_body_rad_s, n))
+        self._force = add(self._force, scale(block.specific_force_body_m_s2, n))
+        self._count += n
+        self._blocks += 1
+        if self._blocks * BLOCK_S < self._config.still_s or not self._fields:
+            return None
+        k = 1.0 / self._count
+        field = scale(self._field, 1.0 / self._fields)
+        return Alignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
+
+    def _stands(self, block: Block) -> bool:
+        """Still within the block, and the same as in the blocks before: a slow sway is quiet, but changes."""
+        config = self._config
+        if not block.still or norm(block.rate_body_rad_s) > LARGEST_BIAS_RAD_S:
+            return False
+        if not self._count:
+            return True
+        k = 1.0 / self._count
+        rate_change = norm(subtract(block.rate_body_rad_s, scale(self._rate, k)))
+        force_change = norm(subtract(block.specific_force_body_m_s2, scale(self._force, k)))
+        return rate_change < config.still_rate_rad_s and force_change < config.still_force_m_s2
+
+    def _restart(self) -> None:
+        self._rate, self._force, self._field = ZERO3, ZERO3, ZERO3
+        self._count = self._blocks = self._fields = 0

@@ -1,0 +1,121 @@
+"""The orientation pre-filter: gyroscope blended with accelerometer and magnetometer (eqs. 14-16).
+
+    q = γ q_am + (1 - γ) q_ω,   γ = e_ω / (e_ω + e_am)
+
+q_ω is the integrated gyroscope, and e_ω the rate (1/s) at which its error turns the quaternion.
+q_am is q_ω turned the shortest way until it agrees with the reference at hand: gravity for the
+accelerometer, magnetic north for the magnetometer. With both it is the attitude of eq. 13; with one alone
+(the two sensors come at their own rates, and either may be gated out) it changes nothing the other should
+tell. e_am = |q_am - q_ω| / dt is the rate of that correction, so a step never turns faster than e_ω: a
+burst of acceleration or a passing car moves the estimate no faster than the gyroscope could have erred.
+
+The accelerometer counts only as far as it measures gravity: the specific force is averaged in NED, where
+vibration and short manoeuvres cancel, and gated by its size. The magnetometer counts only when size and
+dip fit the expected field. Plain floats.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    Quaternion,
+    Vector3,
+    cross,
+    norm,
+    quat_integrate,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    scale,
+)
+from companion.config import OrientationConfig
+
+GRAVITY_FORCE_NED: Final[Vector3] = (0.0, 0.0, -GRAVITY_M_S2)
+
+
+def blend(q_gyro: Quaternion, q_reference: Quaternion, gyro_error_rate: float, dt_s: float) -> Quaternion:
+    """Eqs. 14-16: γ q_reference + (1 - γ) q_gyro with γ = e_ω / (e_ω + e_am), unit length.
+
+    q and -q are the same attitude: the reference takes the sign that is nearer to q_gyro.
+    """
+    w, x, y, z = q_gyro
+    rw, rx, ry, rz = q_reference
+    if w * rw + x * rx + y * ry + z * rz < 0.0:
+        rw, rx, ry, rz = -rw, -rx, -ry, -rz
+    distance = math.sqrt((rw - w) ** 2 + (rx - x) ** 2 + (ry - y) ** 2 + (rz - z) ** 2)
+    reach = gyro_error_rate * dt_s
+    if distance + reach <= 0.0:
+        return q_gyro
+    g = reach / (reach + distance)
+    h = 1.0 - g
+    return quat_normalise((g * rw + h * w, g * rx + h * x, g * ry + h * y, g * rz + h * z))
+
+
+def shortest_turn(start: Vector3, end: Vector3) -> Quaternion:
+    """Unit quaternion of the shortest rotation of one unit vector onto another."""
+    cosine = start[0] * end[0] + start[1] * end[1] + start[2] * end[2]
+    if cosine < -0.999999:
+        # opposite: any axis at right angles will do
+        other = (1.0, 0.0, 0.0) if abs(start[0]) < 0.9 else (0.0, 1.0, 0.0)
+        axis = cross(start, other)
+        return quat_normalise((0.0, *axis))
+    return quat_normalise((1.0 + cosine, *cross(start, end)))
+
+
+class OrientationFilter:
+    """Attitude and heading from the IMU and the magnetometer alone, without GPS.
+
+    `gravity_error_m_s2` and `mag_trusted` tell the EKF how far to believe the output.
+    """
+
+    def __init__(self, config: OrientationConfig, field_ned_ut: Vector3, attitude: Quaternion) -> None:
+        self._config = config
+        self._declination_rad = math.atan2(field_ned_ut[1], field_ned_ut[0])
+        self._field_ut = norm(field_ned_ut)
+        self._dip_rad = math.asin(field_ned_ut[2] / self._field_ut)
+        self.attitude = attitude
+        self._force_ned_m_s2 = GRAVITY_FORCE_NED
+        self.mag_trusted = True
+
+    @property
+    def gravity_error_m_s2(self) -> float:
+        """By how much the averaged specific force differs from gravity in size."""
+        return abs(norm(self._force_ned_m_s2) - GRAVITY_M_S2)
+
+    def update_imu(self, rate_body_rad_s: Vector3, specific_force_m_s2: Vector3, dt_s: float) -> Quaternion:
+        """Attitude after one bias-free gyroscope and accelerometer sample, dt_s after the last."""
+        q = quat_integrate(self.attitude, rate_body_rad_s, dt_s)
+        fx, fy, fz = quat_rotate(q, specific_force_m_s2)
+        k = dt_s / (self._config.accel_average_s + dt_s)
+        sx, sy, sz = self._force_ned_m_s2
+        force = (sx + k * (fx - sx), sy + k * (fy - sy), sz + k * (fz - sz))
+        self._force_ned_m_s2 = force
+        size = norm(force)
+        if abs(size - GRAVITY_M_S2) < self._config.accel_gate_m_s2:
+            turn = shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0))
+            before = q
+            q = blend(q, quat_multiply(turn, q), self._config.gyro_error_rate, dt_s)
+            # the average lives in the frame that has just been turned
+            undone = quat_multiply(q, (before[0], -before[1], -before[2], -before[3]))
+            self._force_ned_m_s2 = quat_rotate(undone, force)
+        self.attitude = q
+        return q
+
+    def update_mag(self, field_body_ut: Vector3, dt_s: float) -> Quaternion:
+        """Attitude after one magnetometer sample, dt_s after the last: turns the heading, never the tilt."""
+        north, east, down = quat_rotate(self.attitude, field_body_ut)
+        size = norm(field_body_ut)
+        self.mag_trusted = abs(size - self._field_ut) < self._config.mag_gate * self._field_ut and abs(
+            math.asin(max(-1.0, min(1.0, down / size))) - self._dip_rad
+        ) < math.radians(self._config.dip_gate_deg)
+        if self.mag_trusted:
+            half = 0.5 * math.remainder(self._declination_rad - math.atan2(east, north), math.tau)
+            turn = (math.cos(half), 0.0, 0.0, math.sin(half))
+            before = self.attitude
+            self.attitude = blend(before, quat_multiply(turn, before), self._config.heading_error_rate, dt_s)
+            done = quat_multiply(self.attitude, (before[0], -before[1], -before[2], -before[3]))
+            self._force_ned_m_s2 = quat_rotate(done, self._force_ned_m_s2)
+        return self.attitude

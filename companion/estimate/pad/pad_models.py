@@ -1,0 +1,228 @@
+"""How pads may move: the models that the pad filter's two banks hold.
+
+On each axis the state is (p, v, a, j): position and velocity relative to the vehicle, the pad's own
+acceleration and its rate. Horizontal, both axes of each state side by side; a' = -a / tau + omega x a + white
+jerk, and j plays no part, for
+
+    steady     small and short-lived: constant velocity
+    manoeuvre  large, fading in a second or two: constant acceleration
+    turn       lasting, and turning with the course: coordinated turn
+    sway       waves, as below: what a sea does to a pad sideways
+
+That a turn is written as jerk = omega x a, rather than as a = omega x v, keeps it free of the pad's absolute
+velocity, hence of GPS: only the turn rate, a scalar, has to be known.
+
+Vertical:
+
+    still      small and short-lived
+    waves      a'' = -w0^2 a - 2 zeta w0 a' + white noise, for each period of a sea
+
+Each is x' = A x + noise of density W. Over short times F = exp(A t) and Q are power series of t, whose
+coefficients never change; over longer ones they are doubled: F(2t) = F F, Q(2t) = F Q F' + Q. NED, SI units.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from companion.base.geometry import FloatArray
+from companion.config import PadFilterConfig
+from companion.estimate.pad.model_bank import Step
+
+# below this speed the course says little about how it turns
+MINIMUM_SPEED_M_S: Final = 0.3
+# how far a pad's heading and its course may turn apart, and how fast courses turn at all
+HEADING_IS_COURSE_RAD_S: Final = 0.1
+STRAIGHT_ON_RAD_S: Final = 0.5
+HORIZONTAL: Final = ("steady", "manoeuvre", "turn", "sway")
+TURN: Final = 2
+# with poles of some 1/s, ten terms at a tenth of a second leave 1e-12
+SHORT_S: Final = 0.1
+TERMS: Final = 10
+
+
+class Turn(NamedTuple):
+    """The rate (rad/s, clockwise) at which the pad's course turns, its variance, its acceleration (m/s²)."""
+
+    rate_rad_s: float = 0.0
+    variance: float = 0.0
+    acceleration_m_s2: float = 0.0
+
+
+def course_turn(
+    velocity_m_s: tuple[float, float],
+    acceleration_m_s2: tuple[float, float],
+    acceleration_variance: float,
+    heading_rate_rad_s: float,
+    heading_rate_variance: float,
+) -> Turn:
+    """How the course turns, by three witnesses weighed: v x a, the heading's rate, and that most go straight.
+
+    Args:
+        velocity_m_s: of the pad over ground, north and east. An error dv of it makes one of about
+            |omega dv / v|, which is why GPS may have a word here.
+        acceleration_m_s2: of the pad, north and east.
+        acceleration_variance: of either component, (m/s²)².
+        heading_rate_rad_s: of the pad.
+        heading_rate_variance: its variance, (rad/s)².
+    """
+    (vn, ve), (an, ae) = velocity_m_s, acceleration_m_s2
+    speed_squared = vn * vn + ve * ve + MINIMUM_SPEED_M_S**2
+    witnesses = (
+        ((vn * ae - ve * an) / speed_squared, max(acceleration_variance / speed_squared, 1e-4)),
+        (heading_rate_rad_s, heading_rate_variance + HEADING_IS_COURSE_RAD_S**2),
+        (0.0, STRAIGHT_ON_RAD_S**2),
+    )
+    weight = sum(1.0 / variance for _, variance in witnesses)
+    return Turn(
+        sum(rate / variance for rate, variance in witnesses) / weight, 1.0 / weight, math.hypot(an, ae)
+    )
+
+
+def vertical_names(config: PadFilterConfig) -> tuple[str, ...]:
+    """The vertical models, in their order."""
+    return ("still", *(f"waves_{period_s:g}s" for period_s in config.wave_periods_s))
+
+
+class HorizontalModels:
+    """Steady, manoeuvre and turn, for a given turn rate."""
+
+    def __init__(self, config: PadFilterConfig) -> None:
+        fades_s = (
+            config.steady_time_constant_s,
+            config.manoeuvre_time_constant_s,
+            config.turn_time_constant_s,
+        )
+        steady = 2.0 * config.steady_acceleration_std_m_s2**2 / config.steady_time_constant_s
+        jerks = (steady, config.manoeuvre_jerk_m_s3_rthz**2, config.turn_jerk_m_s3_rthz**2)
+        variance = config.sway_acceleration_std_m_s2**2
+        w0 = math.tau / config.sway_period_s
+        vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
+        self._fade = 1.0 / config.turn_time_constant_s
+        self.count = len(HORIZONTAL)
+        self.acceleration_variance = np.array(
+            [*(0.5 * q * fade for q, fade in zip(jerks, fades_s, strict=True)), variance]
+        )
+        self.jerk_variance = np.full(self.count, variance * w0**2)
+        fading = [
+            _fading(1.0 / fade, q, vehicle, w0, variance) for q, fade in zip(jerks, fades_s, strict=True)
+        ]
+        kinds = [*fading, _waving(w0, config.sway_damping, variance, vehicle)]
+        chains, noises = zip(*((_on_plane(A), _on_plane(W)) for A, W in kinds), strict=True)
+        self._series = _Series(chains, noises)
+        self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0, 0.0]))])
+
+    def step(self, dt_s: float, turn: Turn) -> Step:
+        """F and Q (4, 8, 8) over dt_s; the caller fills in how the vehicle moved.
+
+        The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
+        white one of that density after a second. Within a short time Q leaves out that noise turns, too.
+        """
+        short_s, doublings = _shortened(dt_s)
+        F, Q = self._series.at(short_s)
+        Q[TURN] += turn.variance * turn.acceleration_m_s2**2 * self._more_jerk.noise(short_s)[0]
+        self._turn(F[TURN], short_s, turn.rate_rad_s)
+        return _doubled(F, Q, doublings)
+
+    def _turn(self, F: FloatArray, t: float, turn_rate_rad_s: float) -> None:
+        """An acceleration exp(s t) in the complex plane, s = -1/tau + i omega, and its two integrals."""
+        pole = complex(-self._fade, turn_rate_rad_s)
+        grown = cmath.exp(pole * t)
+        speed = (grown - 1.0) / pole
+        for row, value in ((0, (speed - t) / pole), (2, speed), (4, grown)):
+            F[row, 4] = F[row + 1, 5] = value.real
+            F[row, 5], F[row + 1, 4] = -value.imag, value.imag
+
+
+class VerticalModels:
+    """Still, and waves of each period."""
+
+    def __init__(self, config: PadFilterConfig) -> None:
+        vehicle = config.vehicle_acceleration_noise_m_s2_rthz**2
+        rest, variance = config.rest_acceleration_std_m_s2**2, config.wave_acceleration_std_m_s2**2
+        fade = 1.0 / config.steady_time_constant_s
+        rates = [math.tau / period_s for period_s in config.wave_periods_s]
+        middle = sum(rates) / len(rates)
+        kinds = [_fading(fade, 2.0 * rest * fade, vehicle, middle, variance)]
+        kinds += [_waving(w0, config.wave_damping, variance, vehicle) for w0 in rates]
+        chains, noises = zip(*kinds, strict=True)
+        self._series = _Series(chains, noises)
+        self.count = len(chains)
+        self.acceleration_variance = np.array([rest, *[variance] * len(rates)])
+        self.jerk_variance = variance * np.square([middle, *rates])
+
+    def step(self, dt_s: float) -> Step:
+        """F and Q (m, 4, 4) over dt_s; the caller fills in how the vehicle moved."""
+        short_s, doublings = _shortened(dt_s)
+        return _doubled(*self._series.at(short_s), doublings)
+
+
+class _Series:
+    """exp(A t), and the noise that gathers meanwhile, of several models: coefficients by powers of t.
+
+    From F' = A F and Q' = A Q + Q A' + W, term by term.
+    """
+
+    def __init__(self, chains: Sequence[FloatArray], noises: Sequence[FloatArray]) -> None:
+        A, W = np.array(chains), np.array(noises)
+        F, Q = [np.broadcast_to(np.eye(A.shape[1]), A.shape)], [np.zeros_like(A), W]
+        for k in range(1, TERMS):
+            F.append(A @ F[-1] / k)
+        for k in range(2, TERMS):
+            Q.append((A @ Q[-1] + Q[-1] @ A.transpose(0, 2, 1)) / k)
+        self._shape = A.shape
+        self._F, self._Q = (np.array(terms).reshape(TERMS, -1) for terms in (F, Q))
+
+    def at(self, t: float) -> tuple[FloatArray, FloatArray]:
+        """F and Q (m, n, n) at a short time."""
+        powers = t**_EXPONENTS
+        return (powers @ self._F).reshape(self._shape), (powers @ self._Q).reshape(self._shape)
+
+    def noise(self, t: float) -> FloatArray:
+        """Q alone."""
+        return np.asarray((t**_EXPONENTS @ self._Q).reshape(self._shape))
+
+
+_EXPONENTS: Final = np.arange(float(TERMS))
+
+
+def _shortened(dt_s: float) -> tuple[float, int]:
+    """A short time, and how often to double it."""
+    doublings = max(0, math.ceil(math.log2(dt_s / SHORT_S))) if dt_s > SHORT_S else 0
+    return math.ldexp(dt_s, -doublings), doublings
+
+
+def _doubled(F: FloatArray, Q: FloatArray, times: int) -> Step:
+    for _ in range(times):
+        Q = F @ Q @ F.transpose(0, 2, 1) + Q
+        F = F @ F
+    return Step(F, Q, np.zeros(F.shape[1]))
+
+
+def _fading(
+    fade: float, jerk: float, vehicle: float, wait: float, wait_variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """A and W (4, 4) of an acceleration that fades at a rate (1/s), driven by white jerk.
+
+    It has no use for j, which waits as waves would have it: at their rate (1/s), with their spread.
+    """
+    A = np.eye(4, k=1)
+    A[2, 2], A[2, 3], A[3, 3] = -fade, 0.0, -wait
+    return A, np.diag([0.0, vehicle, jerk, 2.0 * wait_variance * wait**3])
+
+
+def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:
+    """A and W (4, 4) of an acceleration that swings at w0 (rad/s), with this variance when left alone."""
+    A = np.eye(4, k=1)
+    A[3, 2], A[3, 3] = -w0 * w0, -2.0 * damping * w0
+    return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])
+
+
+def _on_plane(matrix: FloatArray) -> FloatArray:
+    """The same on north and east."""
+    return np.asarray(np.kron(matrix, np.eye(2)), dtype=np.float64)

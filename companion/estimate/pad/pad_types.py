@@ -1,0 +1,118 @@
+"""What goes into the pad filter, what it stands at, and what it says: plain data.
+
+NED, SI units. A snapshot is never written to again, and goes to plain data and back without loss
+(`freezing.plain`), through JSON too: a filter resumed from it goes on as if it had never stopped.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from companion.base.geometry import FloatArray, Vector3
+from companion.estimate.gating import Gate
+from companion.estimate.pad.heading_filter import HeadingState
+from companion.estimate.pad.model_bank import BankState
+from companion.estimate.pad.pad_models import Turn
+
+_EYE3: Final = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True)
+class PadFix:
+    """A sighting in NED at its exposure; covariance (3, 3) in m², the attitude's fast share included.
+
+    `slow_variance_m2` (each axis) is what all sightings of a while have in common, the calibration's error
+    say: it is no noise to be averaged, and is not part of the covariance.
+    """
+
+    position_ned_m: Vector3
+    covariance_ned_m2: FloatArray
+    heading_rad: float
+    heading_std_rad: float
+    vehicle_velocity_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
+    slow_variance_m2: float = 0.0
+
+    @property
+    def slow_share(self) -> float:
+        """The slow error's standard deviation as a share of the distance."""
+        x, y, z = self.position_ned_m
+        return math.sqrt(self.slow_variance_m2 / max(x * x + y * y + z * z, 1e-6))
+
+
+@dataclass(frozen=True, slots=True)
+class HeightFix:
+    """Height (m) of the range sensor over what lies under it, and the sensor's offset in NED axes (m)."""
+
+    height_m: float
+    sensor_offset_ned_m: Vector3
+    noise_m: float
+
+
+PadInput = PadFix | HeightFix
+
+
+class PadSnapshot(NamedTuple):
+    """All of the filter; the arrays are never written to again."""
+
+    time_s: float
+    horizontal: BankState | None
+    vertical: BankState | None
+    turn: Turn
+    heading: HeadingState
+    gates: dict[str, Gate]
+    seen_time_s: float
+    slow_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class PadEstimate:
+    """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s).
+
+    P is the filter's own; `covariance` adds what all of its measurements have in common. `slow_share` is the
+    calibration's error as a share of the distance, `models` the probability of each model of motion by name.
+    """
+
+    x: FloatArray
+    P: FloatArray
+    heading_rad: float
+    heading_rate_rad_s: float
+    heading_std_rad: float
+    seen_time_s: float = field(default=-math.inf)
+    turn_rate_rad_s: float = 0.0
+    slow_share: float = 0.0
+    models: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def position_std_m(self) -> float:
+        """Standard deviation of the relative position, all axes together."""
+        return math.sqrt(self.P[0, 0] + self.P[1, 1] + self.P[2, 2])
+
+    def covariance(self, rotation_covariance: FloatArray, wander_rad_s: float) -> FloatArray:
+        """Of relative position and velocity (6, 6), with the errors that no averaging takes away.
+
+        A horizon that is off (rotation_covariance (3, 3), about NED axes, rad²) turns position and velocity
+        alike. One that wanders, and a calibration that is off, lend a standing vehicle a velocity.
+        """
+        position, velocity = self.x[0:3], self.x[3:6]
+        swings = np.vstack((_lever(position), _lever(velocity)))
+        total = self.P[:6, :6] + swings @ rotation_covariance @ swings.T
+        total[3:, 3:] += wander_rad_s**2 * (swings[:3] @ rotation_covariance @ swings[:3].T)
+        share = self.slow_share**2
+        total[:3, :3] += share * float(position @ position) * _EYE3
+        total[3:, 3:] += share * float(velocity @ velocity) * _EYE3
+        return total
+
+    @property
+    def velocity_std_m_s(self) -> float:
+        """Standard deviation of the relative velocity, all axes together."""
+        return math.sqrt(self.P[3, 3] + self.P[4, 4] + self.P[5, 5])
+
+
+def _lever(place: FloatArray) -> FloatArray:
+    """The matrix (3, 3) that makes of a small rotation what it moves a place by: rotation x place."""
+    x, y, z = place.tolist()
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])

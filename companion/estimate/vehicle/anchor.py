@@ -1,0 +1,136 @@
+"""The autopilot's attitude as an anchor of ours, where both go by the same IMU.
+
+With the autopilot's own sensors by telemetry its filter has every sample, ours what the link brings. After a
+gap in the stream ours has missed a turn, the autopilot has not: ours is then set by it. So it is when ours
+is poorly known, as after a start in motion, and when the horizons differ, for longer than a manoeuvre
+explains, by more than both may err. Which way is north each
+finds for itself: the difference of the headings is learnt while all is well, and kept; alone it is no fault.
+
+Rotations about NED axes, rad, s.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from companion.base.geometry import (
+    Quaternion,
+    dot,
+    quat_conjugate,
+    quat_from_euler,
+    quat_multiply,
+    quat_rotate_inverse,
+)
+
+GAP_S: Final = 0.05  # between two samples: more is a gap
+THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
+DEVIATIONS: Final = 4.0
+LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
+AFTER_GAP_RAD: Final = math.radians(1.5)
+POORLY_KNOWN_RAD: Final = math.radians(4.0)  # our horizon's deviation, as after a start in motion
+HEADING_AFTER_GAP_RAD: Final = math.radians(4.0)
+MISTIMED_S: Final = 0.03  # their words and our samples: a turn makes that much of difference
+PERSISTS_S: Final = 0.2
+LEARNING_S: Final = 5.0
+WORDS_KEPT: Final = 20
+_DOWN: Final = (0.0, 0.0, 1.0)
+
+
+class Word(NamedTuple):
+    """What the autopilot said of its attitude."""
+
+    time_s: float
+    attitude: Quaternion
+
+
+class Own(NamedTuple):
+    """Ours at a time, its horizon's standard deviation (rad), and how fast it turned (rad/s)."""
+
+    attitude: Quaternion
+    tilt_std_rad: float
+    turning_rad_s: float
+
+
+class Correction(NamedTuple):
+    """The attitude to take at a time, since when ours was wrong, and why."""
+
+    time_s: float
+    since_s: float
+    attitude: Quaternion
+    apart_rad: float
+    why: str
+
+
+class Anchor:
+    """Compares word by word; each waits until our own samples have come as far."""
+
+    def __init__(self) -> None:
+        self._words: tuple[Word, ...] = ()
+        self._heading_rad: float | None = None  # ours less theirs
+        self._learnt_s = 0.0
+        self._wrong_since_s: float | None = None
+        self._gap: tuple[float, float] | None = None  # its end, and how long it was
+
+    def note_gap(self, time_s: float, lasted_s: float) -> None:
+        """Our stream goes on at time_s, after nothing had come for so long."""
+        self._gap = (time_s, lasted_s)
+
+    def hear(self, word: Word) -> None:
+        """Take a word in."""
+        self._words = (*self._words, word)[-WORDS_KEPT:]
+
+    def due(self, newest_s: float) -> Word | None:
+        """The next word that our samples have come up to."""
+        if not self._words or self._words[0].time_s > newest_s:
+            return None
+        word, self._words = self._words[0], self._words[1:]
+        return word
+
+    def compare(self, word: Word, own: Own) -> Correction | None:
+        """Ours set right by a word, if that has to be."""
+        tilt_rad, heading_rad = apart(own.attitude, word.attitude)
+        if self._heading_rad is None:
+            self._heading_rad, self._learnt_s = heading_rad, word.time_s
+        off_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
+        limit_rad = DEVIATIONS * math.hypot(own.tilt_std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
+        if self._gap is not None:
+            return self._after_gap(word, tilt_rad, off_rad)
+        if own.tilt_std_rad > POORLY_KNOWN_RAD and tilt_rad > AFTER_GAP_RAD:
+            return self._correction(word, word.time_s, tilt_rad, "ours was not known well")
+        if tilt_rad <= max(limit_rad, LEAST_APART_RAD):
+            self._wrong_since_s = None
+            self._learn(word.time_s, off_rad)
+            return None
+        self._wrong_since_s = word.time_s if self._wrong_since_s is None else self._wrong_since_s
+        if word.time_s - self._wrong_since_s < PERSISTS_S:
+            return None
+        return self._correction(word, self._wrong_since_s, tilt_rad, "its horizon is another")
+
+    def _after_gap(self, word: Word, tilt_rad: float, off_rad: float) -> Correction | None:
+        assert self._gap is not None
+        end_s, lasted_s = self._gap
+        if word.time_s < end_s:
+            return None
+        self._gap = None
+        if tilt_rad <= AFTER_GAP_RAD and abs(off_rad) <= HEADING_AFTER_GAP_RAD:
+            return None
+        why = f"{1e3 * lasted_s:.0f} ms of the IMU's stream are missing"
+        return self._correction(word, end_s, math.hypot(tilt_rad, off_rad), why)
+
+    def _correction(self, word: Word, since_s: float, apart_rad: float, why: str) -> Correction:
+        self._wrong_since_s = None
+        turned = quat_from_euler(0.0, 0.0, self._heading_rad or 0.0)
+        return Correction(word.time_s, since_s, quat_multiply(turned, word.attitude), apart_rad, why)
+
+    def _learn(self, time_s: float, off_rad: float) -> None:
+        assert self._heading_rad is not None
+        share = min(max(time_s - self._learnt_s, 0.0) / LEARNING_S, 1.0)
+        self._heading_rad, self._learnt_s = self._heading_rad + share * off_rad, time_s
+
+
+def apart(ours: Quaternion, theirs: Quaternion) -> tuple[float, float]:
+    """How far the horizons are apart (rad, 0 to pi), and by how much our heading is ahead of theirs (rad)."""
+    cosine = dot(quat_rotate_inverse(ours, _DOWN), quat_rotate_inverse(theirs, _DOWN))
+    w, _, _, z = quat_multiply(ours, quat_conjugate(theirs))
+    return math.acos(max(-1.0, min(1.0, cosine))), math.remainder(2.0 * math.atan2(z, w), math.tau)

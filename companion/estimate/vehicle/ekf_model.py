@@ -1,0 +1,296 @@
+"""Process and measurement models of the 31-state EKF (Table 5), with analytic Jacobians.
+
+State, NED and FRD, SI units except µT:
+quaternion 0:4, Euler angles 4:7 (rad), angular velocity 7:10 (body, rad/s), position 10:13 (m),
+velocity 13:16, acceleration 16:19, accelerometer bias 19:22 (m/s²), gyroscope bias 22:25 (rad/s),
+geomagnetic field 25:28 (NED, µT), magnetometer bias 28:31 (body, µT). (The table counts from 1.)
+
+The IMU does two things: as the input u it turns and pushes attitude, velocity and position, and as a
+measurement it tells angular velocity and acceleration, a random walk and a first-order Markov process.
+The Euler angles are a function of the quaternion: in the transition their rows are the quaternion's rows
+times d(Euler)/d(quaternion), so that state and covariance stay consistent.
+Every function returns plain values and Jacobians; none changes its arguments.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    cross,
+    euler_from_quat,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    quat_rotate_inverse,
+    vector3,
+)
+
+STATES: Final = 31
+MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
+COUPLED: Final = 25  # and what they change by stands in the first columns, up to the gyroscope's bias
+QUATERNION: Final = slice(0, 4)
+EULER: Final = slice(4, 7)
+RATE: Final = slice(7, 10)
+POSITION: Final = slice(10, 13)
+VELOCITY: Final = slice(13, 16)
+ACCELERATION: Final = slice(16, 19)
+ACCEL_BIAS: Final = slice(19, 22)
+GYRO_BIAS: Final = slice(22, 25)
+FIELD: Final = slice(25, 28)
+MAG_BIAS: Final = slice(28, 31)
+ATTITUDE: Final = slice(0, 7)  # the quaternion and its Euler angles
+
+_EYE3: Final = np.eye(3)
+_A_CONSTANT: Final = np.eye(MOVING, COUPLED)
+_A_CONSTANT[EULER, EULER] = 0.0
+_C_IMU: Final = np.zeros((6, STATES))
+_C_IMU[0:3, RATE] = _C_IMU[0:3, GYRO_BIAS] = _C_IMU[3:6, ACCEL_BIAS] = _EYE3
+
+
+def quaternion_of(x: FloatArray) -> Quaternion:
+    """The attitude in a state vector as plain floats."""
+    w, i, j, k = x[QUATERNION].tolist()
+    return (w, i, j, k)
+
+
+def rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
+    """d(R(q) v)/dq, (3, 4), with R(q) v = v + 2w r×v + 2 r×(r×v) as geometry.quat_rotate has it."""
+    w, x, y, z = q
+    a, b, c = v
+    d = x * a + y * b + z * c
+    return 2.0 * np.array(
+        [
+            [y * c - z * b, d - x * a, w * c + x * b - 2 * y * a, -w * b + x * c - 2 * z * a],
+            [z * a - x * c, -w * c + y * a - 2 * x * b, d - y * b, w * a + y * c - 2 * z * b],
+            [x * b - y * a, w * b + z * a - 2 * x * c, -w * a + z * b - 2 * y * c, d - z * c],
+        ]
+    )
+
+
+def inverse_rotation_jacobian(q: Quaternion, v: Vector3) -> FloatArray:
+    """d(R(q)ᵀ v)/dq, (3, 4): the rotation by the conjugate, whose vector part has the other sign."""
+    jacobian = rotation_jacobian((q[0], -q[1], -q[2], -q[3]), v)
+    jacobian[:, 1:] *= -1.0
+    return jacobian
+
+
+def euler_jacobian(q: Quaternion) -> FloatArray:
+    """d(roll, pitch, yaw)/dq, (3, 4), of a unit quaternion; bounded at gimbal lock, where it has no value."""
+    w, x, y, z = q
+    n_roll, d_roll = 2 * (w * x + y * z), 1 - 2 * (x * x + y * y)
+    n_yaw, d_yaw = 2 * (w * z + x * y), 1 - 2 * (y * y + z * z)
+    sine = 2 * (w * y - z * x)
+    i = 1.0 / max(n_roll * n_roll + d_roll * d_roll, 1e-4)
+    k = 1.0 / max(n_yaw * n_yaw + d_yaw * d_yaw, 1e-4)
+    j = 2.0 / math.sqrt(max(1.0 - sine * sine, 1e-4))
+    return np.array(
+        [
+            [
+                2 * i * d_roll * x,
+                i * (2 * d_roll * w + 4 * n_roll * x),
+                i * (2 * d_roll * z + 4 * n_roll * y),
+                2 * i * d_roll * y,
+            ],
+            [j * y, -j * z, j * w, -j * x],
+            [
+                2 * k * d_yaw * z,
+                2 * k * d_yaw * y,
+                k * (2 * d_yaw * x + 4 * n_yaw * y),
+                k * (2 * d_yaw * w + 4 * n_yaw * z),
+            ],
+        ]
+    )
+
+
+def left_matrix(q: Quaternion) -> FloatArray:
+    """L(q), (4, 4), with q * p = L(q) p."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+
+
+def right_matrix(q: Quaternion) -> FloatArray:
+    """M(q), (4, 4), with p * q = M(q) p."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
+
+
+def turn_and_derivatives(rotation: Vector3) -> tuple[Quaternion, tuple[Quaternion, ...]]:
+    """Quaternion of a rotation vector (rad) and its derivatives by the vector's three components."""
+    a, b, c = rotation
+    angle = math.sqrt(a * a + b * b + c * c)
+    if angle > 1e-3:
+        cosine, s = math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
+        curve = (0.5 * cosine - s) / (angle * angle)
+    else:
+        # series: below this the closed form loses its digits
+        cosine, s, curve = 1.0 - angle * angle / 8.0, 0.5 - angle * angle / 48.0, -1.0 / 24.0
+    h, ca, cb, cc = -0.5 * s, curve * a, curve * b, curve * c
+    return (cosine, s * a, s * b, s * c), (
+        (h * a, s + ca * a, ca * b, ca * c),
+        (h * b, ca * b, s + cb * b, cb * c),
+        (h * c, ca * c, cb * c, s + cc * c),
+    )
+
+
+def _turned(q: Quaternion, rotation: Vector3, scale_by: float) -> tuple[Quaternion, FloatArray]:
+    """q turned by a rotation (body, rad), and its Jacobian (4, 7) by q and by what makes the rotation.
+
+    `scale_by` is the rotation's derivative by that.
+    """
+    turn, derivatives = turn_and_derivatives(rotation)
+    w, x, y, z = turn
+    (ew, ex, ey, ez), (fw, fx, fy, fz), (gw, gx, gy, gz) = (quat_multiply(q, d) for d in derivatives)
+    k = scale_by
+    jacobian = np.array(
+        [
+            [w, -x, -y, -z, k * ew, k * fw, k * gw],
+            [x, w, z, -y, k * ex, k * fx, k * gx],
+            [y, -z, w, x, k * ey, k * fy, k * gy],
+            [z, y, -x, w, k * ez, k * fz, k * gz],
+        ]
+    )
+    return quat_multiply(q, turn), jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class InertialInput:
+    """What the IMU felt over a step, u of eq. 17: the constant rate and specific force (body) that would
+    have turned and pushed the vehicle as the samples did."""
+
+    rate_body_rad_s: Vector3
+    specific_force_body_m_s2: Vector3
+
+
+def transition(
+    x: FloatArray, u: InertialInput, dt_s: float, accel_tau_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """State (31,) after dt_s, and A (19, 25): the Jacobian of its first 19 rows by its first 25 (eq. 17).
+
+    The other rows stay. Attitude, velocity and position are turned and pushed by the IMU less its biases
+    (strapdown): no model of how fast a rate may change stands between the gyroscope and the attitude. The
+    states of rate and acceleration, which the IMU measures, are a random walk and a Markov process.
+    """
+    state = x.tolist()
+    qw, qx, qy, qz = state[QUATERNION]
+    (ax, ay, az), (gx, gy, gz) = state[ACCEL_BIAS], state[GYRO_BIAS]
+    (rx, ry, rz), (fx, fy, fz) = u.rate_body_rad_s, u.specific_force_body_m_s2
+    rx, ry, rz, force = (rx - gx) * dt_s, (ry - gy) * dt_s, (rz - gz) * dt_s, (fx - ax, fy - ay, fz - az)
+    q_after, turning = _turned((qw, qx, qy, qz), (rx, ry, rz), -dt_s)
+    q_mid, turning_half = _turned((qw, qx, qy, qz), (0.5 * rx, 0.5 * ry, 0.5 * rz), -0.5 * dt_s)
+    q_after = quat_normalise(q_after)
+    an, ae, ad = quat_rotate(q_mid, force)
+    push = np.array((an * dt_s, ae * dt_s, (ad + GRAVITY_M_S2) * dt_s))
+    fade = math.exp(-dt_s / accel_tau_s)
+    after = x.copy()
+    after[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
+    after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * push)
+    after[VELOCITY] += push
+    after[ACCELERATION] *= fade
+    A = _A_CONSTANT.copy()
+    pushing = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
+    showing = euler_jacobian(q_after) @ turning
+    for rows, jacobian in ((QUATERNION, turning), (EULER, showing), (VELOCITY, pushing)):
+        A[rows, QUATERNION], A[rows, GYRO_BIAS] = jacobian[:, :4], jacobian[:, 4:]
+    A[VELOCITY, ACCEL_BIAS] = _inverse_rotation(q_mid).T * -dt_s
+    A[POSITION] = (0.5 * dt_s) * A[VELOCITY]
+    A[POSITION, POSITION] = _EYE3
+    A[POSITION, VELOCITY] = dt_s * _EYE3
+    A[ACCELERATION, ACCELERATION] = fade * _EYE3
+    return after, A
+
+
+def imu_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gyroscope ω + b_g and accelerometer Rᵀ(a - g) + b_a: values (6,) and Jacobian (6, 31)."""
+    q = quaternion_of(x)
+    an, ae, ad = x[ACCELERATION].tolist()
+    force_ned = (an, ae, ad - GRAVITY_M_S2)
+    C = _C_IMU.copy()
+    C[3:6, QUATERNION] = inverse_rotation_jacobian(q, force_ned)
+    C[3:6, ACCELERATION] = _inverse_rotation(q)
+    expected = np.empty(6)
+    expected[0:3] = x[RATE] + x[GYRO_BIAS]
+    expected[3:6] = x[ACCEL_BIAS] + quat_rotate_inverse(q, force_ned)
+    return expected, C
+
+
+def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Magnetometer RᵀB + b_m: values (3,) in µT and Jacobian (3, 31)."""
+    q, field = quaternion_of(x), vector3(x[FIELD])
+    C = np.zeros((3, STATES))
+    C[:, QUATERNION] = inverse_rotation_jacobian(q, field)
+    C[:, FIELD] = _inverse_rotation(q)
+    C[:, MAG_BIAS] = _EYE3
+    return x[MAG_BIAS] + quat_rotate_inverse(q, field), C
+
+
+def gps_position_model(
+    x: FloatArray, antenna_body_m: Vector3, later_s: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Antenna's position p + v t + R l, t = later_s after the state's time: (3,) NED in m, and (3, 31)."""
+    q = quaternion_of(x)
+    C = np.zeros((3, STATES))
+    C[:, POSITION] = _EYE3
+    C[:, VELOCITY] = later_s * _EYE3
+    C[:, QUATERNION] = rotation_jacobian(q, antenna_body_m)
+    return x[POSITION] + later_s * x[VELOCITY] + quat_rotate(q, antenna_body_m), C
+
+
+def gps_velocity_model(
+    x: FloatArray, antenna_body_m: Vector3, later_s: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Antenna's velocity v + a t + R (ω × l), t = later_s after the state's time: (3,) m/s, and (3, 31)."""
+    q, lever = quaternion_of(x), cross(vector3(x[RATE]), antenna_body_m)
+    lx, ly, lz = antenna_body_m
+    C = np.zeros((3, STATES))
+    C[:, VELOCITY] = _EYE3
+    C[:, ACCELERATION] = later_s * _EYE3
+    C[:, QUATERNION] = rotation_jacobian(q, lever)
+    C[:, RATE] = _inverse_rotation(q).T @ np.array([[0.0, lz, -ly], [-lz, 0.0, lx], [ly, -lx, 0.0]])
+    return x[VELOCITY] + later_s * x[ACCELERATION] + quat_rotate(q, lever), C
+
+
+def attitude_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The orientation filter's quaternion (Fig. 6): values (4,) and Jacobian (4, 31)."""
+    C = np.zeros((4, STATES))
+    C[:, QUATERNION] = np.eye(4)
+    return x[QUATERNION].copy(), C
+
+
+def attitude_covariance(q: Quaternion, rotation_ned_covariance: FloatArray) -> FloatArray:
+    """Covariance (4, 4) of a quaternion from that of a small rotation (3, 3) about NED axes (rad²)."""
+    G = 0.5 * right_matrix(q)[:, 1:]
+    covariance: FloatArray = G @ rotation_ned_covariance @ G.T
+    return covariance
+
+
+def rotation_covariance(q: Quaternion, quaternion_covariance: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of the small rotation about NED axes (rad²): the inverse of `attitude_covariance`."""
+    J = rotation_from_quaternion(q)
+    covariance: FloatArray = J @ quaternion_covariance @ J.T
+    return covariance
+
+
+def rotation_from_quaternion(q: Quaternion) -> FloatArray:
+    """d(small rotation about NED axes, rad)/dq at q, (3, 4)."""
+    jacobian: FloatArray = 2.0 * right_matrix(q)[:, 1:].T
+    return jacobian
+
+
+def _inverse_rotation(q: Quaternion) -> FloatArray:
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+            [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+            [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

@@ -1,0 +1,73 @@
+"""What the 31-state EKF starts from, and the noise that drives it (Table 5, eq. 17)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import FloatArray, Quaternion, Vector3, euler_from_quat
+from companion.config import EkfConfig
+from companion.estimate.vehicle import ekf_model as model
+
+# keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
+# functions of other states (1e-5 rad)
+TINY_VARIANCE: Final = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class InitialState:
+    """What standing still before the flight has told."""
+
+    time_s: float
+    attitude: Quaternion
+    gyro_bias_rad_s: Vector3
+    field_ned_ut: Vector3
+    tilt_std_rad: float
+    heading_std_rad: float
+    gyro_bias_std_rad_s: float
+
+
+def noise_density(config: EkfConfig) -> FloatArray:
+    """Diagonal (31,) of the white process noise per second."""
+    density = np.zeros(model.STATES)
+    density[model.RATE] = config.angular_acceleration_rad_s2_rthz**2
+    density[model.ACCELERATION] = config.jerk_m_s3_rthz**2
+    density[model.ACCEL_BIAS] = config.accel_bias_walk_m_s2_rts**2
+    density[model.GYRO_BIAS] = config.gyro_bias_walk_rad_s_rts**2
+    density[model.FIELD] = config.field_walk_ut_rts**2
+    density[model.MAG_BIAS] = config.mag_bias_walk_ut_rts**2
+    return density
+
+
+def initial_state(start: InitialState) -> FloatArray:
+    """State vector (31,) at rest at the origin; accelerometer and magnetometer biases are taken as zero."""
+    x = np.zeros(model.STATES)
+    x[model.QUATERNION] = start.attitude
+    x[model.EULER] = euler_from_quat(start.attitude)
+    x[model.GYRO_BIAS] = start.gyro_bias_rad_s
+    x[model.FIELD] = start.field_ned_ut
+    return x
+
+
+def initial_covariance(config: EkfConfig, start: InitialState) -> FloatArray:
+    """Covariance (31, 31) to go with `initial_state`."""
+    P = np.zeros((model.STATES, model.STATES))
+    rotation = np.diag([start.tilt_std_rad**2, start.tilt_std_rad**2, start.heading_std_rad**2])
+    P[model.QUATERNION, model.QUATERNION] = model.attitude_covariance(start.attitude, rotation)
+    J = model.euler_jacobian(start.attitude)
+    P[model.EULER, model.QUATERNION] = J @ P[model.QUATERNION, model.QUATERNION]
+    P[model.QUATERNION, model.EULER] = P[model.EULER, model.QUATERNION].T
+    P[model.EULER, model.EULER] = P[model.EULER, model.QUATERNION] @ J.T
+    diagonal = P.reshape(-1)[:: model.STATES + 1]
+    diagonal[:7] += TINY_VARIANCE
+    diagonal[model.RATE] = 0.1**2
+    diagonal[model.POSITION] = 1.0
+    diagonal[model.VELOCITY] = 0.1**2
+    diagonal[model.ACCELERATION] = 0.5**2
+    diagonal[model.ACCEL_BIAS] = config.accel_bias_std_m_s2**2
+    diagonal[model.GYRO_BIAS] = start.gyro_bias_std_rad_s**2
+    diagonal[model.FIELD] = config.field_std_ut**2
+    diagonal[model.MAG_BIAS] = config.mag_bias_std_ut**2
+    return P

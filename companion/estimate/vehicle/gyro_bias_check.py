@@ -1,0 +1,176 @@
+"""The autopilot as a second gyroscope: has the bias of ours stepped?
+
+A step of 2 deg/s (a shock, a supply that sags) turns the attitude away faster than GPS and magnetometer
+mend it: their own errors want slow corrections. The autopilot has an IMU of its own, and what it says of
+its attitude holds how far the vehicle has turned in a window of time. Compared with our gyroscope that
+gives our bias to 0.3 deg/s within a second. Only turns are compared: the autopilot's heading and horizon
+are its own. With `sense.source: autopilot` both are the same sensor, and nothing is found.
+
+Other things look like a bias too. A wrong time does while the rate changes, two IMUs that do not lie quite
+alike do in a turn: what they may explain is no step. A heading set anew turns at once what a bias turns bit
+by bit. An attitude that repeats itself is no news: a living sensor's noise never does.
+
+Body FRD, rad/s, plain floats.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+from companion.base.geometry import (
+    IDENTITY,
+    Quaternion,
+    Vector3,
+    add,
+    dot,
+    norm,
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_integrate,
+    quat_multiply,
+    quat_rotate,
+    rotation_vector_from_quat,
+    scale,
+    subtract,
+)
+
+WINDOW_S: Final = 0.75
+STRIDE_S: Final = 0.25  # from one window's start to the next's
+LONGEST_GAP_S: Final = 0.6  # in the autopilot's words
+REMEMBER_S: Final = 2.0
+STEP_RAD_S: Final = math.radians(0.7)  # from the bias believed, to be a step
+AGREE_RAD_S: Final = math.radians(0.5)  # of two windows, one after the other
+LARGEST_RAD_S: Final = math.radians(5.0)  # more is no bias
+WRONG_TIME_S: Final = 0.05  # of the autopilot's words
+SKEW: Final = 0.02  # of a turn: how far the two IMUs may lie askew (rad), and differ in scale
+LEAST_SHARE: Final = 0.25  # of a window's change, in each of its strides
+
+
+class BiasStep(NamedTuple):
+    """The bias that two windows agree on, and what it has turned the attitude by (body, rad)."""
+
+    gyro_bias_rad_s: Vector3
+    turned_rad: Vector3
+
+
+class Told(NamedTuple):
+    """The autopilot's attitude at a time."""
+
+    time_s: float
+    attitude: Quaternion
+
+
+class SecondGyro:
+    """Compares the turns of both in overlapping windows."""
+
+    def __init__(self) -> None:
+        self._turn: Quaternion = IDENTITY
+        self._times_s: list[float] = []
+        self._turns: list[Quaternion] = []
+        self._anchors: list[Told] = []
+        self._newest: Told | None = None
+        self._last: Vector3 | None = None
+
+    def add_rate(self, time_s: float, rate_body_rad_s: Vector3, dt_s: float) -> None:
+        """Take our gyroscope's mean rate, bias and all, over the dt_s up to time_s."""
+        self._turn = quat_integrate(self._turn, rate_body_rad_s, dt_s)
+        self._times_s.append(time_s)
+        self._turns.append(self._turn)
+        if time_s - self._times_s[0] > 2.0 * REMEMBER_S:
+            old = bisect_left(self._times_s, time_s - REMEMBER_S)
+            del self._times_s[:old], self._turns[:old]
+
+    def add_attitude(self, time_s: float, attitude: Quaternion, gyro_bias_rad_s: Vector3) -> BiasStep | None:
+        """Take the autopilot's attitude; the step, when two windows agree that the bias is another.
+
+        Each waits for the next: it may be newer than our own newest sample.
+        """
+        if self._newest is not None and attitude == self._newest.attitude:
+            return None
+        waiting, self._newest = self._newest, Told(time_s, attitude)
+        return None if waiting is None else self._compare(waiting, gyro_bias_rad_s)
+
+    def _compare(self, told: Told, gyro_bias_rad_s: Vector3) -> BiasStep | None:
+        time_s, anchors = told.time_s, self._anchors
+        if anchors and abs(time_s - anchors[-1].time_s) >= LONGEST_GAP_S:
+            anchors.clear()
+            self._last = None
+        if anchors and time_s - anchors[-1].time_s < STRIDE_S:
+            return None
+        anchors.append(told)
+        if time_s - anchors[0].time_s < WINDOW_S:
+            return None
+        window = anchors.copy()
+        del anchors[0]
+        bias = self._bias(window[0], window[-1])
+        last, self._last = self._last, bias
+        if bias is None or last is None or not self._is_step(window, last, bias, gyro_bias_rad_s):
+            return None
+        anchors.clear()
+        self._last = None
+        # over the newest window, and before it over what the window before has more
+        change, earlier = subtract(bias, gyro_bias_rad_s), subtract(last, gyro_bias_rad_s)
+        turned = add(scale(change, time_s - window[0].time_s), scale(earlier, STRIDE_S))
+        return BiasStep(bias, turned)
+
+    def _is_step(self, window: list[Told], last: Vector3, bias: Vector3, believed: Vector3) -> bool:
+        if norm(subtract(bias, last)) > AGREE_RAD_S or norm(bias) > LARGEST_RAD_S:
+            return False
+        change, earlier = subtract(bias, believed), subtract(last, believed)
+        if min(norm(change), norm(earlier)) < STEP_RAD_S:
+            return False
+        return self._unexplained_rad_s(window, change) > STEP_RAD_S and self._goes_on(
+            window, change, believed
+        )
+
+    def _unexplained_rad_s(self, window: list[Told], change: Vector3) -> float:
+        """How much of a change a wrong time and IMUs that lie askew do not make of the motion."""
+        start_s, end_s = window[0].time_s, window[-1].time_s
+        ours = self._turned_between(start_s, end_s)
+        earlier = self._turned_between(start_s - WRONG_TIME_S, end_s - WRONG_TIME_S)
+        if ours is None or earlier is None:
+            return 0.0
+        delay = rotation_vector_from_quat(quat_multiply(quat_conjugate(earlier), ours))
+        delay = scale(delay, 1.0 / (end_s - start_s))
+        share = dot(change, delay) / max(dot(delay, delay), 1e-12)
+        left = subtract(change, scale(delay, min(max(share, -1.0), 1.0)))
+        return norm(left) - SKEW * norm(rotation_vector_from_quat(ours)) / (end_s - start_s)
+
+    def _goes_on(self, window: list[Told], change: Vector3, believed: Vector3) -> bool:
+        """Whether each stride has its share of the change."""
+        for start, end in pairwise(window):
+            bias = self._bias(start, end)
+            if bias is None or dot(subtract(bias, believed), change) < LEAST_SHARE * dot(change, change):
+                return False
+        return True
+
+    def _bias(self, start: Told, end: Told) -> Vector3 | None:
+        """By how much faster our gyroscope turned than the autopilot; None when too old or too new."""
+        ours = self._turned_between(start.time_s, end.time_s)
+        if ours is None:
+            return None
+        theirs = quat_multiply(quat_conjugate(start.attitude), end.attitude)
+        excess = rotation_vector_from_quat(quat_multiply(quat_conjugate(theirs), ours))
+        # it stands in the axes of the end, a constant bias in those of the middle
+        middle = quat_from_rotation_vector(scale(rotation_vector_from_quat(ours), 0.5))
+        return scale(quat_rotate(middle, excess), 1.0 / (end.time_s - start.time_s))
+
+    def _turned_between(self, start_s: float, end_s: float) -> Quaternion | None:
+        before, after = self._turned(start_s), self._turned(end_s)
+        if before is None or after is None:
+            return None
+        return quat_multiply(quat_conjugate(before), after)
+
+    def _turned(self, time_s: float) -> Quaternion | None:
+        """Our turn since the start at a time within the history."""
+        place = bisect_left(self._times_s, time_s)
+        if place == 0 or place == len(self._times_s):
+            return None
+        before_s, after_s = self._times_s[place - 1], self._times_s[place]
+        turn = quat_multiply(quat_conjugate(self._turns[place - 1]), self._turns[place])
+        share = (time_s - before_s) / (after_s - before_s)
+        part = quat_from_rotation_vector(scale(rotation_vector_from_quat(turn), share))
+        return quat_multiply(self._turns[place - 1], part)

@@ -1,1 +1,0 @@
-"""The paper's experiments, each one command with a table and a plot (`companion-experiments`)."""

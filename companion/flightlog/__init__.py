@@ -1,0 +1,1 @@
+"""The flight log, the result and the report of a flight."""

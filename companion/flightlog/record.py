@@ -1,0 +1,294 @@
+"""The flight log: every message that crossed a border, as MCAP for people and as lists for the score.
+
+`FlightLog` keeps the topics that scoring needs in memory; with a folder it also streams every message to
+`flight.mcap` (JSON with a JSON schema for each topic: Foxglove opens it) and the MAVLink traffic to
+`flight.tlog` (the format of MAVProxy and pymavlink: 8 bytes of microseconds since 1970, then the packet).
+A log cut short by a crash or a flat battery still reads up to its last finished chunk.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import dataclasses
+import json
+import queue
+import struct
+import threading
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import IO, Any, Final, Literal
+
+import cv2
+from mcap.writer import CompressionType, Writer
+from pydantic import BaseModel
+
+from companion.base.message_json import encode, schema_of
+from companion.base.messages import Frame
+from companion.config import ConfigError
+
+# What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
+KEPT_TOPICS: Final = frozenset(
+    {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
+    | {"action_result"}
+)
+LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
+# the MCAP metadata that a replay needs; what computes the estimates is what their last digits hang on
+SETTINGS_RECORD: Final = "settings"
+VERSIONS_RECORD: Final = "versions"
+VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
+# half a minute of everything
+QUEUE_SIZE: Final = 20_000
+QUEUE_PATIENCE_S: Final = 0.005
+MCAP_CHUNK_BYTES: Final = 64 * 1024
+FRAME_JPEG_QUALITY: Final = 85
+MAVLINK2_MAGIC: Final = 0xFD
+MAVLINK1_MAGIC: Final = 0xFE
+
+
+class FlightLog:
+    """Takes every message with the time it was written; hands back the kept ones by topic."""
+
+    def __init__(self, folder: Path | None, start_unix_s: float, frame_rate_hz: float = 5.0) -> None:
+        """Open the log.
+
+        Args:
+            folder: where to leave flight.mcap and flight.tlog; None keeps nothing on disk.
+            start_unix_s: seconds since 1970 at loop time 0.
+            frame_rate_hz: how many of the camera's frames go to disk a second.
+
+        Raises:
+            ConfigError: the folder cannot be made or written.
+        """
+        self.kept: defaultdict[str, list[Any]] = defaultdict(list)
+        self._start_unix_s = start_unix_s
+        self._frame_period_s = 1.0 / frame_rate_hz
+        self._next_frame_s = float("-inf")
+        self._folder = folder
+        self._made_folder = folder is not None and not folder.exists()
+        self._files: _Files | None = None
+        self._ended_with: str | None = None
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                mcap, tlog = _McapFile(folder / LOG_NAMES[0]), _TlogFile(folder / LOG_NAMES[1])
+            except OSError as error:
+                raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
+            self._files = _Files(_Disk(), mcap, tlog)
+
+    @property
+    def problem(self) -> str | None:
+        """What has stopped the log on disk, or made it lose messages; None when it is whole."""
+        return self._ended_with if self._files is None else self._files.disk.problem
+
+    def write(self, topic: str, message: Any, time_s: float) -> None:
+        """Log one message (a dataclass of companion.base.messages) under a topic."""
+        if topic in KEPT_TOPICS:
+            self.kept[topic].append(message)
+        if (files := self._files) is not None:
+            files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s))
+
+    def write_settings(self, **settings: BaseModel) -> None:
+        """Log the settings that the app flies with, and our versions: with them a flight can be replayed."""
+        if (files := self._files) is not None:
+            models = {name: model.model_dump_json() for name, model in settings.items()}
+            files.disk.put(files.mcap.write_metadata, SETTINGS_RECORD, models)
+            files.disk.put(files.mcap.write_metadata, VERSIONS_RECORD, versions())
+
+    def write_frame(self, frame: Frame, time_s: float) -> None:
+        """Log a camera frame as a compressed image, at the log's own rate."""
+        if (files := self._files) is None or time_s < self._next_frame_s:
+            return
+        self._next_frame_s = time_s + self._frame_period_s
+        files.disk.put(files.mcap.write_image, frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+
+    def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
+        """Log MAVLink bytes as they came or went; a packet cut by a read is joined with its rest."""
+        if (files := self._files) is not None:
+            files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction)
+
+    def close(self) -> None:
+        """Finish the files; the log takes nothing after that."""
+        if (files := self._files) is not None:
+            self._files = None
+            files.disk.put(files.mcap.close)
+            files.disk.put(files.tlog.close)
+            files.disk.finish()
+            self._ended_with = files.disk.problem
+
+    def discard(self) -> None:
+        """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
+        self.close()
+        if self._folder is not None:
+            for name in LOG_NAMES:
+                (self._folder / name).unlink(missing_ok=True)
+            if self._made_folder:
+                self._folder.rmdir()
+
+    def _unix_ns(self, time_s: float) -> int:
+        return int((self._start_unix_s + time_s) * 1e9)
+
+
+class _Disk:
+    """Writes in a thread of its own: a card that stalls must not stall the control loop.
+
+    What does not fit into the queue any more waits for a moment, then is dropped and counted. A card that is
+    full ends the log on disk, not the flight.
+    """
+
+    def __init__(self) -> None:
+        self._lost = 0
+        self._failure: str | None = None
+        self._queue: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]] | None] = queue.Queue(QUEUE_SIZE)
+        self._thread = threading.Thread(target=self._work, name="flight-log", daemon=True)
+        self._thread.start()
+
+    @property
+    def problem(self) -> str | None:
+        """What was not written, if anything."""
+        if self._failure is not None:
+            return f"the flight log on disk ends here: {self._failure}"
+        return f"the disk does not keep up: {self._lost} messages lost from the log" if self._lost else None
+
+    def put(self, write: Callable[..., None], *arguments: Any) -> None:
+        """Have `write` called with these arguments."""
+        try:
+            self._queue.put((write, arguments), timeout=QUEUE_PATIENCE_S)
+        except queue.Full:
+            self._lost += 1
+
+    def finish(self) -> None:
+        """Write what is left, and end."""
+        self._queue.put(None)
+        self._thread.join()
+
+    def _work(self) -> None:
+        while (item := self._queue.get()) is not None:
+            write, arguments = item
+            if self._failure is None:
+                try:
+                    write(*arguments)
+                except OSError as error:
+                    self._failure = error.strerror or str(error)
+
+
+class _McapFile:
+    """One MCAP file with a channel for each topic."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream = path.open("wb")
+        self._writer = Writer(self._stream, chunk_size=MCAP_CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="", library="companion")
+        self._channels: dict[str, int] = {}
+
+    def write(self, topic: str, message: Any, unix_ns: int) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._register(topic, type(message).__name__, schema_of(type(message)))
+        self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=encode(message))
+
+    def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        self._writer.add_metadata(name, dict(values))
+
+    def write_image(self, frame: Frame, exposure_unix_ns: int, unix_ns: int) -> None:
+        channel = self._channels.get("camera")
+        if channel is None:
+            channel = self._register("camera", "foxglove.CompressedImage", _IMAGE_SCHEMA)
+        _, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, FRAME_JPEG_QUALITY])
+        seconds, nanoseconds = divmod(exposure_unix_ns, 1_000_000_000)
+        image = {
+            "timestamp": {"sec": seconds, "nsec": nanoseconds},
+            "frame_id": "camera",
+            "data": base64.b64encode(jpeg.tobytes()).decode("ascii"),
+            "format": "jpeg",
+        }
+        data = json.dumps(image).encode()
+        self._writer.add_message(channel, log_time=unix_ns, publish_time=exposure_unix_ns, data=data)
+
+    def close(self) -> None:
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._stream.close()
+
+    def _register(self, topic: str, name: str, schema: dict[str, Any]) -> int:
+        schema_id = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+        self._channels[topic] = self._writer.register_channel(f"/{topic}", "json", schema_id)
+        return self._channels[topic]
+
+
+class _TlogFile:
+    """One .tlog file; each direction is cut into packets by itself."""
+
+    def __init__(self, path: Path) -> None:
+        self._stream: IO[bytes] = path.open("wb")
+        self._rest = {"in": b"", "out": b""}
+
+    def write(self, data: bytes, unix_us: int, direction: str) -> None:
+        stamp = struct.pack(">Q", unix_us)
+        packets, self._rest[direction] = split_packets(self._rest[direction] + data)
+        for packet in packets:
+            self._stream.write(stamp + packet)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Files:
+    """What is open, and the thread that writes to it."""
+
+    disk: _Disk
+    mcap: _McapFile
+    tlog: _TlogFile
+
+
+def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
+    """Cut a run of MAVLink bytes into whole packets and the unfinished rest; garbage is passed over."""
+    packets: list[bytes] = []
+    at = 0
+    while at < len(data):
+        if data[at] not in (MAVLINK1_MAGIC, MAVLINK2_MAGIC):
+            at += 1
+            continue
+        length = _packet_length(data, at)
+        if length is None or at + length > len(data):
+            break
+        packets.append(data[at : at + length])
+        at += length
+    return packets, data[at:]
+
+
+def _packet_length(data: bytes, at: int) -> int | None:
+    """Bytes of the packet that starts at `at`; None while its header is not all there."""
+    if at + 3 > len(data):
+        return None
+    payload = data[at + 1]
+    if data[at] == MAVLINK1_MAGIC:
+        return payload + 8
+    return payload + 12 + (13 if data[at + 2] & 1 else 0)
+
+
+def versions() -> dict[str, str]:
+    """The versions of this program and of the libraries it computes with; what is not installed has none."""
+    found = {}
+    for name in VERSIONED:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+_IMAGE_SCHEMA: Final = {
+    "type": "object",
+    "title": "foxglove.CompressedImage",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+        },
+        "frame_id": {"type": "string"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+        "format": {"type": "string"},
+    },
+}

@@ -1,0 +1,1 @@
+"""`companion replay`: the estimators over a log again."""

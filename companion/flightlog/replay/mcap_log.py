@@ -1,0 +1,229 @@
+"""Our own log, `flight.mcap`: samples, control cycles and recorded states in the order they were written.
+
+Reads from the front without the file's index, so that a log cut short by a crash or a flat battery gives
+what its whole chunks hold. Every float is written with all its digits, so what is read here is, to the bit,
+what the estimators had.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any, Final, TypeVar
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, DataEnd, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from companion.base.geometry import subtract
+from companion.base.message_json import decode
+from companion.base.messages import (
+    AutopilotAttitude,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    PadSighting,
+    PadState,
+    RangeSample,
+    Truth,
+    VehicleState,
+)
+from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate
+from companion.flightlog.record import SETTINGS_RECORD, VERSIONS_RECORD
+from companion.flightlog.replay.flight_record import (
+    Ask,
+    Event,
+    FlightRecord,
+    Reference,
+    Rig,
+    Source,
+    Track,
+    TrackName,
+    track_of,
+)
+from companion.pad import Pad
+
+SAMPLES: Final = {
+    "/imu": ImuSample,
+    "/mag": MagSample,
+    "/gps": GpsFix,
+    "/range": RangeSample,
+    "/sighting": PadSighting,
+    "/autopilot_attitude": AutopilotAttitude,
+}
+STATES: Final = {"/vehicle": VehicleState, "/pad": PadState}
+T = TypeVar("T")
+
+
+def read_mcap(path: Path) -> FlightRecord:
+    """Read a flight of ours.
+
+    Raises:
+        ConfigError: the file cannot be read, or a message in it is not one of ours.
+    """
+    reading = _Reading(path)
+    with path.open("rb") as stream:
+        for record in records(stream, reading.end_early):
+            reading.take(record)
+    return reading.finish()
+
+
+def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
+    """The records up to the end of the data; `end_early` is called when the file stops before that."""
+    try:
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, DataEnd):
+                return
+            if isinstance(record, Chunk):
+                yield from breakup_chunk(record, validate_crc=True)
+            else:
+                yield record
+    # what a cut or damaged chunk raises, depending on where it is cut
+    except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError):
+        pass
+    end_early()
+
+
+class _Reading:
+    """What has been read of one file so far."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._topics: dict[int, str] = {}
+        self._events: list[Event] = []
+        self._states: list[VehicleState | PadState] = []
+        self._truth: list[Truth] = []
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._notes: list[str] = []
+        self._asked_s = -math.inf
+        self._first_ns: int | None = None
+        self._newest_ns = 0
+        self._cut = False
+
+    def end_early(self) -> None:
+        self._cut = True
+
+    def take(self, record: Any) -> None:
+        if isinstance(record, Channel):
+            self._topics[record.id] = record.topic
+        elif isinstance(record, Metadata):
+            self._metadata[record.name] = record.metadata
+        elif isinstance(record, Message):
+            self._take_message(self._topics[record.channel_id], record)
+
+    def _take_message(self, topic: str, message: Message) -> None:
+        if topic == "/truth":
+            self._truth.append(self._decoded(Truth, message, topic))
+            return
+        self._first_ns = message.log_time if self._first_ns is None else self._first_ns
+        self._newest_ns = message.log_time
+        if topic in SAMPLES:
+            arrival_s = 1e-9 * message.log_time
+            self._events.append(Event(arrival_s, self._decoded(SAMPLES[topic], message, topic)))
+        elif topic == "/plan":
+            # the first thing that a control cycle writes; a cycle with states has them under the same time
+            self._ask(float(json.loads(message.data)["time_s"]), message)
+        elif topic in STATES:
+            state: VehicleState | PadState = self._decoded(STATES[topic], message, topic)
+            self._ask(state.time_s, message)
+            self._states.append(state)
+        elif topic == "/notice":
+            self._take_notice(json.loads(message.data))
+
+    def _ask(self, time_s: float, message: Message) -> None:
+        if time_s != self._asked_s:
+            self._asked_s = time_s
+            self._events.append(Event(1e-9 * message.log_time, Ask(time_s)))
+
+    def _take_notice(self, notice: dict[str, Any]) -> None:
+        if notice.get("kind") == "record":
+            self._notes.append(f"the log says of itself: {notice.get('text')}")
+
+    def _decoded(self, kind: type[T], message: Message, topic: str) -> T:
+        try:
+            return decode(kind, json.loads(message.data))
+        except (ValueError, TypeError, KeyError) as error:
+            raise ConfigError(
+                f"{self._path}: a message of {topic} is not a {kind.__name__}: {error}; "
+                "expected a log of this program's version"
+            ) from error
+
+    # ------------------------------------------------------------ the end
+
+    def finish(self) -> FlightRecord:
+        recorded = _states_reference(self._states)
+        references: dict[Source, Reference] = {"recorded": recorded} if recorded.tracks else {}
+        truth = _truth_reference(self._truth)
+        if truth.tracks:
+            references["truth"] = truth
+        seconds = 0.0 if self._first_ns is None else 1e-9 * (self._newest_ns - self._first_ns)
+        return FlightRecord(
+            kind="companion",
+            events=self._events,
+            references=references,
+            rig=self._rig(),
+            states=self._states,
+            versions=self._metadata.get(VERSIONS_RECORD, {}),
+            cut=f"the log is cut after {seconds:.1f} s: read up to there" if self._cut else None,
+            notes=self._notes,
+        )
+
+    def _rig(self) -> Rig | None:
+        settings = self._metadata.get(SETTINGS_RECORD)
+        if settings is None:
+            return None
+        source = f"{self._path}: settings"
+        missing = {"config", "vehicle", "pad"} - settings.keys()
+        if missing:
+            raise ConfigError(f"{source}: expected {', '.join(sorted(missing))} among them")
+        return Rig(
+            validate(CompanionConfig, json.loads(settings["config"]), f"{source}: config"),
+            validate(VehicleConfig, json.loads(settings["vehicle"]), f"{source}: vehicle"),
+            validate(Pad, json.loads(settings["pad"]), f"{source}: pad"),
+            validate(CameraConfig, json.loads(settings["camera"]), f"{source}: camera")
+            if "camera" in settings
+            else None,
+        )
+
+
+# ---------------------------------------------------------------- what it is held against
+
+
+def _states_reference(states: list[VehicleState | PadState]) -> Reference:
+    vehicles = [state for state in states if isinstance(state, VehicleState)]
+    pads = [state for state in states if isinstance(state, PadState)]
+    origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
+    return Reference(
+        _tracks(
+            attitude=track_of((v.time_s, v.attitude) for v in vehicles),
+            velocity=track_of((v.time_s, v.velocity_ned_m_s) for v in vehicles),
+            position=track_of((v.time_s, v.position_ned_m) for v in vehicles if v.origin is not None),
+            pad_position=track_of((p.time_s, p.relative_position_ned_m) for p in pads),
+            pad_velocity=track_of((p.time_s, p.velocity_ned_m_s) for p in pads),
+        ),
+        origins[-1] if origins else None,
+    )
+
+
+def _truth_reference(truth: list[Truth]) -> Reference:
+    """The truth in the air: on the ground the estimators are not what the vehicle stands by."""
+    flown = [record for record in truth if not record.in_contact]
+    return Reference(
+        _tracks(
+            attitude=track_of((t.time_s, t.vehicle_attitude) for t in flown),
+            velocity=track_of((t.time_s, t.vehicle_velocity_ned_m_s) for t in flown),
+            position=track_of((t.time_s, t.vehicle_position_ned_m) for t in flown),
+            pad_position=track_of(
+                (t.time_s, subtract(t.pad_position_ned_m, t.vehicle_position_ned_m)) for t in flown
+            ),
+            pad_velocity=track_of((t.time_s, t.pad_velocity_ned_m_s) for t in flown),
+        )
+    )
+
+
+def _tracks(**tracks: Track | None) -> dict[TrackName, Track]:
+    return {name: track for name, track in tracks.items() if track is not None}  # type: ignore[misc]

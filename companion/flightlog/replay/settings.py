@@ -1,0 +1,101 @@
+"""Under which settings a log is replayed.
+
+A flight of ours holds its own. For an autopilot's log it is a settings file, and what that does not set
+the log tells: the antenna's place, and the place and date by which the Earth's field is known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import ZERO3, Vector3, dot, norm
+from companion.base.magnetic_field import field_ned_ut
+from companion.base.messages import ImuSample, MagSample
+from companion.config import CONFIG_FOLDER, CompanionConfig, load_config, load_vehicle
+from companion.flightlog.replay.compare import FieldUsed
+from companion.flightlog.replay.flight_record import Event, FlightRecord, Rig
+from companion.pad import load_pad
+
+DEFAULT_SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
+# for a log with a place and no date: in the middle of the models
+YEAR_UNKNOWN: Final = 2020.0
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a log is replayed with, and how to name it to people; `repeats`: just as it was flown."""
+
+    rig: Rig
+    field: FieldUsed
+    name: str
+    repeats: bool
+
+
+def choose(record: FlightRecord, config_path: Path | None) -> Choice:
+    """The settings for a log; a file given goes before what the log holds.
+
+    Raises:
+        ConfigError: the file, or one that it names, is missing or wrong.
+    """
+    if record.kind == "companion" and record.rig is not None and config_path is None:
+        field = FieldUsed(ned_ut=record.rig.config.estimate.magnetic_field_ned_ut, source="settings")
+        return Choice(record.rig, field, "the flight's own", repeats=True)
+    path = config_path or DEFAULT_SETTINGS
+    config = load_config(path)
+    if record.kind == "companion":
+        field = FieldUsed(ned_ut=config.estimate.magnetic_field_ned_ut, source="settings")
+    else:
+        field = _field(record, config)
+        config = _fitted(config, record, field.ned_ut)
+    vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
+    return Choice(Rig(config, vehicle, load_pad(config.pad)), field, str(path), repeats=False)
+
+
+def _fitted(config: CompanionConfig, record: FlightRecord, field: Vector3) -> CompanionConfig:
+    """The settings with the Earth's field, and the antenna where the autopilot believes it to be."""
+    estimate = config.estimate.model_copy(update={"magnetic_field_ned_ut": field})
+    sense = config.sense
+    if "antenna_position_body_m" not in sense.gps.model_fields_set:
+        antenna = {"antenna_position_body_m": record.antenna_position_body_m or ZERO3}
+        sense = sense.model_copy(update={"gps": sense.gps.model_copy(update=antenna)})
+    return config.model_copy(update={"estimate": estimate, "sense": sense})
+
+
+def _field(record: FlightRecord, config: CompanionConfig) -> FieldUsed:
+    if "magnetic_field_ned_ut" in config.estimate.model_fields_set:
+        return FieldUsed(ned_ut=config.estimate.magnetic_field_ned_ut, source="settings")
+    place = record.place
+    if place is None:
+        source = "the log's magnetometer (no GPS in it): heading counts from magnetic north"
+        return FieldUsed(ned_ut=field_of_samples(record.events), source=source)
+    year = YEAR_UNKNOWN if place.year is None else place.year
+    field = field_ned_ut(place.latitude_deg, place.longitude_deg, place.altitude_m, year)
+    date = "no date in the log, 2020 taken" if place.year is None else f"{year:.1f}"
+    where = f"{place.latitude_deg:.3f}, {place.longitude_deg:.3f}"
+    return FieldUsed(ned_ut=field, source=f"World Magnetic Model at {where}, {date}")
+
+
+def field_of_samples(events: list[Event]) -> Vector3:
+    """Size and dip (µT, NED with magnetic north for north) by the medians over a log.
+
+    The dip is the field's angle against the specific force: over minutes of flight that is gravity's.
+    """
+    sizes, dips = [], []
+    force: Vector3 | None = None
+    for _, item in events:
+        if isinstance(item, ImuSample):
+            force = item.specific_force_body_m_s2
+        elif isinstance(item, MagSample) and force is not None:
+            size = norm(item.field_body_ut)
+            if size > 0.0 and norm(force) > 0.0:
+                sizes.append(size)
+                dips.append(-dot(item.field_body_ut, force) / (size * norm(force)))
+    if not sizes:
+        return ZERO3
+    size, down = float(np.median(sizes)), float(np.median(dips))
+    return (size * math.sqrt(max(1.0 - down * down, 0.0)), 0.0, size * down)

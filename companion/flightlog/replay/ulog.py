@@ -1,0 +1,262 @@
+"""PX4's ULog (.ulg): sensor_combined, magnetometer, GPS and distance; held against PX4's own estimates.
+
+sensor_combined and vehicle_magnetometer are calibrated and in body axes. Old logs keep the magnetometer
+within sensor_combined; a log that has only sensor_mag is calibrated here by its own CAL_MAG parameters.
+Topics that PX4's simulators add (`..._groundtruth`) are the truth.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pyulog import ULog
+
+from companion.base.geometry import FloatArray, Vector3, quat_from_euler, vector3
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
+from companion.config import ConfigError
+from companion.flightlog.replay.flight_record import (
+    Event,
+    FlightRecord,
+    Place,
+    Reference,
+    Source,
+    TrackName,
+    track_of,
+)
+
+UT_PER_GAUSS: Final = 100.0
+# PX4's RELATIVE_TIMESTAMP_INVALID
+NO_TIMESTAMP: Final = 0x7FFFFFFF
+GPS_DELAY_MS: Final = 110.0  # EKF2_GPS_DELAY's default
+DOWNWARD: Final = 25  # MAV_SENSOR_ROTATION_PITCH_270
+SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
+HEADER_BYTES: Final = 16
+
+Columns = Mapping[str, Any]
+
+
+def read_ulog(path: Path) -> FlightRecord:
+    """Read a PX4 log.
+
+    Raises:
+        ConfigError: the file is no ULog.
+    """
+    with contextlib.redirect_stdout(io.StringIO()):
+        try:
+            log = ULog(str(path))
+        except Exception as error:
+            # the library meets garbage with whatever Python raises there
+            raise ConfigError(f"{path}: not a ULog that can be read: {error}") from error
+    reading = _Reading(log)
+    return FlightRecord(
+        kind="px4",
+        events=reading.events(),
+        references=reading.references(),
+        place=reading.place(),
+        antenna_position_body_m=reading.antenna(),
+        cut=None if _is_whole(path) else "the log is cut within a message: read up to there",
+        notes=["damaged places in the log passed over"] if log.file_corruption else [],
+    )
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the last message ends with the file: each starts with its length (2 bytes) and type (1)."""
+    data = path.read_bytes()
+    at = HEADER_BYTES
+    while at + 3 <= len(data):
+        at += 3 + struct.unpack_from("<H", data, at)[0]
+    return at == len(data)
+
+
+class _Reading:
+    """The topics of one log."""
+
+    def __init__(self, log: ULog) -> None:
+        self._topics: dict[str, Columns] = {}
+        for topic in log.data_list:
+            # the first instance is the one in use, or as good as any other
+            if topic.multi_id == 0 and len(topic.data["timestamp"]):
+                self._topics[topic.name] = topic.data
+        self._parameters: dict[str, float] = dict(log.initial_parameters)
+
+    # ------------------------------------------------------------ sensors
+
+    def events(self) -> list[Event]:
+        """All samples in order of arrival."""
+        events = [*self._imu(), *self._mag(), *self._gps(), *self._range()]
+        # a stable sort: of what came at one time the IMU is first
+        return sorted(events, key=lambda event: event.arrival_s)
+
+    def _imu(self) -> Iterator[Event]:
+        if (data := self._topics.get("sensor_combined")) is not None:
+            rates, forces = _rows(data, "gyro_rad"), _rows(data, "accelerometer_m_s2")
+        elif (data := self._topics.get("vehicle_imu")) is not None:
+            # increments over their own span, µs
+            rates = _rows(data, "delta_angle") / (1e-6 * np.asarray(data["delta_angle_dt"], float))[:, None]
+            forces = (
+                _rows(data, "delta_velocity") / (1e-6 * np.asarray(data["delta_velocity_dt"], float))[:, None]
+            )
+        else:
+            return
+        for time_s, rate, force in zip(_times(data), rates.tolist(), forces.tolist(), strict=True):
+            yield Event(time_s, ImuSample(time_s, vector3(rate), vector3(force), math.nan))
+
+    def _mag(self) -> Iterator[Event]:
+        if (data := self._topics.get("vehicle_magnetometer")) is not None:
+            yield from _mag_events(_times(data), _rows(data, "magnetometer_ga") - self._learned_bias_ga())
+        elif "magnetometer_ga[0]" in (data := self._topics.get("sensor_combined", {})):
+            yield from self._combined_mag(data)
+        elif (data := self._topics.get("sensor_mag")) is not None:
+            rows = np.stack([np.asarray(data[axis], dtype=float) for axis in "xyz"], axis=1)
+            yield from _mag_events(_times(data), self._calibrated(rows, int(data["device_id"][0])))
+
+    def _combined_mag(self, data: Columns) -> Iterator[Event]:
+        """A field is repeated with every IMU sample until a new one comes; its age tells them apart."""
+        ages = np.asarray(data["magnetometer_timestamp_relative"], dtype=np.int64)
+        measured = np.asarray(data["timestamp"], dtype=np.int64) + ages
+        known = np.flatnonzero(ages != NO_TIMESTAMP)
+        fresh = known[np.diff(measured[known], prepend=-1) > 0]
+        arrivals = np.asarray(data["timestamp"])[fresh].tolist()
+        fields = (UT_PER_GAUSS * _rows(data, "magnetometer_ga")[fresh]).tolist()
+        for arrival, time, field in zip(arrivals, measured[fresh].tolist(), fields, strict=True):
+            yield Event(1e-6 * arrival, MagSample(1e-6 * time, vector3(field)))
+
+    def _learned_bias_ga(self) -> list[float]:
+        """What versions 1.8 to 1.11 had learnt in flight and took off within their EKF."""
+        return [self._parameters.get(f"EKF2_MAGBIAS_{axis}", 0.0) for axis in "XYZ"]
+
+    def _calibrated(self, field_ga: FloatArray, device: int) -> FloatArray:
+        """By the CAL_MAG parameters of the device: (raw - offset) through the scale matrix."""
+        slots = [n for n in range(4) if self._parameters.get(f"CAL_MAG{n}_ID") == device]
+        if not slots:
+            return field_ga
+
+        def values(name: str, default: float) -> list[float]:
+            return [self._parameters.get(f"CAL_MAG{slots[0]}_{a}{name}", default) for a in "XYZ"]
+
+        x, y, z = values("ODIAG", 0.0)
+        matrix = np.diag(values("SCALE", 1.0)) + np.array([[0.0, x, y], [x, 0.0, z], [y, z, 0.0]])
+        calibrated: FloatArray = (field_ga - np.array(values("OFF", 0.0))) @ matrix.T
+        return calibrated
+
+    def _gps(self) -> Iterator[Event]:
+        data = self._gps_data()
+        if data is None:
+            return
+        latency_s = 1e-3 * self._parameters.get("EKF2_GPS_DELAY", GPS_DELAY_MS)
+        places, velocities = _places(data), _columns(data, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
+        accuracies = _columns(data, "eph", "epv", "s_variance_m_s")
+        rows = zip(_times(data), places.tolist(), velocities.tolist(), accuracies.tolist(), strict=True)
+        for k, (arrival_s, place, velocity, accuracy) in enumerate(rows):
+            if data["fix_type"][k] >= 3:
+                fix = GpsFix(
+                    arrival_s - latency_s,
+                    *vector3(place),
+                    vector3(velocity),
+                    *vector3(accuracy),
+                    int(data["satellites_used"][k]),
+                )
+                yield Event(arrival_s, fix)
+
+    def _gps_data(self) -> Columns | None:
+        return self._topics.get("vehicle_gps_position", self._topics.get("sensor_gps"))
+
+    def _range(self) -> Iterator[Event]:
+        data = self._topics.get("distance_sensor")
+        if data is None:
+            return
+        pointing = data.get("orientation", np.full(len(data["timestamp"]), DOWNWARD))
+        rows = zip(_times(data), np.asarray(data["current_distance"]).tolist(), pointing, strict=True)
+        for time_s, distance_m, orientation in rows:
+            if orientation == DOWNWARD:
+                yield Event(time_s, RangeSample(time_s, distance_m))
+
+    # ------------------------------------------------------------ what the log knows of itself
+
+    def place(self) -> Place | None:
+        """Where and when, by the first fix; without GPS by the local frame's origin."""
+        data = self._gps_data()
+        if data is not None and (fixed := np.flatnonzero(np.asarray(data["fix_type"]) >= 3)).size:
+            first = int(fixed[0])
+            utc_s = 1e-6 * float(data.get("time_utc_usec", np.zeros(first + 1))[first])
+            latitude, longitude, altitude = _places(data)[first].tolist()
+            return Place(latitude, longitude, altitude, 1970.0 + utc_s / SECONDS_PER_YEAR if utc_s else None)
+        return None
+
+    def antenna(self) -> Vector3 | None:
+        if "EKF2_GPS_POS_X" not in self._parameters:
+            return None
+        x, y, z = (float(self._parameters[f"EKF2_GPS_POS_{axis}"]) for axis in "XYZ")
+        return (x, y, z)
+
+    def references(self) -> dict[Source, Reference]:
+        found: dict[Source, Reference] = {}
+        suffixes: dict[Source, str] = {"recorded": "", "truth": "_groundtruth"}
+        for source, suffix in suffixes.items():
+            reference = self._reference(suffix)
+            if reference.tracks:
+                found[source] = reference
+        return found
+
+    def _reference(self, suffix: str) -> Reference:
+        tracks: dict[TrackName, Any] = {}
+        origin = None
+        if (data := self._topics.get(f"vehicle_attitude{suffix}")) is not None:
+            tracks["attitude"] = track_of(zip(_times(data), _attitudes(data), strict=True))
+        if (data := self._topics.get(f"vehicle_local_position{suffix}")) is not None:
+            velocity, position = _columns(data, "vx", "vy", "vz"), _columns(data, "x", "y", "z")
+            velocity[~_flags(data, "v_xy_valid", "v_z_valid")] = math.nan
+            position[~_flags(data, "xy_valid", "z_valid")] = math.nan
+            tracks["velocity"] = track_of(zip(_times(data), velocity.tolist(), strict=True))
+            tracks["position"] = track_of(zip(_times(data), position.tolist(), strict=True))
+            origin = _origin(data)
+        return Reference({name: track for name, track in tracks.items() if track is not None}, origin)
+
+
+def _times(data: Columns) -> list[float]:
+    return [1e-6 * t for t in np.asarray(data["timestamp"]).tolist()]
+
+
+def _columns(data: Columns, *names: str) -> FloatArray:
+    rows: FloatArray = np.stack([np.asarray(data[name], dtype=float) for name in names], axis=1)
+    return rows
+
+
+def _rows(data: Columns, name: str) -> FloatArray:
+    return _columns(data, *(f"{name}[{k}]" for k in range(3)))
+
+
+def _flags(data: Columns, *names: str) -> Any:
+    return np.logical_and.reduce([np.asarray(data[name]) > 0 for name in names])
+
+
+def _mag_events(times_s: list[float], field_ga: FloatArray) -> Iterator[Event]:
+    for time_s, field in zip(times_s, (UT_PER_GAUSS * field_ga).tolist(), strict=True):
+        yield Event(time_s, MagSample(time_s, vector3(field)))
+
+
+def _places(data: Columns) -> FloatArray:
+    """Latitude, longitude (deg) and altitude over the sea (m); integers until PX4 1.14, doubles since."""
+    if "latitude_deg" in data:
+        return _columns(data, "latitude_deg", "longitude_deg", "altitude_msl_m")
+    return _columns(data, "lat", "lon", "alt") * (1e-7, 1e-7, 1e-3)
+
+
+def _attitudes(data: Columns) -> list[tuple[float, ...]]:
+    if "q[0]" in data:
+        return [tuple(row) for row in _columns(data, *(f"q[{k}]" for k in range(4))).tolist()]
+    return [quat_from_euler(*row) for row in _columns(data, "roll", "pitch", "yaw").tolist()]
+
+
+def _origin(data: Columns) -> Vector3 | None:
+    """Where the local frame has its origin, at the end of the log; None when it hangs on no place."""
+    if "ref_lat" not in data or not (known := np.flatnonzero(_flags(data, "xy_global", "z_global"))).size:
+        return None
+    return vector3(_columns(data, "ref_lat", "ref_lon", "ref_alt")[int(known[-1])].tolist())

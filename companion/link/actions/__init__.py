@@ -1,0 +1,1 @@
+"""Actions to the autopilot: arm, take off, land, change mode."""

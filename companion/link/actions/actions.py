@@ -1,0 +1,241 @@
+"""What a mission asks of the autopilot besides setpoints: the interface, and how our own session does it.
+
+PX4 and ArduPilot differ in nearly every one. Heights are over home; both autopilots get altitudes over the
+sea where they go somewhere. Nothing here sends setpoints: they come from the control loop alone, so that they
+stop when it stops.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from companion.base.clock import Clock
+from companion.base.geometry import Vector3
+from companion.base.messages import Action, ActionKind, ActionResult
+from companion.config import LinkConfig
+from companion.link.actions.dialogue import Dialogue
+from companion.link.actions.performing import Handler, Performances, Refused, Unanswered
+from companion.link.codec import mavlink
+from companion.link.commands import request_message
+from companion.link.modes import CONTROL_MODE, HOLD_MODE, LAND_MODE, STICK_MODES
+from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
+from companion.link.session import Session
+
+_SILENT_S: Final = 0.5  # attitudes come many times a second
+_FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the checks say
+
+
+class VehicleActions(Protocol):
+    """Asks the autopilot or the ground station for something and tells how it went."""
+
+    async def start(self) -> None:
+        """Make ready; before the first `receive`."""
+
+    def receive(self, data: bytes) -> None:
+        """Hand on what the transport received, which may be more than one implementation's business."""
+
+    async def perform(self, action: Action) -> ActionResult:
+        """Do one thing; wait for the answer, not for the vehicle to be there. A refusal is a result."""
+
+    def cancel(self) -> None:
+        """The purpose of all that is under way is void, as when a pilot has taken over.
+
+        From this call on nothing of it is sent or repeated, and each `perform` under way returns
+        "withdrawn" at the loop's next turns. What is asked for afterwards need not wait for any of it.
+        """
+
+    async def close(self) -> None:
+        """Give everything back."""
+
+
+class PymavlinkActions:
+    """Actions as MAVLink commands of our own session.
+
+    `send` takes the bytes to the transport; `attitude_setpoints` tells that the setpoints will be attitude
+    and thrust, for which an ArduPilot must be set up. Runs on any loop, in virtual time too.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        send: Callable[[bytes], None],
+        clock: Clock,
+        config: LinkConfig,
+        *,
+        attitude_setpoints: bool,
+    ) -> None:
+        self.dialogue = Dialogue(session, send, clock)
+        self._session = session
+        self._config = config
+        self._attitude_setpoints = attitude_setpoints
+        self._performances = Performances(session, clock)
+        self._handlers: dict[ActionKind, Handler] = {
+            ActionKind.ARM: self._arm,
+            ActionKind.TAKE_OFF: self._take_off,
+            ActionKind.GO_TO: self._go_to,
+            ActionKind.TAKE_CONTROL: self.take_control,
+            ActionKind.HOLD: self.hold,
+            ActionKind.LAND: self.land,
+            ActionKind.DISARM: self.disarm,
+            ActionKind.REQUEST_PAD_POSITION: self.request_pad_position,
+        }
+
+    async def start(self) -> None:
+        """Nothing to make ready."""
+
+    def receive(self, data: bytes) -> None:
+        """Nothing: the session hears everything already."""
+
+    async def close(self) -> None:
+        """Nothing to give back."""
+
+    async def perform(self, action: Action) -> ActionResult:
+        """See `VehicleActions`."""
+        return await self._performances.perform(self._handlers[action.kind], action)
+
+    def cancel(self) -> None:
+        """See `VehicleActions`."""
+        self.dialogue.withdraw()
+        self._performances.cancel()
+
+    # ------------------------------------------------------------ the actions
+
+    async def _arm(self, action: Action) -> None:
+        await self.require_thrust()  # on the ground is the better place to hear that control will be refused
+        if self.dialogue.manner() == "ardupilot":
+            await self.dialogue.set_mode("GUIDED")  # it takes off in this mode only
+        await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
+        await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
+
+    async def _take_off(self, action: Action) -> None:
+        unused = self.dialogue.unused()
+        if self.dialogue.manner() == "ardupilot":
+            await self.dialogue.set_mode("GUIDED")
+            height_m = action.height_m  # ArduPilot counts from home
+        else:
+            height_m = self._ground_altitude_m() + action.height_m
+        await self.dialogue.command(mavlink.MAV_CMD_NAV_TAKEOFF, (unused,) * 6 + (height_m,))
+
+    async def _go_to(self, action: Action) -> None:
+        latitude_deg, longitude_deg, altitude_m = self.destination(action)
+        heading_rad = self.dialogue.unused() if action.heading_rad is None else action.heading_rad
+        change_mode = float(mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+        await self.dialogue.command(
+            mavlink.MAV_CMD_DO_REPOSITION,
+            (-1.0, change_mode, 0.0, heading_rad),
+            (latitude_deg, longitude_deg, altitude_m),
+        )
+
+    async def take_control(self, action: Action) -> None:
+        """OFFBOARD or GUIDED, not asked for again once a pilot has taken the sticks meanwhile.
+
+        PX4 refuses unless setpoints have been coming already.
+        """
+        await self.require_thrust()
+        manner, before = self.dialogue.manner(), self._session.state.mode
+        mode = CONTROL_MODE[manner]
+
+        def void() -> str:
+            now = self._session.state.mode
+            return f"a pilot has changed to {now}" if now != before and now in STICK_MODES[manner] else ""
+
+        await self.dialogue.set_mode(mode, void)
+        await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
+
+    async def hold(self, action: Action) -> None:
+        """Stop and stay, by the autopilot's own mode."""
+        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.manner()])
+
+    async def land(self, action: Action) -> None:
+        """Come down where it is, by the autopilot's own mode."""
+        await self.dialogue.set_mode(LAND_MODE[self.dialogue.manner()])
+
+    async def disarm(self, action: Action) -> None:
+        """Plainly first; by force where that is refused, the action asks for it and the settings allow it.
+
+        It is for where the vehicle stands now. When the autopilot falls silent or changes its mode by itself,
+        a failsafe may have taken it up: then nothing more is sent.
+        """
+        before = self._session.state.mode
+
+        def void() -> str:
+            state = self._session.state
+            if state.armed and state.mode != before:
+                return f"the autopilot has changed to {state.mode}"
+            silent_s = self.dialogue.now_s() - state.attitude_time_s
+            return f"attitude not heard for {silent_s:.1f} s" if _SILENT_S < silent_s < math.inf else ""
+
+        try:
+            await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, 0.0), void=void)
+        except Unanswered:
+            raise
+        except Refused:
+            if not (action.force and self._config.force_disarm):
+                raise
+            await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0, _FORCE), void=void)
+        await self.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
+
+    async def request_pad_position(self, action: Action) -> None:
+        """Ask the ground station for a FOLLOW_TARGET; the message itself is an answer too."""
+        before = self._session.beacon
+        command = request_message(
+            mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET, self._config.ground_system_id, target_component=0
+        )
+        outcome = await self.dialogue.outcome(
+            self._session.command(command), lambda: self._session.beacon is not before
+        )
+        if outcome == "accepted":
+            return
+        stranger = self._session.beacon_stranger
+        hint = "" if stranger is None else f" (system {stranger} tells one; link.ground_system_id is another)"
+        raise Refused(f"the ground station's answer: {outcome}{hint}")
+
+    async def require_thrust(self) -> None:
+        """See to it that an attitude setpoint's thrust is thrust: to ArduPilot it is a climb rate by default.
+
+        Raises:
+            Refused: it is a climb rate, and may not be or was not changed; or the autopilot does not tell.
+        """
+        if not self._attitude_setpoints or self.dialogue.manner() != "ardupilot":
+            return
+        options = await self.dialogue.parameter(self._session.read_parameter(GUIDED_OPTIONS))
+        if options & THRUST_IS_THRUST:
+            return
+        wanted = options | THRUST_IS_THRUST
+        if self._config.set_parameters:
+            options = await self.dialogue.parameter(self._session.set_parameter(GUIDED_OPTIONS, wanted))
+        if not options & THRUST_IS_THRUST:
+            raise Refused(
+                f"{GUIDED_OPTIONS} is {options}: thrust is read as climb rate; expected {wanted}, "
+                "which link.set_parameters lets us set, or control.setpoint velocity"
+            )
+
+    # ------------------------------------------------------------ where
+
+    def home(self) -> Vector3:
+        """Latitude (deg), longitude (deg), altitude (m AMSL) of home.
+
+        Raises:
+            Refused: the autopilot has not told it.
+        """
+        if self._session.state.home is None:
+            raise Refused("the autopilot has not told its home position")
+        return self._session.state.home
+
+    def _ground_altitude_m(self) -> float:
+        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming sets anew."""
+        present = self._session.state.global_position
+        return self.home()[2] if present is None else present[2]
+
+    def destination(self, action: Action) -> Vector3:
+        """Where to go: latitude (deg), longitude (deg), altitude (m AMSL).
+
+        Raises:
+            Refused: home is not known, or the action has no position.
+        """
+        if action.position is None:
+            raise Refused("the action has no position")
+        latitude_deg, longitude_deg, height_m = action.position
+        return (latitude_deg, longitude_deg, self.home()[2] + height_m)

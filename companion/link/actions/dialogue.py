@@ -1,0 +1,158 @@
+"""Asking the autopilot or the ground station for something and waiting for the answer.
+
+On top of the session, which sends, repeats and hears: here are the waiting, the refusals in words, and the
+end of the waiting when what was asked for is void.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from companion.base.clock import Clock
+from companion.base.geometry import Vector3
+from companion.base.messages import Manner
+from companion.link.actions.performing import Refused, Unanswered
+from companion.link.codec import mavlink
+from companion.link.commands import NO_ANSWER, Command, Pending, request_message
+from companion.link.modes import mode_parameters
+from companion.link.parameters import ParameterRequest
+from companion.link.session import Session
+
+_POLL_S: Final = 0.01
+_CONFIRM_S: Final = 2.5  # some autopilots tell a new mode only in the next heartbeat, at 1 Hz
+
+
+def _wanted_still() -> str:
+    return ""
+
+
+class Dialogue:
+    """Questions to the other end of the link. `void` functions say why an answer is not wanted any more."""
+
+    def __init__(self, session: Session, send: Callable[[bytes], None], clock: Clock) -> None:
+        self._session = session
+        self._send = send
+        self._clock = clock
+        self._waited_for: list[Pending | ParameterRequest] = []
+
+    def withdraw(self) -> None:
+        """Send nothing more of all that is waited for."""
+        for pending in self._waited_for:
+            self._session.withdraw(pending)
+
+    def now_s(self) -> float:
+        """The time."""
+        return self._clock.now_s()
+
+    def manner(self) -> Manner:
+        """Whose manners the autopilot has.
+
+        Raises:
+            Refused: none is connected, or an unknown one.
+        """
+        state = self._session.state
+        if not state.connected:
+            raise Refused("no autopilot is heard")
+        if state.manner is None:
+            raise Refused("the autopilot is neither PX4 nor ArduPilot")
+        return state.manner
+
+    async def set_mode(self, mode: str, void: Callable[[], str] = _wanted_still) -> None:
+        """Change the flight mode, unless `void` says meanwhile why it is not wanted any more.
+
+        Raises:
+            Refused: the autopilot does not, or it is void.
+        """
+        parameters = mode_parameters(self.manner(), mode)
+        await self.command(mavlink.MAV_CMD_DO_SET_MODE, (*parameters, 0.0, 0.0, 0.0, 0.0), void=void)
+        self.ask_for_heartbeat()
+
+    async def command(
+        self,
+        number: int,
+        parameters: tuple[float, ...],
+        position: Vector3 | None = None,
+        void: Callable[[], str] = _wanted_still,
+    ) -> None:
+        """Send a command to the autopilot and wait for its answer.
+
+        Raises:
+            Unanswered: it does not answer.
+            Refused: it answers something else than "accepted", or it is void.
+        """
+        self.manner()
+        if position is None:
+            parameters = (*parameters, *(self.unused(),) * (7 - len(parameters)))
+        command = Command(number, parameters, position, target_system=self._session.system_id)
+        outcome = await self.outcome(self._session.command(command), void=void)
+        if outcome == NO_ANSWER:
+            raise Unanswered("the autopilot does not answer")
+        if outcome != "accepted":
+            raise Refused(outcome)
+
+    async def confirm(
+        self, holds: Callable[[], bool], what: str, void: Callable[[], str] = _wanted_still
+    ) -> None:
+        """Wait until the autopilot's own state shows what it has accepted.
+
+        Raises:
+            Refused: it does not in time, or it is void.
+        """
+        until_s = self._clock.now_s() + _CONFIRM_S
+        if not holds():
+            self.ask_for_heartbeat()
+        while not holds():
+            if why := void():
+                raise Refused(why)
+            if self._clock.now_s() >= until_s:
+                raise Refused(f"accepted, but not {what}")
+            await self._clock.sleep_until(self._clock.now_s() + _POLL_S)
+
+    def ask_for_heartbeat(self) -> None:
+        """Have the new mode told now instead of within a second; nothing is lost when it is not."""
+        self._session.command(request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, self._session.system_id))
+        self._send(self._session.tick(self._clock.now_s()))
+
+    async def parameter(self, request: ParameterRequest) -> int:
+        """The autopilot's newest word on an integer parameter.
+
+        Raises:
+            Refused: it said nothing.
+        """
+        await self.outcome(request)
+        if request.value is None:
+            raise Refused(f"the autopilot does not tell its {request.name}")
+        return round(request.value)
+
+    async def outcome(
+        self,
+        pending: Pending | ParameterRequest,
+        settled: Callable[[], bool] = lambda: False,
+        void: Callable[[], str] = _wanted_still,
+    ) -> str:
+        """How it ended; "accepted" too when what is asked for is `settled` without an answer.
+
+        Raises:
+            Refused: it is void.
+        """
+        self._waited_for.append(pending)
+        try:
+            while pending.outcome is None:
+                if settled():
+                    return "accepted"
+                if why := void():
+                    raise Refused(why)
+                now_s = self._clock.now_s()
+                self._send(self._session.tick(now_s))
+                if pending.outcome is None:
+                    await self._clock.sleep_until(now_s + _POLL_S)
+        finally:
+            self._waited_for.remove(pending)
+            self._session.withdraw(pending)
+        return pending.outcome or NO_ANSWER
+
+    def unused(self) -> float:
+        """A parameter without a value: NaN for PX4; ArduPilot takes NaN for a number and wants 0."""
+        return 0.0 if self._session.state.manner == "ardupilot" else math.nan

@@ -1,0 +1,301 @@
+"""Actions by MAVSDK (4.1: a C++ library in this process, no server), over the port that we own.
+
+MAVSDK has no socket: through its `raw://` connection it gets every byte that we receive, and what it wants
+sent goes out through our transport. It speaks as a component of its own beside ours
+(`link.mavsdk_component_id`), with its own sequence numbers, so that neither the autopilot's answers nor its
+loss count mix the two up. Its calls and their repeats cannot be stopped once begun: after `cancel` none of
+its commands leaves our transport until those calls have ended; what may not wait goes out as our own.
+
+It is never given a setpoint, and control is taken by our own mode command: once its offboard plugin runs,
+its thread repeats the last setpoint at 20 Hz though the program that made it has stopped. No telemetry is
+subscribed to either: its queues are unbounded, and the session hears everything already.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import math
+from collections.abc import Callable, Coroutine
+from typing import Any, Final, TypeVar
+
+from mavsdk import LogLevel, log_subscribe
+from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
+from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.param import ParamAsync
+from mavsdk.exceptions import MavsdkError
+from mavsdk.plugins.param import ParamError, ParamResult
+
+from companion.base.clock import Clock
+from companion.base.messages import Action, ActionKind, ActionResult
+from companion.config import ConfigError, LinkConfig
+from companion.link.actions.actions import PymavlinkActions
+from companion.link.actions.performing import Handler, Performances, Refused
+from companion.link.codec import has_command
+from companion.link.session import Session
+
+T = TypeVar("T")
+
+_DISCOVERY_S: Final = 3.0
+_LOG_LEVELS: Final = {
+    LogLevel.DEBUG: logging.DEBUG,
+    LogLevel.INFO: logging.DEBUG,  # what is news to MAVSDK is detail to us
+    LogLevel.WARN: logging.WARNING,
+    LogLevel.ERROR: logging.WARNING,
+}
+_log = logging.getLogger(__name__)
+
+
+class MavsdkActions:
+    """`VehicleActions` by MAVSDK, in real time only: it has a clock and threads of its own."""
+
+    def __init__(
+        self,
+        session: Session,
+        send: Callable[[bytes], None],
+        clock: Clock,
+        config: LinkConfig,
+        *,
+        attitude_setpoints: bool,
+    ) -> None:
+        if clock.virtual:
+            raise ConfigError("link.actions: mavsdk cannot run in virtual time; expected pymavlink")
+        self._session = session
+        self._send = send
+        self._clock = clock
+        self._config = config
+        self._own = PymavlinkActions(session, send, clock, config, attitude_setpoints=attitude_setpoints)
+        self._performances = Performances(session, clock)
+        self._mavsdk: Any = None
+        self._action: Any = None
+        self._param: Any = None
+        self._calls: set[asyncio.Future[Any]] = set()
+        self._withdrawn_calls: set[asyncio.Future[Any]] = set()
+        self._handlers: dict[ActionKind, Handler] = {
+            ActionKind.ARM: self._arm,
+            ActionKind.TAKE_OFF: self._take_off,
+            ActionKind.GO_TO: self._go_to,
+            ActionKind.TAKE_CONTROL: self._own.take_control,
+            ActionKind.HOLD: self._hold,
+            ActionKind.LAND: self._land,
+            ActionKind.DISARM: self._disarm,
+            ActionKind.REQUEST_PAD_POSITION: self._own.request_pad_position,
+        }
+
+    async def start(self) -> None:
+        """Start MAVSDK; it finds the autopilot by what `receive` hands on."""
+        _log_lines.hush()
+        configuration = Configuration.create_with_component_type(ComponentType.COMPANION_COMPUTER)
+        configuration.system_id = self._session.system_id or 1
+        configuration.component_id = self._config.mavsdk_component_id
+        self._mavsdk = Mavsdk(configuration)
+        configuration.destroy()
+        loop = asyncio.get_running_loop()
+
+        def send_from_its_thread(data: bytes) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop has ended before we were closed
+                loop.call_soon_threadsafe(self._pass_out, data)
+
+        # the subscriber first, of which MAVSDK warns: a connection without one fails to send, and its threads
+        # say so whenever they come to it; the raw bytes are not passed through by the asyncio wrapper
+        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(send_from_its_thread)
+        _log_lines.pass_on()
+        await self._mavsdk.add_any_connection("raw://")
+
+    def receive(self, data: bytes) -> None:
+        """Hand on what the transport received."""
+        if self._mavsdk is not None:
+            self._mavsdk._mavsdk.pass_received_raw_bytes(data)
+
+    async def perform(self, action: Action) -> ActionResult:
+        """See `VehicleActions`."""
+        return await self._performances.perform(self._handlers[action.kind], action)
+
+    def cancel(self) -> None:
+        """See `VehicleActions`."""
+        self._withdrawn_calls |= self._calls
+        self._own.cancel()
+        self._performances.cancel()
+
+    async def close(self) -> None:
+        """Wait for the calls under way (MAVSDK gives up by itself), then end its threads."""
+        while self._calls:
+            await asyncio.wait(self._calls)
+        mavsdk, plugins = self._mavsdk, (self._action, self._param)
+        # from here on nothing may reach it: bytes handed to an instance under destruction crash the process
+        self._mavsdk = self._action = self._param = None
+        for plugin in plugins:
+            if plugin is not None:
+                plugin.destroy()
+        if mavsdk is not None:
+            _log_lines.hush()  # it takes its subscriber away before the connection, as in `start`
+            # it joins threads of its own that may be calling us just now
+            try:
+                await asyncio.to_thread(mavsdk.destroy)
+            finally:
+                _log_lines.pass_on()
+
+    # ------------------------------------------------------------ parameters
+
+    async def parameter(self, name: str) -> float:
+        """One of the autopilot's parameters, whatever its type.
+
+        Raises:
+            Refused: there is no such parameter, or no answer.
+        """
+        await self._connect()
+        try:
+            value: float = await self._call(self._param.get_param_float(name))
+        except ParamError as error:
+            if error.result != ParamResult.WRONG_TYPE:
+                raise Refused(f"{name}: {_words(error)}") from error
+            value = await self._try(self._param.get_param_int(name))
+        return float(value)
+
+    async def set_parameter(self, name: str, value: float) -> None:
+        """Set one of the autopilot's floating-point or integer parameters.
+
+        Raises:
+            Refused: there is no such parameter, or no answer.
+        """
+        await self._connect()
+        try:
+            await self._call(self._param.set_param_float(name, value))
+        except ParamError as error:
+            if error.result != ParamResult.WRONG_TYPE:
+                raise Refused(f"{name}: {_words(error)}") from error
+            await self._try(self._param.set_param_int(name, round(value)))
+
+    # ------------------------------------------------------------ the actions
+
+    async def _arm(self, action: Action) -> None:
+        await self._connect()
+        await self._own.require_thrust()
+        if self._own.dialogue.manner() == "ardupilot":
+            await self._own.dialogue.set_mode("GUIDED")  # it takes off in this mode only
+        await self._try(self._action.arm())
+        await self._own.dialogue.confirm(lambda: self._session.state.armed, "armed")
+
+    async def _take_off(self, action: Action) -> None:
+        await self._connect()
+        await self._try(self._action.set_takeoff_altitude(action.height_m))
+        await self._try(self._action.takeoff())
+
+    async def _go_to(self, action: Action) -> None:
+        await self._connect()
+        latitude_deg, longitude_deg, altitude_m = self._own.destination(action)
+        heading_deg = math.nan if action.heading_rad is None else math.degrees(action.heading_rad)
+        await self._try(self._action.goto_location(latitude_deg, longitude_deg, altitude_m, heading_deg))
+
+    async def _hold(self, action: Action) -> None:
+        """By MAVSDK; should it fail, by ours: stopping must not hang on one library."""
+        try:
+            await self._connect()
+            await self._try(self._action.hold())
+            self._own.dialogue.ask_for_heartbeat()
+        except Refused:
+            await self._own.hold(action)
+
+    async def _land(self, action: Action) -> None:
+        """As `_hold`."""
+        try:
+            await self._connect()
+            await self._try(self._action.land())
+            self._own.dialogue.ask_for_heartbeat()
+        except Refused:
+            await self._own.land(action)
+
+    async def _disarm(self, action: Action) -> None:
+        """By MAVSDK, which refuses in the air; then by ours, which may force it where asked and allowed."""
+        before = self._session.state.mode
+        try:
+            await self._connect()
+            await self._try(self._action.disarm())
+            await self._own.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
+        except Refused:
+            if self._session.state.mode != before:
+                raise  # somebody else has the vehicle by now
+            await self._own.disarm(action)
+
+    # ------------------------------------------------------------ MAVSDK
+
+    async def _connect(self) -> None:
+        """Make the plugins once MAVSDK has found the autopilot.
+
+        Raises:
+            Refused: it has not, or it is still busy with what was withdrawn.
+        """
+        if self._mavsdk is None:
+            raise Refused("MAVSDK is not running")
+        if self._withdrawn_calls:
+            raise Refused("MAVSDK is still busy with what was withdrawn")
+        self._own.dialogue.manner()
+        if self._action is not None:
+            return
+        system = await self._call(self._mavsdk.first_autopilot(_DISCOVERY_S))
+        if system is None or self._mavsdk is None:
+            raise Refused("MAVSDK has found no autopilot")
+        if self._action is None:
+            self._action, self._param = ActionAsync(system), ParamAsync(system)
+
+    async def _try(self, call: Coroutine[Any, Any, T]) -> T:
+        """The outcome of a call; MAVSDK's error as a refusal."""
+        try:
+            return await self._call(call)
+        except MavsdkError as error:
+            raise Refused(_words(error)) from error
+
+    async def _call(self, call: Coroutine[Any, Any, T]) -> T:
+        """Run a call to its end even when we are cancelled: its thread cannot be stopped, only waited for."""
+        future = asyncio.ensure_future(call)
+        self._calls.add(future)
+        future.add_done_callback(self._forget_call)
+        return await asyncio.shield(future)
+
+    def _forget_call(self, future: asyncio.Future[Any]) -> None:
+        self._calls.discard(future)
+        self._withdrawn_calls.discard(future)
+        if not future.cancelled():
+            future.exception()  # looked at here, in case nobody waits for it any more
+
+    def _pass_out(self, data: bytes) -> None:
+        if self._mavsdk is None or (self._withdrawn_calls and has_command(data)):
+            return
+        self._send(data)
+
+
+def _words(error: MavsdkError) -> str:
+    """The result's name in words: "command denied"."""
+    result = getattr(error, "result", None)
+    return str(error) if result is None else str(result.name).lower().replace("_", " ")
+
+
+class _LogLines:
+    """MAVSDK's log lines, which go to our log instead of the terminal, or nowhere for a while.
+
+    It is subscribed once and never again: another subscription would free the one before, which MAVSDK's
+    threads may be calling just then, and that crashes the process.
+    """
+
+    def __init__(self) -> None:
+        self._hushed = self._subscribed = False
+
+    def hush(self) -> None:
+        """Drop what is said from now on."""
+        self._hushed = True
+        if not self._subscribed:
+            self._subscribed = True
+            log_subscribe(self._take)
+
+    def pass_on(self) -> None:
+        """Let our log have what is said from now on."""
+        self._hushed = False
+
+    def _take(self, level: LogLevel, message: str, file: str | None, line: int) -> bool:
+        if not self._hushed:
+            _log.log(_LOG_LEVELS[level], "mavsdk: %s", message)
+        return True
+
+
+_log_lines = _LogLines()

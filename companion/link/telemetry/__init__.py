@@ -1,0 +1,1 @@
+"""What the autopilot tells: state, readings, its own sensors."""

@@ -1,0 +1,174 @@
+"""Telemetry: the autopilot's messages -> AutopilotState. Pure.
+
+One function a message, in a table by message id. The autopilot's frame is its own local NED, origin and all.
+Values that are not finite are dropped: the last good one stays.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from companion.base.geometry import Vector3, quat_from_euler, quat_normalise, vector3
+from companion.base.messages import AutopilotState, LandedState, Manner
+from companion.link.codec import Message, mavlink
+from companion.link.modes import CONTROL_MODE, mode_name
+
+KEPT_TEXTS: Final = 10
+_CHUNK_BYTES: Final = 50
+_MANNERS: Final[dict[int, Manner]] = {
+    mavlink.MAV_AUTOPILOT_PX4: "px4",
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+}
+_LANDED: Final[dict[int, LandedState]] = {
+    mavlink.MAV_LANDED_STATE_ON_GROUND: LandedState.ON_GROUND,
+    mavlink.MAV_LANDED_STATE_IN_AIR: LandedState.IN_AIR,
+    mavlink.MAV_LANDED_STATE_TAKEOFF: LandedState.TAKEOFF,
+    mavlink.MAV_LANDED_STATE_LANDING: LandedState.LANDING,
+}
+
+# of EKF_STATUS_REPORT: what ArduCopter's position_ok() asks for before it arms in GUIDED
+_EKF_NEEDED: Final = mavlink.EKF_ATTITUDE | mavlink.EKF_VELOCITY_HORIZ
+_EKF_POSITION: Final = mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_POS_HORIZ_REL
+_EKF_HINDERS: Final = mavlink.EKF_CONST_POS_MODE | mavlink.EKF_UNINITIALIZED
+
+
+def update_state(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    """The state after one message of our autopilot's, measured at `time_s` of our clock.
+
+    STATUSTEXT is not among them: its chunks are put together by `StatusTexts` first (see `add_text`).
+    """
+    handler = _HANDLERS.get(message.get_msgId())
+    return state if handler is None else handler(state, message, time_s)
+
+
+def add_text(state: AutopilotState, text: str, time_s: float) -> AutopilotState:
+    """The state with one more of the autopilot's texts; the oldest goes."""
+    return replace(state, time_s=time_s, texts=(*state.texts, text)[-KEPT_TEXTS:])
+
+
+class StatusTexts:
+    """Puts one sender's long STATUSTEXTs, sent in chunks, together again; lost chunks are shown as "...".
+
+    (A message's `id` is STATUSTEXT's own field here, not the message id: that is `get_msgId()`.)
+    """
+
+    def __init__(self) -> None:
+        self._id = 0
+        self._next_chunk = 0
+        self._text = ""
+
+    def receive(self, message: Message) -> list[str]:
+        """The texts that end with this message: usually one, none amid chunks, two after a lost end."""
+        ended: list[str] = []
+        if self._id and message.id != self._id:
+            ended.append(self._text + "...")
+            self._id = 0
+        if message.id == 0:
+            return [*ended, str(message.text)]
+        if self._id == 0:
+            self._id, self._next_chunk, self._text = message.id, 0, ""
+        if message.chunk_seq != self._next_chunk:
+            self._text += "..."
+        self._text += message.text
+        self._next_chunk = message.chunk_seq + 1
+        if len(message.text) < _CHUNK_BYTES:
+            ended.append(self._text)
+            self._id = 0
+        return ended
+
+
+def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    manner = _MANNERS.get(message.autopilot)
+    mode = "" if manner is None else mode_name(manner, message.custom_mode)
+    # its filter's report is asked for: until that comes it is not known to be ready
+    ekf_ready = False if manner == "ardupilot" and state.ekf_ready is None else state.ekf_ready
+    return replace(
+        state,
+        time_s=time_s,
+        connected=True,
+        manner=manner,
+        armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
+        mode=mode,
+        offboard=manner is not None and mode == CONTROL_MODE[manner],
+        ekf_ready=ekf_ready,
+    )
+
+
+def _sys_status(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    """PX4 puts the check before arming into `health` alone, an old ArduPilot has no such bit at all."""
+    enabled = message.onboard_control_sensors_enabled
+    healthy = message.onboard_control_sensors_health
+    prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    if state.manner == "ardupilot" and not message.onboard_control_sensors_present & prearm:
+        ready = enabled & ~healthy == 0
+    else:
+        ready = bool(healthy & prearm)
+    return replace(state, time_s=time_s, ready_to_arm=ready)
+
+
+def _ekf_status_report(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    flags = message.flags
+    known = flags & _EKF_NEEDED == _EKF_NEEDED and bool(flags & _EKF_POSITION)
+    return replace(state, time_s=time_s, ekf_ready=known and not flags & _EKF_HINDERS)
+
+
+def _extended_sys_state(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    landed = _LANDED.get(message.landed_state, LandedState.UNDEFINED)
+    return replace(state, time_s=time_s, landed=landed, landed_time_s=time_s)
+
+
+def _attitude(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    angles = _finite(message.roll, message.pitch, message.yaw)
+    if angles is None or time_s <= state.attitude_time_s:
+        return state
+    return replace(state, time_s=time_s, attitude=quat_from_euler(*angles), attitude_time_s=time_s)
+
+
+def _attitude_quaternion(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    quaternion = (message.q1, message.q2, message.q3, message.q4)
+    length = math.hypot(*quaternion)
+    if not 0.5 < length < 2.0 or time_s <= state.attitude_time_s:
+        return state
+    return replace(state, time_s=time_s, attitude=quat_normalise(quaternion), attitude_time_s=time_s)
+
+
+def _local_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    position = _finite(message.x, message.y, message.z)
+    velocity = _finite(message.vx, message.vy, message.vz)
+    if position is None or velocity is None:
+        return state
+    return replace(state, time_s=time_s, position_ned_m=position, velocity_ned_m_s=velocity)
+
+
+def _global_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    if message.lat == 0 and message.lon == 0:
+        return state  # ArduPilot's way of saying that it does not know yet
+    position = vector3((message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3))
+    return replace(state, time_s=time_s, global_position=position)
+
+
+def _home_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    if message.latitude == 0 and message.longitude == 0:
+        return state
+    home = vector3((message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3))
+    return replace(state, time_s=time_s, home=home)
+
+
+def _finite(x: float, y: float, z: float) -> Vector3 | None:
+    return (x, y, z) if math.isfinite(x) and math.isfinite(y) and math.isfinite(z) else None
+
+
+_HANDLERS: Final[dict[int, Callable[[AutopilotState, Message, float], AutopilotState]]] = {
+    mavlink.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_sys_state,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _attitude_quaternion,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status_report,
+}

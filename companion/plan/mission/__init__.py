@@ -1,0 +1,1 @@
+"""The state machine: its table, requests and failsafes."""

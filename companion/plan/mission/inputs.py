@@ -1,0 +1,27 @@
+"""What the planner is told every cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.base.messages import (
+    ActionResult,
+    AutopilotState,
+    PadBeacon,
+    PadState,
+    RangeSample,
+    VehicleState,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanInputs:
+    """The newest of everything the planner goes by; `results` holds each answer once."""
+
+    vehicle: VehicleState | None
+    pad: PadState | None
+    autopilot: AutopilotState
+    beacon: PadBeacon | None = None
+    range: RangeSample | None = None
+    results: tuple[ActionResult, ...] = ()
+    stop_requested: bool = False

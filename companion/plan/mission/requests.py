@@ -1,0 +1,116 @@
+"""What the planner has asked of the autopilot and not yet got: spacing, retries and giving up.
+
+An action is sent once, again `retry_s` after a refusal or `answer_s` after silence, and `attempts` times
+at most. Arming alone is asked for until its phase ends by time: an autopilot that cannot yet arm is waited
+for, not hammered, and what it lacks is told whenever that is news. Pure: time is an argument.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from companion.base.messages import Action, ActionKind, ActionResult
+
+PATIENT: Final = frozenset({ActionKind.ARM})
+NO_ANSWER: Final = "no answer"
+
+
+@dataclass(frozen=True, slots=True)
+class _Pending:
+    action: Action
+    due_s: float
+    sent: int = 0
+    answer_by_s: float = float("inf")
+    why: str = ""
+
+
+class Requests:
+    """The open requests, at most one of a kind."""
+
+    def __init__(self, retry_s: float, answer_s: float, attempts: int) -> None:
+        self._retry_s, self._answer_s, self._attempts = retry_s, answer_s, attempts
+        self._pending: dict[ActionKind, _Pending] = {}
+        self._accepted: set[ActionKind] = set()
+        self._told: list[Action] = []
+        self._news: list[str] = []
+
+    @property
+    def open(self) -> bool:
+        """Whether any request waits for its answer or its next try."""
+        return bool(self._pending)
+
+    def ask(self, action: Action, now_s: float) -> None:
+        """Open a request, unless one of its kind is open or has been granted since `forget`.
+
+        One that may be carried out by force takes the place of one that may not.
+        """
+        pending = self._pending.get(action.kind)
+        stronger = pending is not None and action.force and not pending.action.force
+        if action.kind not in self._accepted and (pending is None or stronger):
+            self._pending[action.kind] = _Pending(action, due_s=now_s)
+
+    def tell(self, action: Action) -> None:
+        """Send an action once, without waiting for an answer."""
+        self._told.append(action)
+
+    def forget(self) -> None:
+        """Drop what is open and what was granted: a new phase asks anew."""
+        self._pending.clear()
+        self._accepted.clear()
+        self._news.clear()
+
+    def granted(self, kind: ActionKind) -> bool:
+        """Whether a request of this kind was accepted since `forget`."""
+        return kind in self._accepted
+
+    def asked(self, kind: ActionKind) -> bool:
+        """Whether a request of this kind has left since `forget`."""
+        return kind in self._accepted or (kind in self._pending and self._pending[kind].sent > 0)
+
+    def hear(self, results: tuple[ActionResult, ...], now_s: float) -> tuple[str, ...]:
+        """Take the answers in; returns why a request is given up, for each that is."""
+        for result in results:
+            open_request = self._pending.get(result.kind)
+            if open_request is None or open_request.sent == 0:
+                continue
+            if result.accepted:
+                del self._pending[result.kind]
+                self._accepted.add(result.kind)
+            else:
+                self._put_off(open_request, now_s, result.text or "refused")
+        return self._give_up(now_s)
+
+    def news(self) -> tuple[str, ...]:
+        """Why what is asked again and again is refused, once for each reason that differs from the last."""
+        news, self._news = tuple(self._news), []
+        return news
+
+    def due(self, now_s: float) -> tuple[Action, ...]:
+        """The actions to send now."""
+        ready = [p for p in self._pending.values() if p.due_s <= now_s]
+        for p in ready:
+            self._pending[p.action.kind] = replace(
+                p, due_s=float("inf"), sent=p.sent + 1, answer_by_s=now_s + self._answer_s
+            )
+        told, self._told = self._told, []
+        return (*told, *(p.action for p in ready))
+
+    def _put_off(self, pending: _Pending, now_s: float, why: str) -> None:
+        kind = pending.action.kind
+        if kind in PATIENT and why != pending.why:
+            self._news.append(f"{kind.value} refused: {why}; asked again every {self._retry_s:g} s")
+        self._pending[kind] = replace(pending, due_s=now_s + self._retry_s, answer_by_s=float("inf"), why=why)
+
+    def _give_up(self, now_s: float) -> tuple[str, ...]:
+        for pending in list(self._pending.values()):
+            if pending.answer_by_s <= now_s:
+                self._put_off(pending, now_s, NO_ANSWER)
+        spent = [
+            p
+            for kind, p in self._pending.items()
+            if kind not in PATIENT and p.sent >= self._attempts and p.due_s < float("inf")
+        ]
+        for pending in spent:
+            del self._pending[pending.action.kind]
+        return tuple(f"{p.action.kind.value} refused {p.sent} times: {p.why}" for p in spent)

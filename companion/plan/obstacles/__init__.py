@@ -1,0 +1,1 @@
+"""Obstacles and the way round them."""

@@ -1,0 +1,348 @@
+"""Keeping clear of obstacles: each planned way is looked at along its whole course, and led round if need be.
+
+The guide plans as if there were none. What it planned is taken when it keeps the margin, to its end and for
+as long after as a stop would take. If not, the way leads round or over them, by the shortest route: smoothly
+if that keeps the margin, else with halts at its corners. If there is no way the vehicle brakes and holds, and
+`blocked` says so; over a pad that is too near to an obstacle it goes along higher up instead (`waiting`).
+Obstacles stand still and a pad moves among them: all is judged in space, the pad's motion led on along its
+arc, and given back in the guide's own frame. Space is the EKF's NED, m and s; obstacles count from home,
+which is not the EKF's origin, so that what is surveyed does not move with an estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import FloatArray, Vector3, add, norm, scale, subtract
+from companion.config import GuidanceConfig, PlanConfig
+from companion.plan.obstacles.obstacles import (
+    Obstacle,
+    clearance_m,
+    line_clear,
+    nearest_free,
+    prepare,
+    route,
+    way_cost,
+)
+from companion.plan.trajectory.course import Course, Way, halting, paced
+from companion.plan.trajectory.frames import STILL, away, led, seen
+from companion.plan.trajectory.min_jerk import Motion, Trajectory, brake, carried
+
+# Corners are passed this much farther out first, so that a smooth curve has room to swing.
+_SPARES_M: Final = (0.5, 0.25, 0.05)
+# Looking for a way round takes a while: not in every cycle.
+_THINK_AGAIN_S: Final = 0.2
+_THINK_AGAIN_SHARE: Final = 0.1
+_LONGEST_LEAD_S: Final = 4.0
+_NEAR_M: Final = 1.0
+# From a way round one goes over to a straight one that is not so much later there.
+_LATER_S: Final = 2.0
+# More room is worth so much more of a way; another side has to be so much shorter.
+_WORTH_ROOM: Final = 1.1
+_WORTH_TURNING: Final = 1.3
+_WORTH_M: Final = 1.0
+_CHECK_STEP_S: Final = 0.1
+# Of a longer way what comes later is looked at in as many steps again, and closely when it has come near.
+_MOST_CHECKS: Final = 300
+# A way round that was begun is kept while its end is so near to where the target will be.
+_SAME_END_M: Final = 0.3
+_SAME_END_M_S: Final = 0.3
+_SAME_PLACE_M: Final = 1e-3
+# Where the gentle stop would come too near, harder ones are tried (m/s²); the last is taken anyway.
+_HARD_STOPS_M_S2: Final = (3.0, 4.5)
+_SLACK_M: Final = 0.01
+_EXTRA_S: Final = 0.5
+# Waiting over a pad, so much higher than the margin asks for.
+_ABOVE_M: Final = 0.1
+
+
+class Avoidance:
+    """The obstacles, and the way round them that is being flown. Without obstacles nothing changes."""
+
+    def __init__(self, config: PlanConfig, vehicle_radius_m: float) -> None:
+        self._obstacles = tuple(Obstacle.of(shape) for shape in config.obstacles)
+        self._margin_m = config.obstacle_margin_m + vehicle_radius_m
+        for spare_m in _SPARES_M:
+            prepare(self._obstacles, self._margin_m + spare_m)
+        self._ceiling_down_m = -config.obstacle_ceiling_m
+        self._limits: GuidanceConfig = config.guidance
+        self._home_ned_m: Vector3 | None = None
+        self._detour: Course | None = None
+        self._next_s = -math.inf
+        self._frame = STILL
+        self._corners: list[tuple[float, Vector3]] = []  # of the detour: when they are passed, and where
+        self.blocked = self.waiting = False
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything to avoid."""
+        return bool(self._obstacles)
+
+    @property
+    def needed(self) -> bool:
+        """Whether there is anything to avoid, and it is known where."""
+        return self.any and self._home_ned_m is not None
+
+    @property
+    def detouring(self) -> bool:
+        """Whether the way leads round something."""
+        return self._detour is not None
+
+    def home_at(self, home_ned_m: Vector3) -> None:
+        """Where home is in the EKF's NED, from where the obstacles count."""
+        self._home_ned_m = home_ned_m
+
+    def see_from(self, frame: Motion) -> None:
+        """Where the guide's frame is now in space and how it moves; at rest at its origin for the EKF's."""
+        self._frame = frame
+
+    def forget(self) -> None:
+        """Another reference begins: no detour of the last one goes on."""
+        self._detour, self._next_s, self._corners = None, -math.inf, []
+        self.blocked = self.waiting = False
+
+    def way(
+        self,
+        direct: Trajectory,
+        target: Motion,
+        now_s: float,
+        *,
+        level: bool = False,
+        may_wait: bool = False,
+    ) -> Way:
+        """What to fly instead of a direct way to a target that moves on, all in the guide's frame.
+
+        Args:
+            direct: what was planned, from the reference's state now.
+            target: where it leads, now, and its velocity.
+            level: only round, at the present height, never over.
+            may_wait: over the target but higher, where it cannot be had itself, is good enough for now.
+        """
+        if not self.needed:
+            return direct
+        start, kept = direct.at(now_s), self._detour
+        late = kept is not None and direct.end_s > max(now_s, kept.end_s) + _LATER_S
+        if not late and self._clear(direct, now_s):
+            self.forget()
+            return direct
+        if kept is not None and not (_on(kept, start, now_s, level=level) and self._clear(kept, now_s)):
+            kept = None
+        if kept is not None and (now_s < self._next_s or _leads_to(kept, target, now_s)):
+            return kept
+        if now_s >= self._next_s or not self.blocked:
+            self._next_s = now_s + _THINK_AGAIN_S
+            found = self._round(start, target, now_s, level)
+            self.waiting = found is None and may_wait
+            if self.waiting:
+                found = self._over(start, target, now_s)
+            kept = found or (kept if _under_way(kept, now_s) else None)
+            if kept is not None:  # what takes long can be thought over less often
+                self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
+        self._detour, self.blocked = kept, kept is None
+        self.waiting &= not self.blocked
+        return self._stop(start, now_s) if kept is None else kept
+
+    def along(self, start: Motion, points: Sequence[Vector3], now_s: float) -> Course | None:
+        """Through points in space, round what is between them; None when there is no way that keeps clear."""
+        if self.blocked and now_s < self._next_s:
+            return None
+        places = [start.position_m, *points]
+        for via in self._roomy(places):
+            for pace in (paced, halting):
+                course = pace(start, via, Motion(points[-1]), now_s, self._limits)
+                if not self.needed or self._keeps_clear(course, now_s):
+                    return course
+        self.blocked, self._next_s = True, now_s + _THINK_AGAIN_S
+        return None
+
+    def brake(self, start: Motion, now_s: float) -> Trajectory:
+        """Come to rest in the guide's frame, as gently as that keeps clear."""
+        return self._braked(start, self._frame, now_s)
+
+    def straight_clear(self, start: Vector3, goal: Vector3) -> bool:
+        """Whether the straight line between two points in space keeps the margin."""
+        if not self.needed:
+            return True
+        assert self._home_ned_m is not None
+        home = self._home_ned_m
+        return line_clear(subtract(start, home), subtract(goal, home), self._obstacles, self._margin_m)
+
+    def free_for(self, place: Vector3, duration_s: float) -> bool:
+        """Whether a place in the guide's frame, going with it, stays clear for so long."""
+        if not self.needed:
+            return True
+        times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
+        points = np.array(place) + led(self._frame, times_s)
+        return bool(np.min(self._clearance_m(points)) >= self._margin_m)
+
+    def still_clear(self, way: Way, now_s: float) -> bool:
+        """Whether what is left of a way keeps the margin."""
+        return not self.needed or self._clear(way, now_s)
+
+    # ------------------------------------------------------------ judging
+
+    def _clear(self, way: Way, now_s: float) -> bool:
+        return self._keeps_clear(way, now_s, self._frame)
+
+    def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
+        """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
+        last = seen(way.at(way.end_s), frame)
+        after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
+        whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
+        close_s = min(whole_s, _MOST_CHECKS * _CHECK_STEP_S)
+        points = [_places(way, frame, now_s, 0.0, close_s)]
+        if whole_s > close_s:
+            points.append(_places(way, frame, now_s, close_s, whole_s))
+        clearance = self._clearance_m(np.concatenate(points))
+        least_m = np.minimum(self._margin_m, np.maximum.accumulate(clearance)) - _SLACK_M
+        return bool(np.all(clearance >= least_m))
+
+    def _stop_s(self, speed_m_s: float) -> float:
+        return 1.5 * speed_m_s / self._limits.horizontal_acceleration_m_s2
+
+    def _clearance_m(self, points: FloatArray) -> FloatArray:
+        assert self._home_ned_m is not None
+        return clearance_m(points - np.array(self._home_ned_m), self._obstacles)
+
+    # ------------------------------------------------------------ finding a way
+
+    def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
+        """A way round or over, in the guide's frame."""
+        start, target = seen(start, self._frame), seen(target, self._frame)
+        met = target.position_m
+        for _ in range(2):  # where the target is met depends on the way there
+            ways = self._ways(start.position_m, met, now_s, level)
+            if not ways:
+                return None
+            time_s = paced(start, ways[0], target, now_s, self._limits).duration_s
+            if time_s > _LONGEST_LEAD_S and self._frame is STILL:
+                # that it goes on as it does is known for a while only
+                target = Motion(add(target.position_m, scale(target.velocity_m_s, _LONGEST_LEAD_S)))
+                met, time_s = target.position_m, 0.0
+            met = add(target.position_m, scale(target.velocity_m_s, time_s))
+        for via in self._ways(start.position_m, met, now_s, level):
+            for pace in (paced, halting):
+                found = pace(start, via, target, now_s, self._limits)
+                if self._keeps_clear(found, now_s):
+                    self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
+                    return found.carried(away(self._frame), now_s)
+        return None
+
+    def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
+        """The points of the ways worth a try, the roomiest first; one begun is not left for little."""
+        ways = self._roomy((here, there), level=level)
+        if not ways:
+            return []
+        shortest = min(way_cost((here, *via, there)) for via in ways)
+        ahead = next(
+            (c for when_s, c in self._corners if when_s > now_s and math.dist(c, here) > _NEAR_M), None
+        )
+        begun = None if ahead is None else self._via((here, ahead, there), _SPARES_M[-1], level=level)
+        if begun is not None and way_cost((here, *begun, there)) <= _WORTH_TURNING * shortest + _WORTH_M:
+            return [begun, *ways]
+        return ways
+
+    def _roomy(self, places: Sequence[Vector3], *, level: bool = False) -> list[list[Vector3]]:
+        """The points between the first place and the last by as much room as is worth the way, most first."""
+        found = [self._via(places, spare_m, level=level) for spare_m in _SPARES_M]
+        ways = [via for via in found if via is not None]
+        costs = [way_cost((places[0], *via, places[-1])) for via in ways]
+        most = _WORTH_ROOM * min(costs, default=0.0) + _WORTH_M
+        return [via for via, cost in zip(ways, costs, strict=True) if cost <= most]
+
+    def _over(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+        """To over the target: no lower than now, or higher up, or else as near as it may."""
+        assert self._home_ned_m is not None
+        here, home_down = start.position_m[2] + self._frame.position_m[2], self._home_ned_m[2]
+        tops = {home_down + o.top_down_m - self._margin_m - _ABOVE_M for o in self._obstacles}
+        higher = sorted((t for t in tops if home_down + self._ceiling_down_m <= t < here), reverse=True)
+        for down in (here, *higher):
+            north, east, _ = target.position_m
+            raised = Motion((north, east, down - self._frame.position_m[2]), target.velocity_m_s)
+            found = self._round(start, raised, now_s, level=False)
+            if found is not None:
+                return found
+        return self._beside(start, target, now_s)
+
+    def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
+        """To the place nearest to over the target that is clear, at the present height: it stays in view."""
+        assert self._home_ned_m is not None
+        target = seen(target, self._frame)
+        north, east, _ = add(target.position_m, scale(target.velocity_m_s, _THINK_AGAIN_S))
+        down = start.position_m[2] + self._frame.position_m[2]
+        over = subtract((north, east, down), self._home_ned_m)
+        free = nearest_free(over, self._obstacles, self._margin_m + _ABOVE_M)
+        if free is None:
+            return None
+        place = subtract(add(free, self._home_ned_m), self._frame.position_m)
+        return self._round(start, Motion(place, scale(self._frame.velocity_m_s, -1.0)), now_s, level=True)
+
+    def _via(self, places: Sequence[Vector3], spare_m: float, *, level: bool = False) -> list[Vector3] | None:
+        """The points between the first place and the last, those on the way round included."""
+        if not self.needed:
+            return list(places[1:-1])
+        assert self._home_ned_m is not None
+        ceiling = None if level else self._ceiling_down_m
+        from_home = [subtract(place, self._home_ned_m) for place in places]
+        if spare_m != _SPARES_M[-1] and self._nearer(from_home[0], self._margin_m + spare_m):
+            return None  # it would be led out sideways first, where less room will do
+        via: list[Vector3] = []
+        for here, there in pairwise(from_home):
+            margin_m = self._margin_m + spare_m
+            corners = route(here, there, self._obstacles, margin_m, ceiling_down_m=ceiling)
+            if corners is None:
+                return None
+            via += [*(add(corner, self._home_ned_m) for corner in corners), add(there, self._home_ned_m)]
+        return via[:-1]
+
+    def _nearer(self, from_home: Vector3, margin_m: float) -> bool:
+        return bool(clearance_m(np.array([from_home]), self._obstacles)[0] < margin_m)
+
+    def _stop(self, start: Motion, now_s: float) -> Trajectory:
+        """Come to rest in space, seen from the guide's frame."""
+        stop = self._braked(seen(start, self._frame), STILL, now_s)
+        return carried(stop, away(self._frame), now_s)
+
+    def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
+        """Come to rest in a frame; harder where the gentle stop would come too near."""
+        stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
+        for deceleration in _HARD_STOPS_M_S2:
+            if not self.needed or self._keeps_clear(stop, now_s, frame):
+                break
+            stop = brake(start, now_s, deceleration)
+        return stop
+
+
+def _places(way: Way, frame: Motion, now_s: float, from_s: float, to_s: float) -> FloatArray:
+    """Where a way in a frame leads in space from one time after now to another, (n, 3)."""
+    count = min(_MOST_CHECKS, 1 + math.ceil((to_s - from_s) / _CHECK_STEP_S)) + 1
+    step_s = (to_s - from_s) / (count - 1)
+    points = way.rows(now_s + from_s, count, step_s)[0]
+    if frame is not STILL:
+        points += led(frame, from_s + step_s * np.arange(count, dtype=float))
+    return points
+
+
+def _under_way(course: Course | None, now_s: float) -> bool:
+    return course is not None and now_s < course.end_s
+
+
+def _on(course: Course, start: Motion, now_s: float, *, level: bool) -> bool:
+    """Whether the reference is on a course still: levelling off takes its height elsewhere, and may."""
+    there, axes = course.at(now_s), 2 if level else 3
+    near = math.dist(there.position_m[:axes], start.position_m[:axes]) <= _SAME_PLACE_M
+    return near and math.dist(there.velocity_m_s[:axes], start.velocity_m_s[:axes]) <= _SAME_PLACE_M
+
+
+def _leads_to(course: Course, target: Motion, now_s: float) -> bool:
+    """Whether a course still ends where the target will be then."""
+    end_s = max(now_s, course.end_s)
+    end = course.at(end_s)
+    wanted = add(target.position_m, scale(target.velocity_m_s, end_s - now_s))
+    near = math.dist(end.position_m, wanted) <= _SAME_END_M
+    return near and math.dist(end.velocity_m_s, target.velocity_m_s) <= _SAME_END_M_S

@@ -1,0 +1,1 @@
+"""The search for a pad that is not in view."""

@@ -1,0 +1,158 @@
+"""What is known of the pad's place: the ground station's beacon, the last sight, or where a search began.
+
+Each is a `Lead`; the newest counts, and is led along its arc for a while only. The pad's own GPS is off by
+metres, but for long by the same ones: a sight tells by which. EKF's NED, m, s and rad.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angle
+from companion.base.messages import PadBeacon
+from companion.config import SearchConfig
+from companion.plan.trajectory.min_jerk import Motion
+
+# Slower than this a pad has no course to speak of; turning faster than that is noise, or turning back.
+_COURSE_M_S = 0.3
+_FASTEST_TURN_RAD_S = 1.0
+# Courses are compared over so long: nearer ones differ by their noise, in longer it may have gone round.
+_TURN_OVER_S = 1.0
+_LONGEST_TURN_OVER_S = 3.0
+# What accelerates more in its turn is not followed all the way: the vehicle has to lean for it as well.
+_MOST_ACCELERATION_M_S2 = 2.0
+# A sight this much older than the beacon's word still says how far the beacon is off; farther is no offset.
+_COMPARABLE_S = 1.5
+_LARGEST_OFFSET_M = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Lead:
+    """Where the pad was at a time, and how it moved; horizontal, EKF's NED."""
+
+    time_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3 = ZERO3
+    turn_rate_rad_s: float = 0.0
+
+    def at(self, now_s: float, longest_s: float) -> Motion:
+        """Where it should be now, along an arc; after longest_s it is taken to stand where it was by then."""
+        age_s = now_s - self.time_s
+        t = max(0.0, min(age_s, longest_s))
+        p, v, w = self.position_ned_m, self.velocity_ned_m_s, self.turn_rate_rad_s
+        angle = w * t
+        along = math.sin(angle) / w if abs(angle) > 1e-4 else t
+        across = (1.0 - math.cos(angle)) / w if abs(angle) > 1e-4 else 0.5 * angle * t
+        place = (p[0] + along * v[0] - across * v[1], p[1] + across * v[0] + along * v[1], 0.0)
+        if age_s >= longest_s:
+            return Motion(place)
+        c, s = math.cos(angle), math.sin(angle)
+        vx, vy = c * v[0] - s * v[1], s * v[0] + c * v[1]
+        followed = math.copysign(min(abs(w), _MOST_ACCELERATION_M_S2 / max(math.hypot(vx, vy), 1e-6)), w)
+        return Motion(place, (vx, vy, 0.0), (-followed * vy, followed * vx, 0.0))
+
+
+def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
+    """Rate (rad/s, clockwise from above) at which the course turned since an earlier word.
+
+    A word that came too lately keeps the rate that there was; 0 where there is none to tell.
+    """
+    if before is None or time_s - before.time_s < _TURN_OVER_S:
+        return 0.0 if before is None else before.turn_rate_rad_s
+    if time_s - before.time_s > _LONGEST_TURN_OVER_S:
+        return 0.0
+    old = before.velocity_ned_m_s
+    if min(math.hypot(old[0], old[1]), math.hypot(velocity[0], velocity[1])) < _COURSE_M_S:
+        return 0.0
+    turned = wrap_angle(math.atan2(velocity[1], velocity[0]) - math.atan2(old[1], old[0]))
+    return _believed(turned / (time_s - before.time_s))
+
+
+def _believed(rate_rad_s: float) -> float:
+    return rate_rad_s if abs(rate_rad_s) <= _FASTEST_TURN_RAD_S else 0.0
+
+
+class Whereabouts:
+    """The newest word of where the pad is."""
+
+    def __init__(self, config: SearchConfig) -> None:
+        self._config = config
+        self._beacon: Lead | None = None
+        self._compared: Lead | None = None  # the beacon's word that the next course is compared with
+        self._beacon_heard: PadBeacon | None = None
+        self._sight: Lead | None = None
+        self._offset_m: tuple[float, float] | None = None
+        self.start = Lead(-math.inf, ZERO3)
+
+    def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> bool:
+        """Take in the beacon; `origin` is the EKF's (deg, deg, m). Returns whether it was a surprise."""
+        if beacon is None or origin is None or beacon == self._beacon_heard:
+            return False
+        self._beacon_heard = beacon
+        position = self._corrected(
+            beacon.time_s,
+            ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, origin),
+        )
+        velocity = beacon.velocity_ned_m_s
+        rate = turn_rate(self._compared, beacon.time_s, velocity)
+        expected = self.likely(beacon.time_s).position_m
+        self._beacon = word = Lead(beacon.time_s, position, velocity, rate)
+        if self._compared is None or word.time_s - self._compared.time_s >= _TURN_OVER_S:
+            self._compared = word
+        return math.dist(expected[:2], position[:2]) > self._config.spacing_m
+
+    def remember(self, pad: Motion, seen_s: float, now_s: float) -> None:
+        """Keep the last sight of the pad; `pad` is what the filter leads it to now.
+
+        One that is kept already is not led back once more: the filter has led it straight on since.
+        """
+        if self._sight is not None and seen_s <= self._sight.time_s:
+            return
+        p, v, a = pad.position_m, pad.velocity_m_s, pad.acceleration_m_s2
+        age_s = now_s - seen_s
+        flat = v[0] * v[0] + v[1] * v[1]
+        rate = _believed((v[0] * a[1] - v[1] * a[0]) / flat) if flat > _COURSE_M_S**2 else 0.0
+        self._sight = Lead(seen_s, (p[0] - v[0] * age_s, p[1] - v[1] * age_s, 0.0), v, rate)
+
+    @property
+    def beacon_compared(self) -> bool:
+        """Whether it is known by how much the beacon is off."""
+        return self._offset_m is not None
+
+    def seen_lately(self, now_s: float) -> bool:
+        """Whether the last sight still says where to go."""
+        return self._sight is not None and now_s - self._sight.time_s <= self._config.lead_s
+
+    def _corrected(self, time_s: float, position: Vector3) -> Vector3:
+        """The beacon's place less its offset: a GPS is off by metres, but for long by the same ones."""
+        if self._sight is not None and abs(time_s - self._sight.time_s) <= _COMPARABLE_S:
+            seen = self._sight.at(time_s, self._config.lead_s).position_m
+            offset = (seen[0] - position[0], seen[1] - position[1])
+            if math.hypot(*offset) <= _LARGEST_OFFSET_M:
+                self._offset_m = offset
+        if self._offset_m is None:
+            return position
+        return (position[0] + self._offset_m[0], position[1] + self._offset_m[1], position[2])
+
+    def distrust(self) -> None:
+        """The last sight proved wrong."""
+        self._sight = None
+
+    def likely(self, now_s: float) -> Motion:
+        """Where the pad should be now; at rest where the search began when there is no word."""
+        newest = self._newest(now_s)
+        if newest is self.start:
+            return Motion(newest.position_ned_m)
+        return newest.at(now_s, self._config.lead_s)
+
+    def source(self, now_s: float) -> str:
+        """What it goes by, in words."""
+        newest = self._newest(now_s)
+        if newest is self.start:
+            return "no word of it yet"
+        return "by its beacon" if newest is self._beacon else "by the last sight"
+
+    def _newest(self, now_s: float) -> Lead:
+        words = [w for w in (self._beacon, self._sight) if w and now_s - w.time_s <= self._config.trust_s]
+        return max(words, key=lambda word: word.time_s, default=self.start)

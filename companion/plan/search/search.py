@@ -1,0 +1,187 @@
+"""Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else).
+
+A pad in view is taken up only when it will stay there: one seen in passing is flown back to first. Everything
+is in the EKF's NED, m, s and rad; the height is chosen on entry and kept, but for a floor that rises.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.base.geometry import Vector3
+from companion.base.messages import PadBeacon
+from companion.config import SearchConfig
+from companion.plan.landing.relative_state import PadKnowledge, Sight
+from companion.plan.landing.touchdown import Held
+from companion.plan.search.pad_locator import Lead, Whereabouts
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
+
+# The reference counts as at a corner when this close: the next one is taken up without a halt.
+_CORNER_M = 1.0
+# A floor is heeded in steps, lest its noise be flown.
+_FLOOR_STEP_M = 0.3
+# A search that begins with a climb comes to rest first.
+_STOPPED_S = 0.6
+# A pad steadily in view for so long is taken up however it moves.
+_LONG_IN_VIEW_S = 3.0
+_ANY_SIGHT_AFTER_S = 10.0
+_TELL_S = 5.0
+# A way round is not looked for in every cycle: after so long it has been, to the present corner.
+_SOUGHT_S = 0.5
+
+
+def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
+    """North and east (m) of a corner of the expanding square; corner 0 is its centre.
+
+    The legs grow so that neighbouring turns lie one spacing apart.
+    """
+    if corner == 0:
+        return (0.0, 0.0)
+    turn, side = divmod(corner - 1, 4)
+    near, far = turn * spacing_m, (turn + 1) * spacing_m
+    return ((far, -near), (far, far), (-far, far), (-far, -far))[side]
+
+
+@dataclass(frozen=True, slots=True)
+class SearchStep:
+    """What a cycle of searching asks for."""
+
+    ask_for_control: bool = False
+    request_pad: bool = False
+    worth_telling: bool = False
+    seen: bool = False
+    flying: bool = False
+
+
+class Search:
+    """One search after another: `begin`, then `step` every cycle. Steers the guide in the EKF's NED."""
+
+    def __init__(self, config: SearchConfig, guide: Guide) -> None:
+        self._config, self._guide = config, guide
+        self.whereabouts = Whereabouts(config)
+        self._down_m = 0.0
+        self._corner = 0
+        self._arrived_s: float | None = None
+        self._begun_s = self._control_s = self._next_request_s = self._told_s = self._turned_s = -math.inf
+        self._had_control = False
+        self._in_view = Held()
+
+    def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
+        """Take in the beacon; one that is far from where the pad was thought starts the spiral again."""
+        if self.whereabouts.hear(beacon, origin):
+            self._corner, self._arrived_s = 0, None
+
+    def request_now(self) -> None:
+        """Ask for the pad's position at the next step, however lately that was done."""
+        self._next_request_s = -math.inf
+
+    def begin(self, climb_m: float, lowest_down_m: float, now_s: float) -> float:
+        """Start from the reference; returns the climb (m), bounded, that the search will make.
+
+        It ends no lower than lowest_down_m (EKF's NED), and that bounds it too.
+        """
+        here = self._guide.at(now_s).position_m
+        self.whereabouts.start = Lead(-math.inf, here)
+        wished_m = max(0.0, min(self._config.climb_m, climb_m))
+        self._down_m = min(here[2] - wished_m, lowest_down_m)
+        self._hold_m = self._guide.resting_place_m()
+        climb_m = here[2] - self._down_m
+        self._most_up_m = self._down_m - self._config.climb_m
+        self._corner, self._arrived_s = 0, None
+        self._begun_s, self._told_s = now_s, -math.inf
+        self._in_view = Held()
+        return climb_m
+
+    def keep_above(self, lowest_down_m: float) -> float:
+        """Raise the height of searching over a floor (EKF's NED) that rose; returns the climb (m), if any.
+
+        All such climbs of a search together are bounded: a floor that goes on rising is a fault.
+        """
+        floor_m = max(lowest_down_m, self._most_up_m)
+        climb_m = self._down_m - floor_m
+        if climb_m < _FLOOR_STEP_M:
+            return 0.0
+        self._down_m = floor_m - _FLOOR_STEP_M
+        return climb_m + _FLOOR_STEP_M
+
+    def ask_again(self, unseen_s: float, now_s: float) -> bool:
+        """Whether to ask for the pad's position outside of a search.
+
+        That is while the pad is unseen, and once while it is seen: to learn by how much the beacon is off.
+        """
+        wanted = not self.whereabouts.beacon_compared or unseen_s > 0.5
+        return wanted and self._request_due(now_s)
+
+    def _request_due(self, now_s: float) -> bool:
+        if now_s < self._next_request_s:
+            return False
+        self._next_request_s = now_s + self._config.request_s
+        return True
+
+    def _takes_up(self, pad: PadKnowledge, now_s: float) -> bool:
+        """Whether the pad is in view and will stay so: its velocity known, and no overshoot out of view."""
+        steady = pad.steady(now_s)
+        long = self._in_view.for_s(steady, now_s) >= _LONG_IN_VIEW_S
+        # a pad that turns as fast as we can fly is never met with little overshoot: then any sight will do
+        late = now_s - self._begun_s >= _ANY_SIGHT_AFTER_S
+        return steady and pad.sight is not None and (long or late or self._stays_in_view(pad.sight))
+
+    def _stays_in_view(self, sight: Sight) -> bool:
+        c = self._config
+        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
+        stop_s = math.hypot(vx, vy) / (2.0 * c.stopping_m_s2)
+        overshoot_m = math.hypot(x + stop_s * vx, y + stop_s * vy)
+        return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= c.view_slope * sight.height_m
+
+    def step(self, actual: Motion, in_control: bool, pad: PadKnowledge, now_s: float) -> SearchStep:
+        """One cycle; `actual` is the vehicle in the EKF's NED."""
+        seen = self._takes_up(pad, now_s)
+        if not in_control:
+            # setpoints first, then the question: PX4 wants to see them before it obeys
+            self._had_control = False
+            return SearchStep(ask_for_control=now_s - self._begun_s >= self._config.stream_s)
+        if not self._had_control:
+            self._had_control, self._control_s = True, now_s
+            self._guide.take_up(actual, now_s)
+        if seen:
+            return SearchStep(seen=True)
+        request = not pad.steady(now_s) and self._request_due(now_s)
+        held_s = now_s - max(self._begun_s, self._control_s)
+        flying = held_s >= self._config.hold_s or self.whereabouts.seen_lately(now_s)
+        if flying:
+            self._guide.fly_to(self._target(now_s), now_s)
+        elif in_control and now_s - self._begun_s >= _STOPPED_S:
+            self._guide.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
+        tell = request and now_s - self._told_s >= _TELL_S
+        if tell:
+            self._told_s = now_s
+        return SearchStep(request_pad=request, worth_telling=tell, flying=flying)
+
+    def _target(self, now_s: float) -> Motion:
+        """The pad's likely place first, then the corners of a spiral about it, moving as it does."""
+        centre = self.whereabouts.likely(now_s)
+        reference = self._guide.at(now_s).position_m
+        place = self._corner_of(centre)
+        # a corner that cannot be had for an obstacle is as good as looked at, once a way to it was sought
+        sought = now_s - self._turned_s >= _SOUGHT_S
+        if math.dist(reference[:2], place) < _CORNER_M or (sought and self._guide.avoidance.blocked):
+            self._at_corner(now_s)
+            place = self._corner_of(centre)
+        return Motion((*place, self._down_m), centre.velocity_m_s, centre.acceleration_m_s2)
+
+    def _at_corner(self, now_s: float) -> None:
+        """Go on to the next corner; at the centre look about for a moment first."""
+        if self._arrived_s is None:
+            self._arrived_s = now_s
+        if self._corner == 0 and now_s - self._arrived_s < self._config.dwell_s:
+            return
+        north, east = square_spiral(self._corner + 1, self._config.spacing_m)
+        # beyond the radius it begins anew: the pad may have come closer meanwhile
+        self._corner = 0 if math.hypot(north, east) > self._config.radius_m else self._corner + 1
+        self._arrived_s, self._turned_s = None, now_s
+
+    def _corner_of(self, centre: Motion) -> tuple[float, float]:
+        north, east = square_spiral(self._corner, self._config.spacing_m)
+        return (centre.position_m[0] + north, centre.position_m[1] + east)

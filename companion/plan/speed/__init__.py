@@ -1,0 +1,1 @@
+"""The speed of approach and descent: fuzzy rules and their alternatives."""

@@ -1,0 +1,60 @@
+"""Which speed law feeds T = |Δ| / V + T_min (eq. 37): `plan.speed_law`.
+
+`fuzzy` is the paper's and the default. The two others are what it is held against (`companion-experiments
+profiles`): a `fixed` speed, and a `log_polynomial` of the distance, the kind of profile that the paper cites
+of Alvika et al. [11] without telling its coefficients:
+
+    V(d) = c0 + c1 L + c2 L² + c3 L³,  L = ln(1 + d / 1 m).
+
+Ours are fitted by least squares to the fuzzy pilot at rest over the distances that its table tells apart, so
+that both go from the same speed to the same speed and differ in the closing velocity and acceleration that
+the fuzzy pilot looks at besides. m, m/s, m/s²; closing is positive towards the target.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from companion.config import PlanConfig
+from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
+from companion.plan.trajectory.guidance import SpeedLaw
+
+DEGREE: Final = 3
+FITTED_POINTS: Final = 200
+
+
+class LogPolynomial:
+    """V over distance alone; beyond the fitted distances their ends hold."""
+
+    def __init__(self, table: SpeedTable) -> None:
+        """Fit it to a table at rest."""
+        self._low_m, self._high_m = table.distance_m[0], table.distance_m[-1]
+        distances = np.linspace(self._low_m, self._high_m, FITTED_POINTS)
+        speeds = [table(d, 0.0, 0.0) for d in distances.tolist()]
+        self._slowest_m_s = min(speeds)
+        self.coefficients: tuple[float, ...] = tuple(
+            np.polynomial.polynomial.polyfit(np.log1p(distances), speeds, DEGREE).tolist()
+        )
+
+    def __call__(self, distance_m: float, _velocity_m_s: float, _acceleration_m_s2: float) -> float:
+        """Average speed V (m/s) for a way to go."""
+        length = float(np.log1p(min(max(distance_m, self._low_m), self._high_m)))
+        speed = 0.0
+        for coefficient in reversed(self.coefficients):
+            speed = speed * length + coefficient
+        return max(speed, self._slowest_m_s)  # a cubic may undershoot, and eq. 37 divides by it
+
+
+def load_speed_law(config: PlanConfig) -> SpeedLaw:
+    """The law that the settings choose.
+
+    Raises:
+        ConfigError: it needs the fuzzy rules, and they cannot be read or break a rule.
+    """
+    if config.speed_law == "fixed":
+        speed_m_s = config.fixed_speed_m_s
+        return lambda _distance, _velocity, _acceleration: speed_m_s
+    table = load_table(config.fuzzy)[0]
+    return LogPolynomial(table) if config.speed_law == "log_polynomial" else table

@@ -1,0 +1,1 @@
+"""Minimum-jerk trajectories and the references made of them."""

@@ -1,0 +1,245 @@
+"""Minimum jerk through several points: quintics one after another, smooth to the fourth derivative.
+
+What minimises the integral of the squared jerk through given points at given times is a spline of quintics
+whose jerk and snap too are continuous at each point (Pontryagin, as for eq. 20 within a leg). With eq. 29
+for a leg of T from (x0, v0, a0) to (x1, v1, a1), D = x1 - x0:
+    jerk at its start  (60 D - T (36 v0 + 24 v1) - T² (9 a0 - 3 a1)) / T³
+    jerk at its end    (60 D - T (24 v0 + 36 v1) - T² (3 a0 - 9 a1)) / T³
+    snap at its start (-360 D + T (192 v0 + 168 v1) + T² (36 a0 - 24 a1)) / T⁴
+    snap at its end    (360 D - T (168 v0 + 192 v1) - T² (24 a0 - 36 a1)) / T⁴
+which is linear in the velocities and accelerations at the points: one solution for all three axes.
+Frame-free, m and s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import FloatArray, Vector3, add, norm, scale
+from companion.config import GuidanceConfig
+from companion.plan.trajectory.min_jerk import Motion, Trajectory, carried, plan
+
+_MOST_STRETCHES: Final = 8
+# So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.
+_NEAR_ENOUGH: Final = 1.05
+_CHECKED_PER_LEG: Final = 8
+_REST_PEAK: Final = 1.875  # from rest to rest the greatest speed is so many times the mean
+_REST_PUSH: Final = 5.7735  # and the greatest acceleration so many times distance / time²
+_MEAN_SHARE: Final = 0.8  # of the greatest speed, as the mean of a leg that is passed through
+_SHORTEST_S: Final = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Trajectories one after another, each starting where and when the one before ends."""
+
+    legs: tuple[Trajectory, ...]
+
+    @property
+    def start_s(self) -> float:
+        """When it begins."""
+        return self.legs[0].start_s
+
+    @property
+    def end_s(self) -> float:
+        """When its final state is reached."""
+        return self.legs[-1].end_s
+
+    @property
+    def duration_s(self) -> float:
+        """From the one to the other."""
+        return self.end_s - self.start_s
+
+    def at(self, time_s: float) -> Motion:
+        """State at a time; the start's before it, the final position led by the final velocity after."""
+        leg = next((leg for leg in self.legs if time_s < leg.end_s), self.legs[-1])
+        return leg.at(time_s)
+
+    def rows(self, time_s: float, count: int, step_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions, velocities and accelerations, each (count, 3), at time_s + k * step_s."""
+        ends_s = [leg.end_s for leg in self.legs[:-1]]
+        which = np.searchsorted(ends_s, time_s + step_s * np.arange(count), side="right")
+        rows = self.legs[int(which[0])].rows(time_s, count, step_s)
+        for i in range(int(which[0]) + 1, int(which[-1]) + 1):
+            for row, later in zip(rows, self.legs[i].rows(time_s, count, step_s), strict=True):
+                row[which >= i] = later[which >= i]
+        return rows
+
+    def carried(self, by: Motion, at_s: float) -> Course:
+        """Seen from the frame in which its own frame is at `by` at a time and moves on at its velocity."""
+        return Course(tuple(carried(leg, by, at_s) for leg in self.legs))
+
+
+Way = Trajectory | Course
+
+
+def through(
+    start: Motion, via: Sequence[Vector3], final: Motion, start_s: float, durations_s: Sequence[float]
+) -> Course:
+    """The minimum-jerk course from a state through points to a state, all in one frame.
+
+    Args:
+        start, final: position, velocity and acceleration at both ends.
+        via: the points between.
+        start_s: when it begins.
+        durations_s: of each leg, one more than there are points.
+
+    Raises:
+        ValueError: a duration is not positive, or there are not as many as legs.
+    """
+    if len(durations_s) != len(via) + 1 or not min(durations_s) > 0.0:
+        raise ValueError(f"{len(via)} points need {len(via) + 1} durations above 0, found {durations_s}")
+    motions = [start, *_at_points(start, via, final, durations_s), final]
+    return _joined(motions, start_s, durations_s)
+
+
+def _at_points(
+    start: Motion, via: Sequence[Vector3], final: Motion, durations_s: Sequence[float]
+) -> list[Motion]:
+    """Velocity and acceleration at each point, so that jerk and snap are continuous there."""
+    n = len(via)
+    if n == 0:
+        return []
+    places = np.array([start.position_m, *via, final.position_m])
+    # columns: v and a at every place, the ends included; they are known and go to the right-hand side
+    system = np.zeros((2 * n, 2 * (n + 2)))
+    wanted = np.zeros((2 * n, 3))
+    for i in range(n):
+        t, u = durations_s[i], durations_s[i + 1]
+        k = 2 * i
+        jerk, snap = system[k], system[k + 1]
+        jerk[k : k + 4] += [-24.0 / t**2, -3.0 / t, -36.0 / t**2, 9.0 / t]
+        jerk[k + 2 : k + 6] += [36.0 / u**2, 9.0 / u, 24.0 / u**2, -3.0 / u]
+        snap[k : k + 4] += [-168.0 / t**3, -24.0 / t**2, -192.0 / t**3, 36.0 / t**2]
+        snap[k + 2 : k + 6] += [-192.0 / u**3, -36.0 / u**2, -168.0 / u**3, 24.0 / u**2]
+        before, after = places[i + 1] - places[i], places[i + 2] - places[i + 1]
+        wanted[k] = 60.0 * (after / u**3 - before / t**3)
+        wanted[k + 1] = -360.0 * (after / u**4 + before / t**4)
+    ends = np.array(
+        [start.velocity_m_s, start.acceleration_m_s2, final.velocity_m_s, final.acceleration_m_s2]
+    )
+    wanted -= system[:, [0, 1, -2, -1]] @ ends
+    found = np.linalg.solve(system[:, 2:-2], wanted).tolist()
+    return [
+        Motion(point, (v[0], v[1], v[2]), (a[0], a[1], a[2]))
+        for point, v, a in zip(via, found[::2], found[1::2], strict=True)
+    ]
+
+
+def paced(
+    start: Motion, via: Sequence[Vector3], target: Motion, start_s: float, limits: GuidanceConfig
+) -> Course:
+    """Through points to one that moves on at its velocity, within the limits (speed to 5, push to 10 %).
+
+    The speed's limits count relative to the target: its own speed comes on top.
+
+    Each leg gets the time that its length takes at most of the speed allowed, the first and the last half of
+    T_min more; then all times grow together until no limit is broken (but by what the start already has).
+    """
+    durations = _first_guess(start, via, target, limits)
+    course = through(start, via, _met(target, sum(durations)), start_s, durations)
+    stretch = _stretch(course, start, target, limits)
+    for _ in range(_MOST_STRETCHES):
+        if stretch <= _NEAR_ENOUGH:
+            break
+        durations = [min(stretch, 1.5) * d for d in durations]
+        longer = through(start, via, _met(target, sum(durations)), start_s, durations)
+        before, stretch = stretch, _stretch(longer, start, target, limits)
+        if stretch >= before:
+            break  # an acceleration at the start lasts longer too, and leads to more speed
+        course = longer
+    return course
+
+
+def _first_guess(
+    start: Motion, via: Sequence[Vector3], target: Motion, limits: GuidanceConfig
+) -> list[float]:
+    durations = [limits.minimum_time_s]
+    for _ in range(_MOST_STRETCHES):  # the target moves on meanwhile
+        before_s = sum(durations)
+        places = [start.position_m, *via, _met(target, before_s).position_m]
+        durations = [
+            max(_SHORTEST_S, _crossing_s(p, q, *_speeds(target, limits)) / _MEAN_SHARE)
+            for p, q in pairwise(places)
+        ]
+        durations[0] += 0.5 * limits.minimum_time_s
+        durations[-1] += 0.5 * limits.minimum_time_s
+        if abs(sum(durations) - before_s) <= 0.02 * before_s:
+            break
+    return durations
+
+
+def halting(
+    start: Motion, via: Sequence[Vector3], target: Motion, start_s: float, limits: GuidanceConfig
+) -> Course:
+    """As `paced`, but with a halt at each point: from the first on it keeps to the straight lines."""
+    places = [start.position_m, *via]
+    durations = [_from_rest_s(p, q, limits) for p, q in pairwise(places)]
+    # the last leg makes up for what the target has gone ahead, and then for its speed
+    durations.append(_from_rest_s(places[-1], _met(target, sum(durations)).position_m, limits))
+    durations[-1] += 1.5 * norm(target.velocity_m_s) / limits.horizontal_acceleration_m_s2
+    brake_s = 1.5 * norm(start.velocity_m_s) / limits.horizontal_acceleration_m_s2
+    durations[0] += brake_s + 0.5 * limits.minimum_time_s
+    motions = [start, *(Motion(point) for point in via), _met(target, sum(durations))]
+    return _joined(motions, start_s, durations)
+
+
+def _joined(motions: Sequence[Motion], start_s: float, durations_s: Sequence[float]) -> Course:
+    legs, begins_s = list[Trajectory](), start_s
+    for (here, there), duration_s in zip(pairwise(motions), durations_s, strict=True):
+        legs.append(plan(here, there, begins_s, duration_s))
+        begins_s = legs[-1].end_s
+    return Course(tuple(legs))
+
+
+def _met(target: Motion, after_s: float) -> Motion:
+    """Where the target is by then."""
+    return Motion(add(target.position_m, scale(target.velocity_m_s, after_s)), target.velocity_m_s)
+
+
+def _crossing_s(p: Vector3, q: Vector3, fastest: float, steepest: float) -> float:
+    """Shortest time between two points at the greatest speeds across and along down."""
+    return max(math.dist(p[:2], q[:2]) / fastest, abs(q[2] - p[2]) / steepest)
+
+
+def _speeds(target: Motion, limits: GuidanceConfig) -> tuple[float, float]:
+    """The greatest speeds across and along down: relative to a target that runs from who stands, its own."""
+    across, along = math.hypot(*target.velocity_m_s[:2]), abs(target.velocity_m_s[2])
+    return across + max(limits.horizontal_speed_m_s, across), along + max(limits.vertical_speed_m_s, along)
+
+
+def _from_rest_s(p: Vector3, q: Vector3, limits: GuidanceConfig) -> float:
+    """Shortest time of a quintic from rest to rest within the limits."""
+    push = max(
+        math.dist(p[:2], q[:2]) / limits.horizontal_acceleration_m_s2,
+        abs(q[2] - p[2]) / limits.vertical_acceleration_m_s2,
+    )
+    crossing_s = _crossing_s(p, q, limits.horizontal_speed_m_s, limits.vertical_speed_m_s)
+    return max(_SHORTEST_S, _REST_PEAK * crossing_s, math.sqrt(_REST_PUSH * push))
+
+
+def _stretch(course: Course, start: Motion, target: Motion, limits: GuidanceConfig) -> float:
+    """By what factor the durations should grow; what the start already exceeds cannot be mended."""
+    count = _CHECKED_PER_LEG * len(course.legs)
+    _, velocity, acceleration = course.rows(course.start_s, count + 1, course.duration_s / count)
+    fastest, steepest = _speeds(target, limits)
+    v, a = start.velocity_m_s, start.acceleration_m_s2
+    flat, steep = _greatest(velocity)
+    push, lift = _greatest(acceleration)
+    speed = max(flat / max(fastest, math.hypot(v[0], v[1])), steep / max(steepest, abs(v[2])))
+    harder = max(
+        push / max(limits.horizontal_acceleration_m_s2, math.hypot(a[0], a[1])),
+        lift / max(limits.vertical_acceleration_m_s2, abs(a[2])),
+    )
+    return max(speed, math.sqrt(harder))
+
+
+def _greatest(rows: FloatArray) -> tuple[float, float]:
+    """The greatest length across and along down of rows (n, 3)."""
+    return float(np.max(np.hypot(rows[:, 0], rows[:, 1]))), float(np.max(np.abs(rows[:, 2])))

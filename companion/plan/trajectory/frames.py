@@ -1,0 +1,44 @@
+"""Frames that move evenly, a pad's above all: motions seen from one and from space, and where one will be.
+
+Space is the EKF's NED; a frame is the motion of its origin, its axes are NED's. m, s.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import ZERO3, FloatArray, add, scale
+from companion.plan.trajectory.min_jerk import Motion
+
+STILL: Final = Motion(ZERO3)
+# Slower than this a pad has no course to speak of; turning faster than that is noise.
+_COURSE_M_S: Final = 0.3
+_FASTEST_TURN_RAD_S: Final = 1.0
+
+
+def seen(motion: Motion, frame: Motion) -> Motion:
+    """A motion in a frame that moves evenly, seen from space."""
+    return Motion(
+        add(motion.position_m, frame.position_m),
+        add(motion.velocity_m_s, frame.velocity_m_s),
+        motion.acceleration_m_s2,
+    )
+
+
+def away(frame: Motion) -> Motion:
+    """Space as it moves seen from the frame."""
+    return Motion(scale(frame.position_m, -1.0), scale(frame.velocity_m_s, -1.0))
+
+
+def led(frame: Motion, times_s: FloatArray) -> FloatArray:
+    """Where a frame will be, (n, 3), times (n,) from now: along the arc that its acceleration tells of."""
+    (vn, ve, vd), (an, ae, _) = frame.velocity_m_s, frame.acceleration_m_s2
+    square = vn * vn + ve * ve
+    turn = (vn * ae - ve * an) / square if square > _COURSE_M_S**2 else 0.0
+    angle = max(-_FASTEST_TURN_RAD_S, min(_FASTEST_TURN_RAD_S, turn)) * times_s
+    # sin(a) / a and (1 - cos(a)) / a, which numpy's sinc has for a = 0 too
+    along, across = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi)) * np.sin(0.5 * angle)
+    north, east = times_s * (along * vn - across * ve), times_s * (along * ve + across * vn)
+    return np.array(frame.position_m) + np.stack((north, east, times_s * vd), axis=1)

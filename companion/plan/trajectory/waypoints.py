@@ -1,0 +1,103 @@
+"""The way through the waypoints that we fly ourselves: by minimum jerk, round the obstacles between them.
+
+Waypoints are north and east of home (m), with a height over home where it is not the take-off's; what is
+flown is in the EKF's NED. m, s.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import Vector3, add, norm
+from companion.config import ConfigError, MissionConfig, PlanConfig
+from companion.plan.landing.touchdown import Finding
+from companion.plan.mission.table import Event
+from companion.plan.obstacles.obstacles import Obstacle, clearance_m
+from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.min_jerk import Motion
+
+# The reference passes through a point exactly: this near to it, it has.
+_PASSED_M: Final = 0.5
+
+
+def check_places(config: PlanConfig, vehicle_radius_m: float) -> None:
+    """Refuse what could never be flown.
+
+    Raises:
+        ConfigError: the take-off touches an obstacle, or a waypoint is nearer to one than the margin.
+    """
+    mission, margin_m = config.mission, config.obstacle_margin_m + vehicle_radius_m
+    places = _places(mission)
+    names = ["waypoint_ned_m", *(f"waypoints_ned_m.{k}" for k in range(len(places) - 1))]
+    for index, shape in enumerate(config.obstacles):
+        away_m = clearance_m(np.array([(0.0, 0.0, 0.0), *places]), [Obstacle.of(shape)])
+        if away_m[0] < vehicle_radius_m:
+            raise ConfigError(
+                f"plan.obstacles.{index}: {away_m[0]:.1f} m from the take-off place, expected at least "
+                f"{vehicle_radius_m:.1f} m"
+            )
+        for name, distance_m in zip(names, away_m[1:], strict=True):
+            if distance_m < margin_m:
+                raise ConfigError(
+                    f"plan.mission.{name}: {distance_m:.1f} m from plan.obstacles.{index}, expected at least "
+                    f"{margin_m:.1f} m: plan.obstacle_margin_m and the vehicle's radius"
+                )
+
+
+def _places(mission: MissionConfig) -> list[Vector3]:
+    """All waypoints, NED from home."""
+    places: list[Vector3] = []
+    for north, east, *height in (mission.waypoint_ned_m, *mission.waypoints_ned_m):
+        places.append((north, east, -(height[0] if height else mission.take_off_height_m)))
+    return places
+
+
+class Waypoints:
+    """One flight through them: `begin`, then `step` every cycle. Steers the guide in the EKF's NED."""
+
+    def __init__(self, config: MissionConfig, guide: Guide) -> None:
+        self._config, self._guide = config, guide
+        self._left: list[Vector3] = []
+        self._last: Vector3 | None = None
+
+    @property
+    def first_from_home_m(self) -> Vector3:
+        """The waypoint to which the autopilot would fly, NED from home."""
+        return _places(self._config)[0]
+
+    @property
+    def further(self) -> bool:
+        """Whether there are more than the autopilot flies to."""
+        return bool(self._config.waypoints_ned_m)
+
+    def begin(self, *, with_first: bool) -> None:
+        """Start over; `with_first` when the autopilot has not flown to the first."""
+        self._left = _places(self._config)[0 if with_first else 1 :]
+        self._last = self._left[-1] if self._left else None
+
+    def at_first(self, actual: Motion, home_ned_m: Vector3) -> Finding:
+        """Whether the vehicle is at the first waypoint, slow; in the EKF's NED."""
+        first, v = add(self.first_from_home_m, home_ned_m), actual.velocity_m_s
+        distance_m = math.dist(actual.position_m[:2], first[:2])
+        slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
+        if distance_m <= self._config.arrival_radius_m and slow:
+            return Event.ONWARD, f"{distance_m:.1f} m from the first waypoint"
+        return None
+
+    def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> Finding:
+        """One cycle with control ours; `actual` and home are in the EKF's NED."""
+        if self._last is None:
+            return Event.ARRIVED, "no further waypoints"
+        reference = self._guide.at(now_s).position_m
+        while self._left and math.dist(reference, add(self._left[0], home_ned_m)) <= _PASSED_M:
+            self._left.pop(0)
+        last = add(self._last, home_ned_m)
+        self._guide.fly_along([*(add(p, home_ned_m) for p in self._left[:-1]), last], now_s)
+        slow = norm(actual.velocity_m_s) <= self._config.arrival_speed_m_s
+        distance_m = math.dist(actual.position_m, last)
+        if not self._left and slow and distance_m <= self._config.arrival_radius_m:
+            return Event.ARRIVED, f"{distance_m:.1f} m from the last waypoint"
+        return None

@@ -1,0 +1,1 @@
+"""What only the paper's figures and our own comparisons need."""

@@ -1,0 +1,141 @@
+"""`companion-experiments`: the paper's figures from its own settings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import track
+from typer.exceptions import TyperException
+
+from companion.config import ConfigError
+from companion.research import fig13, pad_recall, profiles, tune_flight_pid
+from companion.research.fig14.command import fig14
+from companion.research.flown import fly_scenario
+from companion.research.output import writable
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+)
+
+
+@app.callback()
+def experiments() -> None:
+    """The paper's experiments, each with a table and a plot."""
+
+
+Picture = Annotated[Path, typer.Option("--output", "-o", help="Where the picture goes.", metavar="FILE.png")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Repeats the experiment.")]
+
+
+@app.command("fig13")
+def fig13_command(
+    *,
+    scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "circle",
+    seed: Seed = 0,
+    output: Picture = Path("fig13.png"),
+) -> None:
+    """Fig. 13: the EKF's position beside the GPS's and the truth, in a simulated flight."""
+    writable(output, ".png", "--output")
+    observed = fig13.observe(fly_scenario(scenario, seed))
+    fig13.draw(observed, output)
+    console = Console()
+    console.print(fig13.table(observed))
+    finish(console, {"EKF's path and noise": observed.holds()}, output)
+
+
+app.command("fig14")(fig14)
+
+
+@app.command("profiles")
+def profiles_command(
+    *,
+    scenarios: Annotated[
+        list[str], typer.Option("--scenario", help="A name in configs/scenarios, or a file; again for more.")
+    ] = list(profiles.SCENARIOS),  # noqa: B006 - typer's way to give a list a default
+    seed: Seed = 0,
+    flights: Annotated[int, typer.Option(min=1, help="Of each law in each scenario.")] = 3,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that fly.")] = 1,
+    output: Picture = Path("profiles.png"),
+) -> None:
+    """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
+    writable(output, ".png", "--output")
+    console, count = Console(), len(profiles.LAWS) * len(scenarios) * flights
+    flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs)
+    descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
+    profiles.draw(descents, output)
+    console.print(profiles.table(descents))
+    finish(console, profiles.bars(descents), output)
+
+
+@app.command("pad-recall")
+def pad_recall_command(
+    *,
+    camera: Annotated[str, typer.Option(help="A name in configs/cameras, or a file.")] = "sitl_640x480",
+    other: Annotated[str, typer.Option(help="Another, to judge the fit.")] = "hd_1280x720",
+    frames: Annotated[int, typer.Option(min=20, help="Of each marker and lens.")] = 400,
+    seed: Seed = 0,
+    output: Picture = Path("pad-recall.png"),
+) -> None:
+    """Fit how surely the eyes read a marker: what `companion pad --coverage` goes by."""
+    writable(output, ".png", "--output")
+    console = Console()
+    looks = pad_recall.look(camera, frames, seed)
+    model = pad_recall.fit(looks)
+    console.print(repr(model), highlight=False, soft_wrap=True)
+    judged = {
+        "fitted to": pad_recall.classes(looks, model),
+        "other frames": pad_recall.classes(pad_recall.look(camera, frames // 2, seed + 1), model),
+        other: pad_recall.classes(pad_recall.look(other, frames // 4, seed + 2), model),
+    }
+    console.print(pad_recall.table(judged))
+    pad_recall.draw(looks, model, output)
+    finish(console, pad_recall.bars(judged), output)
+
+
+@app.command("tune-flight-pid")
+def tune_command(
+    *,
+    draws: Annotated[int, typer.Option(min=1, help="Gains tried in each of three rounds.")] = 12,
+    seed: Seed = 0,
+) -> None:
+    """Tune the gains of control.pid (a few minutes), and fly them on seeds that tuned nothing."""
+    console = Console()
+    pid = tune_flight_pid.tune(draws, seed, lambda line: console.print(line, highlight=False))
+    tune_flight_pid.show(pid, console)
+
+
+def finish(console: Console, bars: Mapping[str, bool], output: Path) -> None:
+    """Say which bars hold and where the picture is; the exit status is 0 when all do.
+
+    Raises:
+        typer.Exit: always.
+    """
+    words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items())
+    console.print(f"picture: {output}", highlight=False, soft_wrap=True, markup=False)
+    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
+    raise typer.Exit(0 if all(bars.values()) else 1)
+
+
+def main() -> None:
+    """Run an experiment: whatever the user got wrong ends in one line on standard error."""
+    try:
+        code = app(standalone_mode=False)
+    except (TyperException, ConfigError, OSError) as error:
+        text = error.format_message() if isinstance(error, TyperException) else str(error)
+        print(f"companion-experiments: {text.rstrip('.')}", file=sys.stderr)
+        code = 2
+    except typer.Abort:
+        code = 1
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The paper's 12-state quadrotor, its MPC and PID."""

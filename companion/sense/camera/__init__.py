@@ -1,0 +1,1 @@
+"""Camera sources: frames with the time of their exposure."""

@@ -1,0 +1,198 @@
+"""Whether what a camera gives is of use: frames that come, that are new, whole and stamped rightly. Pure.
+
+Times in s of the loop's clock, handed in. A frame is good when it is newer than the last one by its stamp,
+is not older than it can be, is not the last image over again, is not of one grey, and is not torn. Without a
+good one for `Patience.trouble_s` the camera is in trouble, and why is told; trouble that lasts makes it lost,
+and it is to be opened anew.
+
+What is told of images rests on noise: no sensor gives the same number for thousands of pixels twice. A lower
+part that is all white is none that is empty: glare is just that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.base.messages import Frame
+from companion.config import CaptureConfig
+
+STRIDE: Final = 8  # every 8th pixel of every 8th row is looked at
+FLAT_GREY: Final = 2  # spread of an image that shows nothing
+FUTURE_S: Final = 0.05
+LEAST_TORN: Final = 0.1  # share of the rows at the lower edge
+WHITE: Final = 255
+FIRST_TOLD_S: Final = 2.0  # without a first frame, though more may be waited for
+
+Kind = Literal["silent", "content", "stamp"]
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long what may last: see `patience_with`."""
+
+    trouble_s: float  # without a good frame: told
+    silent_s: float  # without any frame: opened anew
+    content_s: float  # with frames of no use: opened anew
+    first_s: float  # for the first frame, instead of the first two
+    oldest_s: float  # a frame's age on arrival
+
+
+def patience_with(camera: CaptureConfig, source: Literal["device", "socket", "recording"]) -> Patience:
+    """What a camera of that rate may be allowed.
+
+    Trouble is told within 0.3 s at any rate. A connection that is silent is not mended by parting, so a
+    socket's may be so for longer, and before its first frame for ever: its server may still be starting. A
+    recording is what it is, and opening it anew would play it from its beginning.
+    """
+    trouble_s = max(0.25, 1.3 / camera.rate_hz)
+    match source:
+        case "device":
+            return Patience(trouble_s, silent_s=1.0, content_s=1.0, first_s=3.0, oldest_s=0.5)
+        case "socket":
+            return Patience(trouble_s, silent_s=5.0, content_s=5.0, first_s=inf, oldest_s=inf)
+        case "recording":
+            return Patience(inf, silent_s=inf, content_s=inf, first_s=inf, oldest_s=inf)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What is wrong with a frame; not `usable`: it must not be looked at."""
+
+    kind: Kind
+    text: str
+    usable: bool = False
+
+
+class FrameJudge:
+    """Holds each frame of one camera against the one before."""
+
+    def __init__(self, oldest_s: float) -> None:
+        """`oldest_s`: how old a frame may be on arrival."""
+        self._oldest_s = oldest_s
+        self._last: Frame | None = None
+        self._last_sample: NDArray[np.uint8] | None = None
+
+    def fault(self, frame: Frame) -> Fault | None:
+        """What is wrong with it, None when it is good."""
+        found = self._stamp_fault(frame)
+        if found is not None:
+            return found
+        sample = frame.image[::STRIDE, ::STRIDE]
+        found = self._content_fault(frame, sample)
+        self._last, self._last_sample = frame, sample
+        return found
+
+    def _stamp_fault(self, frame: Frame) -> Fault | None:
+        age_s = frame.received_s - frame.time_s
+        if age_s > self._oldest_s:
+            return Fault("stamp", f"its frames are stamped {age_s:.1f} s before they come")
+        if age_s < -FUTURE_S:
+            return Fault("stamp", f"its frames are stamped {-age_s:.1f} s after they come")
+        if self._last is None:
+            return None
+        step_s = frame.time_s - self._last.time_s
+        if step_s == 0.0:
+            return Fault("stamp", "its time stamps stand still")
+        if step_s < 0.0:
+            return Fault("stamp", f"its time stamps jump back by {-step_s:.3f} s")
+        return None
+
+    def _content_fault(self, frame: Frame, sample: NDArray[np.uint8]) -> Fault | None:
+        low, high = int(sample.min()), int(sample.max())
+        if high - low <= FLAT_GREY:
+            return Fault("content", f"its images are of one grey ({low} of 255)")
+        if _filled_share(sample) >= LEAST_TORN:
+            # the rest is what was seen
+            return Fault("content", "its images are torn: the lower part is empty", usable=True)
+        last, last_sample = self._last, self._last_sample
+        if last is None or last_sample is None or sample.shape != last_sample.shape:
+            return None
+        same = (sample == last_sample).all(axis=1)
+        if same.all():
+            again = np.array_equal(frame.image, last.image)
+            return Fault("content", "it gives the same image over and over") if again else None
+        # a row of one grey (clipped, white or black) is the same without being old
+        if _old_share(same & (sample != sample[:, :1]).any(axis=1)) >= LEAST_TORN:
+            return Fault("content", "its images are torn: the lower part is of the one before")
+        return None
+
+
+def _filled_share(sample: NDArray[np.uint8]) -> float:
+    """Share of the rows, from the lower edge up, that hold nothing but one and the same grey."""
+    grey = sample[-1, 0]
+    if grey == WHITE:
+        return 0.0
+    return _run_from_below((sample == grey).all(axis=1))
+
+
+def _old_share(same: NDArray[np.bool_]) -> float:
+    """Share of the rows, from the lower edge up, that are the last image's where all above are new."""
+    share = _run_from_below(same)
+    return share if same.mean() == share else 0.0
+
+
+def _run_from_below(rows: NDArray[np.bool_]) -> float:
+    """Share of the rows that hold, counted from the last one up to the first that does not."""
+    breaks = np.flatnonzero(~rows)
+    return (len(rows) - 1 - int(breaks[-1])) / len(rows) if len(breaks) else 1.0
+
+
+class CameraHealth:
+    """One camera from its opening to its loss."""
+
+    def __init__(self, patience: Patience, opened_s: float) -> None:
+        """A camera that has been opened at that time."""
+        self._patience = patience
+        self._judge = FrameJudge(patience.oldest_s)
+        self._opened_s = opened_s
+        self._frame_s: float | None = None
+        self._good_s: float | None = None  # the last good frame
+        self._run_s: float | None = None  # the first good one after the last trouble
+        self._fault: Fault | None = None
+
+    def take(self, frame: Frame, now_s: float) -> bool:
+        """Note a frame that has come; whether it may be looked at."""
+        self._frame_s = now_s
+        self._fault = self._judge.fault(frame)
+        if self._fault is None:
+            if self._run_s is None or self.trouble(now_s) is not None:
+                self._run_s = now_s
+            self._good_s = now_s
+        return self._fault is None or self._fault.usable
+
+    @property
+    def good_since_s(self) -> float | None:
+        """Since when no good frame was long in coming; None before the first."""
+        return self._run_s
+
+    def trouble(self, now_s: float) -> str | None:
+        """What is wrong, once it has lasted."""
+        if self._frame_s is None:
+            waited_s = now_s - self._opened_s
+            late = waited_s > max(FIRST_TOLD_S, self._patience.trouble_s)
+            return f"no frame in {waited_s:.0f} s since it was opened" if late else None
+        good_s = self._opened_s if self._good_s is None else self._good_s
+        if now_s - good_s <= self._patience.trouble_s:
+            return None
+        if now_s - self._frame_s > self._patience.trouble_s or self._fault is None:
+            return f"no frame for {self._patience.trouble_s:.2f} s"
+        return self._fault.text
+
+    def lost(self, now_s: float) -> Kind | None:
+        """Why it is to be opened anew, None while it is not."""
+        patience = self._patience
+        if self._frame_s is None:
+            return "silent" if now_s - self._opened_s > patience.first_s else None
+        if now_s - self._frame_s > patience.silent_s:
+            return "silent"
+        good_s = self._opened_s if self._good_s is None else self._good_s
+        fault = self._fault
+        # one whose frames are of use is not taken from the eyes: in the dark, black is what empty looks like
+        if fault is not None and not fault.usable and now_s - good_s > patience.content_s:
+            return fault.kind
+        return None

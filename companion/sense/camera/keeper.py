@@ -1,0 +1,230 @@
+"""A camera that is kept: watched, given up on when it is lost, and opened anew, again and again.
+
+    device or socket ─► health ─► newest frame ─► vision
+                          └─► reports: notices, status
+
+Who waits for a frame simply goes on waiting while there is no camera; what is wrong is told by `report`.
+Nothing here waits for a driver: one that hangs is left alone with its thread (`camera_thread`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
+from typing import Final, Literal, Protocol
+
+from companion.base.clock import Clock
+from companion.base.messages import Frame
+from companion.config import ConfigError
+from companion.sense.camera.health import CameraHealth, Patience
+from companion.sense.camera.reader import EndOfFrames, Newest, OpeningHangs, ReadBack
+
+WATCH_S: Final = 0.02
+LETTING_GO_S: Final = 1.5  # for a driver's thread to end, before the device is opened all the same
+FIRST_PAUSE_S: Final = 0.25
+LONGEST_PAUSE_S: Final = 2.0
+# images of no use may be the light's or the lens cap's fault, which opening does not mend: ever more patience
+LONGEST_PATIENCE_S: Final = 30.0
+RECOVERED_S: Final = 5.0
+GOOD_AGAIN_S: Final = 0.5  # of good frames alone, until the trouble counts as over
+MOST_HANGING: Final = 4  # drivers left alone; with so many no further one is started
+NUMBER: Final = re.compile(r"[\d.]+")
+
+
+class LiveSource(Protocol):
+    """A camera that has been opened once: `camera_thread.ThreadedCamera`, `camera_socket.SocketCamera`."""
+
+    @property
+    def held(self) -> bool:
+        """Whether its driver still has the device."""
+
+    @property
+    def read_back(self) -> ReadBack:
+        """What the driver says of its settings."""
+
+    async def next(self) -> Frame:
+        """See `camera.FrameSource`."""
+
+    def take_notes(self) -> list[str]:
+        """What there is to say about it, each line once."""
+
+    def let_go(self) -> None:
+        """Give it back without waiting for it."""
+
+    def close(self) -> None:
+        """See `camera.FrameSource`."""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraReport:
+    """One line about the camera."""
+
+    text: str
+    severity: Literal["info", "warning", "error"]
+
+
+class KeptCamera:
+    """A `FrameSource` that never ends. Make it inside the running loop, with the camera opened once."""
+
+    def __init__(
+        self, first: LiveSource, reopen: Callable[[], Awaitable[LiveSource]], patience: Patience
+    ) -> None:
+        """Keep `first`; `reopen` opens the same camera anew."""
+        self._source, self._reopen, self._patience = first, reopen, patience
+        self._clock = Clock()
+        self._newest = Newest()
+        self._reports: asyncio.Queue[CameraReport] = asyncio.Queue()
+        self._hanging: list[LiveSource] = []
+        self._problem: str | None = None
+        self._told: set[str] = set()  # of the present trouble
+        self._told_notes: set[str] = set()  # a camera that is opened again has the same to say
+        self._trouble_s = 0.0
+        self._pause_s = FIRST_PAUSE_S
+        self._last_sequence = -1
+        self._content_patience_s = patience.content_s
+        self._task = asyncio.create_task(self._keep(), name="camera's keeper")
+        self._task.add_done_callback(self._tell_failure)
+
+    @property
+    def problem(self) -> str | None:
+        """What is wrong now, None when all is well."""
+        return self._problem
+
+    @property
+    def read_back(self) -> ReadBack:
+        """What the driver says of its settings."""
+        return self._source.read_back
+
+    async def next(self) -> Frame:
+        """See `camera.FrameSource`; waits for as long as there is no camera."""
+        return await self._newest.next()
+
+    async def report(self) -> CameraReport:
+        """Wait for the next thing to tell about the camera."""
+        return await self._reports.get()
+
+    def close(self) -> None:
+        """See `camera.FrameSource`."""
+        self._task.cancel()
+        self._source.close()
+
+    def _tell_failure(self, task: asyncio.Task[None]) -> None:
+        """A fault of ours must not look like a camera that is silent."""
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._newest.fail(OSError(f"its keeper failed: {type(error).__name__}: {error}"))
+
+    # ------------------------------------------------------------ one life after another
+
+    async def _keep(self) -> None:
+        while True:
+            lasted = await self._watch(self._source)
+            if not lasted:
+                return
+            await self._let_go(self._source)
+            self._source = await self._open_anew()
+
+    async def _watch(self, source: LiveSource) -> bool:
+        """Hand on what is of use until the camera is lost; whether another life makes sense."""
+        patience = replace(self._patience, content_s=self._content_patience_s)
+        health = CameraHealth(patience, self._clock.now_s())
+        offset: int | None = None
+        arriving = asyncio.ensure_future(source.next())
+        try:
+            while (cause := health.lost(self._clock.now_s())) is None:
+                await asyncio.wait({arriving}, timeout=WATCH_S)
+                if arriving.done():
+                    frame = arriving.result()
+                    arriving = asyncio.ensure_future(source.next())
+                    if offset is None:  # numbers go on from life to life
+                        offset = self._last_sequence + 1 - frame.sequence
+                    self._take(replace(frame, sequence=frame.sequence + offset), health)
+                self._tell_notes(source)
+                self._tell_trouble(health)
+                good_s = health.good_since_s
+                if good_s is not None and self._clock.now_s() - good_s > RECOVERED_S:
+                    self._content_patience_s = self._patience.content_s
+        except EndOfFrames as end:
+            self._problem = str(end)
+            self._reports.put_nowait(CameraReport(f"camera: {end}", "info"))
+            return False
+        except (OSError, ConfigError) as error:
+            if isinstance(error, ConfigError) and self._last_sequence < 0:
+                self._newest.fail(error)  # it never was what the settings say: a mistake of theirs
+                return False
+            self._set_trouble(str(error))
+            return True
+        finally:
+            arriving.cancel()
+            arriving.add_done_callback(_pass_over)
+        if cause == "content":
+            self._content_patience_s = min(2.0 * self._content_patience_s, LONGEST_PATIENCE_S)
+        return True
+
+    def _take(self, frame: Frame, health: CameraHealth) -> None:
+        if health.take(frame, self._clock.now_s()):
+            self._last_sequence = max(self._last_sequence, frame.sequence)
+            self._newest.put(frame)
+
+    async def _let_go(self, source: LiveSource) -> None:
+        """Part from a camera; from one whose driver hangs, after a while, without its consent."""
+        source.let_go()
+        until_s = self._clock.now_s() + LETTING_GO_S
+        while source.held and self._clock.now_s() < until_s:  # noqa: ASYNC110 - a thread has no event
+            await asyncio.sleep(WATCH_S)
+        if source.held:
+            self._hanging.append(source)
+
+    async def _open_anew(self) -> LiveSource:
+        """Try until it opens, with longer and longer pauses."""
+        while True:
+            await asyncio.sleep(self._pause_s)
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            self._hanging = [source for source in self._hanging if source.held]
+            if len(self._hanging) >= MOST_HANGING:
+                self._set_trouble("its driver hangs, and does not let go of it")
+                continue
+            try:
+                return await self._reopen()
+            except Exception as error:  # no memory, no thread: whatever it is, the next try may do
+                self._set_trouble(str(error) or type(error).__name__)
+                if isinstance(error, OpeningHangs):
+                    self._hanging.append(error.camera)
+
+    # ------------------------------------------------------------ telling
+
+    def _tell_notes(self, source: LiveSource) -> None:
+        for note in source.take_notes():
+            if note in self._told_notes:
+                continue
+            self._told_notes.add(note)
+            self._reports.put_nowait(CameraReport(f"camera: {note}", "warning"))
+
+    def _tell_trouble(self, health: CameraHealth) -> None:
+        now_s = self._clock.now_s()
+        trouble, good_s = health.trouble(now_s), health.good_since_s
+        if trouble is not None:
+            self._set_trouble(trouble)
+        elif self._problem is not None and good_s is not None and now_s - good_s >= GOOD_AGAIN_S:
+            self._problem = None
+            self._pause_s = FIRST_PAUSE_S
+            self._told.clear()
+            text = f"camera: frames again after {good_s - self._trouble_s:.1f} s"
+            self._reports.put_nowait(CameraReport(text, "info"))
+
+    def _set_trouble(self, text: str) -> None:
+        """Note what is wrong, and tell it unless the same has been told of this trouble, numbers aside."""
+        if self._problem is None:
+            self._trouble_s = self._clock.now_s()
+        self._problem = text
+        shape = NUMBER.sub("", text)
+        if shape not in self._told:
+            self._told.add(shape)
+            self._reports.put_nowait(CameraReport(f"camera: {text}", "error"))
+
+
+def _pass_over(task: asyncio.Future[Frame]) -> None:
+    """Nobody waits for that frame any more, nor for why there was none."""
+    if not task.cancelled():
+        task.exception()

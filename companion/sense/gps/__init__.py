@@ -1,0 +1,1 @@
+"""The NEO-6M: serial bytes to fixes."""

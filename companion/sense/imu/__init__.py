@@ -1,0 +1,1 @@
+"""The MPU9250 and its AK8963: registers to SI units."""

@@ -1,0 +1,1 @@
+"""Ultrasonic rangefinders: echoes to distances."""

@@ -1,0 +1,1 @@
+"""Pixels to the pad's pose: ArUco markers, corners, pose and its covariance."""

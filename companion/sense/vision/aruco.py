@@ -1,0 +1,221 @@
+"""Finds the pad's markers in an image: the one file that knows OpenCV's ArUco interface.
+
+Shapes and names are those of OpenCV 5.0 (ids are (n,), corners a tuple of (1, 4, 2)). Dictionaries are
+cut to the ids that are printed on the pad, and few bit errors are forgiven: that is faster, and a
+pattern on the ground is not taken for a marker.
+
+Corners are pixels (u right, v down), whole numbers at pixel centres, in OpenCV's order: top-left,
+top-right, bottom-right, bottom-left of the printed code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.base.geometry import FloatArray
+from companion.base.messages import MarkerGroup
+from companion.config import VisionConfig
+from companion.pad import DICTIONARIES, Marker, Pad
+from companion.sense.vision.corners import refine_quads
+from companion.sense.vision.lens import Lens
+
+GROUPS: Final[tuple[MarkerGroup, ...]] = ("F", "M", "C")
+ERROR_CORRECTION_RATE: Final = 0.5
+THRESHOLD_WINDOW_PX: Final = 11
+# an outline on the outermost pixels is cut off; OpenCV's usual 3 px of a shrunk image are up to 18 px in full
+BORDER_PX: Final = 1
+# a marker smaller than this in a shrunk image gives corners too coarse to refine in the full one
+SHRUNK_SIDE_PX: Final = 17.0
+# corners of a contour, where a marker's sides cannot be followed: pixels of the image that was searched
+CONTOUR_STD_PX: Final = 0.7
+# of the variance at a side's ends, when it is a straight line through places that err independently
+STRAIGHT_SHARE: Final = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class SearchPass:
+    """One look: which part of the image, shrunk or enlarged how many times, for which groups of markers."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    shrink: int
+    groups: tuple[MarkerGroup, ...]
+    enlarge: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image.
+
+    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell, and
+    `offset_share` the share of its square by which a side errs as a whole, and not by being turned;
+    `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
+    """
+
+    marker: Marker
+    corners_pad_m: FloatArray
+    corners_px: FloatArray
+    side_px: float
+    corner_std_px: float = 0.0
+    offset_share: float = STRAIGHT_SHARE
+    shrunk_std_px: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Code:
+    """A printed code: its place in the reader's list, and corners (4, 2) px."""
+
+    number: int
+    corners_px: FloatArray
+
+
+class PadDetector:
+    """Reads the markers of one pad. It keeps no memory of earlier frames."""
+
+    def __init__(self, pad: Pad, config: VisionConfig, lens: Lens | None = None) -> None:
+        """`lens`: how sides bow in the image, for better corners."""
+        self._pad = pad
+        self._config = config
+        self._lens = lens
+        self._readers: dict[tuple[MarkerGroup, ...], tuple[tuple[Marker, ...], CodeReader]] = {}
+
+    def detect(self, image: NDArray[np.uint8], where: SearchPass) -> list[Detection]:
+        """Read the markers in one part of an image.
+
+        Of more than `maximum_markers` those that lie farthest apart are kept. Returned in the order of
+        the pad's markers.
+        """
+        markers, reader = self._reader(where.groups)
+        part = image[where.top : where.bottom, where.left : where.right]
+        s = where.shrink
+        if s > 1:
+            size = (part.shape[1] // s, part.shape[0] // s)
+            part = part[: size[1] * s, : size[0] * s]
+            part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        if where.enlarge > 1:
+            size = (part.shape[1] * where.enlarge, part.shape[0] * where.enlarge)
+            part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+        scale = s / where.enlarge
+        smallest_px = max(self._config.minimum_side_px / min(scale, 1.0), SHRUNK_SIDE_PX if s > 1 else 0.0)
+        origin = np.array([where.left, where.top], dtype=np.float64)
+        found = []
+        for code in reader.read(part, smallest_px):
+            marker = markers[code.number]
+            corners = (code.corners_px + 0.5) * scale - 0.5 + origin
+            found.append(
+                Detection(marker, marker.corners_pad_m(), corners, side_px(corners), CONTOUR_STD_PX * scale)
+            )
+        return refine_corners(image, farthest_apart(found, self._config.maximum_markers), self._lens)
+
+    def _reader(self, groups: tuple[MarkerGroup, ...]) -> tuple[tuple[Marker, ...], CodeReader]:
+        made = self._readers.get(groups)
+        if made is None:
+            markers = tuple(m for m in self._pad.markers if m.group in groups)
+            names = sorted({m.dictionary for m in markers})
+            dictionaries = [cv2.aruco.getPredefinedDictionary(DICTIONARIES[name]) for name in names]
+            reader = CodeReader(dictionaries, [(names.index(m.dictionary), m.id) for m in markers])
+            made = self._readers[groups] = (markers, reader)
+        return made
+
+
+class CodeReader:
+    """Reads a list of codes, of any dictionaries, wherever they are in an image.
+
+    `codes` are pairs: which of the dictionaries, and the id in it.
+    """
+
+    def __init__(
+        self, dictionaries: Sequence[cv2.aruco.Dictionary], codes: Sequence[tuple[int, int]]
+    ) -> None:
+        self._order = {code: number for number, code in enumerate(codes)}
+        self._parameters = cv2.aruco.DetectorParameters()
+        self._parameters.adaptiveThreshWinSizeMin = THRESHOLD_WINDOW_PX
+        self._parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW_PX
+        self._parameters.errorCorrectionRate = ERROR_CORRECTION_RATE
+        self._parameters.minDistanceToBorder = BORDER_PX
+        # a dictionary is cut behind the last id of the list
+        last = [max((i for which, i in codes if which == k), default=0) for k in range(len(dictionaries))]
+        cut = [
+            cv2.aruco.Dictionary(full.bytesList[: end + 1], full.markerSize, full.maxCorrectionBits)
+            for full, end in zip(dictionaries, last, strict=True)
+        ]
+        self._detector = cv2.aruco.ArucoDetector(cut, self._parameters) if codes else None
+
+    def read(self, image: NDArray[np.uint8], minimum_side_px: float) -> list[Code]:
+        """Codes, each at most once, in the list's order, with the corners of their contours."""
+        if self._detector is None or min(image.shape) < minimum_side_px:
+            return []
+        # OpenCV counts an outline's pixels: a square that stands on its corner has sqrt(2) times fewer
+        self._parameters.minMarkerPerimeterRate = 2.0 * math.sqrt(2.0) * minimum_side_px / max(image.shape)
+        self._detector.setDetectorParameters(self._parameters)
+        quads, ids, _, which = self._detector.detectMarkersMultiDict(image)
+        found: dict[int, FloatArray] = {}
+        twice: set[int] = set()
+        for quad, identity, dictionary in zip(quads, _flat(ids), _flat(which), strict=True):
+            number = self._order.get((dictionary, identity))
+            corners = np.asarray(quad, dtype=np.float64).reshape(4, 2)
+            if number is None or side_px(corners) < minimum_side_px:
+                continue
+            if number in found:
+                twice.add(number)
+            found[number] = corners
+        # a code seen at two places is a reflection or a forgery: neither is believed
+        return [Code(k, found[k]) for k in sorted(found) if k not in twice]
+
+
+def refine_corners(
+    image: NDArray[np.uint8], found: list[Detection], lens: Lens | None = None
+) -> list[Detection]:
+    """The detections with their corners where each marker's sides meet."""
+    if not found:
+        return found
+    quads = np.array([d.corners_px for d in found])
+    bows = None if lens is None else lens.bows(quads)
+    refined = refine_quads(image, quads, np.array([d.marker.cells for d in found]), bows)
+    by_marker = (part.tolist() for part in refined[1:])
+    return [
+        replace(
+            d,
+            corners_px=quad,
+            corner_std_px=math.hypot(offset, turn),
+            offset_share=offset**2 / max(offset**2 + turn**2, 1e-12),
+            shrunk_std_px=shrunk,
+        )
+        if math.isfinite(offset)
+        else d
+        for d, quad, offset, turn, shrunk in zip(found, refined.corners, *by_marker, strict=True)
+    ]
+
+
+def farthest_apart(found: list[Detection], maximum: int) -> list[Detection]:
+    """At most `maximum` of the detections, spread over the image; the order is kept."""
+    if len(found) <= maximum:
+        return found
+    centres = np.array([d.corners_px for d in found]).sum(axis=1)
+    apart = ((centres[:, None] - centres) ** 2).sum(axis=2)
+    chosen = [int(np.argmax(apart.sum(axis=1)))]
+    distance = apart[chosen[0]]
+    while len(chosen) < maximum:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, apart[chosen[-1]])
+    return [found[k] for k in sorted(chosen)]
+
+
+def side_px(corners: FloatArray) -> float:
+    """Mean length of the two diagonals over sqrt(2)."""
+    (a, b), (c, d), (e, f), (g, h) = corners.tolist()
+    return 0.5 * math.sqrt(0.5) * (math.hypot(e - a, f - b) + math.hypot(g - c, h - d))
+
+
+def _flat(values: Any) -> list[int]:
+    """Whole numbers from (n,), (n, 1) or nothing: OpenCV has returned each of them."""
+    return [] if values is None else [int(v) for v in np.asarray(values).reshape(-1)]

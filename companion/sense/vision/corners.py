@@ -1,0 +1,339 @@
+"""A marker's corners where its four sides meet.
+
+The usual refinement looks at a corner's own neighbourhood, and blur rounds a corner off: it is drawn inwards
+by a third of the blur's sigma, and the marker seems farther away than it is. A side is not moved by a blur
+that is the same to both hands, and it is long. So the brightness is sampled along many normals of each side,
+the place where it changes is found on each, and a curve is laid through these places: a straight line with
+the bow that the lens gives it, or, without a lens, one that may bow as much as a lens bends it. How far the
+places lie from the curve says how certain the corners are.
+
+Pixels: u right, v down, whole numbers at pixel centres. Corners go round clockwise in the image, four a
+marker, and side k runs from corner k to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.base.geometry import FloatArray
+
+Float32Array = NDArray[np.float32]
+
+NORMALS: Final = 12  # along each side
+TAPS: Final = 13  # along each normal
+MOST_ROUNDS: Final = 5
+# corners that moved by less are within a few hundredths of a pixel of where they would end up
+SETTLED_PX: Final = 0.2
+# unless they were looked at with so many times the reach that they need
+COARSE: Final = 2.0
+# and those that still move by more are nowhere
+UNSETTLED_PX: Final = 0.3
+# how far a normal reaches to either hand at first: in cells of the code, and within these bounds in pixels
+REACH_CELLS: Final = 0.45
+REACH_PX: Final = (2.5, 14.0)
+LEAST_REACH_PX: Final = 1.6
+# then in terms of how wide the edge is blurred
+REACH_BLURS: Final = 3.0
+# and of how far the corners still moved
+REACH_MOVES: Final = 2.0
+# near a corner a normal would see the other side: left out, as a share of the side and at least in pixels
+END_SHARE: Final = 0.1
+END_PX: Final = 1.5
+MOST_END_SHARE: Final = 0.25
+# the lens's bow of a side, at its ends: a standard deviation in pixels, times the image's width over length^2
+BOW: Final = 0.03
+# and what is left of it when the lens is known, times the length^2: a rolling shutter bends what moves
+BOW_LEFT_PER_PX: Final = 2e-7
+PLACE_STD_PX: Final = 0.1
+# a normal with less than this share of its marker's contrast tells nothing: glare, dirt, something in the way
+LEAST_CONTRAST: Final = 0.4
+OUTLIER_SIGMA: Final = 3.0
+REFITS: Final = 1
+LEAST_SPREAD_PX: Final = 0.02
+LEAST_USED: Final = 0.5
+LEAST_USED_OF_A_SIDE: Final = 0.25
+# pixels share light with their neighbours: places nearer to one another than this do not err independently
+CORRELATED_PX: Final = 1.5
+# white that is brighter is cut off, and then eats into the black
+FULL_GREY: Final = 250.0
+# more than two parameters a side is what the fit takes from the places' scatter
+PARAMETERS: Final = 10
+
+# blurred by more than this share of a cell, an edge is drawn to its neighbours' in the code and beside it:
+# by as much more, half
+CROWDED_CELL: Final = 0.2
+CROWDED_SHARE: Final = 0.5
+# the least share of an edge's way that is believed to be seen through the window
+LEAST_GAIN: Final = 0.4
+
+_TAPS: Final = np.linspace(-1.0, 1.0, TAPS, dtype=np.float32)
+_BETWEEN: Final = 0.5 * (_TAPS[1:] + _TAPS[:-1])
+_WINDOW: Final = 1.0 - _BETWEEN**2
+# what a normal's differences are summed with: their weight, mean and mean square (12, 3)
+_MOMENTS: Final = np.stack((_WINDOW, _WINDOW * _BETWEEN, _WINDOW * _BETWEEN**2), axis=1)
+
+
+def _gains() -> tuple[FloatArray, FloatArray]:
+    """How wide an edge near the window's middle seems, and by which share of its way a moved one does.
+
+    The window draws the centre of a rise towards its own middle, the more the wider the rise is. By Gaussian
+    rises of each width, in terms of the reach, half a tap's distance to either hand of the middle: the mean
+    over a tap's distance is 1 for a step, wherever between two taps it is.
+    """
+    step = 1.0 / (TAPS - 1)
+    widths, gains = [], []
+    for sigma in np.linspace(0.01, 1.5, 150):
+        below = np.array(
+            [[math.erf((tap - at) / sigma / math.sqrt(2.0)) for tap in _TAPS] for at in (0.0, step)]
+        )
+        weight, mean, square = (np.diff(below, axis=1) @ _MOMENTS).T
+        widths.append(math.sqrt(float(np.mean(square / weight - (mean / weight) ** 2))))
+        gains.append(float(mean[1] / weight[1]) / step)
+    return np.array(widths), np.array(gains)
+
+
+_WIDTHS, _GAINS = _gains()
+_PLACES: Final = np.linspace(-1.0, 1.0, NORMALS)
+# orthonormal polynomials over the places (12, 3), and what they are at any u: (u^0, u^1, u^2) times this
+# (3, 3)
+_BASIS, _TRIANGLE = np.linalg.qr(np.stack((np.ones(NORMALS), _PLACES, _PLACES**2), axis=1))
+_POLYNOMIALS: Final = np.linalg.inv(_TRIANGLE)
+
+
+class _Sides(NamedTuple):
+    """Straight sides (m, 4) of markers, their directions and outward normals (m, 4, 2)."""
+
+    start: FloatArray
+    along: FloatArray
+    normal: FloatArray
+    length: FloatArray
+    span: FloatArray  # (m,) half the share of the side's length that is looked at, twice
+    bow: FloatArray  # (m, 4) how far outwards the lens moves their middles, px
+    bow_std: FloatArray  # (m, 4) of what is not known of it
+
+
+class _Places(NamedTuple):
+    """Where the sides cross normals (m, 4, NORMALS), px outwards, contrasts alike, blur of each marker."""
+
+    offset: FloatArray
+    contrast: FloatArray
+    blur_px: FloatArray
+    full: NDArray[np.bool_]  # (m,) whether the white is cut off
+
+
+class _Curves(NamedTuple):
+    """Curves through places: coefficients (m, 4, 3), scatter (m,) px, share of the places used (m,).
+
+    Then that of the side (m,) with the fewest.
+    """
+
+    coefficients: FloatArray
+    scatter_px: FloatArray
+    used: FloatArray
+    least_used: FloatArray
+
+
+class Refined(NamedTuple):
+    """Corners (m, 4, 2) px, and how sides err (m,) px: as wholes, and at their ends by being turned.
+
+    A marker whose sides cannot be followed keeps its corners, and its deviations are infinite. `shrunk_px`:
+    by how much all sides together may lie too far in or out: as much as they are blurred where the white is
+    too bright, and by a share of the blur where cells are as small.
+    """
+
+    corners: FloatArray
+    offset_std_px: FloatArray
+    turn_std_px: FloatArray
+    shrunk_px: FloatArray
+
+    @property
+    def corner_std_px(self) -> FloatArray:
+        """Of each corner across each of its sides (m,)."""
+        return np.hypot(self.offset_std_px, self.turn_std_px)
+
+
+def refine_quads(
+    image: NDArray[np.uint8], quads: FloatArray, cells: FloatArray, bow_px: FloatArray | None = None
+) -> Refined:
+    """Move the corners of markers to where their sides meet.
+
+    Args:
+        image: (height, width).
+        quads: (m, 4, 2) px, within half a cell of the true ones.
+        cells: (m,) across each marker, the black border included.
+        bow_px: (m, 4) how far outwards the middle of each side lies from between its corners, by the lens;
+            without it sides bow as lenses bend them.
+    """
+    corners = np.array(quads, dtype=np.float64)
+    farthest = np.clip(REACH_CELLS * _lengths(corners) / cells, *REACH_PX)
+    reach = farthest
+    for _ in range(MOST_ROUNDS):
+        sides = _sides(corners, image.shape[1], bow_px)
+        places = _places(image, sides, reach)
+        curves = _curves(places, sides)
+        moves = _meeting(sides, curves)
+        corners = corners + moves
+        moved = np.abs(moves).max(axis=(1, 2))
+        # a side that is still on its way must not leave the edge behind
+        looked, wanted = reach, np.maximum(REACH_BLURS * places.blur_px, REACH_MOVES * moved)
+        reach = np.clip(wanted, LEAST_REACH_PX, farthest)
+        # nor is one at rest that was last looked at with taps far apart
+        if ((moved < SETTLED_PX) & (looked < COARSE * reach)).all():
+            break
+    offset_std, turn_std = _side_std(sides, curves)
+    lost = np.abs(corners - quads).max(axis=(1, 2)) > 1.5 * farthest
+    lost |= ~np.isfinite(offset_std + turn_std) | (moved > UNSETTLED_PX)
+    lost |= (curves.used < LEAST_USED) | (curves.least_used < LEAST_USED_OF_A_SIDE)
+    corners[lost], offset_std[lost], turn_std[lost] = quads[lost], np.inf, np.inf
+    crowded = CROWDED_SHARE * np.maximum(places.blur_px - CROWDED_CELL * _lengths(corners) / cells, 0.0)
+    shrunk = np.hypot(np.where(places.full, places.blur_px, 0.0), crowded)
+    return Refined(corners, offset_std, turn_std, shrunk)
+
+
+def _lengths(corners: FloatArray) -> FloatArray:
+    """Mean length (m,) of the sides."""
+    across = np.roll(corners, -1, axis=1) - corners
+    return np.asarray(np.sqrt((across**2).sum(axis=2)).mean(axis=1))
+
+
+def _sides(corners: FloatArray, image_width_px: int, bow_px: FloatArray | None) -> _Sides:
+    across = corners[:, (1, 2, 3, 0)] - corners
+    length = np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0)
+    along = across / length[..., None]
+    normal = np.stack((along[..., 1], -along[..., 0]), axis=2)
+    end = np.maximum(END_SHARE, END_PX / length.mean(axis=1))
+    span = 1.0 - 2.0 * np.minimum(end, MOST_END_SHARE)
+    if bow_px is None:
+        bow_std = BOW / image_width_px * length**2
+        return _Sides(corners, along, normal, length, span, np.zeros_like(length), bow_std)
+    return _Sides(corners, along, normal, length, span, bow_px, BOW_LEFT_PER_PX * length**2)
+
+
+def _places(image: NDArray[np.uint8], sides: _Sides, reach: FloatArray) -> _Places:
+    """Where each normal goes from black to white: the centre of its rise, more weight near its middle."""
+    m = len(reach)
+    half = 0.5 * sides.length[..., None]
+    # (m, 4, NORMALS) along the side, then (m, TAPS) across it
+    share = half * (1.0 + sides.span[:, None, None] * _PLACES)
+    across = reach[:, None] * _TAPS
+    maps = [
+        (
+            (sides.start[..., axis, None] + share * sides.along[..., axis, None])[..., None]
+            + (sides.normal[..., axis, None] * across[:, None, :])[:, :, None, :]
+        )
+        .astype(np.float32)
+        .reshape(m * 4, NORMALS * TAPS)
+        for axis in (0, 1)
+    ]
+    grey = cv2.remap(image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    brightness = grey.reshape(-1, TAPS).astype(np.float32)
+    # what falls is another edge: of the code inside, or of what lies beside the marker
+    rise = np.maximum(brightness[:, 1:] - brightness[:, :-1], 0.0)
+    moments = (rise @ _MOMENTS).astype(np.float64).reshape(m, 4, NORMALS, 3)
+    contrast = np.where(_within(maps, image.shape), moments[..., 0].reshape(m * 4, NORMALS), 0.0)
+    contrast = contrast.reshape(m, 4, NORMALS)
+    sure = np.maximum(contrast, 1.0)
+    mean = moments[..., 1] / sure
+    width = np.sqrt(np.maximum(moments[..., 2] / sure - mean**2, 0.0))
+    blur = _median(width.reshape(m, -1))
+    gain = np.maximum(np.interp(blur, _WIDTHS, _GAINS), LEAST_GAIN)
+    offset = np.clip(mean / gain[:, None, None], -1.0, 1.0) * reach[:, None, None]
+    full = _median(brightness[:, -1].astype(np.float64).reshape(m, -1)) >= FULL_GREY
+    return _Places(offset, contrast, blur * reach, full)
+
+
+def _within(maps: list[NDArray[np.float32]], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Which normals (4m, NORMALS) end in the image; beyond, its last pixels are repeated: a rise is cut."""
+    ends = [each.reshape(-1, NORMALS, TAPS)[..., :: TAPS - 1] for each in maps]
+    inside = [((x >= 0.0) & (x <= n - 1.0)).all(axis=2) for x, n in zip(ends, shape[::-1], strict=True)]
+    return np.asarray(inside[0] & inside[1])
+
+
+def _curves(places: _Places, sides: _Sides) -> _Curves:
+    """Least squares with a prior on the bow; places without contrast or far from the curve are left out.
+
+    They are of what is left when the lens's bow is taken out.
+
+    A place that is left out is put on the curve and the fit repeated: with few of them that is as good as to
+    weigh them with nothing, and one small product does for all sides.
+    """
+    offset = places.offset - sides.bow[..., None] * (1.0 - (sides.span[:, None] * _PLACES) ** 2)[:, None]
+    m = len(offset)
+    usual = _median(places.contrast.reshape(m, -1))
+    keep = places.contrast > LEAST_CONTRAST * usual[:, None, None]
+    shrink = _shrink(sides)
+    gain = np.stack((np.ones_like(shrink), np.ones_like(shrink), shrink), axis=2)
+    filled = offset if keep.all() else np.where(keep, offset, _median(offset)[..., None])
+    for _ in range(REFITS):
+        fitted = ((filled @ _BASIS) * gain) @ _BASIS.T
+        away = np.abs(offset - fitted)
+        spread = 1.48 * _median(away.reshape(m, -1))
+        keep &= away < OUTLIER_SIGMA * np.maximum(spread, LEAST_SPREAD_PX)[:, None, None]
+        filled = np.where(keep, offset, fitted)
+    coefficients = (filled @ _BASIS) * gain
+    away = np.where(keep, offset - coefficients @ _BASIS.T, 0.0)
+    of_a_side = keep.sum(axis=2)
+    count = of_a_side.sum(axis=1)
+    variance = np.einsum("ijk,ijk->i", away, away) / np.maximum(count - PARAMETERS, 1)
+    used, least_used = count / (4 * NORMALS), of_a_side.min(axis=1) / NORMALS
+    return _Curves(coefficients, np.sqrt(variance), used, least_used)
+
+
+def _shrink(sides: _Sides) -> FloatArray:
+    """By how much (m, 4) the bow's coefficient is drawn to what is expected of it: 0 wholly, 1 not at all."""
+    bow = _bow_std(sides)
+    return np.asarray(bow**2 / (bow**2 + PLACE_STD_PX**2))
+
+
+def _bow_std(sides: _Sides) -> FloatArray:
+    """Of the third orthonormal polynomial's coefficient (m, 4)."""
+    return np.asarray(sides.bow_std * _TRIANGLE[2, 2])
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """Along the last axis, the upper one of two: a fraction of what numpy's own costs for so few."""
+    half = values.shape[-1] // 2
+    return np.asarray(np.partition(values, half, axis=-1)[..., half])
+
+
+def _meeting(sides: _Sides, curves: _Curves) -> FloatArray:
+    """How far (m, 4, 2) px the corners are from where each side's curve meets that of the side before."""
+    plain = curves.coefficients @ _POLYNOMIALS.T  # of u^0, u^1, u^2
+    u = (1.0 / sides.span)[:, None]
+    slope = 2.0 * u / sides.length
+    c0, c1, c2 = plain[..., 0], plain[..., 1], plain[..., 2]
+    # the lens's bow belongs to the curve, and vanishes at the corners
+    c0, c2 = c0 + sides.bow, c2 - sides.bow / u**2
+    ahead, behind = c0 + u * (c1 + u * c2), c0 - u * (c1 - u * c2)
+    # tangents at a side's start and, of the side before, at its end: lines a . x = offset
+    a = sides.normal - ((c1 - 2.0 * u * c2) * slope)[..., None] * sides.along
+    b = (sides.normal - ((c1 + 2.0 * u * c2) * slope)[..., None] * sides.along)[:, (3, 0, 1, 2)]
+    ahead = ahead[:, (3, 0, 1, 2)]
+    determinant = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    determinant = np.where(np.abs(determinant) < 0.05, np.inf, determinant)
+    x = (behind * b[..., 1] - ahead * a[..., 1]) / determinant
+    y = (ahead * a[..., 0] - behind * b[..., 0]) / determinant
+    return np.stack((x, y), axis=2)
+
+
+def _side_std(sides: _Sides, curves: _Curves) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations (m,) px of a side's ends from the scatter of the places.
+
+    What both ends have in common, by the curve's height and what is not known of its bow, and what they have
+    with opposite signs, by its turn: that is how a straight line's ends err independently of each other.
+    """
+    u = 1.0 / sides.span
+    ends = np.stack((np.ones_like(u), u, u**2), axis=1) @ _POLYNOMIALS
+    length = sides.length.mean(axis=1)
+    spacing = length * sides.span / (NORMALS - 1)
+    alike = np.maximum(CORRELATED_PX / spacing, 1.0)
+    place = curves.scatter_px**2 * alike / np.maximum(curves.used, 0.1)
+    shrink = _shrink(sides)
+    bow = (shrink**2).mean(axis=1) * place + (((1.0 - shrink) * _bow_std(sides)) ** 2).mean(axis=1)
+    offset = ends[:, 0] ** 2 * place + ends[:, 2] ** 2 * bow
+    return np.sqrt(offset), np.sqrt(ends[:, 1] ** 2 * place)

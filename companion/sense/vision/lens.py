@@ -1,0 +1,102 @@
+"""The calibrated lens: pixels to rays and back (eqs. 2 and 3).
+
+Camera axes as OpenCV has them: x right in the image, y down, z along the optical axis. A ray is given by
+its ideal image coordinates (x/z, y/z), without unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+
+from companion.base.geometry import FloatArray
+from companion.config import CameraConfig
+
+# a lens is believed up to this tangent of the angle to the axis, and farther where its image is wider, but
+# nowhere beyond the angle from which on its polynomial turns back: that would fold the pad into the image
+USUAL_TANGENT: Final = 1.2
+WIDEST_TANGENT: Final = 4.0
+TANGENT_STEP: Final = 0.01
+NEAREST_M: Final = 0.02
+
+
+def radial_factor(distortion: Sequence[float], squared: FloatArray) -> FloatArray:
+    """By how much the lens stretches rays whose ideal image coordinates have these squared lengths (eq. 3).
+
+    `distortion` is k1 k2 p1 p2 k3, and for the rational model k4 k5 k6.
+    """
+    k1, k2, _, _, k3, *denominator = distortion
+    factor = 1.0 + squared * (k1 + squared * (k2 + squared * k3))
+    if denominator:
+        k4, k5, k6 = denominator
+        factor = factor / (1.0 + squared * (k4 + squared * (k5 + squared * k6)))
+    return factor
+
+
+class Lens:
+    """Undoes and applies one camera's distortion."""
+
+    def __init__(self, camera: CameraConfig) -> None:
+        self.focal_px = 0.5 * (camera.fx_px + camera.fy_px)
+        self.readout_s = camera.readout_s
+        self.size_px = (camera.width_px, camera.height_px)
+        self._scale = np.array([camera.fx_px, camera.fy_px])
+        self._centre = np.array([camera.cx_px, camera.cy_px])
+        self._matrix = np.array(
+            [[camera.fx_px, 0.0, camera.cx_px], [0.0, camera.fy_px, camera.cy_px], [0.0, 0.0, 1.0]]
+        )
+        self._distortion = np.array(camera.distortion)
+        self._farthest = self._farthest_tangent()
+        self._criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
+
+    def undistort(self, pixels: FloatArray) -> FloatArray:
+        """Rays (n, 2) of pixels (n, 2)."""
+        points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+        rays = cv2.undistortPoints(points, self._matrix, self._distortion, criteria=self._criteria)
+        return np.asarray(rays, dtype=np.float64).reshape(-1, 2)
+
+    def project(self, points_camera_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixels (n, 2) of points (n, 3), and depths (n,); pixels are NaN where the lens cannot see.
+
+        That is behind the camera, nearer than 2 cm or farther off the axis than the lens is known.
+        """
+        depth = points_camera_m[:, 2]
+        ideal = points_camera_m[:, :2] / np.maximum(depth, NEAREST_M)[:, None]
+        seen = (depth > NEAREST_M) & (np.einsum("ij,ij->i", ideal, ideal) < self._farthest**2)
+        pixels = self._distort(ideal) * self._scale + self._centre
+        return np.where(seen[:, None], pixels, np.nan), depth
+
+    def bows(self, quads: FloatArray) -> FloatArray:
+        """How far (m, 4) px outwards a straight side's middle is from between its corners (m, 4, 2) px."""
+        rays = self.undistort(quads.reshape(-1, 2)).reshape(-1, 4, 2)
+        middles = 0.5 * (rays + rays[:, (1, 2, 3, 0)])
+        seen = (self._distort(middles.reshape(-1, 2)) * self._scale + self._centre).reshape(-1, 4, 2)
+        across = quads[:, (1, 2, 3, 0)] - quads
+        away = seen - 0.5 * (quads + quads[:, (1, 2, 3, 0)])
+        cross = away[..., 0] * across[..., 1] - away[..., 1] * across[..., 0]
+        return np.asarray(cross / np.maximum(np.sqrt((across**2).sum(axis=2)), 1.0))
+
+    def _distort(self, ideal: FloatArray) -> FloatArray:
+        _, _, p1, p2, *_ = self._distortion.tolist()
+        x, y = ideal[:, 0], ideal[:, 1]
+        r2 = x * x + y * y
+        radial = radial_factor(self._distortion.tolist(), r2)
+        return np.column_stack(
+            (
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            )
+        )
+
+    def _farthest_tangent(self) -> float:
+        """Up to where the calibration means something."""
+        tangents = np.arange(0.0, WIDEST_TANGENT, TANGENT_STEP)
+        images = tangents * radial_factor(self._distortion.tolist(), tangents**2)
+        corners = np.array([(u, v) for u in (0, self.size_px[0]) for v in (0, self.size_px[1])])
+        reach = np.linalg.norm((corners - self._centre) / self._scale, axis=1).max()
+        turns_back = np.append(np.flatnonzero(np.diff(images) <= 0.0), len(tangents) - 1)[0]
+        needed = np.append(np.flatnonzero(images >= reach), len(tangents) - 1)[0]
+        return float(min(tangents[turns_back], max(USUAL_TANGENT, tangents[needed])))

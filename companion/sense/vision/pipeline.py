@@ -1,0 +1,174 @@
+"""The eyes' step: one frame in, one sighting of the pad out, in body axes.
+
+The camera sits on the airframe at `camera_position_body_m`, turned by `camera_yaw_deg` (clockwise seen
+from above; 0: the image's top edge is forward) after being tilted by `camera_tilt_deg` (positive: it
+looks towards the image's top edge) after being rolled by `camera_roll_deg` (positive: it looks to the left).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from companion.base.geometry import (
+    BODY_FROM_DOWNWARD_CAMERA,
+    ZERO3,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    matrix_from_quat,
+    quat_conjugate,
+    quat_from_euler,
+    quat_from_matrix,
+    quat_multiply,
+    quat_rotate,
+    vector3,
+)
+from companion.base.messages import Frame, MarkerGroup, PadPrior, PadSighting
+from companion.config import CameraConfig, VehicleConfig, VisionConfig
+from companion.pad import Pad
+from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.paper_pose import paper_pose
+from companion.sense.vision.pose import PadPose, estimate_pose
+from companion.sense.vision.print_check import PrintCheck
+from companion.sense.vision.search import SearchPlanner
+
+
+@dataclass(frozen=True, slots=True)
+class VisionResult:
+    """What one frame gave: the sighting if the pad was recognised, and what a frame's report needs.
+
+    `used` are the markers that the pose is made of.
+    """
+
+    sighting: PadSighting | None
+    marker_count: dict[MarkerGroup, int]
+    searched_whole_frame: bool
+    used: tuple[Detection, ...] = ()
+
+
+class Vision:
+    """Detection and pose for one pad, camera and airframe.
+
+    Stateless between frames, but for whose turn it is in the search.
+    """
+
+    def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:
+        self._config = config
+        self._camera = camera
+        self._lens = Lens(camera)
+        self._planner = SearchPlanner(pad, self._lens, config)
+        self._detector = PadDetector(pad, config, self._lens)
+        self._print = PrintCheck(pad, self._lens)
+        self._body_from_camera = body_from_camera(vehicle)
+        self._rotation = matrix_from_quat(self._body_from_camera)
+        self._mount = np.array(vehicle.camera_position_body_m)
+        self._turn = 0
+
+    def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
+        """Look where the pad is expected, then everywhere; for any marker when nothing is expected.
+
+        Without an expectation, far and near pads are looked for in turn, in every other frame each; one
+        that is near, but with no marker whole in view, in every frame.
+
+        Raises:
+            ValueError: the image is not of the calibrated camera's size.
+        """
+        height, width = frame.image.shape
+        if (width, height) != self._lens.size_px:
+            expected = "x".join(str(n) for n in self._lens.size_px)
+            raise ValueError(f"frame of {width}x{height}, the calibration is for {expected}")
+        down = None if prior is None else self._to_camera(prior.down_body)
+        climb_m_s = 0.0 if prior is None else prior.climb_m_s
+        rate = ZERO3 if prior is None else self._to_camera(prior.rate_body_rad_s)
+        looks = self._expected(prior)
+        wide = self._planner.widened(looks[0]) if looks else self._whole_frame(prior)
+        found: list[Detection] = []
+        for number, look in enumerate((*looks, *wide)):
+            found = self._detector.detect(frame.image, look)
+            pose = self._pose(frame, found, down, climb_m_s, rate) if found else None
+            if pose is not None:
+                sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
+                return VisionResult(sighting, count_groups(pose.used), number >= len(looks), pose.used)
+        return VisionResult(None, count_groups(tuple(found)), bool(wide))
+
+    def pixels(self, points_body_m: FloatArray) -> FloatArray:
+        """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""
+        return self._lens.project((points_body_m - self._mount) @ self._rotation)[0]
+
+    def _pose(
+        self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float, rate: Vector3
+    ) -> PadPose | None:
+        """The pose as the settings have it; one marker alone is believed when the print about it fits."""
+        if self._config.pose == "paper":
+            return paper_pose(found, self._lens, self._config)
+        pose = estimate_pose(found, self._lens, self._config, down, climb_m_s, rate)
+        if pose is not None and len(pose.used) == 1 and not self._print.bears_out(frame.image, pose):
+            return None
+        return pose
+
+    def _whole_frame(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
+        self._turn += 1
+        if prior is None or prior.pad_position_body_m is None:
+            return self._planner.whole_frame(self._turn)
+        near = self._planner.is_near(self._position(prior.pad_position_body_m), prior.position_std_m)
+        return self._planner.whole_frame(self._turn, near=near)
+
+    def _position(self, pad_position_body_m: Vector3) -> FloatArray:
+        """The pad's place in camera axes (3,)."""
+        return np.asarray(self._rotation.T @ (np.array(pad_position_body_m) - self._mount))
+
+    def _to_camera(self, v_body: Vector3) -> Vector3:
+        return quat_rotate(quat_conjugate(self._body_from_camera), v_body)
+
+    def _expected(self, prior: PadPrior | None) -> tuple[SearchPass, ...]:
+        if prior is None or prior.pad_position_body_m is None or prior.body_from_pad is None:
+            return ()
+        position = self._position(prior.pad_position_body_m)
+        camera_from_pad = self._rotation.T @ matrix_from_quat(prior.body_from_pad)
+        return self._planner.expected(camera_from_pad, position, prior.position_std_m)
+
+
+def sighting_of(
+    frame: Frame, pose: PadPose, camera: CameraConfig, body_from_camera: FloatArray, mount_m: FloatArray
+) -> PadSighting:
+    """A pose in body axes, at the time at which the rows that show the markers were exposed.
+
+    The camera sits at `mount_m` (3,), turned by `body_from_camera` (3, 3).
+    """
+    row_time_s = ((pose.row_px + 0.5) / camera.height_px - 0.5) * camera.readout_s
+    count = count_groups(pose.used)
+    return PadSighting(
+        time_s=frame.time_s + row_time_s,
+        sequence=frame.sequence,
+        pad_position_body_m=vector3(body_from_camera @ pose.position_camera_m + mount_m),
+        body_from_pad=quat_from_matrix(body_from_camera @ pose.camera_from_pad),
+        covariance=turn_covariance(pose.covariance, body_from_camera),
+        group=max(GROUPS, key=lambda group: count[group]),
+        marker_ids=tuple(d.marker.id for d in pose.used),
+        marker_count=count,
+        reprojection_error_px=pose.reprojection_error_px,
+        common_variance_m2=pose.common_variance_m2,
+    )
+
+
+def body_from_camera(vehicle: VehicleConfig) -> Quaternion:
+    """The rotation of camera axes (OpenCV's) into body axes by the vehicle's settings."""
+    angles = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)
+    roll, tilt, yaw = (math.radians(angle) for angle in angles)
+    return quat_multiply(quat_from_euler(roll, tilt, yaw), BODY_FROM_DOWNWARD_CAMERA)
+
+
+def turn_covariance(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+    """A 6x6 covariance of position and small rotation in other axes."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = rotation
+    return both @ covariance @ both.T
+
+
+def count_groups(detections: tuple[Detection, ...]) -> dict[MarkerGroup, int]:
+    """How many markers of each group."""
+    return {group: sum(d.marker.group == group for d in detections) for group in GROUPS}

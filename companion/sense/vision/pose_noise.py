@@ -1,0 +1,96 @@
+"""How the corners of one frame err: what of it is independent, and what corners have in common.
+
+A marker's corners are where its sides meet, and it is the sides that are measured. What the rotors shake is
+the same for all corners of a row, however many there are, and white that is over-exposed eats into all
+markers alike. Rays are ideal image coordinates (x/z, y/z), stacked as all u and then all v.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import FloatArray
+from companion.config import VisionConfig
+from companion.sense.vision.aruco import STRAIGHT_SHARE, Detection
+
+# how far all sides of all markers may lie too far in or out: black and white blur unlike
+EDGE_STD_PX: Final = 0.006
+# a shift of the whole picture that no corner tells, and how hard the camera is pushed during the readout
+SHIFT_STD_PX: Final = 0.003
+PUSH_STD_M_S2: Final = 0.4
+# rotors shake at some frequency between 40 and 160 Hz: more are told apart the longer the readout is
+ROTOR_HZ: Final = ((100.0,), (70.0, 130.0), (60.0, 100.0, 140.0))
+APART_S: Final = 0.005
+
+
+def side_noise_px(detection: Detection, config: VisionConfig) -> tuple[float, float]:
+    """By which a side errs as a whole, and its ends by its turn: what it tells, and what it cannot."""
+    share, told = detection.offset_share, detection.corner_std_px**2
+    untold = config.corner_noise_px**2
+    offset = share * told + STRAIGHT_SHARE * untold
+    return math.sqrt(offset), math.sqrt(told + untold - offset)
+
+
+def edge_std_px(detection: Detection) -> float:
+    """Of how far all sides of all markers lie too far in."""
+    return math.hypot(EDGE_STD_PX, detection.shrunk_std_px)
+
+
+def whitening(rays: FloatArray, sigma: FloatArray) -> FloatArray:
+    """What makes the rays' errors independent and of unit variance: (2n, 2n), rows of all u, then of all v.
+
+    Corners are where sides meet, and the sides are what is measured: what both ends of one are off by, and
+    what they are off by with opposite signs, err independently by `sigma` (m, 2), that of a side as a whole
+    and that of its ends by its turn.
+    """
+    m = len(sigma)
+    corners = rays.reshape(m, 4, 2)
+    along = corners[:, (1, 2, 3, 0)] - corners
+    along /= np.sqrt((along**2).sum(axis=2))[..., None]
+    k, side = np.arange(m)[:, None], np.arange(4)
+    white = np.zeros((m, 4, 2, 2, m, 4))  # marker, side, kind | direction, marker, corner
+    for direction, normal in enumerate((along[..., 1], -along[..., 0])):
+        for kind, sign in enumerate((1.0, -1.0)):
+            scaled = normal * (0.5 / sigma[:, kind, None])
+            white[k, side, kind, direction, k, side] = scaled
+            white[k, side, kind, direction, k, (side + 1) % 4] = sign * scaled
+    return white.reshape(8 * m, 8 * m)
+
+
+def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
+    """How each ray moves (2n, 1) when all sides lie in by one standard deviation (m,) of their marker."""
+    corners = rays.reshape(-1, 4, 2)
+    along = corners[:, (1, 2, 3, 0)] - corners
+    along /= np.sqrt((along**2).sum(axis=2))[..., None]
+    inward = np.stack((-along[..., 1], along[..., 0]), axis=2)
+    both = std[:, None, None] * (inward + inward[:, (3, 0, 1, 2)])
+    return np.asarray(both.reshape(-1, 2).T.reshape(-1, 1))
+
+
+def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:
+    """Variance (m2) of the place, along each axis, of what no fit to the corners can tell.
+
+    The picture as a whole may be shifted. And what is pushed by a does not keep its velocity through the
+    readout: about its mean over rows that are read in a time T, a t^2 / 2 comes to a T^2 / 24.
+    """
+    span_s = float(delay_s.max() - delay_s.min())
+    return (SHIFT_STD_PX * distance_m / focal_px) ** 2 + (PUSH_STD_M_S2 * span_s**2 / 24.0) ** 2
+
+
+def shaking(delay_s: FloatArray) -> FloatArray:
+    """How what the rotors shake moves the rays (2n, 4k): sine and cosine of k frequencies, right and down.
+
+    At each moment they add up to the variance that each column is given. The shift at the mean row is not
+    among them: the pose holds at its time, shaken as the camera is then.
+    """
+    span_s = float(delay_s.max() - delay_s.min())
+    frequencies = ROTOR_HZ[min(int(span_s / APART_S), len(ROTOR_HZ) - 1)]
+    angle = math.tau * delay_s[:, None] * np.array(frequencies)
+    waves = np.concatenate((np.sin(angle), np.cos(angle) - 1.0), axis=1) / math.sqrt(len(frequencies))
+    n, count = waves.shape
+    both = np.zeros((2 * n, 2 * count))
+    both[:n, :count] = both[n:, count:] = waves
+    return both

@@ -1,0 +1,81 @@
+"""Whether a pose that one marker alone gives is borne out by the rest of the pad's print.
+
+Among enough squares one has the code of a marker by chance, and a single marker fits any pose. Where it lies
+says where the other markers' cells have to be in the image, and how black or white: a pad shows at least one
+of them, though it may be too blurred, dirty or dazzling to be read; clutter does not.
+
+Pixels: u right, v down. Pad frame: metres.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from companion.base.geometry import FloatArray
+from companion.pad import DICTIONARIES, Marker, Pad
+from companion.sense.vision.lens import Lens
+from companion.sense.vision.pose import PadPose
+
+# correlation of brightness and print over a marker's cells
+LIKENESS: Final = 0.5
+# markers whose cells are smaller in the image cannot be told
+CELL_PX: Final = 2.0
+
+
+class PrintCheck:
+    """Knows the print of one pad, cell by cell."""
+
+    def __init__(self, pad: Pad, lens: Lens) -> None:
+        self._lens = lens
+        self._prints = {marker: _cells(marker) for marker in pad.markers}
+
+    def bears_out(self, image: NDArray[np.uint8], pose: PadPose) -> bool:
+        """Whether another marker is where the pose has it, or none is to be seen there."""
+        used = {detection.marker for detection in pose.used}
+        others = [marker for marker in self._prints if marker not in used]
+        likenesses = [
+            likeness for marker in others if (likeness := self._likeness(image, pose, marker)) is not None
+        ]
+        return not likenesses or max(likenesses) >= LIKENESS
+
+    def _likeness(self, image: NDArray[np.uint8], pose: PadPose, marker: Marker) -> float | None:
+        """Correlation of a marker's print with the image; None where it is cut off or too small."""
+        points, white = self._prints[marker]
+        pixels, _ = self._lens.project(points @ pose.camera_from_pad.T + pose.position_camera_m)
+        width, height = self._lens.size_px
+        inside = (pixels > 0.0).all() and (pixels < (width - 1, height - 1)).all()
+        if not inside or float(np.abs(pixels[1] - pixels[0]).max()) < CELL_PX:
+            return None
+        u, v = pixels.astype(np.float32).T
+        grey = cv2.remap(image, u, v, cv2.INTER_LINEAR).reshape(white.shape).astype(np.float64)
+        # any marker's black frame is like another's: the code has to be like by itself, too
+        return min(_correlation(grey, white), _correlation(grey[2:-2, 2:-2], white[2:-2, 2:-2]))
+
+
+def _correlation(a: FloatArray, b: FloatArray) -> float:
+    """Of two pictures of the same size: -1..1."""
+    a, b = a - a.mean(), b - b.mean()
+    return float((a * b).sum() / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9))
+
+
+def _cells(marker: Marker) -> tuple[FloatArray, FloatArray]:
+    """Middles of a marker's cells on the pad (k * k, 3), a row of the white around it included; and how white
+    they are (k, k).
+    """
+    count = marker.cells
+    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
+    code = cv2.aruco.generateImageMarker(dictionary, marker.id, count)
+    white = np.pad(code.astype(np.float64), 1, constant_values=255.0)
+    top_left, top_right, _, bottom_left = marker.corners_pad_m()
+    share = (np.arange(-1, count + 1) + 0.5) / count
+    down, right = np.meshgrid(share, share, indexing="ij")
+    middles = (
+        top_left
+        + right.reshape(-1, 1) * (top_right - top_left)
+        + down.reshape(-1, 1) * (bottom_left - top_left)
+    )
+    return middles, white

@@ -1,0 +1,183 @@
+"""Where in a frame to look for which markers, from where the pad is expected to be.
+
+Far markers (F) are read from afar, medium (M) and close ones (C) as they grow; a group that is seen
+whole, with cells of a few pixels after shrinking the image, is enough. What is hardly legible is looked at
+enlarged as well, and the next smaller group is the last look, so that there is no height at which the eyes
+depend on a single group.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import FloatArray
+from companion.base.messages import MarkerGroup
+from companion.config import VisionConfig
+from companion.pad import Pad
+from companion.sense.vision.aruco import GROUPS, SearchPass
+from companion.sense.vision.lens import Lens
+
+# pixels a cell of the code should keep when the image is shrunk, and the shrinkings that are tried
+CELL_PX: Final = 3.1
+SHRINKINGS: Final = (6, 4, 3, 2, 1)
+# cells of fewer pixels are read with luck: outlines are of whole ones. A look in vain is repeated enlarged so
+ENLARGED: Final = 2
+# markers of the preferred group that should be whole in the image
+ENOUGH_MARKERS: Final = 2
+# a pad expected with a standard deviation above this share of its distance is searched for everywhere
+VAGUE: Final = 0.25
+EDGE_PX: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """One group of markers as it is expected in the image."""
+
+    group: MarkerGroup
+    whole: FloatArray  # (k, 4, 2) corners of the markers that should be whole in the image
+    side_px: float
+    cell_px: float
+
+
+class SearchPlanner:
+    """Knows the pad's corners and the lens, and says where they should appear."""
+
+    def __init__(self, pad: Pad, lens: Lens, config: VisionConfig) -> None:
+        self._lens = lens
+        self._config = config
+        self._middle = 0.5 * np.array(lens.size_px)
+        self._far = np.tile(lens.size_px, 4) - EDGE_PX
+        self._corners = np.array([marker.corners_pad_m() for marker in pad.markers])
+        self._members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
+        # a pad of close markers alone is looked for by these from afar, too
+        far: tuple[MarkerGroup, ...] = ("F", "M")
+        self._far_groups = far if any(m.group in far for m in pad.markers) else GROUPS
+        self._cells = {g: max((m.cells for m in pad.markers if m.group == g), default=1) for g in GROUPS}
+        self._finest_m = min((m.side_m / m.cells for m in pad.markers), default=0.0)
+
+    def whole_frame(self, turn: int, *, near: bool = False) -> tuple[SearchPass, ...]:
+        """Looks over the whole frame when no marker is expected in it: in turn for what is far and is near.
+
+        In full for what is far, and that dear look leaves the close markers out: where they are that
+        small the medium ones are in view. Shrunk for what is near. Half of the cost a frame, and the pad
+        is found a frame later at worst. A pad that is known to be `near` is looked for in every frame.
+        """
+        close = (self._whole(4, GROUPS), self._whole(2, GROUPS))
+        far = (self._whole(1, self._far_groups),)
+        if turn % 2 == 0:
+            return (*close, *far) if near else far
+        return close
+
+    def is_near(self, pad_position_camera_m: FloatArray, position_std_m: float) -> bool:
+        """Whether the pad is so near that its smallest marker can be read in an image shrunk to half.
+
+        Of the pad's centre (3,) and its standard deviation, each axis: it may be farther than expected.
+        """
+        distance = float(np.linalg.norm(pad_position_camera_m))
+        distance += self._config.region_margin_sigma * position_std_m
+        return self._lens.focal_px * self._finest_m >= 2.0 * CELL_PX * distance
+
+    def widened(self, look: SearchPass) -> tuple[SearchPass, ...]:
+        """A look at the whole frame after one in vain, and at what was shrunk much closer ones.
+
+        Larger markers, though none was expected, can be read in them as well, and are worth little more time.
+        Nothing when that would be the same again.
+        """
+        width, height = self._lens.size_px
+        groups = GROUPS[: 1 + max(GROUPS.index(group) for group in look.groups)]
+        covered = 2 * (look.right - look.left) * (look.bottom - look.top) > width * height
+        # what is much shrunk loses most by the frame's edge, and what is blurred most when it is not shrunk
+        closer = sorted({max(look.shrink // 2, 2), 2} if look.shrink > 1 else {1}, reverse=True)
+        same = look.shrink if covered and look.groups == groups else None
+        return tuple(self._whole(s, groups) for s in closer if s != same)
+
+    def _whole(self, shrink: int, groups: tuple[MarkerGroup, ...]) -> SearchPass:
+        width, height = self._lens.size_px
+        return SearchPass(0, 0, width, height, shrink, groups)
+
+    def expected(
+        self, camera_from_pad: FloatArray, pad_position_camera_m: FloatArray, position_std_m: float
+    ) -> tuple[SearchPass, ...]:
+        """At most three looks at where the pad should be; none when it should be out of view or is vague.
+
+        Args:
+            camera_from_pad: rotation (3, 3).
+            pad_position_camera_m: (3,) of the pad's centre.
+            position_std_m: standard deviation of that position, each axis.
+        """
+        distance = float(np.linalg.norm(pad_position_camera_m))
+        if position_std_m > VAGUE * distance:
+            return ()
+        points = self._corners.reshape(-1, 3) @ camera_from_pad.T + pad_position_camera_m
+        pixels, depth = self._lens.project(points)
+        nearest = max(float(depth.min()), 0.05)
+        margin = self._config.region_margin_sigma * position_std_m * self._lens.focal_px / nearest
+        pixels = pixels.reshape(-1, 4, 2)
+        # what should be cut off by the frame's edge may be whole by the expectation's doubt
+        views = self._views(pixels, 0.0) or self._views(pixels, margin)
+        good = [v for v in views if len(v.whole) >= ENOUGH_MARKERS]
+        first = good[0] if good else (views[0] if views else None)
+        if first is None:
+            return ()
+        rank = GROUPS.index(first.group)
+        wide = margin + self._config.region_margin_px
+        look = self._pass(first, wide)
+        if first.cell_px < CELL_PX:
+            # hardly legible: one larger marker that may be in view is worth more than all of these
+            for view in self._views(pixels, margin):
+                look = _both(look, self._pass(view, wide)) if GROUPS.index(view.group) < rank else look
+        later = [v for v in views if GROUPS.index(v.group) > rank]
+        return (look, *self._enlarged(look, first), *(self._pass(v, wide) for v in later[:1]))
+
+    def _enlarged(self, look: SearchPass, view: _View) -> tuple[SearchPass, ...]:
+        """What is hardly legible is looked at enlarged, where that costs no more than the frame in full."""
+        width, height = self._lens.size_px
+        area = (look.right - look.left) * (look.bottom - look.top) * ENLARGED**2
+        if view.cell_px >= CELL_PX or area > width * height:
+            return ()
+        return (replace(look, enlarge=ENLARGED),)
+
+    def _views(self, pixels: FloatArray, slack_px: float) -> list[_View]:
+        views = (self._view(group, pixels, slack_px) for group in GROUPS)
+        return [view for view in views if view is not None]
+
+    def _view(self, group: MarkerGroup, pixels: FloatArray, slack_px: float) -> _View | None:
+        """The group's readable markers: whole in the image, to so many pixels, and large enough."""
+        corners = pixels[self._members[group]]
+        flat = corners.reshape(-1, 8)
+        inside = ((flat > EDGE_PX - slack_px) & (flat < self._far + slack_px)).all(axis=1)
+        whole = corners[inside]
+        if len(whole) == 0:
+            return None
+        top = whole[:, 1] - whole[:, 0]
+        sides = np.sort(np.sqrt((top**2).sum(axis=1)))
+        side = float(sides[len(sides) // 2])
+        if side < self._config.minimum_side_px:
+            return None
+        return _View(group, whole, side, side / self._cells[group])
+
+    def _pass(self, view: _View, margin_px: float) -> SearchPass:
+        """The rectangle about the group's markers nearest to the image's middle."""
+        near, most = view.whole, self._config.maximum_markers
+        if len(near) > most:
+            away = ((0.25 * near.sum(axis=1) - self._middle) ** 2).sum(axis=1)
+            near = near[np.argsort(away, kind="stable")[:most]]
+        margin = margin_px + 0.2 * view.side_px
+        near = near.reshape(-1, 2)
+        low = np.floor(near.min(axis=0) - margin).astype(int).clip(0)
+        high = np.ceil(near.max(axis=0) + margin).astype(int) + 1
+        width, height = self._lens.size_px
+        shrink = next((s for s in SHRINKINGS if view.cell_px >= CELL_PX * s), 1)
+        right, bottom = min(int(high[0]), width), min(int(high[1]), height)
+        return SearchPass(int(low[0]), int(low[1]), right, bottom, shrink, (view.group,))
+
+
+def _both(a: SearchPass, b: SearchPass) -> SearchPass:
+    """One look for what two look for, no coarser than either."""
+    left, top = min(a.left, b.left), min(a.top, b.top)
+    right, bottom = max(a.right, b.right), max(a.bottom, b.bottom)
+    groups = tuple(g for g in GROUPS if g in a.groups or g in b.groups)
+    return SearchPass(left, top, right, bottom, min(a.shrink, b.shrink), groups)

@@ -1,0 +1,1 @@
+"""Flights against the simulator."""

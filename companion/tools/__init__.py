@@ -1,0 +1,1 @@
+"""Tools beside the flight: pads, check, fuzzy, identify."""

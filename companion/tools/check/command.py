@@ -1,0 +1,123 @@
+"""`companion check --pad`: the first-flight check, in the hand, over the pad."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+from rich.console import Console
+from rich.text import Text
+
+from companion.app.calibration_warnings import forced_calibrations
+from companion.app.hardware import open_hardware
+from companion.base.files import write_atomically
+from companion.base.mjpeg import MjpegServer
+from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
+from companion.tools.check.report import cause_lines, report_json, report_table, verdict_line
+from companion.tools.check.session import Outlets, PadCheck
+from companion.tools.check.steps import Say
+from companion.tools.check.wizard import Report
+
+HELP: Final = """Check, before a first flight, that right is right, forward is forward and down is down.
+
+With --pad: take the propellers off, keep the vehicle disarmed and hold it over the pad. You are told what to
+do (hold, raise, move right and forward, turn, lean), each move is recognised by itself, and camera, IMU,
+ultrasonic and compass are held against it and against one another. What is wrong is named with the setting
+that mends it. Exit code 0: all well, 1: something is not, 2: it could not be checked.
+
+\b
+Examples:
+  companion check --pad --config mine.yaml
+  companion check --pad --config mine.yaml --no-link --json check.json
+  companion check --pad --config mine.yaml --serve 8080
+"""
+_STYLES: Final = {
+    "order": ("→ ", "bold"),
+    "good": ("  ok  ", "green"),
+    "bad": ("  NO  ", "bold red"),
+    "note": ("  ", ""),
+}
+
+
+def check_command(
+    *,
+    pad: Annotated[bool, typer.Option("--pad", help="Held by hand over the pad.")] = False,
+    config: Annotated[
+        Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
+    ] = CONFIG_FOLDER / "companion.yaml",
+    no_link: Annotated[
+        bool, typer.Option("--no-link", help="Without an autopilot, which else has to be there and disarmed.")
+    ] = False,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write the result here.", metavar="FILE")
+    ] = None,
+    serve: Annotated[
+        int | None,
+        typer.Option(
+            "--serve",
+            min=0,
+            max=65535,
+            help="Show the picture with its arrows to browsers at 127.0.0.1:PORT (0: a free one).",
+            metavar="PORT",
+        ),
+    ] = None,
+) -> None:
+    """Check, show and write.
+
+    Raises:
+        ConfigError: something the user can mend.
+        Exit: with 1 when something is not well.
+    """
+    if not pad:
+        raise ConfigError("check: expected --pad, the check over the pad")
+    settings = load_config(config)
+    if no_link and (settings.sense.source == "autopilot" or settings.sense.range_by_telemetry):
+        raise ConfigError("--no-link: sense.source is autopilot; expected boards, or the autopilot's link")
+    if json_file is not None and not json_file.resolve().parent.is_dir():
+        raise ConfigError(f"--json {json_file}: cannot be written; expected a file in an existing folder")
+    console = Console()
+    for doubt in forced_calibrations(settings):
+        console.print(f"warning: {doubt}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+    report = asyncio.run(_check(settings, console, linked=not no_link, port=serve))
+    show(report, console)
+    if json_file is not None:
+        write_atomically(json_file, report_json(report))
+    raise typer.Exit(0 if report.passed else 1)
+
+
+async def _check(config: CompanionConfig, console: Console, *, linked: bool, port: int | None) -> Report:
+    page = None if port is None else MjpegServer()
+    try:
+        if page is not None:
+            console.print(f"picture at http://127.0.0.1:{await _open(page, port or 0)}", highlight=False)
+        async with open_hardware(config, linked=linked) as hardware:
+            outlets = Outlets(lambda said: console.print(line(said), highlight=False, soft_wrap=True), page)
+            return await PadCheck(config, hardware, outlets, linked=linked).run()
+    finally:
+        if page is not None:
+            await page.close()
+
+
+async def _open(page: MjpegServer, port: int) -> int:
+    try:
+        return await page.start(port)
+    except OSError as error:
+        raise ConfigError(
+            f"--serve {port}: cannot be listened at: {error.strerror}; expected a free port"
+        ) from error
+
+
+def show(report: Report, console: Console) -> None:
+    """The table, the likely causes and the verdict."""
+    console.print(report_table(report))
+    for cause in cause_lines(report):
+        console.print(Text(cause), soft_wrap=True)
+    console.print(Text(verdict_line(report), style="green" if report.passed else "bold red"), soft_wrap=True)
+
+
+def line(said: Say) -> Text:
+    """One line for a person."""
+    lead, style = _STYLES[said.kind]
+    return Text(f"{lead}{said.text}", style=style)

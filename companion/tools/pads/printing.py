@@ -1,0 +1,200 @@
+"""A pad on paper at its true size: one large sheet, or tiles to be cut along marks and laid edge to edge.
+
+Each sheet has a ruler to check the print by; tiles come with a plan of where each goes and of which marker is
+which. On paper, x of the pad (its heading, the front) is up and y to the right; millimetres from the sheet's
+lower left corner.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import Final
+
+import cv2
+
+from companion.base.page import RULER_MM, Page, Point, Rectangle, code_rectangles
+from companion.base.paper import FOOT_MM, PAPERS_MM
+from companion.pad import DICTIONARIES, Marker, Pad
+from companion.pad.rules import extent
+from companion.pad.sheet import Tiling
+from companion.tools.pads.labels import SIZE_PT, Label, grouped, place_labels
+
+# black goes on for so much beyond a cut, lest a cut beside its mark leave a white line
+BLEED_MM: Final = 1.0
+# cut marks begin and end so far from the corner
+MARK_MM: Final = (1.5, 5.0)
+TEXT_PT: Final = 5.0
+LINE_MM: Final = 2.2
+CHARACTER_MM: Final = 1.0
+PLAN_MARGIN_MM: Final = 15.0
+PLAN_HEAD_MM: Final = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One sheet's part of the board, in the pad frame (m), and its lower left corner on the sheet."""
+
+    number: int
+    row: int  # from the front
+    column: int  # from the left
+    along_m: tuple[float, float]
+    across_m: tuple[float, float]
+    corner_mm: Point
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height."""
+        return 1e3 * (self.across_m[1] - self.across_m[0]), 1e3 * (self.along_m[1] - self.along_m[0])
+
+    def on_sheet_mm(self, point_pad_m: tuple[float, float]) -> Point:
+        """Where a point (x, y) of the pad is on the sheet."""
+        x, y = point_pad_m
+        left, bottom = self.corner_mm
+        return left + 1e3 * (y - self.across_m[0]), bottom + 1e3 * (x - self.along_m[0])
+
+    def holds(self, point_pad_m: tuple[float, float]) -> bool:
+        """Whether a point (x, y) of the pad is on it."""
+        x, y = point_pad_m
+        return self.along_m[0] <= x <= self.along_m[1] and self.across_m[0] <= y <= self.across_m[1]
+
+
+def tiles(pad: Pad, tiling: Tiling) -> list[Tile]:
+    """The sheets, row by row from the front left."""
+    rows = list(pairwise(tiling.along_m))[::-1]
+    columns = list(pairwise(tiling.across_m))
+    room_width, room_height = (1e3 * side for side in pad.sheet.room_m(tiling.page_m))
+    made = []
+    for number, ((row, along), (column, across)) in enumerate(
+        product(enumerate(rows, 1), enumerate(columns, 1)), 1
+    ):
+        width, height = 1e3 * (across[1] - across[0]), 1e3 * (along[1] - along[0])
+        left = 1e3 * pad.sheet.margin_m + 0.5 * (room_width - width)
+        bottom = 1e3 * pad.sheet.margin_m + FOOT_MM + 0.5 * (room_height - height)
+        made.append(Tile(number, row, column, along, across, (left, bottom)))
+    return made
+
+
+def draw_pad(pad: Pad) -> list[Page]:
+    """All sheets, and after tiles the plan."""
+    tiling = pad.tiling()
+    sheets = tiles(pad, tiling)
+    labels, unlabelled = place_labels(pad, tiling)
+    black = [corners for marker in pad.markers for corners in black_cells(marker)]
+    pages = []
+    for sheet in sheets:
+        page = Page(*(1e3 * side for side in tiling.page_m))
+        _draw_tile(page, sheet, black, labels)
+        told = [marker for marker in unlabelled if sheet.holds(marker.position_pad_m)]
+        _draw_foot(page, pad, sheet, len(sheets), told)
+        pages.append(page)
+    return [*pages, _plan(pad, tiling, sheets)] if len(sheets) > 1 else pages
+
+
+def black_cells(marker: Marker) -> list[list[tuple[float, float]]]:
+    """The black of a marker as rectangles, corners (x, y) in the pad frame (m)."""
+    (x0, y0), (x1, y1), _, (x3, y3) = marker.square_pad_m()
+    # from the top left corner to the right, and down the code
+    right, down = (x1 - x0, y1 - y0), (x3 - x0, y3 - y0)
+    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[marker.dictionary])
+    return [
+        [
+            (x0 + u * right[0] + v * down[0], y0 + u * right[1] + v * down[1])
+            for u, v in ((left, top), (end, top), (end, bottom), (left, bottom))
+        ]
+        for left, top, end, bottom in code_rectangles(dictionary, marker.id)
+    ]
+
+
+def clip(corners: Sequence[Point], within: Rectangle) -> list[Point]:
+    """The part of a convex polygon within a rectangle (left, top, right, bottom; y up); maybe nothing."""
+    left, top, right, bottom = within
+    kept = list(corners)
+    for axis, sign, bound in ((0, 1.0, left), (0, -1.0, right), (1, 1.0, bottom), (1, -1.0, top)):
+        kept = list(_clip_half(kept, axis, sign, bound))
+    return kept
+
+
+def _clip_half(corners: list[Point], axis: int, sign: float, bound: float) -> Iterator[Point]:
+    """What is on the side of a line where sign * (coordinate - bound) is positive (Sutherland-Hodgman)."""
+    for a, b in zip(corners, [*corners[1:], *corners[:1]], strict=True):
+        inside_a, inside_b = (sign * (point[axis] - bound) for point in (a, b))
+        if inside_a >= 0.0:
+            yield a
+        if inside_a * inside_b < 0.0:
+            share = inside_a / (inside_a - inside_b)
+            yield a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+
+
+# ---------------------------------------------------------------- a sheet
+
+
+def _draw_tile(
+    page: Page, sheet: Tile, black: list[list[tuple[float, float]]], labels: Sequence[Label]
+) -> None:
+    (left, bottom), (width, height) = sheet.corner_mm, sheet.size_mm
+    right, top = left + width, bottom + height
+    window = (left - BLEED_MM, top + BLEED_MM, right + BLEED_MM, bottom - BLEED_MM)
+    pieces = (clip([sheet.on_sheet_mm(corner) for corner in cell], window) for cell in black)
+    page.fill(piece for piece in pieces if len(piece) > 2)
+    corners = ((left, bottom, -1, -1), (right, bottom, 1, -1), (left, top, -1, 1), (right, top, 1, 1))
+    for x, y, away_x, away_y in corners:
+        sideways = [(x + away_x * mark, y) for mark in MARK_MM]
+        page.lines([sideways, [(x, y + away_y * mark) for mark in MARK_MM]])
+    for label in labels:
+        if sheet.holds(label.at_pad_m):
+            page.text(sheet.on_sheet_mm(label.at_pad_m), label.words, SIZE_PT, va="center")
+    page.text((0.5 * (left + right), top + MARK_MM[0]), "▲ front (x of the pad)", TEXT_PT, va="bottom")
+
+
+def _draw_foot(page: Page, pad: Pad, sheet: Tile, count: int, told: list[Marker]) -> None:
+    margin_mm = 1e3 * pad.sheet.margin_m
+    page.ruler(margin_mm, margin_mm)
+    board = f"{pad.name}: {1e3 * pad.width_m:g} x {1e3 * pad.length_m:g} mm"
+    where = f", sheet {sheet.number} of {count} (row {sheet.row} from the front, column {sheet.column})"
+    words = [
+        board + (where if count > 1 else "") + ".",
+        f"Print at 100 %: the ruler is {RULER_MM} mm long. Cut from mark to mark"
+        + ("; lay the sheets edge to edge." if count > 1 else "."),
+        *grouped(told),
+    ]
+    left = margin_mm + RULER_MM + 8.0
+    characters = int((page.size_mm[0] - margin_mm - left) / CHARACTER_MM)
+    lines = [line for text in words for line in textwrap.wrap(text, max(characters, 20))]
+    for k, line in enumerate(lines):
+        page.text((left, margin_mm + 8.0 - LINE_MM * k), line, TEXT_PT, ha="left")
+
+
+# ---------------------------------------------------------------- the plan
+
+
+def _plan(pad: Pad, tiling: Tiling, sheets: Sequence[Tile]) -> Page:
+    """Where each sheet and each marker goes, to no scale."""
+    paper = pad.sheet.paper
+    page = Page(*(PAPERS_MM["a4"] if paper == "large" else PAPERS_MM[paper]))
+    width, height = (side - 2.0 * PLAN_MARGIN_MM for side in page.size_mm)
+    scale = min(width / pad.width_m, (height - PLAN_HEAD_MM) / pad.length_m)
+    top = page.size_mm[1] - PLAN_MARGIN_MM
+    middle = 0.5 * page.size_mm[0], top - PLAN_HEAD_MM - 0.5 * scale * pad.length_m
+
+    def on_plan(point_pad_m: tuple[float, float]) -> Point:
+        return middle[0] + scale * point_pad_m[1], middle[1] + scale * point_pad_m[0]
+
+    page.text((middle[0], top), f"{pad.name}: plan, not to scale", 10)
+    page.text((middle[0], top - 8.0), f"{len(sheets)} sheets; numbers in markers are their ids", 7)
+    x, y = 0.5 * pad.length_m, 0.5 * pad.width_m
+    page.text(on_plan((x + 4.0 / scale, 0.0)), "▲ front (x of the pad)", 7, va="center")
+    page.lines([[on_plan((cut, -y)), on_plan((cut, y))] for cut in tiling.along_m], dashed=True)
+    page.lines([[on_plan((-x, cut)), on_plan((x, cut))] for cut in tiling.across_m], dashed=True)
+    for sheet in sheets:
+        corner = on_plan((sheet.along_m[1], sheet.across_m[0]))
+        page.text((corner[0] + 1.0, corner[1] - 1.0), f"sheet {sheet.number}", 7, ha="left", grey=0.4)
+    for marker in pad.markers:
+        corners = [on_plan(corner) for corner in marker.square_pad_m()]
+        page.lines([[*corners, corners[0]]], 0.6)
+        # three digits fit into a square at this size
+        (left, right), _ = extent(tuple(corners))
+        page.text(on_plan(marker.position_pad_m), f"{marker.id}", min(8.0, 1.1 * (right - left)), va="center")
+    return page

@@ -1,0 +1,1 @@
+"""ArduPilot's profile."""

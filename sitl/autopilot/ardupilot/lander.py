@@ -1,0 +1,199 @@
+"""ArduPilot's precision landing on LANDING_TARGET (AC_PrecLand and ModeLand of 4.6), in its main lines.
+
+The target is a constant-velocity filter relative to the vehicle, in the own NED, at the time of PLND_LAG ago;
+it is fed with the vector in body axes and the own velocity's changes. The target's velocity is fed forward if
+PLND_OPTIONS says that targets move, its acceleration never is. It sinks at LAND_SPEED within
+PLND_XY_DIST_MAX, at half that or less between 2 and 0.35 m. A target lost is waited for, then sought where it
+was last seen, at most PLND_RET_MAX times. Parameters are read at boot. Without a range finder the height over
+home takes its place. SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from math import inf, nan
+
+from companion.base.geometry import Vector3, norm, quat_rotate, scale
+from sitl.autopilot.control.setpoints import MotionSetpoint
+from sitl.autopilot.flight.landing_target import AxisFilter, Sight, SightFrame, View, direction_from_angles
+from sitl.autopilot.flight.modes import Severity
+from sitl.autopilot.flight.parameters import Parameters
+
+_MAVLINK_TYPE = 1
+_MOVING_OPTION = 1
+_RAW = 0
+_FRESH_S = 2.0
+_EARLY_S = 1e-6
+_LOOP_S = 0.0025  # the real filter's pace, which its noise is given for
+_VELOCITY_VAR = 4.0
+_SURPRISING = 3.0
+_REJECTS_BEFORE_TAKING = 3
+_SLOW_BAND_M = (0.35, 2.0)
+_SLOWEST_M_S = 0.10
+_ACCEPTABLE_M = 0.15
+_BACK_WITHIN_M = 0.5
+_VERY_STRICT, _NOT_STRICT = 2, 0
+
+
+class ArduPilotLander:
+    """One boot's precision landing."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.texts: list[tuple[Severity, str]] = []
+        self._moves = bool(int(parameters["PLND_OPTIONS"]) & _MOVING_OPTION)
+        self._raw = int(parameters["PLND_EST_TYPE"]) == _RAW
+        self._noise_m_s2 = parameters["PLND_ACC_P_NSE"]
+        self._lag_s = parameters["PLND_LAG"]
+        self._furthest_m = parameters["PLND_XY_DIST_MAX"]
+        self._strict = int(parameters["PLND_STRICT"])
+        self._most_retries = int(parameters["PLND_RET_MAX"])
+        self._timeout_s = parameters["PLND_TIMEOUT"]
+        self._lowest_retry_m = parameters["PLND_ALT_MIN"]
+        self._pending: Sight | None = None
+        self._views: deque[View] = deque()
+        self._then: View | None = None
+        self._axes: tuple[AxisFilter, AxisFilter] | None = None
+        self._rejected = 0
+        self._below_m = 0.0
+        self._seen_s = -inf
+        self._told_frame = False
+        self.begin(required=False)
+
+    def see(self, sight: Sight) -> None:
+        """Keep the newest; it is fused at the next step."""
+        self._pending = sight
+
+    def begin(self, *, required: bool) -> None:
+        """A landing begins."""
+        self._found = False
+        self._retries = 0
+        self._last_seen_at: Vector3 | None = None
+        self._retrying = False
+
+    # ------------------------------------------------------------ the target
+
+    def watch(self, view: View, dt_s: float) -> None:
+        """Predict, and fuse what has come; all of it at the time of PLND_LAG ago."""
+        self._views.append(view)
+        before, then = self._then, self._views[0]
+        while len(self._views) > 1 and self._views[1].now_s <= view.now_s - self._lag_s + _EARLY_S:
+            self._views.popleft()
+            then = self._views[0]
+        self._then = then
+        if view.now_s - self._seen_s > _FRESH_S:
+            self._axes = None
+        if self._axes is not None and before is not None:
+            noise = self._noise_m_s2 * self._noise_m_s2 * _LOOP_S * dt_s
+            for index, axis in enumerate(self._axes):
+                change = then.velocity_ned_m_s[index] - before.velocity_ned_m_s[index]
+                axis.predict(then.now_s - before.now_s, change, noise)
+        if self._pending is not None:
+            sight, self._pending = self._pending, None
+            self._fuse(sight, view, then)
+
+    def _fuse(self, sight: Sight, view: View, then: View) -> None:
+        body = self._vector(sight, then.height_m)
+        if body is None:
+            return
+        away = quat_rotate(then.attitude, body)
+        if away[2] <= 0.0:
+            return
+        variance = (away[2] * 0.01 + 0.02) ** 2
+        self._below_m, self._seen_s = away[2], view.now_s
+        self._last_seen_at = view.position_ned_m
+        if self._axes is None or self._raw:
+            (north, east, _), (vn, ve, _) = away, then.velocity_ned_m_s
+            self._axes = (
+                AxisFilter(north, -vn, variance, _VELOCITY_VAR),
+                AxisFilter(east, -ve, variance, _VELOCITY_VAR),
+            )
+            return
+        pairs = list(zip(self._axes, away, strict=False))
+        surprising = max(axis.surprise(measured, variance) for axis, measured in pairs) > _SURPRISING
+        if surprising and self._rejected < _REJECTS_BEFORE_TAKING:
+            self._rejected += 1
+            return
+        self._rejected = 0
+        for axis, measured in pairs:
+            axis.fuse(measured, variance)
+
+    def _now(self, axes: tuple[AxisFilter, AxisFilter], view: View, dt_s: float) -> tuple[Vector3, Vector3]:
+        """Where the target is by now in the own NED, and how fast, from the state of PLND_LAG ago."""
+        then = self._views[0]
+        place, speed = [], []
+        for index, axis in enumerate(axes):
+            own = sum(later.velocity_ned_m_s[index] for later in list(self._views)[1:]) * dt_s
+            speed.append(axis.velocity_m_s + then.velocity_ned_m_s[index])
+            moved = speed[index] * (view.now_s - then.now_s)
+            place.append(view.position_ned_m[index] + axis.position_m + moved - own)
+        return (place[0], place[1], nan), (speed[0], speed[1], nan)
+
+    def _vector(self, sight: Sight, height_m: float) -> Vector3 | None:
+        """The target from the vehicle in body axes (m)."""
+        if sight.position_m is None:
+            unit = direction_from_angles(sight.angles_rad)
+        elif sight.frame != SightFrame.BODY_FRD:
+            if not self._told_frame:
+                self.texts.append((Severity.INFO, "Plnd: Frame not supported"))
+            self._told_frame = True
+            return None
+        else:
+            length = norm(sight.position_m)
+            unit = scale(sight.position_m, 1.0 / length) if length > 0.01 else None
+        if unit is None or unit[2] <= 0.0:
+            return None
+        distance = sight.distance_m if sight.distance_m > 0.0 else max(height_m, 0.0) / unit[2]
+        return scale(unit, distance)
+
+    # ------------------------------------------------------------ the landing
+
+    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+        """Down over the target; a lost one is waited for, sought, and in the end given up."""
+        if self._axes is None or view.now_s - self._seen_s > _FRESH_S:
+            return self._without(view)
+        if not self._found:
+            self.texts.append((Severity.INFO, "PrecLand: Target Found"))
+        self._found, self._retrying = True, False
+        (north, east, _), velocity = self._now(self._axes, view, dt_s)
+        speed = velocity[:2] if self._moves and not self._raw else (0.0, 0.0)
+        error = math.hypot(north - view.position_ned_m[0], east - view.position_ned_m[1])
+        return MotionSetpoint((north, east, nan), (*speed, self._sink(error, view.landing_speed_m_s)))
+
+    def _sink(self, error_m: float, landing_speed_m_s: float) -> float:
+        if error_m > self._furthest_m > 0.0:
+            return 0.0
+        low, high = _SLOW_BAND_M
+        if not low < self._below_m < high:
+            return landing_speed_m_s
+        half = 0.5 * landing_speed_m_s
+        return max(_SLOWEST_M_S, half - error_m * half / _ACCEPTABLE_M)
+
+    def _without(self, view: View) -> MotionSetpoint | None:
+        lost = self._found and view.height_m > self._lowest_retry_m
+        if not self._found or not lost or self._strict == _NOT_STRICT:
+            return self._give_up(view) if self._strict == _VERY_STRICT else None
+        waiting = view.now_s - self._seen_s < _FRESH_S + self._timeout_s
+        if waiting or self._last_seen_at is None:
+            return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
+        if not self._retrying:
+            if self._retries >= self._most_retries:
+                return self._give_up(view)
+            self._retries += 1
+            self._retrying = True
+            self.texts.append((Severity.INFO, "PrecLand: Retrying"))
+        if math.dist(self._last_seen_at, view.position_ned_m) < _BACK_WITHIN_M:
+            self._retrying, self._seen_s = False, view.now_s - _FRESH_S  # there, and nothing: wait once more
+        return MotionSetpoint(self._last_seen_at)
+
+    def _give_up(self, view: View) -> MotionSetpoint | None:
+        """Land where it is, or hover when told to be very strict."""
+        if self._strict == _VERY_STRICT:
+            return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
+        return None
+
+
+def ardupilot_lander(parameters: Parameters) -> ArduPilotLander | None:
+    """The precision landing that the parameters ask for at boot, None without."""
+    enabled = parameters["PLND_ENABLED"] >= 1.0 and int(parameters["PLND_TYPE"]) == _MAVLINK_TYPE
+    return ArduPilotLander(parameters) if enabled else None

@@ -1,0 +1,219 @@
+"""ArduPilot's manners: mode numbers, texts, results and rules of ArduCopter 4.6.
+
+Taken from a recording of ArduCopter with its own simulator.
+The landed detector takes 2 s; the recording shows 2.5 s from contact.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
+from sitl.autopilot.ardupilot.control import ArdupilotControl
+from sitl.autopilot.ardupilot.lander import ardupilot_lander
+from sitl.autopilot.ardupilot.parameters import PARAMETERS
+from sitl.autopilot.control.attitude_control import AttitudeGains, ReferenceLimits
+from sitl.autopilot.control.rate_control import RateFilters, ShareGains
+from sitl.autopilot.flight.mission_items import Command, MissionRules
+from sitl.autopilot.flight.modes import (
+    ArmingCheck,
+    Failsafe,
+    Mode,
+    ModeCheck,
+    Response,
+    Result,
+    Severity,
+    StickLaw,
+    Task,
+)
+from sitl.autopilot.flight.parameters import Setting
+from sitl.autopilot.flight.profile import (
+    FLAG_CUSTOM,
+    FLAG_GUIDED,
+    FLAG_MANUAL,
+    FLAG_STABILIZE,
+    Manner,
+    Settings,
+    Texts,
+    aligned,
+    landed_after_flight,
+    level,
+    mission_missing,
+    mode_armable,
+    not_from_flight,
+)
+
+_GUIDED = FLAG_CUSTOM | FLAG_GUIDED | FLAG_STABILIZE | FLAG_MANUAL
+_STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
+
+ARDUPILOT = Manner(
+    name="ardupilot",
+    autopilot_id=3,
+    custom_mode=lambda main, sub: main,
+    flight_version=4 << 24 | 6 << 16,
+    # PARAM_FLOAT, MISSION_INT, COMMAND_INT, SET_ATTITUDE_TARGET, SET_POSITION_TARGET_*, MAVLINK2
+    capabilities=2 | 4 | 8 | 64 | 128 | 256 | 8192,
+    parameters_bytewise=False,
+    alignment_s=5.0,
+    home_s=3.0,
+    landed_time_s=1.0,
+    landed_thrust_share=0.15,
+    still_speed_m_s=1.0,
+    modes=(
+        Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False, sticks=StickLaw.ANGLE_AND_THRUST),
+        Mode("ALT_HOLD", 2, _STICKS, Task.HOLD, sticks=StickLaw.ANGLE_AND_CLIMB),
+        Mode("AUTO", 3, _GUIDED, Task.MISSION, armable=False),
+        Mode("GUIDED", 4, _GUIDED, Task.HOLD, takes_setpoints=True, takes_positions=True),
+        Mode("LOITER", 5, _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY),
+        Mode("RTL", 6, _GUIDED, Task.RETURN, armable=False),
+        Mode("LAND", 9, _GUIDED, Task.LAND, armable=False),
+        Mode("POSHOLD", 16, _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY),
+        Mode("BRAKE", 17, _STICKS, Task.HOLD, armable=False),
+        Mode("SMART_RTL", 21, _GUIDED, Task.RETURN, armable=False, offered=False),
+    ),
+    boot_mode="STABILIZE",
+    after_disarm_mode="",
+    take_off_mode="GUIDED",
+    after_take_off_mode="GUIDED",
+    hold_mode="LOITER",
+    land_mode="LAND",
+    return_mode="RTL",
+    read_motion=ardupilot_setpoints.read_motion,
+    read_attitude=ardupilot_setpoints.read_attitude,
+    as_aged=ardupilot_setpoints.as_aged,
+    external_needs_setpoints=False,
+    takes_off_by_setpoint=False,
+    take_off_needs_guided=True,
+    thrust_is_climb_rate=True,
+    thrust_is_upward=True,
+    forward_is_low=True,
+    turns_by_command=True,
+    refused_mode=Result.FAILED,
+    refused_selection=Result.FAILED,
+    refused_arming=Result.FAILED,
+    refused_disarming=Result.FAILED,
+    refused_disarming_text="",
+    unsupported_request=Result.FAILED,
+    settings=Settings(
+        setpoint_timeout=Setting("GUID_TIMEOUT"),
+        cruise_speed=Setting("WPNAV_SPEED", 0.01),
+        top_speed=Setting("WPNAV_SPEED", 0.01),
+        climb_speed=Setting("WPNAV_SPEED_UP", 0.01),
+        descent_speed=Setting("WPNAV_SPEED_DN", 0.01),
+        take_off_speed=Setting("WPNAV_SPEED_UP", 0.01),
+        landing_speed=Setting("LAND_SPEED_HIGH", 0.01),
+        final_landing_speed=Setting("LAND_SPEED", 0.01),
+        final_landing_height=Setting("LAND_ALT_LOW", 0.01),
+        return_height=Setting("RTL_ALT", 0.01),
+        acceptance_radius=Setting("WPNAV_RADIUS", 0.01),
+        radio_timeout=Setting("RC_OVERRIDE_TIME"),
+        stick_speed=Setting("LOIT_SPEED", 0.01),
+        stick_climb=Setting("PILOT_SPEED_UP", 0.01),
+        stick_descent=Setting("PILOT_SPEED_DN", 0.01),
+        stick_tilt=Setting("ANGLE_MAX", math.pi / 18000.0),
+        stick_yaw_rate=Setting("PILOT_Y_RATE", math.pi / 180.0),
+        radio_watched=Setting("FS_THR_ENABLE"),
+        own_ground_station=Setting("SYSID_MYGCS"),
+        guided_options=Setting("GUID_OPTIONS"),
+    ),
+    texts=Texts(
+        boot=("ArduPilot Ready", "AHRS: DCM active"),
+        aligned=("EKF3 IMU0 origin set", "EKF3 IMU0 is using GPS"),
+        armed="Arming motors",
+        disarmed="Disarming motors",
+        lifted="",
+        landed="",
+        landing="",
+        no_such_mode="No such mode {number}",
+    ),
+    mode_checks=(
+        ModeCheck(lambda mode, _now: not mode.offered, "Mode change to {mode} failed: init failed"),
+        ModeCheck(mission_missing, "Mode change to {mode} failed: init failed"),
+        ModeCheck(
+            lambda mode, now: (
+                mode.task is Task.MISSION and now.armed and now.landed and not now.mission_climbs
+            ),
+            "Auto: Missing Takeoff Cmd",
+        ),
+        ModeCheck(not_from_flight, "Mode change to {mode} failed: throttle too high"),
+    ),
+    arming_checks=(
+        ArmingCheck(mode_armable, "Arm: Mode not armable"),
+        ArmingCheck(aligned, "Arm: Need Position Estimate"),
+        ArmingCheck(level, "Arm: Leaning"),
+        ArmingCheck(lambda now: not now.throttle_up, "Arm: Throttle too high"),
+    ),
+    failsafes=(
+        Failsafe(
+            "landed in LAND",
+            lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
+            0.05,  # the mission hears of its landing first
+            Response.DISARM,
+            Severity.INFO,
+            "Disarming motors",
+        ),
+        Failsafe(
+            "radio lost",
+            lambda now: now.radio_lost and not now.landed,
+            0.5,
+            Response.LEAVE_MODE,
+            Severity.WARNING,
+            "Radio Failsafe - RTL",
+            mode="RTL",
+            over=lambda now: now.radio,
+        ),
+        Failsafe(
+            "on the ground", lambda now: now.landed, 10.0, Response.DISARM, Severity.INFO, "Disarming motors"
+        ),
+        Failsafe(
+            "crashed",
+            lambda now: not now.landed and now.tilt_rad > math.radians(45.0),
+            2.0,
+            Response.DISARM,
+            Severity.CRITICAL,
+            "Crash: Disarming: AngErr=45>30",
+        ),
+    ),
+    parameters=PARAMETERS,
+    mission=MissionRules(
+        flown=frozenset(Command),
+        # change of altitude, servo, relay, ROI, mounts, camera, gimbal: taken whether or not there is one
+        unheeded=frozenset({113, 181, 182, 183, 184, 195, 197, 201, 202, 203, 205, 206, 211, 222, 223})
+        | frozenset({1000, 2000, 2500, 2501}),
+        max_items=724,
+        retry_s=1.0,
+        timeout_s=8.0,
+        home_first=True,
+        asks_for_integers=False,
+        writes_in_place=True,
+        restarts=True,
+        partial_lists=True,
+        own_take_off=False,
+        waits_for_start=True,
+        heeds_heading=False,
+        rewinds_on_disarm=True,
+        received_text="Flight plan received",
+        timeout_text="Mission upload timeout",
+        unknown_current_text="",
+        item_text="Mission: {number}",
+        reached_text="Reached command #{number}",
+        finished_text="",
+    ),
+    lander=ardupilot_lander,
+    lands_precisely=frozenset({Task.LAND, Task.PRECISION_LAND}),
+    position_control=ArdupilotControl,
+    attitude_gains=AttitudeGains(
+        tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P
+        yaw_p=4.5,  # ATC_ANG_YAW_P
+        # ATC_RAT_RLL_P, _I, _D, _IMAX, ATC_RAT_YAW_P, _I, _D, _IMAX; a whole 1 is half of each motor's range
+        shares=ShareGains((0.135, 0.18), (0.135, 0.018), (0.0036, 0.0), (0.5, 0.5), 1.0, 2.0),
+        # INS_GYRO_FILTER, ATC_RAT_RLL_FLTD, ATC_RAT_RLL_FLTT, ATC_RAT_YAW_FLTE
+        filters=RateFilters(20.0, 20.0, target_hz=20.0, yaw_error_hz=2.5, damps_error=True),
+        # ATC_INPUT_TC, ATC_ACCEL_R_MAX and _P_MAX 110000, ATC_ACCEL_Y_MAX 27000 cdeg/s², ATC_SLEW_YAW
+        reference=ReferenceLimits(0.15, math.radians(1100.0), math.radians(270.0), math.radians(60.0)),
+    ),
+    throttle_hz=2.0,  # POSCONTROL_THROTTLE_CUTOFF_FREQ_HZ
+    outer_period_s=0.0025,  # SCHED_LOOP_RATE
+    imu_messages=("RAW_IMU", "SCALED_IMU"),
+    imu_filter=4,  # 20 Hz: INS_GYRO_FILTER and INS_ACCEL_FILTER
+)

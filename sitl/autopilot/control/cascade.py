@@ -1,0 +1,215 @@
+"""The control cascade and its life on the ground: idle, spool up, fly, feel the ground, idle again.
+
+`outer` at 100 Hz turns a setpoint into attitude and thrust, `step` at the physics' pace turns these into
+motor commands. On the ground with idling motors every integral stays empty. NED in the autopilot's own
+frame, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+
+from companion.base.geometry import IDENTITY, ZERO3, Quaternion, add, yaw_from_quat
+from sitl.autopilot.control.airframe import Airframe, hover_thrust
+from sitl.autopilot.control.attitude_control import AttitudeControl, AttitudeReference, turn_about_down
+from sitl.autopilot.control.estimator import Estimator
+from sitl.autopilot.control.landed import LandedDetector
+from sitl.autopilot.control.mixer import Mixer, Motors
+from sitl.autopilot.control.position_control import lean_cosine
+from sitl.autopilot.control.rate_control import RateGains
+from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
+from sitl.autopilot.control.shaping import low_pass
+from sitl.autopilot.flight.profile import Manner
+
+STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
+_IDLE = 0.04
+_IDLING: Motors = (_IDLE, _IDLE, _IDLE, _IDLE)
+_SPOOL_UP_S = 1.2
+# in suspected contact the thrust is taken back at this rate, down to this share
+_TAKE_BACK_PER_S = 2.0
+_LEAST_SHARE = 0.2
+# full scale of the thrust field where it means a climb rate (ArduPilot's default speeds)
+_CLIMB_RATE_M_S = 2.5
+_DESCENT_RATE_M_S = 1.5
+_DESCENDING_M_S = 0.05
+
+
+class Cascade:
+    """Controllers of one airframe with one manner's gains, and the landed detector."""
+
+    def __init__(self, manner: Manner, airframe: Airframe, rates: RateGains | None = None) -> None:
+        self._hover = hover_thrust(airframe)
+        gains = manner.attitude_gains
+        self._position = manner.position_control(self._hover)
+        self._thrust_is_upward = manner.thrust_is_upward
+        self._throttle_hz = manner.throttle_hz
+        self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe))
+        self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
+        self._mixer = Mixer(airframe, _IDLE)
+        self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)
+        self._spool = 0.0
+        self._share = 1.0
+        self._feed_rate = ZERO3
+        self._rates_alone = False
+        self.thrust = self._throttle = 0.0
+        self.attitude_setpoint: Quaternion = IDENTITY
+
+    @property
+    def landed(self) -> bool:
+        """On the ground, motors idle at most."""
+        return self._detector.landed
+
+    @property
+    def airborne(self) -> bool:
+        """Off the ground and spooled up."""
+        return not self._detector.landed and self._spool >= 1.0
+
+    def settle(self, estimate: Estimator) -> None:
+        """Idle: empty the integrals and take the present heading as the one to keep."""
+        self._position.reset(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
+        self._attitude.reset()
+        self._spool, self._share, self.thrust = 0.0, 1.0, 0.0
+        self._throttle = 0.0
+        self._feed_rate, self._rates_alone = ZERO3, False
+        self.attitude_setpoint = self._position.attitude
+        if self._reference is not None:
+            self._reference.reset(self.attitude_setpoint)
+
+    def disarm(self, estimate: Estimator) -> None:
+        """Motors off: wherever that is, the next flight starts from the ground."""
+        self._detector = LandedDetector(self._detector.landed_time_s, self._detector.low_thrust_share)
+        self.settle(estimate)
+
+    def lift_off(self) -> None:
+        """Leave the ground: the motors spool up over the next second."""
+        self._detector.lift_off()
+
+    def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: Estimator) -> bool:
+        """Does a setpoint ask for a climb, as from the ground?"""
+        if isinstance(setpoint, AttitudeSetpoint):
+            return setpoint.thrust > 1.02 * self._hover
+        return (
+            setpoint.velocity_ned_m_s[2] < -0.1
+            or setpoint.position_ned_m[2] < estimate.position_ned_m[2] - 0.3
+            or setpoint.acceleration_ned_m_s2[2] < -1.0
+        )
+
+    def outer(
+        self,
+        setpoint: MotionSetpoint | AttitudeSetpoint,
+        estimate: Estimator,
+        thrust_is_climb_rate: bool,
+        still_speed_m_s: float,
+        dt_s: float,
+    ) -> None:
+        """One outer step in flight."""
+        frozen = self._spool < 1.0
+        self._spool = min(1.0, self._spool + dt_s / _SPOOL_UP_S)
+        if isinstance(setpoint, AttitudeSetpoint):
+            descending = self._follow_attitude(setpoint, estimate, thrust_is_climb_rate, dt_s, frozen)
+        else:
+            descending = self._follow_motion(setpoint, estimate, dt_s, frozen)
+        if frozen:
+            self.thrust = min(self.thrust, self._spool)
+        else:
+            self._feel_ground(descending, estimate, still_speed_m_s, dt_s)
+
+    def step(self, estimate: Estimator, dt_s: float) -> Motors:
+        """Motor commands 0..1 of an armed vehicle."""
+        if self._detector.landed:
+            return _IDLING
+        reference, wanted, feed = self._reference, self.attitude_setpoint, self._feed_rate
+        if reference is not None and not self._rates_alone:
+            reference.step(wanted, feed, dt_s)
+            wanted, feed = reference.attitude, reference.rate
+        torque = self._attitude.step(
+            estimate.attitude,
+            estimate.rate_body_rad_s,
+            None if self._rates_alone else wanted,
+            feed,
+            dt_s,
+            frozen=self._spool < 1.0 or self._mixer.saturated or self._detector.contact,
+        )
+        return self._mixer.mix(self.thrust, torque)
+
+    def _follow_motion(
+        self, setpoint: MotionSetpoint, estimate: Estimator, dt_s: float, frozen: bool
+    ) -> bool:
+        """Fly a motion; returns whether it is a descent."""
+        law = self._position
+        law.step(
+            estimate.position_ned_m,
+            estimate.velocity_ned_m_s,
+            estimate.acceleration_ned_m_s2,
+            setpoint,
+            dt_s,
+            frozen,
+        )
+        self._leave_rates(estimate)
+        self.attitude_setpoint = law.attitude
+        self._throttle_up(estimate, dt_s)
+        self._feed_rate = turn_about_down(estimate.attitude, law.yaw_rate_rad_s)
+        # a law that shapes its setpoints still goes down for a while after a climb is asked for
+        return law.velocity_reference[2] > _DESCENDING_M_S and not self.wants_up(setpoint, estimate)
+
+    def _follow_attitude(
+        self,
+        setpoint: AttitudeSetpoint,
+        estimate: Estimator,
+        thrust_is_climb_rate: bool,
+        dt_s: float,
+        frozen: bool,
+    ) -> bool:
+        """Fly an attitude or body rates; returns whether it asks for a descent."""
+        law = self._position
+        law.follow(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
+        self._feed_rate = add(
+            setpoint.rate_body_rad_s, turn_about_down(estimate.attitude, setpoint.yaw_rate_rad_s)
+        )
+        if setpoint.attitude is None:
+            self._rates_alone, self.attitude_setpoint = True, estimate.attitude
+        else:
+            self._leave_rates(estimate)
+            self.attitude_setpoint = setpoint.attitude
+        share = min(max(setpoint.thrust, 0.0), 1.0)
+        if not thrust_is_climb_rate:
+            upward = self._thrust_is_upward and setpoint.attitude is not None
+            self.thrust = min(1.0, share / lean_cosine(estimate.attitude)) if upward else share
+            self._throttle = self.thrust
+            return share < 0.85 * self._hover
+        climb = 2.0 * (share - 0.5)
+        climb *= _CLIMB_RATE_M_S if climb > 0.0 else _DESCENT_RATE_M_S
+        position, velocity = estimate.position_ned_m, estimate.velocity_ned_m_s
+        acceleration = estimate.acceleration_ned_m_s2
+        law.step_climb(position, velocity, acceleration, estimate.attitude, climb, dt_s, frozen)
+        self._throttle_up(estimate, dt_s)
+        return climb < -_DESCENDING_M_S
+
+    def _throttle_up(self, estimate: Estimator, dt_s: float) -> None:
+        """Take over the height law's thrust: as it is, or raised by the lean that is flown and filtered."""
+        law = self._position
+        if self._throttle_hz is None:
+            self.thrust = law.thrust
+            return
+        wanted = min(1.0, max(0.0, law.upward / lean_cosine(estimate.attitude)))
+        self.thrust = self._throttle = low_pass(self._throttle, wanted, self._throttle_hz, dt_s)
+
+    def _leave_rates(self, estimate: Estimator) -> None:
+        """From body rates back to attitudes: the reference starts where the vehicle leans by then."""
+        if self._rates_alone and self._reference is not None:
+            self._reference.reset(estimate.attitude)
+        self._rates_alone = False
+
+    def _feel_ground(self, descending: bool, estimate: Estimator, still_speed: float, dt_s: float) -> None:
+        speed = estimate.velocity_ned_m_s[2]
+        self._detector.update(descending, self.thrust / self._hover, speed, still_speed, dt_s)
+        change = -_TAKE_BACK_PER_S if self._detector.contact else _TAKE_BACK_PER_S
+        self._share = min(1.0, max(_LEAST_SHARE, self._share + change * dt_s))
+        self.thrust *= self._share
+        if self._detector.landed:
+            self.settle(estimate)
+        elif self._share < 1.0:
+            # standing on something: stay level rather than lean against the ground
+            heading = yaw_from_quat(estimate.attitude)
+            half = 0.5 * heading
+            self.attitude_setpoint = (math.cos(half), 0.0, 0.0, math.sin(half))

@@ -1,0 +1,171 @@
+"""Motion setpoints to an attitude and a thrust: what every manner's control law has in common.
+
+A law (`px4_control`, `ardupilot_control`) makes an acceleration of a setpoint; here that becomes tilt and
+thrust. Tilt follows the sideways acceleration against gravity alone, thrust the vertical one over the tilt's
+cosine: both autopilots decouple them so. What a setpoint does not give is NaN; north and east go together.
+NED in the autopilot's own heading frame, SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from math import isnan, nan
+from typing import Final
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    quat_from_euler,
+    tilt_from_quat,
+    wrap_angle,
+)
+from sitl.autopilot.control.setpoints import MotionSetpoint
+
+_STEEPEST_COSINE: Final = 0.5  # below it thrust is no longer raised for the lean
+SLEW_RAD_S: Final = math.radians(60.0)  # of headings in modes of its own: MPC_YAWRAUTO_MAX, ATC_SLEW_YAW
+
+
+def lean_cosine(attitude: Quaternion) -> float:
+    """What an upward thrust is divided by for the lean; never less than the steepest one's."""
+    return max(_STEEPEST_COSINE, math.cos(tilt_from_quat(attitude)))
+
+
+@dataclass(frozen=True, slots=True)
+class OutputLimits:
+    """What a law may ask for: lean, share of full thrust."""
+
+    tilt_rad: float
+    thrust_range: tuple[float, float]
+
+
+class PositionControl(ABC):
+    """Keeps the heading and what the law keeps; results are in its public fields.
+
+    `velocity_reference` is the velocity it flies towards by now, `saturated` tells that the lean is at its
+    limit. `thrust` is `upward`, its vertical share, over the cosine of the lean that is asked for.
+    """
+
+    def __init__(self, hover_thrust: float, limits: OutputLimits) -> None:
+        self._limits = limits
+        self._hover = hover_thrust
+        self.reset(0.0, ZERO3)
+
+    def reset(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
+        """Start afresh from the present heading and velocity with empty integrals."""
+        self.yaw_rad = yaw_rad
+        self.yaw_rate_rad_s = 0.0
+        self.attitude: Quaternion = quat_from_euler(0.0, 0.0, yaw_rad)
+        self.thrust = self.upward = self._hover
+        self.velocity_reference = velocity_ned_m_s
+        self.saturated = False
+        self._forget(velocity_ned_m_s)
+
+    def step(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool = False,
+    ) -> None:
+        """One outer step; `frozen` holds the integrals (before lift-off)."""
+        self._turn(setpoint, dt_s)
+        wanted = self._wanted(position, velocity, acceleration, setpoint, dt_s, frozen)
+        self._point_thrust(*wanted)
+
+    def step_climb(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        attitude: Quaternion,
+        climb_m_s: float,
+        dt_s: float,
+        frozen: bool = False,
+    ) -> None:
+        """Only the height: thrust for a climb rate at an attitude that someone else commands."""
+        setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
+        down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
+        self.upward = self._hover * (1.0 - down / GRAVITY_M_S2)
+        self.thrust = self._bounded_thrust(self.upward / lean_cosine(attitude))
+
+    def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
+        """Somebody else commands the attitude: start from heading and velocity as they are by then."""
+        self.yaw_rad, self.yaw_rate_rad_s, self.saturated = yaw_rad, 0.0, False
+        vx, vy, _ = velocity_ned_m_s
+        self.velocity_reference = (vx, vy, self.velocity_reference[2])
+        self._let_go_sideways()
+
+    # ------------------------------------------------------------ the law
+
+    @abstractmethod
+    def _forget(self, velocity: Vector3) -> None:
+        """Empty what the law keeps."""
+
+    @abstractmethod
+    def _let_go_sideways(self) -> None:
+        """Somebody else leans the vehicle."""
+
+    @abstractmethod
+    def _wanted(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
+    ) -> Vector3:
+        """The acceleration to make (NED, without gravity); sets `velocity_reference`."""
+
+    @abstractmethod
+    def _wanted_down(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
+    ) -> float:
+        """The vertical one alone."""
+
+    # ------------------------------------------------------------ heading, tilt and thrust
+
+    def _turn(self, sp: MotionSetpoint, dt_s: float) -> None:
+        """Move the heading on: what is streamed is handed through, modes of its own turn at SLEW_RAD_S."""
+        limit = math.inf if sp.streamed else SLEW_RAD_S
+        rate = 0.0 if isnan(sp.yaw_rate_rad_s) else min(max(sp.yaw_rate_rad_s, -limit), limit)
+        self.yaw_rate_rad_s = rate
+        step = rate * dt_s
+        if not isnan(sp.yaw_rad):
+            step = wrap_angle(sp.yaw_rad - self.yaw_rad)
+            step = min(max(step, -limit * dt_s), limit * dt_s)
+        self.yaw_rad = wrap_angle(self.yaw_rad + step)
+
+    def _point_thrust(self, ax: float, ay: float, az: float) -> None:
+        """Tilt and thrust for an acceleration; height goes before sideways."""
+        high = self._limits.thrust_range[1] / self._hover * GRAVITY_M_S2
+        up = max(GRAVITY_M_S2 - az, 0.0)
+        # as much lean as leaves the vertical share, though never less than a little of it
+        steepest = min(self._limits.tilt_rad, max(math.acos(min(1.0, up / high)), 0.3))
+        sideways, limit = math.hypot(ax, ay), math.tan(steepest) * GRAVITY_M_S2
+        self.saturated = sideways > limit
+        if self.saturated:
+            ax, ay, sideways = ax * limit / sideways, ay * limit / sideways, limit
+        force = math.hypot(sideways, GRAVITY_M_S2)
+        self.upward = self._hover * up / GRAVITY_M_S2
+        self.thrust = self._bounded_thrust(self.upward * force / GRAVITY_M_S2)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        forward, right = c * ax + s * ay, c * ay - s * ax
+        pitch = math.atan2(-forward, GRAVITY_M_S2)
+        self.attitude = quat_from_euler(math.asin(right / force), pitch, self.yaw_rad)
+
+    def _bounded_thrust(self, thrust: float) -> float:
+        low, high = self._limits.thrust_range
+        return min(max(thrust, low), high)

@@ -1,0 +1,1 @@
+"""Modes, arming, failsafes, missions: what both autopilots have around the cascade."""

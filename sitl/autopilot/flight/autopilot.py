@@ -1,0 +1,228 @@
+"""The simulated flight controller as its MAVLink endpoint sees it: commands and streamed setpoints.
+
+Commands are method calls that answer with a MAV_RESULT; what it has to say is in `take_texts`. SI units.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from math import isfinite, isnan, nan
+
+from companion.base.geometry import Vector3, yaw_from_quat
+from sitl.autopilot.control.setpoints import (
+    OVER_HOME,
+    AttitudeSetpoint,
+    MotionSetpoint,
+    Refusal,
+    StreamedAttitude,
+    StreamedMotion,
+)
+from sitl.autopilot.flight.flight import FlightLoop
+from sitl.autopilot.flight.landing_target import Sight
+from sitl.autopilot.flight.mission import heading_from_condition
+from sitl.autopilot.flight.modes import Result, Severity, Task
+from sitl.autopilot.flight.sticks import Sticks
+
+_LEAST_TAKE_OFF_M = 0.5
+_MOST_ALTITUDE_M = 30_000.0
+
+
+class Autopilot(FlightLoop):
+    """The flight loop, and what may be asked of it."""
+
+    # ------------------------------------------------------------ commands
+
+    def arm(self, force: bool = False) -> Result:
+        """Arm; refused with a text before alignment, when leaning, or in a mode that lands."""
+        return self._commander.arm(force)
+
+    def disarm(self, force: bool = False) -> Result:
+        """Disarm; refused in flight unless forced."""
+        return self._commander.disarm(force)
+
+    def set_mode(self, custom_mode: int) -> Result:
+        """Change to the mode of that custom_mode."""
+        return self._change_mode(self.manner.mode_by_number(custom_mode), custom_mode)
+
+    def take_off(self, altitude_m: float) -> Result:
+        """NAV_TAKEOFF.
+
+        PX4 takes an altitude above sea level, NaN or too low a one meaning MIS_TAKEOFF_ALT; ArduPilot
+        takes one over home, in GUIDED, armed, from the ground.
+        """
+        if self.manner.take_off_needs_guided:
+            if self.mode != self.manner.take_off_mode or not self.armed or not self._cascade.landed:
+                return Result.FAILED
+            if not _LEAST_TAKE_OFF_M <= altitude_m <= _MOST_ALTITUDE_M:
+                return Result.FAILED
+            self._navigator.climb_to_m = altitude_m
+            self._commander.begin(Task.TAKE_OFF)
+            return Result.ACCEPTED
+        if not self._cascade.landed:
+            return self.set_mode_named(self.manner.hold_mode)
+        height = altitude_m - self.geodetic(self._navigator.home_ned_m)[2]
+        if self.manner.settings.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
+            height = self.parameters.si(self.manner.settings.take_off_height)
+            self._commander.say(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
+        self._navigator.climb_to_m = height
+        return self.set_mode_named(self.manner.take_off_mode)
+
+    def go_to(
+        self, place: Vector3, over_home: bool, yaw_rad: float = nan, speed_m_s: float | None = None
+    ) -> Result:
+        """DO_REPOSITION: fly to latitude, longitude and altitude (over home, or above sea level), and hold.
+
+        NaN keeps the present latitude and longitude, or altitude; a yaw that is no number the heading.
+        """
+        if not self.armed or self._cascade.landed or not _is_place(place):
+            return Result.DENIED
+        result = self.set_mode_named(self.manner.after_take_off_mode)
+        if result is Result.ACCEPTED:
+            self._navigator.target_ned_m = self._local(place, over_home)
+            self._navigator.target_yaw_rad = yaw_rad if isfinite(yaw_rad) else nan
+            self._navigator.target_speed_m_s = speed_m_s
+            self._commander.begin(Task.GO_TO)
+        return result
+
+    def land_precisely(self) -> Result:
+        """Land on the target of LANDING_TARGET, where there is a mode of its own for it."""
+        mode = next((mode for mode in self.manner.modes if mode.task is Task.PRECISION_LAND), None)
+        return Result.UNSUPPORTED if mode is None else self._change_mode(mode)
+
+    def change_speed(self, kind: int, speed_m_s: float) -> Result:
+        """DO_CHANGE_SPEED."""
+        if not self._navigator.speeds.change(kind, speed_m_s):
+            return Result.DENIED
+        if self.task is Task.GO_TO and kind in (0, 1) and speed_m_s > 0.0:
+            self._navigator.target_speed_m_s = speed_m_s
+        return Result.ACCEPTED
+
+    def turn_to(self, parameters: tuple[float, ...]) -> Result:
+        """CONDITION_YAW while it holds a place or flies to one; parameters 1 to 4 of the command."""
+        heading = heading_from_condition(parameters, yaw_from_quat(self.estimate.attitude))
+        if heading is None or not self.armed or self.task not in (Task.HOLD, Task.GO_TO):
+            return Result.FAILED
+        self._navigator.target_yaw_rad = self._navigator.held_yaw_rad = heading
+        return Result.ACCEPTED
+
+    def set_home(self, place: Vector3 | None, over_home: bool = False) -> Result:
+        """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is; denied when too far away."""
+        if not self.aligned:
+            return Result.FAILED
+        home = self.estimate.position_ned_m if place is None else self._local(place, over_home)
+        return Result.ACCEPTED if self._navigator.fix_home(home) else Result.DENIED
+
+    def terminate(self) -> Result:
+        """Flight termination: motors off."""
+        self._commander.terminate()
+        return Result.ACCEPTED
+
+    def reboot(self) -> Result:
+        """Start anew on the ground, as after power-up; parameters and mission stay. Refused while armed."""
+        if self.armed:
+            return self.manner.refused_arming
+        self._boot()
+        return Result.ACCEPTED
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Tell the ground something."""
+        self._commander.say(severity, text)
+
+    # ------------------------------------------------------------ missions
+
+    def start_mission(self, first: int = -1) -> Result:
+        """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
+        if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
+            self._commander.say(Severity.CRITICAL, self.manner.texts.no_mission)
+            return self.manner.refused_mode
+        mode = next(mode for mode in self.manner.modes if mode.task is Task.MISSION)
+        waits = self.manner.mission.waits_for_start
+        if waits and not self.armed:
+            return Result.FAILED
+        result = self._change_mode(mode)
+        if result is Result.ACCEPTED and not waits:
+            result = self.arm()
+        if result is Result.ACCEPTED:
+            self._runner.started = True
+        return result
+
+    def select_mission_item(self, number: int) -> Result:
+        """DO_SET_MISSION_CURRENT."""
+        return Result.ACCEPTED if self.mission.select(number) else self.manner.refused_selection
+
+    def land_by_mission(self) -> Result:
+        """DO_LAND_START: go on from the mission's item of that name."""
+        number = self.mission.landing_start()
+        return Result.FAILED if number is None else self.start_mission(number)
+
+    def pause(self, paused: bool) -> Result:
+        """DO_PAUSE_CONTINUE: hold within a mission, and go on with it."""
+        if self.task is not Task.MISSION:
+            return Result.DENIED
+        self._runner.paused = paused
+        return Result.ACCEPTED
+
+    # ------------------------------------------------------------ sticks and targets
+
+    def override_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
+        """RC_CHANNELS_OVERRIDE (microseconds, 0 releases, None leaves), from a system that may."""
+        if self._may_fly_by_hand(sender_system):
+            self.radio.override(values, now_s)
+
+    def take_sticks(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
+        """MANUAL_CONTROL, from a system that may."""
+        if self._may_fly_by_hand(sender_system):
+            self.radio.manual(sticks, now_s)
+
+    def see_target(self, sight: Sight) -> None:
+        """LANDING_TARGET."""
+        if self._lander is not None:
+            self._lander.see(sight)
+
+    def _may_fly_by_hand(self, sender_system: int) -> bool:
+        own = self.manner.settings.own_ground_station
+        return own is None or sender_system == int(self.parameters.si(own))
+
+    # ------------------------------------------------------------ streamed setpoints
+
+    def stream_fields(self, fields: StreamedMotion, now_s: float) -> None:
+        """SET_POSITION_TARGET_LOCAL_NED: obeyed, answered by a text, or passed over, as the manner has it."""
+        estimate = self.estimate
+        heading = yaw_from_quat(estimate.attitude)
+        wish = self.manner.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
+        if isinstance(wish, MotionSetpoint):
+            top_speed = self.parameters.si(self.manner.settings.top_speed)
+            wish = dataclasses.replace(wish, horizontal_speed_m_s=top_speed)
+        self._take(wish, now_s)
+
+    def stream_global(self, fields: StreamedMotion, place: Vector3, now_s: float) -> None:
+        """SET_POSITION_TARGET_GLOBAL_INT: as local fields, but the position is a geodetic place."""
+        local = self._local(place, fields.frame in OVER_HOME)
+        self.stream_fields(dataclasses.replace(fields, is_global=True, position_m=local), now_s)
+
+    def stream_attitude(self, fields: StreamedAttitude, now_s: float) -> None:
+        """SET_ATTITUDE_TARGET."""
+        self._take(self.manner.read_attitude(fields), now_s)
+
+    def _take(self, wish: MotionSetpoint | AttitudeSetpoint | Refusal, now_s: float) -> None:
+        if isinstance(wish, Refusal):
+            self._commander.say(Severity.CRITICAL, wish.text)
+        else:
+            self.stream(wish, now_s)
+
+    def stream(self, setpoint: MotionSetpoint | AttitudeSetpoint, now_s: float) -> None:
+        """Take a streamed setpoint: kept always, flown in OFFBOARD or GUIDED only."""
+        if isinstance(setpoint, MotionSetpoint):
+            setpoint = dataclasses.replace(setpoint, streamed=True)
+        self._setpoint, self._setpoint_s = setpoint, now_s
+        self._commander.situation.setpoint_age_s = 0.0
+        if self._commander.mode.takes_setpoints and not self._cascade.landed:
+            self._commander.begin(Task.SETPOINT)
+
+
+def _is_place(place: Vector3) -> bool:
+    """Latitude, longitude and altitude within what there is; NaN stands for the present one."""
+    return all(
+        isnan(value) or abs(value) <= most
+        for value, most in zip(place, (90.0, 180.0, _MOST_ALTITUDE_M), strict=True)
+    )

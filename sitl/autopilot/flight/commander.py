@@ -1,0 +1,160 @@
+"""Arming, modes and failsafes: decides what may be flown, never how.
+
+Everything that differs between autopilots comes from the `Manner`'s tables.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from math import inf
+
+from sitl.autopilot.flight.modes import Failsafe, Mode, Response, Result, Severity, Situation, Task
+from sitl.autopilot.flight.profile import Manner
+
+Text = tuple[Severity, str]
+_ENDS_WITH_FLIGHT = (Task.LAND, Task.PRECISION_LAND, Task.RETURN, Task.TAKE_OFF)
+
+
+class Commander:
+    """Armed or not, the mode, the task within it, and what there is to say (`texts`).
+
+    `subtask` is what a mission has flown at present, None for plain flying. `disarmings` counts how often the
+    motors were stopped, for whoever looks too seldom to see each.
+    """
+
+    def __init__(self, manner: Manner) -> None:
+        self._manner = manner
+        self.situation = Situation()
+        self.armed = False
+        self.disarmings = 0
+        self.in_failsafe = False
+        self.texts: deque[Text] = deque((Severity.INFO, text) for text in manner.texts.boot)
+        self.mode = manner.mode(manner.boot_mode)
+        self.task = self.mode.task
+        self.subtask: Task | None = None
+        self._left_mode: Mode | None = None
+        self._left_by: Failsafe | None = None
+        self._held_s = [0.0] * len(manner.failsafes)
+
+    # ------------------------------------------------------------ commands
+
+    def arm(self, force: bool) -> Result:
+        """Start the motors if every check passes; force skips the checks."""
+        if self.armed:
+            return Result.ACCEPTED
+        self._refresh()
+        refusal = next((c.text for c in self._manner.arming_checks if not c.passes(self.situation)), None)
+        if refusal is not None and not force:
+            self.say(Severity.CRITICAL, refusal)
+            return self._manner.refused_arming
+        self.armed = True
+        self.situation.has_flown = False
+        self.say(Severity.INFO, self._manner.texts.armed)
+        return Result.ACCEPTED
+
+    def disarm(self, force: bool) -> Result:
+        """Stop the motors: on the ground, or anywhere by force."""
+        if not self.armed:
+            return Result.ACCEPTED
+        if not self.situation.landed and not force:
+            self.say(Severity.CRITICAL, self._manner.refused_disarming_text)
+            return self._manner.refused_disarming
+        self._stop(Severity.INFO, self._manner.texts.disarmed)
+        return Result.ACCEPTED
+
+    def change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+        """Enter a mode with its own task; None is a number the autopilot does not know."""
+        if mode is None:
+            self.say(Severity.WARNING, self._manner.texts.no_such_mode.format(number=number))
+            return self._manner.refused_mode
+        self._refresh()
+        refusal = next((c.text for c in self._manner.mode_checks if c.fails(mode, self.situation)), None)
+        if refusal is not None:
+            self.say(Severity.CRITICAL, refusal.format(mode=mode.shown))
+            return self._manner.refused_mode
+        self._forget_failsafe()
+        self._enter(mode)
+        if mode.task is Task.LAND and self.armed:
+            self.say(Severity.INFO, self._manner.texts.landing)
+        return Result.ACCEPTED
+
+    def begin(self, task: Task) -> None:
+        """Another task within the present mode."""
+        self.task, self.subtask = task, None
+
+    @property
+    def flown(self) -> Task:
+        """The task on hand, a mission's own where there is one."""
+        return self.task if self.subtask is None else self.subtask
+
+    def terminate(self) -> None:
+        """Stop the motors wherever that is."""
+        if self.armed:
+            self._stop(Severity.CRITICAL, self._manner.texts.terminated or self._manner.texts.disarmed)
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Queue a text for the ground; an empty one is not worth sending."""
+        if text:
+            self.texts.append((severity, text))
+
+    # ------------------------------------------------------------ every outer step
+
+    def update(self, dt_s: float) -> None:
+        """Watch the failsafes with the caller's fresh `situation`."""
+        self._refresh()
+        if not self.armed:
+            return
+        if self._left_mode is not None and self._left_by is not None:
+            self.situation.streaming = self._left_mode.task is Task.SETPOINT
+            if not self._left_by.condition(self.situation):
+                mode = self._left_mode
+                self._forget_failsafe()
+                self._enter(mode)
+            return
+        for index, failsafe in enumerate(self._manner.failsafes):
+            if not failsafe.condition(self.situation):
+                if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
+                    self._held_s[index] = 0.0
+                continue
+            self._held_s[index] += dt_s
+            if self._held_s[index] >= failsafe.after_s:
+                if failsafe.over is not None:
+                    self._held_s[index] = -inf
+                self._respond(failsafe)
+                return
+
+    def _refresh(self) -> None:
+        now = self.situation
+        now.task, now.armable, now.armed = self.flown, self.mode.armable, self.armed
+        now.streaming = self.mode.task is Task.SETPOINT
+
+    def _respond(self, failsafe: Failsafe) -> None:
+        if failsafe.response is Response.DISARM:
+            self._stop(failsafe.severity, failsafe.text)
+            return
+        self.say(failsafe.severity, failsafe.text)
+        if failsafe.over is None:
+            self._left_mode, self._left_by = self.mode, failsafe
+        self.in_failsafe = True
+        self._enter(self._manner.mode(failsafe.mode))
+        if failsafe.task is not None:
+            self.begin(failsafe.task)
+
+    def _enter(self, mode: Mode) -> None:
+        # entering the mode one is in already does not interrupt what is flown there
+        if mode is not self.mode:
+            self.mode = mode
+            self.begin(mode.task)
+
+    def _stop(self, severity: Severity, text: str) -> None:
+        self.armed = False
+        self.disarmings += 1
+        self.say(severity, text)
+        self._forget_failsafe()
+        self._held_s = [0.0] * len(self._held_s)
+        if self._manner.after_disarm_mode and self.mode.task in _ENDS_WITH_FLIGHT:
+            self._enter(self._manner.mode(self._manner.after_disarm_mode))
+        self.begin(self.mode.task)
+
+    def _forget_failsafe(self) -> None:
+        self._left_mode, self._left_by, self.in_failsafe = None, None, False

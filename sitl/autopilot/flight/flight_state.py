@@ -1,0 +1,208 @@
+"""One autopilot's parts put together, what it shows of itself, and what a reboot makes new.
+
+Its NED frame, height and heading are its own (see `estimator`). SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from math import inf
+
+import numpy as np
+
+from companion.base.geometry import (
+    Quaternion,
+    Vector3,
+    geodetic_from_ned,
+    ned_from_geodetic,
+)
+from companion.base.messages import LandedState
+from companion.base.messages import Manner as MannerName
+from sitl.autopilot.ardupilot.profile import ARDUPILOT
+from sitl.autopilot.control.airframe import Airframe, hover_thrust
+from sitl.autopilot.control.cascade import Cascade
+from sitl.autopilot.control.estimator import Estimator, EstimatorErrors
+from sitl.autopilot.control.rate_control import RateGains
+from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
+from sitl.autopilot.flight.commander import Commander, Text
+from sitl.autopilot.flight.hand import Hand
+from sitl.autopilot.flight.mission import MissionRunner
+from sitl.autopilot.flight.mission_items import Command, ItemFrame, MissionItem, MissionStore
+from sitl.autopilot.flight.modes import Mode, Result, StickLaw, Task
+from sitl.autopilot.flight.navigator import Navigator
+from sitl.autopilot.flight.parameters import Parameters
+from sitl.autopilot.flight.profile import Manner
+from sitl.autopilot.flight.sticks import Radio
+from sitl.autopilot.px4.profile import PX4
+
+MANNERS: dict[MannerName, Manner] = {"px4": PX4, "ardupilot": ARDUPILOT}
+
+
+class FlightState:
+    """One autopilot on one airframe.
+
+    `home` is latitude (deg), longitude (deg), altitude (m) of the origin of the SITL's NED.
+    """
+
+    def __init__(
+        self,
+        manner: MannerName,
+        airframe: Airframe,
+        rng: np.random.Generator,
+        home: Vector3,
+        errors: EstimatorErrors | None = None,
+        rates: RateGains | None = None,
+    ) -> None:
+        self.manner = MANNERS[manner]
+        self.parameters = Parameters(self.manner.parameters)
+        self.estimate = Estimator(errors or EstimatorErrors(), rng)
+        self.mission = MissionStore(self.manner.mission, home=self._home_item)
+        self.boots = 0
+        self._airframe, self._rates = airframe, rates
+        self._origin = home
+        self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None
+        self._boot()
+
+    def _boot(self) -> None:
+        """Everything that does not outlive a reboot; the parameters and the mission do."""
+        self.boots += 1
+        self.booted_s: float | None = None
+        self._commander = Commander(self.manner)
+        self._navigator = Navigator(self.manner, self.parameters)
+        self._cascade = Cascade(self.manner, self._airframe, self._rates)
+        self._runner = MissionRunner(
+            self.mission, self._navigator, self.parameters, self.manner.settings, self._local
+        )
+        self._lander = self.manner.lander(self.parameters)
+        self._hand = Hand(self.manner, self.parameters, hover_thrust(self._airframe))
+        self._outer_due_s = -inf
+        self._now_s = -inf
+        self._setpoint = None
+        self.wanted: MotionSetpoint | AttitudeSetpoint | None = None  # what is flown, None before
+        self._setpoint_s = -inf
+        self._arming_seen = (False, 0)  # armed, and disarmings so far
+        self._mission_version = -1
+        self._last_task: Task | None = None
+        self._lands_precisely = False
+
+    # ------------------------------------------------------------ what it shows
+
+    @property
+    def armed(self) -> bool:
+        """Motors live."""
+        return self._commander.armed
+
+    @property
+    def mode(self) -> str:
+        """Name of the flight mode."""
+        return self._commander.mode.name
+
+    @property
+    def mode_numbers(self) -> tuple[int, int]:
+        """HEARTBEAT's base_mode and custom_mode."""
+        mode = self._commander.mode
+        return mode.base_mode | (128 if self.armed else 0), mode.custom_mode
+
+    @property
+    def task(self) -> Task:
+        """What is being flown."""
+        return self._commander.task
+
+    @property
+    def aligned(self) -> bool:
+        """The estimator knows attitude and position."""
+        return self._commander.situation.aligned
+
+    @property
+    def home_set(self) -> bool:
+        """It knows where it started from, though perhaps not yet where it is."""
+        return self._commander.situation.home_set
+
+    @property
+    def ready_to_arm(self) -> bool:
+        """What SYS_STATUS reports as the pre-arm check: level, and a known position if the mode needs one."""
+        now, mode = self._commander.situation, self._commander.mode
+        needs_position = mode.sticks in (None, StickLaw.VELOCITY)
+        known = now.aligned if needs_position else now.home_set
+        return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
+
+    @property
+    def in_failsafe(self) -> bool:
+        """A failsafe has taken over."""
+        return self._commander.in_failsafe
+
+    @property
+    def landed_state(self) -> LandedState:
+        """EXTENDED_SYS_STATE's landed_state."""
+        if self._cascade.landed:
+            return LandedState.ON_GROUND
+        if self._commander.flown is Task.TAKE_OFF:
+            return LandedState.TAKEOFF
+        landing = self._commander.flown in (Task.LAND, Task.PRECISION_LAND)
+        return LandedState.LANDING if landing else LandedState.IN_AIR
+
+    @property
+    def thrust(self) -> float:
+        """Collective thrust asked of the motors, 0..1."""
+        return self._cascade.thrust
+
+    @property
+    def attitude_setpoint(self) -> Quaternion:
+        """Attitude that the inner loop follows, in the autopilot's own frame."""
+        return self._cascade.attitude_setpoint
+
+    @property
+    def radio(self) -> Radio:
+        """The sticks, as far as somebody is at them."""
+        return self._hand.radio
+
+    @property
+    def home_ned_m(self) -> Vector3:
+        """Where it was last disarmed, in its own NED."""
+        return self._navigator.home_ned_m
+
+    def geodetic(self, position_ned_m: Vector3) -> Vector3:
+        """Latitude (deg), longitude (deg), altitude (m) of a place in its own NED."""
+        return geodetic_from_ned(position_ned_m, self._origin)
+
+    def take_texts(self) -> list[Text]:
+        """Severities and texts since the last call."""
+        speakers = [self.mission.texts] if self._lander is None else [self.mission.texts, self._lander.texts]
+        texts = list(self._commander.texts)
+        self._commander.texts.clear()
+        for speaker in speakers:
+            texts += speaker
+            speaker.clear()
+        return texts
+
+    def set_mode_named(self, name: str) -> Result:
+        """Change to a mode of the manner's own."""
+        return self._change_mode(self.manner.mode(name))
+
+    def _change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+        self._watch_mission()  # one that has come since the last step counts already
+        return self._commander.change_mode(mode, number)
+
+    def _watch_mission(self) -> None:
+        if self._mission_version != self.mission.version:
+            self._mission_version = self.mission.version
+            now = self._commander.situation
+            now.mission_ready = self.mission.flyable
+            now.mission_climbs = self.mission.starts_with_take_off()
+
+    # ------------------------------------------------------------ places
+
+    def _local(self, place: Vector3, over_home: bool) -> Vector3:
+        """Latitude, longitude (deg) and altitude (m) in the own NED; what is no number is the present one."""
+        latitude, longitude, altitude = self.geodetic(self.estimate.position_ned_m)
+        if math.isfinite(place[0]) and math.isfinite(place[1]):
+            latitude, longitude = place[0], place[1]
+        if math.isfinite(place[2]):
+            altitude = place[2] + (self.geodetic(self.home_ned_m)[2] if over_home else 0.0)
+        return ned_from_geodetic(latitude, longitude, altitude, self._origin)
+
+    def _home_item(self) -> MissionItem:
+        """Home as a mission's item 0."""
+        latitude, longitude, altitude = self.geodetic(self.home_ned_m)
+        parameters = (0.0, 0.0, 0.0, 0.0)
+        return MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL, parameters, latitude, longitude, altitude)

@@ -1,0 +1,109 @@
+"""What LANDING_TARGET tells, and the filter that ArduPilot keeps of it: two states an axis.
+
+NED in the autopilot's own frame, FRD, SI units. Source: ArduPilot 4.6 `AC_PrecLand` and its `PosVelEKF`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+from companion.base.geometry import Quaternion, Vector3
+from sitl.autopilot.control.setpoints import MotionSetpoint
+from sitl.autopilot.flight.modes import Severity
+
+
+class SightFrame(IntEnum):
+    """MAV_FRAME of a target's position, as far as somebody takes it."""
+
+    LOCAL_NED = 1
+    BODY_FRD = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """One LANDING_TARGET: a position in `frame` (a MAV_FRAME), or None and the angles off the camera's axis.
+
+    `angles_rad`: to the right, and backwards (angle_y = -forward); `distance_m` 0: unknown.
+    """
+
+    frame: int
+    position_m: Vector3 | None
+    angles_rad: tuple[float, float]
+    distance_m: float
+
+
+class View(NamedTuple):
+    """The vehicle as its autopilot knows it at one outer step; height over home (m)."""
+
+    now_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    attitude: Quaternion
+    height_m: float
+    landing_speed_m_s: float
+
+
+class Lander(Protocol):
+    """An autopilot's own precision landing."""
+
+    texts: list[tuple[Severity, str]]
+
+    def see(self, sight: Sight) -> None:
+        """A LANDING_TARGET has come."""
+        ...
+
+    def watch(self, view: View, dt_s: float) -> None:
+        """One outer step of whatever it keeps of the target, landing or not."""
+        ...
+
+    def begin(self, *, required: bool) -> None:
+        """A landing begins; `required`: without a target it searches rather than lands anywhere."""
+        ...
+
+    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+        """What to fly; None: land as without a target."""
+        ...
+
+
+class AxisFilter:
+    """Position and velocity of the target relative to the vehicle along one axis."""
+
+    def __init__(self, position_m: float, velocity_m_s: float, position_var: float, velocity_var: float):
+        self.position_m = position_m
+        self.velocity_m_s = velocity_m_s
+        self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
+
+    def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
+        """Move on by dt, in which the own velocity changed; the target's is constant but for noise."""
+        self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
+        self.velocity_m_s -= own_change_m_s
+        self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
+        self._pv += dt_s * self._vv
+        self._vv += velocity_var
+
+    def surprise(self, position_m: float, variance: float) -> float:
+        """Normalised innovation squared of a measurement."""
+        return (position_m - self.position_m) ** 2 / (self._pp + variance)
+
+    def fuse(self, position_m: float, variance: float) -> None:
+        """Take in a measured position."""
+        innovation, total = position_m - self.position_m, self._pp + variance
+        gain_p, gain_v = self._pp / total, self._pv / total
+        self.position_m += gain_p * innovation
+        self.velocity_m_s += gain_v * innovation
+        self._vv -= gain_v * self._pv
+        self._pv -= gain_v * self._pp
+        self._pp -= gain_p * self._pp
+
+
+def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
+    """Unit vector (FRD) towards a target seen by a camera that looks down; None when it is not below."""
+    right, backwards = angles_rad
+    if not (abs(right) < 1.5 and abs(backwards) < 1.5):
+        return None
+    x, y = -math.tan(backwards), math.tan(right)
+    length = math.sqrt(x * x + y * y + 1.0)
+    return (x / length, y / length, 1.0 / length)

@@ -1,0 +1,287 @@
+"""A mission as data: its items, the list that an autopilot keeps, and which items each autopilot takes.
+
+Latitude and longitude in degrees, altitude in metres over `frame`'s datum; parameters 1 to 4 as MAVLink
+gives them (degrees, seconds). Sources: MAVLink's mission protocol; PX4 1.16 `mavlink_mission.cpp`;
+ArduPilot 4.6 `MissionItemProtocol` and `AP_Mission`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from math import isfinite, nan
+
+from sitl.autopilot.flight.modes import Severity
+
+
+class Command(IntEnum):
+    """MAV_CMD of the items that somebody here flies, and of those that are read for their place."""
+
+    WAYPOINT = 16
+    LOITER_UNLIM = 17
+    LOITER_TURNS = 18
+    LOITER_TIME = 19
+    RETURN_TO_LAUNCH = 20
+    LAND = 21
+    TAKEOFF = 22
+    SPLINE_WAYPOINT = 82
+    DELAY = 93
+    CONDITION_DELAY = 112
+    CONDITION_YAW = 115
+    DO_JUMP = 177
+    DO_CHANGE_SPEED = 178
+    DO_SET_HOME = 179
+    DO_LAND_START = 189
+
+
+class MissionResult(IntEnum):
+    """MAV_MISSION_RESULT."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID_PARAM1 = 6
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+# the largest latitude and longitude (deg) and altitude (m), and the answers to others
+_MOST = (90.0, 180.0, 30_000.0)
+_OUT_OF_PLACE = (MissionResult.INVALID_PARAM5_X, MissionResult.INVALID_PARAM6_Y, MissionResult.INVALID_PARAM7)
+
+
+class ItemFrame(IntEnum):
+    """MAV_FRAME of an item, without the difference between a float's and an integer's."""
+
+    GLOBAL = 0
+    MISSION = 2
+    RELATIVE = 3
+
+
+NAVIGATION: frozenset[int] = frozenset(
+    {
+        Command.WAYPOINT,
+        Command.LOITER_UNLIM,
+        Command.LOITER_TURNS,
+        Command.LOITER_TIME,
+        Command.RETURN_TO_LAUNCH,
+        Command.LAND,
+        Command.TAKEOFF,
+        Command.SPLINE_WAYPOINT,
+        Command.DELAY,
+    }
+)
+# their x and y are a latitude and a longitude, all others' plain numbers
+PLACES: frozenset[int] = frozenset(
+    (NAVIGATION - {Command.RETURN_TO_LAUNCH, Command.DELAY})
+    | {Command.DO_SET_HOME, Command.DO_LAND_START, 31, 195, 201}  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItem:
+    """One item; `parameters` are 1 to 4, x and y degrees where the command has a place."""
+
+    command: int
+    frame: ItemFrame = ItemFrame.MISSION
+    parameters: tuple[float, float, float, float] = (nan, nan, nan, nan)
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    autocontinue: bool = True
+
+    @property
+    def has_place(self) -> bool:
+        """Latitude and longitude are given; both 0 means "here", as the real ones take it."""
+        return self.command in PLACES and (self.x != 0.0 or self.y != 0.0)
+
+    def parameter(self, number: int, otherwise: float = 0.0) -> float:
+        """Parameter 1..4, `otherwise` when it is no number."""
+        value = self.parameters[number - 1]
+        return value if isfinite(value) else otherwise
+
+    def whole(self, number: int, otherwise: int = 0) -> int:
+        """Parameter 1..4 as an integer within 32 bits."""
+        return int(min(max(self.parameter(number, otherwise), -(2.0**31)), 2.0**31 - 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class MissionRules:
+    """One autopilot's habits with missions.
+
+    `unheeded` are items it takes that find nothing here to act upon (cameras, gimbals, servos).
+    `home_first`: item 0 is home whatever is sent for it. `writes_in_place`: an upload overwrites the list
+    item by item, else the old one stands until the new one is complete. `restarts`: a second MISSION_COUNT of
+    the same client begins anew at any time, else only before the first item. `own_take_off`: on the ground it
+    climbs to its take-off height before a first item that is none. `waits_for_start`: armed on the ground it
+    waits for MISSION_START or a raised throttle. `heeds_heading`: parameter 4 of a waypoint is a heading.
+    """
+
+    flown: frozenset[int]
+    unheeded: frozenset[int]
+    max_items: int
+    retry_s: float
+    timeout_s: float
+    home_first: bool
+    asks_for_integers: bool
+    writes_in_place: bool
+    restarts: bool
+    partial_lists: bool
+    own_take_off: bool
+    waits_for_start: bool
+    heeds_heading: bool
+    rewinds_on_disarm: bool
+    received_text: str
+    timeout_text: str
+    unknown_current_text: str
+    item_text: str
+    reached_text: str
+    finished_text: str
+
+    @property
+    def first(self) -> int:
+        """Number of the first item that is flown."""
+        return 1 if self.home_first else 0
+
+    def check(self, item: MissionItem, frame: int) -> MissionResult:
+        """May an item with that MAV_FRAME be uploaded?"""
+        if item.command not in self.flown and item.command not in self.unheeded:
+            return MissionResult.UNSUPPORTED
+        if item_frame(frame) is None:
+            return MissionResult.UNSUPPORTED_FRAME
+        if item.command not in PLACES:
+            jump = item.command == Command.DO_JUMP
+            return MissionResult.INVALID_PARAM1 if jump and item.whole(1, -1) < 0 else MissionResult.ACCEPTED
+        coordinates = zip((item.x, item.y, item.z), _MOST, _OUT_OF_PLACE, strict=True)
+        wrong = (result for value, most, result in coordinates if not abs(value) <= most)
+        return next(wrong, MissionResult.ACCEPTED)
+
+
+def item_frame(frame: int) -> ItemFrame | None:
+    """An item's frame from MAV_FRAME; None for one that missions here do not take (terrain, local)."""
+    return {
+        0: ItemFrame.GLOBAL,
+        2: ItemFrame.MISSION,
+        3: ItemFrame.RELATIVE,
+        5: ItemFrame.GLOBAL,
+        6: ItemFrame.RELATIVE,
+    }.get(frame)
+
+
+@dataclass(slots=True)
+class MissionStore:
+    """The list an autopilot keeps, which item is current, and what has been reached.
+
+    `version` goes up with every new list. `reached_total` counts the items reached, of which `reached` holds
+    the last ones, so that each link can tell its own client. `uploader` is whoever uploads at present, heard
+    last at `uploader_heard_s`: one at a time, over all links. `texts` are for the ground, severity first.
+    """
+
+    rules: MissionRules
+    items: list[MissionItem] = field(default_factory=list)
+    current: int = 0
+    version: int = 0
+    finished: bool = False
+    reached_total: int = 0
+    reached: deque[int] = field(default_factory=lambda: deque(maxlen=32))
+    texts: list[tuple[Severity, str]] = field(default_factory=list)
+    uploader: object | None = None
+    uploader_heard_s: float = -math.inf
+    home: Callable[[], MissionItem] = lambda: MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL)
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    @property
+    def flyable(self) -> bool:
+        """There is something to fly."""
+        return any(item.command in NAVIGATION for item in self.items[self.rules.first :])
+
+    def item(self, number: int) -> MissionItem:
+        """The item of that number; item 0 is where home is now, for an autopilot that keeps it there.
+
+        Raises:
+            IndexError: there is none.
+        """
+        if number == 0 and self.rules.home_first and self.items:
+            return self.home()
+        if number < 0:
+            raise IndexError(number)
+        return self.items[number]
+
+    def begin_upload(self, count: int) -> list[MissionItem]:
+        """The list that an upload of that many items writes to."""
+        if not self.rules.writes_in_place:
+            return []
+        del self.items[count:]
+        self._renewed()
+        return self.items
+
+    def finish_upload(self, items: list[MissionItem]) -> None:
+        """The list is complete."""
+        self.items = items
+        self._renewed()
+        if not self.rules.writes_in_place:
+            self.current = 0
+        self.say(Severity.INFO, self.rules.received_text)
+
+    def clear(self) -> None:
+        """Forget the mission."""
+        self.items = []
+        self._renewed()
+
+    def select(self, number: int) -> bool:
+        """Make an item the current one; False (and a text) when there is none of that number."""
+        if not 0 <= number < len(self.items):
+            self.say(Severity.CRITICAL, self.rules.unknown_current_text)
+            return False
+        self.current, self.finished = number, False
+        self.version += 1
+        return True
+
+    def rewind(self) -> None:
+        """Back to the beginning, as after landing."""
+        self.current, self.finished = 0, False
+
+    def reach(self, number: int) -> None:
+        """An item is done: tell everyone."""
+        self.reached.append(number)
+        self.reached_total += 1
+        self.say(
+            Severity.INFO, self.rules.reached_text.format(number=number) if self.rules.reached_text else ""
+        )
+
+    def say(self, severity: Severity, text: str) -> None:
+        """Queue a text for the ground; an empty one is not worth sending."""
+        if text:
+            self.texts.append((severity, text))
+
+    def landing_start(self) -> int | None:
+        """Number of the item DO_LAND_START, None without."""
+        commands = [item.command for item in self.items]
+        return commands.index(Command.DO_LAND_START) if Command.DO_LAND_START in commands else None
+
+    def starts_with_take_off(self) -> bool:
+        """The first item that is flown is a take-off."""
+        flown = (item for item in self.items[self.rules.first :] if item.command in NAVIGATION)
+        first = next(flown, None)
+        return first is not None and first.command == Command.TAKEOFF
+
+    def _renewed(self) -> None:
+        self.finished = False
+        self.current = min(self.current, max(0, len(self.items) - 1))
+        self.version += 1
+
+
+def heading_rad(degrees: float) -> float:
+    """A heading parameter in radians; NaN stays NaN and means "as it comes"."""
+    return math.radians(math.fmod(degrees, 360.0)) if isfinite(degrees) else nan

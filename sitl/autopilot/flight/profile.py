@@ -1,0 +1,213 @@
+"""What differs between autopilots, as fields of one table: `px4.PX4` and `ardupilot.ARDUPILOT` fill it in.
+
+The rest of the package asks these fields, never "which autopilot is it".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from companion.base.geometry import Quaternion, Vector3
+from companion.base.messages import Manner as MannerName
+from sitl.autopilot.control.attitude_control import AttitudeGains
+from sitl.autopilot.control.position_control import PositionControl
+from sitl.autopilot.control.setpoints import (
+    AttitudeSetpoint,
+    MotionSetpoint,
+    Refusal,
+    StreamedAttitude,
+    StreamedMotion,
+)
+from sitl.autopilot.flight.landing_target import Lander
+from sitl.autopilot.flight.mission_items import MissionRules
+from sitl.autopilot.flight.modes import ArmingCheck, Failsafe, Mode, ModeCheck, Result, Situation, Task
+from sitl.autopilot.flight.parameters import Parameter, Parameters, Setting
+
+AnySetpoint = MotionSetpoint | AttitudeSetpoint
+
+# MAV_MODE_FLAG bits without "armed"
+FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 64
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Which parameter holds what; None: the autopilot has none for it.
+
+    `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
+    `radio_watched` at 0 lets a lost radio be; `radio_exceptions` are bits of modes that a lost radio does not
+    end: 1 mission, 2 hold, 4 external.
+    """
+
+    setpoint_timeout: Setting
+    cruise_speed: Setting
+    top_speed: Setting
+    climb_speed: Setting
+    descent_speed: Setting
+    take_off_speed: Setting
+    landing_speed: Setting
+    final_landing_speed: Setting
+    final_landing_height: Setting
+    return_height: Setting
+    acceptance_radius: Setting
+    radio_timeout: Setting
+    stick_speed: Setting
+    stick_climb: Setting
+    stick_descent: Setting
+    stick_tilt: Setting
+    stick_yaw_rate: Setting
+    radio_exceptions: Setting | None = None
+    radio_watched: Setting | None = None
+    own_ground_station: Setting | None = None
+    take_off_height: Setting | None = None
+    still_speed: Setting | None = None
+    guided_options: Setting | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Texts:
+    """What it says on occasions; empty: nothing."""
+
+    boot: tuple[str, ...]
+    aligned: tuple[str, ...]
+    armed: str
+    disarmed: str
+    lifted: str
+    landed: str
+    landing: str
+    no_such_mode: str = ""
+    terminated: str = ""
+    no_mission: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """One autopilot's habits.
+
+    `forward_is_low`: the RC channel of the pitch stick falls when it is pushed. `lander` makes the precision
+    landing, if the parameters ask for one at boot; it flies the tasks in `lands_precisely`.
+    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message
+    means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control`
+    makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
+    hover.
+    A thrust that comes with an attitude and `thrust_is_upward` is raised for the lean that is flown, as
+    ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a low-pass of `throttle_hz`.
+    The position controller runs every `outer_period_s`.
+    `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
+    register value that the simulated IMU knows. `home_s` after its start it has set home, and its checks pass
+    for a mode that needs no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the
+    bit of those checks stands in SYS_STATUS's health, and not in what is present and enabled.
+    """
+
+    name: MannerName
+    autopilot_id: int
+    custom_mode: Callable[[int, int], int]
+    flight_version: int
+    capabilities: int
+    parameters_bytewise: bool
+    alignment_s: float
+    landed_time_s: float
+    landed_thrust_share: float
+    still_speed_m_s: float
+    modes: tuple[Mode, ...]
+    boot_mode: str
+    after_disarm_mode: str
+    take_off_mode: str
+    after_take_off_mode: str
+    hold_mode: str
+    land_mode: str
+    return_mode: str
+    read_motion: Callable[[StreamedMotion, Vector3, Quaternion, float], MotionSetpoint | Refusal]
+    read_attitude: Callable[[StreamedAttitude], AnySetpoint | Refusal]
+    as_aged: Callable[[AnySetpoint, float, float, float], AnySetpoint]
+    external_needs_setpoints: bool
+    takes_off_by_setpoint: bool
+    take_off_needs_guided: bool
+    thrust_is_climb_rate: bool
+    thrust_is_upward: bool
+    forward_is_low: bool
+    turns_by_command: bool
+    refused_arming: Result
+    refused_mode: Result
+    refused_selection: Result
+    refused_disarming: Result
+    refused_disarming_text: str
+    unsupported_request: Result
+    settings: Settings
+    texts: Texts
+    mode_checks: tuple[ModeCheck, ...]
+    arming_checks: tuple[ArmingCheck, ...]
+    failsafes: tuple[Failsafe, ...]
+    parameters: tuple[Parameter, ...]
+    mission: MissionRules
+    lander: Callable[[Parameters], Lander | None]
+    lands_precisely: frozenset[Task]
+    position_control: Callable[[float], PositionControl]
+    attitude_gains: AttitudeGains
+    throttle_hz: float | None
+    outer_period_s: float
+    imu_messages: tuple[str, ...]
+    imu_filter: int
+    home_s: float
+    prearm_in_health_only: bool = False
+
+    def mode(self, name: str) -> Mode:
+        """The mode of that name.
+
+        Raises:
+            KeyError: it has none.
+        """
+        for mode in self.modes:
+            if mode.name == name:
+                return mode
+        raise KeyError(name)
+
+    def mode_by_number(self, custom_mode: int) -> Mode | None:
+        """The mode with that custom_mode, None when it is not offered."""
+        return next((mode for mode in self.modes if mode.custom_mode == custom_mode), None)
+
+
+def landed_after_flight(now: Situation) -> bool:
+    """On the ground again."""
+    return now.landed and now.has_flown
+
+
+def never_flown(now: Situation) -> bool:
+    """Armed, but not flown yet."""
+    return now.landed and not now.has_flown
+
+
+def level(now: Situation) -> bool:
+    """Leans by less than 20 degrees."""
+    return now.tilt_rad < math.radians(20.0)
+
+
+def aligned(now: Situation) -> bool:
+    """The estimator knows attitude and position."""
+    return now.aligned
+
+
+def mode_armable(now: Situation) -> bool:
+    """The present mode allows arming."""
+    return now.armable
+
+
+def mission_missing(mode: Mode, now: Situation) -> bool:
+    """A mission is to be flown, and there is none."""
+    return mode.task is Task.MISSION and not now.mission_ready
+
+
+def not_from_flight(mode: Mode, now: Situation) -> bool:
+    """Flown by hand alone, in flight, and nobody is at the sticks."""
+    return not mode.in_flight and now.armed and not now.landed and not now.radio
+
+
+def radio_lost(now: Situation) -> bool:
+    """Somebody was at the sticks, and no longer is."""
+    return now.radio_lost
+
+
+def setpoints_stopped(now: Situation) -> bool:
+    """In a mode that lives on streamed setpoints, and none comes."""
+    return now.streaming and now.setpoint_age_s > now.setpoint_timeout_s

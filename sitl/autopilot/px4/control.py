@@ -1,0 +1,157 @@
+"""PX4's law: position P, velocity PID, acceleration, each setpoint going straight in (PositionControl).
+
+In OFFBOARD nothing is shaped: a step in the setpoint is a step in the lean. A setpoint without any position
+or velocity on an axis skips the velocity loop there, integral included. In modes of its own, where PX4 puts
+a trajectory before it, the velocity is approached at a bounded acceleration. After PX4 1.16; gains by its
+names.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import isnan
+from typing import Final
+
+from companion.base.geometry import GRAVITY_M_S2, Vector3
+from sitl.autopilot.control.position_control import OutputLimits, PositionControl
+from sitl.autopilot.control.setpoints import MotionSetpoint
+from sitl.autopilot.control.shaping import LowPass, Two, approach, root_law
+
+# MPC_TILTMAX_AIR, MPC_THR_MIN and MPC_THR_MAX
+_OUTPUT: Final = OutputLimits(math.radians(45.0), (0.12, 1.0))
+_ANTI_WINDUP: Final = 2.0  # over the velocity's gain
+
+
+@dataclass(frozen=True, slots=True)
+class Px4Gains:
+    """Defaults of PX4 1.16, named beside each; SI units."""
+
+    position_p: float = 0.95  # MPC_XY_P
+    height_p: float = 1.0  # MPC_Z_P
+    velocity_p: float = 1.8  # MPC_XY_VEL_P_ACC
+    velocity_i: float = 0.4  # MPC_XY_VEL_I_ACC
+    velocity_d: float = 0.2  # MPC_XY_VEL_D_ACC
+    climb_p: float = 4.0  # MPC_Z_VEL_P_ACC
+    climb_i: float = 2.0  # MPC_Z_VEL_I_ACC
+    derivative_hz: float = 5.0  # MPC_VELD_LP
+    acceleration: float = 3.0  # MPC_ACC_HOR, in modes of its own
+    climb_acceleration: float = 4.0  # MPC_ACC_UP_MAX
+    limits: OutputLimits = _OUTPUT
+
+
+class Px4Control(PositionControl):
+    """The cascade of PX4's multicopter position controller."""
+
+    def __init__(self, hover_thrust: float, gains: Px4Gains | None = None) -> None:
+        self._gains = gains or Px4Gains()
+        super().__init__(hover_thrust, self._gains.limits)
+
+    def _forget(self, velocity: Vector3) -> None:
+        self._integral: Two = (0.0, 0.0)
+        self._climb_integral = 0.0
+        self._rate_x, self._rate_y = (LowPass(self._gains.derivative_hz) for _ in range(2))
+        self._last = velocity
+
+    def _let_go_sideways(self) -> None:
+        self._integral = (0.0, 0.0)
+
+    def _wanted(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
+    ) -> Vector3:
+        ax, ay = self._sideways(position, velocity, setpoint, dt_s, frozen)
+        return (ax, ay, self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen))
+
+    def _sideways(
+        self, position: Vector3, velocity: Vector3, sp: MotionSetpoint, dt_s: float, frozen: bool
+    ) -> Two:
+        gains, (vx, vy, _) = self._gains, velocity
+        dx = self._rate_x.step((vx - self._last[0]) / dt_s, dt_s)
+        dy = self._rate_y.step((vy - self._last[1]) / dt_s, dt_s)
+        self._last = velocity
+        ffx, ffy, _ = sp.acceleration_ned_m_s2
+        fed_forward = not isnan(ffx)
+        if not fed_forward:
+            ffx = ffy = 0.0
+        wanted = self._velocity(position, sp)
+        if wanted is None and fed_forward:
+            self.velocity_reference = (vx, vy, self.velocity_reference[2])
+            return ffx, ffy
+        rx, ry = wanted or (0.0, 0.0)
+        if not sp.streamed and not fed_forward:
+            rx, ry = approach(*self.velocity_reference[:2], (rx, ry), gains.acceleration * dt_s)
+        self.velocity_reference = (rx, ry, self.velocity_reference[2])
+        ex, ey = rx - vx, ry - vy
+        ix, iy = self._integral
+        ax = ffx + gains.velocity_p * ex + ix - gains.velocity_d * dx
+        ay = ffy + gains.velocity_p * ey + iy - gains.velocity_d * dy
+        if not frozen:
+            self._integrate(ex, ey, ax, ay, dt_s)
+        return ax, ay
+
+    def _integrate(self, ex: float, ey: float, ax: float, ay: float, dt_s: float) -> None:
+        """Integrate the errors, less what the lean's limit keeps from being made."""
+        gains, (ix, iy) = self._gains, self._integral
+        size, most = math.hypot(ax, ay), math.tan(gains.limits.tilt_rad) * GRAVITY_M_S2
+        if size > most:
+            excess = (1.0 - most / size) * _ANTI_WINDUP / gains.velocity_p
+            ex, ey = ex - excess * ax, ey - excess * ay
+        self._integral = (ix + gains.velocity_i * ex * dt_s, iy + gains.velocity_i * ey * dt_s)
+
+    def _velocity(self, position: Vector3, sp: MotionSetpoint) -> Two | None:
+        """Velocity (north, east) from position error and feed-forward; None when neither is given."""
+        vx, vy, _ = sp.velocity_ned_m_s
+        px, py, _ = sp.position_ned_m
+        if isnan(px) and isnan(vx):
+            return None
+        vx, vy = (0.0, 0.0) if isnan(vx) else (vx, vy)
+        if not isnan(px):
+            ex, ey = px - position[0], py - position[1]
+            gain = self._gains.position_p
+            if not sp.streamed and (distance := math.hypot(ex, ey)) > 0.0:
+                gain = root_law(distance, gain, self._gains.acceleration, 1e-3) / distance
+            vx, vy = vx + gain * ex, vy + gain * ey
+        speed = math.hypot(vx, vy)
+        if speed > sp.horizontal_speed_m_s:
+            vx, vy = vx * sp.horizontal_speed_m_s / speed, vy * sp.horizontal_speed_m_s / speed
+        return vx, vy
+
+    def _wanted_down(
+        self,
+        position: Vector3,
+        velocity: Vector3,
+        acceleration: Vector3,
+        setpoint: MotionSetpoint,
+        dt_s: float,
+        frozen: bool,
+    ) -> float:
+        gains, sp, place, speed = self._gains, setpoint, position[2], velocity[2]
+        v, p, ff = sp.velocity_ned_m_s[2], sp.position_ned_m[2], sp.acceleration_ned_m_s2[2]
+        rx, ry, rz = self.velocity_reference
+        if isnan(v) and isnan(p) and not isnan(ff):
+            self.velocity_reference = (rx, ry, speed)
+            return ff
+        wish = (0.0 if isnan(v) else v) + (0.0 if isnan(p) else gains.height_p * (p - place))
+        wish = min(max(wish, -sp.climb_speed_m_s), sp.descent_speed_m_s)
+        if not sp.streamed and isnan(ff):
+            step = gains.climb_acceleration * dt_s
+            wish = min(max(wish, rz - step), rz + step)
+        self.velocity_reference = (rx, ry, wish)
+        error = wish - speed
+        wanted = (0.0 if isnan(ff) else ff) + gains.climb_p * error + self._climb_integral
+        if not frozen and not self._at_thrust_limit(wanted, error):
+            change = gains.climb_i * error * dt_s
+            self._climb_integral = min(max(self._climb_integral + change, -GRAVITY_M_S2), GRAVITY_M_S2)
+        return wanted
+
+    def _at_thrust_limit(self, wanted: float, error: float) -> bool:
+        """Whether integrating would push further into what the motors cannot give."""
+        low, high = self._gains.limits.thrust_range
+        thrust = self._hover * (1.0 - wanted / GRAVITY_M_S2)
+        return (thrust <= low and error > 0.0) or (thrust >= high and error < 0.0)

@@ -1,0 +1,160 @@
+"""PX4's precision landing (precland of 1.16): approach, sink above the target, final approach, search.
+
+It takes the target's position in LOCAL_NED only, as it comes, and flies to it as to any place: no velocity of
+the target is known, so that a moving one is followed at a lag and never met within PLD_HACC_RAD. SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+from math import inf, nan
+
+from companion.base.geometry import Vector3
+from sitl.autopilot.control.setpoints import MotionSetpoint
+from sitl.autopilot.flight.landing_target import Sight, SightFrame, View
+from sitl.autopilot.flight.modes import Severity
+from sitl.autopilot.flight.parameters import Parameters
+
+_ABOVE_FOR_S = 2.0
+_FRESH_NEAR_GROUND_S = 0.5
+
+
+class Stage(Enum):
+    """Where a precision landing has got to."""
+
+    START = "start"
+    APPROACH = "horizontal approach"
+    DESCEND = "descend above target"
+    FINAL = "final approach"
+    SEARCH = "search"
+    FALLBACK = "fallback"
+
+
+class PX4Lander:
+    """The state machine; `stage` tells where it is."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.texts: list[tuple[Severity, str]] = []
+        self._parameters = parameters
+        self._pending: Sight | None = None
+        self._target: Vector3 | None = None
+        self._seen_s = -inf
+        self._told_frame = False
+        self.begin(required=True)
+
+    def see(self, sight: Sight) -> None:
+        """Keep the newest."""
+        self._pending = sight
+
+    def begin(self, *, required: bool) -> None:
+        """A landing begins."""
+        self.stage = Stage.START
+        self._required = required
+        self._searches = 0
+        self._since_s: float | None = None
+        self._height_ned_m = 0.0
+
+    def watch(self, view: View, dt_s: float) -> None:
+        """Take over what has come."""
+        sight, self._pending = self._pending, None
+        if sight is None:
+            return
+        if sight.position_m is None or sight.frame != SightFrame.LOCAL_NED:
+            if not self._told_frame:
+                text = f"landing target: coordinate frame {sight.frame} unsupported"
+                self.texts.append((Severity.CRITICAL, text))
+            self._told_frame = True
+            return
+        self._target, self._seen_s = sight.position_m, view.now_s
+
+    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+        """One step of the state machine."""
+        steps = {
+            Stage.START: self._start,
+            Stage.APPROACH: self._approach,
+            Stage.DESCEND: self._descend,
+            Stage.FINAL: self._final,
+            Stage.SEARCH: self._search,
+        }
+        step = steps.get(self.stage)
+        return None if step is None else step(view)
+
+    # ------------------------------------------------------------ stages
+
+    def _start(self, view: View) -> MotionSetpoint | None:
+        if self._visible(view) is not None:
+            return self._begin_approach(view)
+        return self._begin_search(view) if self._required else self._give_up()
+
+    def _approach(self, view: View) -> MotionSetpoint | None:
+        target = self._visible(view)
+        if target is None:
+            self._say("Lost landing target while landing (horizontal approach).")
+            return self._begin_search(view) if self._required else self._give_up()
+        if self._away(target, view) < self._value("PLD_HACC_RAD"):
+            self._since_s = view.now_s if self._since_s is None else self._since_s
+            # from the first time above it on: a moment off does not start the wait anew
+            if view.now_s - self._since_s > _ABOVE_FOR_S:
+                self.stage = Stage.DESCEND
+        return MotionSetpoint((target[0], target[1], self._height_ned_m))
+
+    def _descend(self, view: View) -> MotionSetpoint | None:
+        target = self._visible(view)
+        close = self._target is not None and self._is_close(self._target, view)
+        if close and view.now_s - self._seen_s > _FRESH_NEAR_GROUND_S:
+            self.stage = Stage.FINAL
+            return self._final(view)
+        if target is None:
+            self._say("Lost landing target while landing (descending).")
+            return self._begin_search(view) if self._required else self._give_up()
+        return MotionSetpoint((target[0], target[1], nan), (nan, nan, view.landing_speed_m_s))
+
+    def _final(self, view: View) -> MotionSetpoint | None:
+        north, east, _ = self._target or view.position_ned_m
+        return MotionSetpoint((north, east, nan), (nan, nan, view.landing_speed_m_s))
+
+    def _search(self, view: View) -> MotionSetpoint | None:
+        if self._visible(view) is not None:
+            return self._begin_approach(view)
+        if self._since_s is not None and view.now_s - self._since_s > self._value("PLD_SRCH_TOUT"):
+            self._say("Search timed out, landing here")
+            return self._give_up()
+        return MotionSetpoint((self._place[0], self._place[1], self._height_ned_m))
+
+    # ------------------------------------------------------------ parts
+
+    def _begin_approach(self, view: View) -> MotionSetpoint | None:
+        self.stage, self._since_s = Stage.APPROACH, None
+        self._height_ned_m = view.position_ned_m[2]
+        return self._approach(view)
+
+    def _begin_search(self, view: View) -> MotionSetpoint | None:
+        self._searches += 1
+        if self._searches > self._value("PLD_MAX_SRCH"):
+            return self._give_up()
+        self.stage, self._since_s = Stage.SEARCH, view.now_s
+        self._place = view.position_ned_m
+        higher = max(0.0, self._value("PLD_SRCH_ALT") - view.height_m)
+        self._height_ned_m = view.position_ned_m[2] - higher
+        return self._search(view)
+
+    def _give_up(self) -> MotionSetpoint | None:
+        """Land as without a target."""
+        self.stage = Stage.FALLBACK
+        return None
+
+    def _visible(self, view: View) -> Vector3 | None:
+        return self._target if view.now_s - self._seen_s < self._value("PLD_BTOUT") else None
+
+    def _is_close(self, target: Vector3, view: View) -> bool:
+        return target[2] - view.position_ned_m[2] < self._value("PLD_FAPPR_ALT")
+
+    def _away(self, target: Vector3, view: View) -> float:
+        return math.hypot(target[0] - view.position_ned_m[0], target[1] - view.position_ned_m[1])
+
+    def _value(self, name: str) -> float:
+        return self._parameters[name]
+
+    def _say(self, text: str) -> None:
+        self.texts.append((Severity.WARNING, text))

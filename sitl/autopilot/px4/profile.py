@@ -1,0 +1,275 @@
+"""PX4's manners: mode numbers, texts, results and rules of PX4 1.16.
+
+Taken from a recording of PX4 with its own simulator. The landed detector waits until the thrust is under
+MPC_THR_MIN + LNDMC_LOW_T_THR (hover - MPC_THR_MIN), which takes the climb's integral 6 s at a descent of
+0.3 m/s, and then LNDMC_TRIG_TIME.
+"""
+
+from __future__ import annotations
+
+import math
+
+from sitl.autopilot.control.attitude_control import AttitudeGains
+from sitl.autopilot.control.rate_control import RateFilters, ShareGains
+from sitl.autopilot.flight.mission_items import Command, MissionRules
+from sitl.autopilot.flight.modes import (
+    ArmingCheck,
+    Failsafe,
+    Mode,
+    ModeCheck,
+    Response,
+    Result,
+    Severity,
+    StickLaw,
+    Task,
+)
+from sitl.autopilot.flight.parameters import Setting
+from sitl.autopilot.flight.profile import (
+    FLAG_AUTO,
+    FLAG_CUSTOM,
+    FLAG_GUIDED,
+    FLAG_MANUAL,
+    FLAG_STABILIZE,
+    Manner,
+    Settings,
+    Texts,
+    aligned,
+    landed_after_flight,
+    level,
+    mission_missing,
+    mode_armable,
+    never_flown,
+    not_from_flight,
+    radio_lost,
+    setpoints_stopped,
+)
+from sitl.autopilot.px4 import setpoints as px4_setpoints
+from sitl.autopilot.px4.control import Px4Control
+from sitl.autopilot.px4.lander import PX4Lander
+from sitl.autopilot.px4.parameters import PARAMETERS
+
+_AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
+_STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
+
+
+def _number(main: int, sub: int = 0) -> int:
+    """custom_mode of a main and a sub mode."""
+    return main << 16 | sub << 24
+
+
+PX4 = Manner(
+    name="px4",
+    autopilot_id=12,
+    custom_mode=_number,
+    flight_version=1 << 24 | 16 << 16 | 1 << 8 | 255,
+    # MISSION_INT, COMMAND_INT, PARAM_ENCODE_BYTEWISE, SET_ATTITUDE_TARGET, SET_POSITION_TARGET_*, MAVLINK2
+    capabilities=4 | 8 | 16 | 64 | 128 | 256 | 8192,
+    parameters_bytewise=True,
+    alignment_s=3.0,
+    home_s=3.0,
+    prearm_in_health_only=True,
+    landed_time_s=1.0,
+    landed_thrust_share=0.47,
+    still_speed_m_s=0.25,
+    modes=(
+        Mode(
+            "MANUAL",
+            _number(1),
+            FLAG_CUSTOM | FLAG_MANUAL,
+            Task.HOLD,
+            in_flight=False,
+            sticks=StickLaw.ANGLE_AND_THRUST,
+            title="Manual",
+        ),
+        Mode("ALTCTL", _number(2), _STICKS, Task.HOLD, sticks=StickLaw.ANGLE_AND_CLIMB, title="Altitude"),
+        Mode("POSCTL", _number(3), _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY, title="Position"),
+        Mode("AUTO_TAKEOFF", _number(4, 2), _AUTO, Task.TAKE_OFF, takes_positions=True, title="Takeoff"),
+        Mode("AUTO_LOITER", _number(4, 3), _AUTO, Task.HOLD, takes_positions=True, title="Hold"),
+        Mode("AUTO_MISSION", _number(4, 4), _AUTO, Task.MISSION, title="Mission"),
+        Mode("AUTO_RTL", _number(4, 5), _AUTO, Task.RETURN, armable=False, title="Return"),
+        Mode("AUTO_LAND", _number(4, 6), _AUTO, Task.LAND, armable=False, title="Land"),
+        Mode(
+            "AUTO_PRECLAND",
+            _number(4, 9),
+            _AUTO,
+            Task.PRECISION_LAND,
+            armable=False,
+            title="Precision Landing",
+        ),
+        Mode("ACRO", _number(5), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, title="Acro", offered=False),
+        Mode(
+            "OFFBOARD",
+            _number(6),
+            FLAG_CUSTOM | FLAG_STABILIZE,
+            Task.SETPOINT,
+            takes_setpoints=True,
+            title="Offboard",
+        ),
+        Mode(
+            "STABILIZED",
+            _number(7),
+            _STICKS,
+            Task.HOLD,
+            in_flight=False,
+            sticks=StickLaw.ANGLE_AND_THRUST,
+            title="Stabilized",
+        ),
+    ),
+    boot_mode="AUTO_LOITER",
+    after_disarm_mode="AUTO_LOITER",
+    take_off_mode="AUTO_TAKEOFF",
+    after_take_off_mode="AUTO_LOITER",
+    hold_mode="AUTO_LOITER",
+    land_mode="AUTO_LAND",
+    return_mode="AUTO_RTL",
+    read_motion=px4_setpoints.read_motion,
+    read_attitude=px4_setpoints.read_attitude,
+    as_aged=px4_setpoints.as_aged,
+    external_needs_setpoints=True,
+    takes_off_by_setpoint=True,
+    take_off_needs_guided=False,
+    thrust_is_climb_rate=False,
+    thrust_is_upward=False,
+    forward_is_low=False,
+    turns_by_command=False,
+    refused_mode=Result.TEMPORARILY_REJECTED,
+    refused_selection=Result.DENIED,
+    refused_arming=Result.TEMPORARILY_REJECTED,
+    refused_disarming=Result.TEMPORARILY_REJECTED,
+    refused_disarming_text="Disarming denied: not landed",
+    unsupported_request=Result.UNSUPPORTED,
+    settings=Settings(
+        setpoint_timeout=Setting("COM_OF_LOSS_T"),
+        cruise_speed=Setting("MPC_XY_CRUISE"),
+        top_speed=Setting("MPC_XY_VEL_MAX"),
+        climb_speed=Setting("MPC_Z_V_AUTO_UP"),
+        descent_speed=Setting("MPC_Z_V_AUTO_DN"),
+        take_off_speed=Setting("MPC_TKO_SPEED"),
+        landing_speed=Setting("MPC_LAND_SPEED"),
+        final_landing_speed=Setting("MPC_LAND_CRWL"),
+        final_landing_height=Setting("MPC_LAND_ALT3"),
+        return_height=Setting("RTL_RETURN_ALT"),
+        acceptance_radius=Setting("NAV_ACC_RAD"),
+        radio_timeout=Setting("COM_RC_LOSS_T"),
+        stick_speed=Setting("MPC_VEL_MANUAL"),
+        stick_climb=Setting("MPC_Z_VEL_MAX_UP"),
+        stick_descent=Setting("MPC_Z_VEL_MAX_DN"),
+        stick_tilt=Setting("MPC_MAN_TILT_MAX", math.pi / 180.0),
+        stick_yaw_rate=Setting("MPC_MAN_Y_MAX", math.pi / 180.0),
+        radio_exceptions=Setting("COM_RCL_EXCEPT"),
+        still_speed=Setting("LNDMC_Z_VEL_MAX"),
+        take_off_height=Setting("MIS_TAKEOFF_ALT"),
+    ),
+    texts=Texts(
+        boot=(),
+        aligned=("Ready for takeoff!",),
+        armed="Armed by external command",
+        disarmed="Disarmed by external command",
+        lifted="Takeoff detected",
+        landed="Landing detected",
+        landing="Landing at current position",
+        terminated="Flight termination active",
+        no_mission="Mission start denied! No valid mission",
+    ),
+    mode_checks=tuple(
+        ModeCheck(fails, "Switching to mode '{mode}' is currently not available")
+        for fails in (
+            lambda mode, _now: not mode.offered,
+            mission_missing,
+            not_from_flight,
+            lambda mode, now: (
+                mode.task is Task.SETPOINT and now.setpoint_age_s >= min(0.5, now.setpoint_timeout_s)
+            ),
+        )
+    ),
+    arming_checks=(
+        ArmingCheck(aligned, "Arming denied: Resolve system health failures first"),
+        ArmingCheck(level, "Arming denied: Attitude failure (roll or pitch)"),
+        ArmingCheck(lambda now: not setpoints_stopped(now), "Arming denied: No offboard control signal"),
+        ArmingCheck(mode_armable, "Arming denied: Mode not suitable for takeoff"),
+    ),
+    failsafes=(
+        Failsafe(
+            "offboard lost",
+            setpoints_stopped,
+            0.0,
+            Response.LEAVE_MODE,
+            Severity.CRITICAL,
+            "Failsafe activated: No offboard control signal, switching to Position",
+            mode="POSCTL",
+            task=Task.DESCEND,
+        ),
+        Failsafe(
+            "radio lost",
+            radio_lost,
+            5.0,  # COM_FAIL_ACT_T
+            Response.LEAVE_MODE,
+            Severity.CRITICAL,
+            "Failsafe activated: Manual control lost, switching to Return",
+            mode="AUTO_RTL",
+            over=lambda now: now.radio,
+        ),
+        Failsafe("landed", landed_after_flight, 2.0, Response.DISARM, Severity.INFO, "Disarmed by landing"),
+        Failsafe(
+            "not taken off",
+            never_flown,
+            10.0,
+            Response.DISARM,
+            Severity.INFO,
+            "Disarmed by auto preflight disarming",
+        ),
+    ),
+    parameters=PARAMETERS,
+    mission=MissionRules(
+        flown=frozenset(
+            {
+                Command.WAYPOINT,
+                Command.LOITER_UNLIM,
+                Command.LOITER_TIME,
+                Command.RETURN_TO_LAUNCH,
+                Command.LAND,
+                Command.TAKEOFF,
+                Command.DELAY,
+                Command.DO_JUMP,
+                Command.DO_CHANGE_SPEED,
+                Command.DO_SET_HOME,
+                Command.DO_LAND_START,
+            }
+        ),
+        # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
+        unheeded=frozenset({183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001})
+        | frozenset({2500, 2501}),
+        max_items=2000,
+        retry_s=0.25,
+        timeout_s=5.0,
+        home_first=False,
+        asks_for_integers=True,
+        writes_in_place=False,
+        restarts=False,
+        partial_lists=False,
+        own_take_off=True,
+        waits_for_start=False,
+        heeds_heading=True,
+        rewinds_on_disarm=False,
+        received_text="",
+        timeout_text="Operation timeout",
+        unknown_current_text="WPM: WP CURR CMD: Not in list",
+        item_text="",
+        reached_text="",
+        finished_text="Mission finished, loitering",
+    ),
+    lander=PX4Lander,
+    lands_precisely=frozenset({Task.PRECISION_LAND}),
+    position_control=Px4Control,
+    attitude_gains=AttitudeGains(
+        # MC_ROLLRATE_P, _I, _D, MC_RR_INT_LIM, MC_YAWRATE_P, _I, _D, MC_YR_INT_LIM; the pseudo-inverse of a
+        # "+" is normalised so that a whole 1 is 0.71 of each motor about roll and pitch, all of it about yaw
+        shares=ShareGains((0.15, 0.2), (0.2, 0.1), (0.003, 0.0), (0.3, 0.3), math.sqrt(2.0), 4.0),
+        # IMU_GYRO_CUTOFF, IMU_DGYRO_CUTOFF, MC_YAW_TQ_CUTOFF
+        filters=RateFilters(40.0, 30.0, yaw_torque_hz=2.0),
+    ),  # MC_ROLL_P, MC_PITCH_P, MC_YAW_P, MC_YAWRATE_MAX
+    throttle_hz=None,
+    outer_period_s=0.01,
+    imu_messages=("HIGHRES_IMU",),
+    imu_filter=2,  # the chip's own, 92 Hz: HIGHRES_IMU comes before IMU_GYRO_CUTOFF
+)

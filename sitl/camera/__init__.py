@@ -1,0 +1,1 @@
+"""The simulated camera: rendering, exposure, and the way of its frames."""

@@ -1,0 +1,127 @@
+"""From light to grey values: what exposure, lens and sensor do to the simulated camera's image."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from companion.base.geometry import FloatArray
+from companion.config import CameraConfig, StrictModel
+from sitl.camera.light import LightSettings
+from sitl.camera.sensor_chip import ExposureSettings
+from sitl.camera.textures import GreyImage
+
+LONGEST_KERNEL_PX: Final = 2.5
+
+
+class DirtSettings(StrictModel):
+    """Dust and dried drops on the lens: soft dark blobs that stay where they are in the image."""
+
+    blobs: int = Field(default=12, ge=1, le=200)  # How many
+    largest_share: float = Field(default=0.08, gt=0.005, le=0.5)  # Width of the largest, of the image's
+    opacity: float = Field(default=0.7, gt=0.0, le=1.0)  # Of the most opaque one's middle
+
+
+class CameraSettings(StrictModel):
+    """What the lens and the sensor do to the image, beyond the calibrated geometry.
+
+    Exposure and readout default to the camera's own; a scenario may differ from what the app believes.
+    The defaults of the lens are those of a small f/2 lens of 3 mm (a Raspberry Pi's camera): 1.5 mm
+    aperture, focused at 1.5 m.
+    """
+
+    exposure_s: float | None = Field(default=None, ge=0.0, le=0.05)
+    readout_s: float | None = Field(default=None, ge=0.0, le=0.05)
+    noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
+    lens_blur_px: float = Field(default=0.45, ge=0.0, le=5.0)
+    aperture_m: float = Field(default=0.0015, ge=0.0, le=0.02)
+    focus_m: float = Field(default=1.5, gt=0.01, le=100.0)
+    vignette: float = Field(default=0.25, ge=0.0, le=1.0)
+    gain: float = Field(default=1.0, gt=0.0, le=4.0)
+    motion_blur: bool = True
+    light: LightSettings | None = None
+    exposure: ExposureSettings = ExposureSettings()
+    dirt: DirtSettings | None = None
+
+
+def motion_blur(image: GreyImage, right_px: float, down_px: float) -> GreyImage:
+    """Smear the image along a straight stroke, centred, so that nothing moves on average.
+
+    A long stroke is a short one applied to the mean of two copies, as often as needed: that costs two
+    additions a doubling instead of a kernel of the stroke's length. Copies are moved by whole pixels and
+    the short stroke takes up what remains.
+    """
+    while max(abs(right_px), abs(down_px)) > LONGEST_KERNEL_PX:
+        x, y = round(0.25 * right_px), round(0.25 * down_px)
+        image = _mean_of_two(image, x, y)
+        right_px, down_px = right_px - 2.0 * x, down_px - 2.0 * y
+    if max(abs(right_px), abs(down_px)) < 0.3:
+        return image
+    return np.asarray(cv2.filter2D(image, -1, _stroke_kernel(right_px, down_px)), dtype=np.uint8)
+
+
+def _mean_of_two(image: GreyImage, x: int, y: int) -> GreyImage:
+    """Mean of the image moved by (x, y) and by (-x, -y) whole pixels; edges repeat."""
+    ax, ay = abs(x), abs(y)
+    rows, columns = image.shape
+    wide = cv2.copyMakeBorder(image, ay, ay, ax, ax, cv2.BORDER_REPLICATE)
+    a = wide[ay + y : ay + y + rows, ax + x : ax + x + columns]
+    b = wide[ay - y : ay - y + rows, ax - x : ax - x + columns]
+    return np.asarray(cv2.addWeighted(a, 0.5, b, 0.5, 0.0), dtype=np.uint8)
+
+
+def _stroke_kernel(right_px: float, down_px: float) -> FloatArray:
+    """Kernel (n, n) of a line through its middle; each sample shared among its four neighbours."""
+    half = math.ceil(0.5 * max(abs(right_px), abs(down_px)))
+    size, samples = 2 * half + 1, 9
+    kernel = [[0.0] * size for _ in range(size)]
+    for k in range(samples):
+        t = (k + 0.5) / samples - 0.5
+        x, y = half + t * right_px, half + t * down_px
+        j, i = min(int(x), 2 * half - 1), min(int(y), 2 * half - 1)
+        fx, fy = x - j, y - i
+        kernel[i][j] += (1 - fx) * (1 - fy)
+        kernel[i][j + 1] += fx * (1 - fy)
+        kernel[i + 1][j] += (1 - fx) * fy
+        kernel[i + 1][j + 1] += fx * fy
+    return np.array(kernel) / samples
+
+
+def vignette(camera: CameraConfig, settings: CameraSettings, rng: np.random.Generator) -> GreyImage | None:
+    """How much light (0..255) reaches each pixel: falls with the square of the distance from the axis.
+
+    Dirt takes its share of it.
+    """
+    if settings.vignette == 0.0 and settings.gain == 1.0 and settings.dirt is None:
+        return None
+    y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    r2 = (x - camera.cx_px) ** 2 + (y - camera.cy_px) ** 2
+    corner2 = camera.cx_px**2 + camera.cy_px**2
+    light = 255.0 * (1.0 - settings.vignette * r2 / corner2)
+    if settings.dirt is not None:
+        light *= _transmission(camera, settings.dirt, rng)
+    return np.asarray(light.clip(0, 255), dtype=np.uint8)
+
+
+def _transmission(camera: CameraConfig, dirt: DirtSettings, rng: np.random.Generator) -> FloatArray:
+    """What dirt lets through (rows, columns): each blob a Gauss bell as wide as four standard deviations."""
+    y, x = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    clear = np.ones(x.shape)
+    for _ in range(dirt.blobs):
+        right, down, size, opacity = rng.uniform(0.0, 1.0, 4).tolist()
+        std_px = 0.25 * camera.width_px * dirt.largest_share * (0.3 + 0.7 * size)
+        r2 = (x - right * camera.width_px) ** 2 + (y - down * camera.height_px) ** 2
+        clear *= 1.0 - dirt.opacity * (0.3 + 0.7 * opacity) * np.exp(-0.5 * r2 / std_px**2)
+    return clear
+
+
+def noise_bank(camera: CameraConfig, noise_grey: float, rng: np.random.Generator) -> GreyImage | None:
+    """Noise about 128, four images large: each frame takes a window at a random place."""
+    if noise_grey == 0.0:
+        return None
+    noise = rng.normal(128.0, noise_grey, (2 * camera.height_px, 2 * camera.width_px))
+    return np.asarray(np.rint(noise).clip(0, 255), dtype=np.uint8)

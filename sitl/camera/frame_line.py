@@ -1,0 +1,58 @@
+"""The way of frames from the camera to the app: what is held up on it, lost, repeated or garbled.
+
+A camera may drop frames of itself, singly or in bursts (a Gilbert model: two states, and a chance to change
+between them at each frame); faults come on top.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sitl.camera.textures import GreyImage
+
+
+class FrameLine:
+    """`lost_share` of the frames is always lost, in bursts of `burst_frames` on average."""
+
+    def __init__(self, rng: np.random.Generator, lost_share: float = 0.0, burst_frames: float = 1.0) -> None:
+        self._rng = rng
+        self._always = (lost_share, burst_frames)
+        self._losing = False
+        self._last: GreyImage | None = None
+        self.mend()
+
+    def mend(self) -> None:
+        """Let through at once what the camera itself does not drop."""
+        self.late_s = 0.0
+        self.late_every = 1
+        self.lost_share, self.burst_frames = self._always
+        self.stuck = False
+        self.garbled_share = 0.0
+
+    def delay_s(self, sequence: int) -> float | None:
+        """How much longer than usual a frame takes (s); None: it never comes."""
+        if self.lost_share > 0.0 and self._lost():
+            return None
+        return self.late_s if sequence % self.late_every == 0 else 0.0
+
+    def _lost(self) -> bool:
+        """The next frame's fate; in bursts of 1 each is a throw of its own."""
+        dice, share = float(self._rng.random()), self.lost_share
+        if self.burst_frames <= 1.0 or share >= 1.0:
+            return dice < share
+        ends = 1.0 / self.burst_frames
+        begins = min(1.0, ends * share / (1.0 - share))
+        self._losing = dice >= ends if self._losing else dice < begins
+        return self._losing
+
+    def carried(self, image: GreyImage) -> GreyImage:
+        """What arrives of an image: itself, the last one again, or itself down to a row and garbage below."""
+        if self.stuck and self._last is not None:
+            return self._last
+        self._last = image
+        if self.garbled_share == 0.0 or float(self._rng.random()) >= self.garbled_share:
+            return image
+        row = int(self._rng.integers(image.shape[0]))
+        garbled = image.copy()
+        garbled[row:] = self._rng.integers(0, 256, garbled[row:].shape, dtype=np.uint8)
+        return garbled

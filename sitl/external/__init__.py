@@ -1,0 +1,1 @@
+"""The world about somebody else's autopilot, in real time."""

@@ -1,0 +1,103 @@
+"""The world for somebody else's autopilot as a process: what `companion-sitl --external` does.
+
+It flies nothing: it watches the vehicle of an ArduPilot or PX4 SITL over MAVLink and puts a pad, a camera
+and an ultrasonic about it, in real time. It says by one line of JSON on standard output where these are
+once the vehicle is found (the keys are the app's settings), and on standard error what it waits for. Ctrl-C
+ends it and has the last landing judged. As the app's child it judges when standard input says `finish PHASE`,
+and ends with standard input, as the bundled simulator does.
+
+The app may share the connection: `link.connection` of that line is a UDP port behind which the vehicle is.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from companion.base.messages import Phase
+from sitl.camera.frame_server import FrameServer
+from sitl.devices.ports import PtyPort
+from sitl.external.link import check_connection, open_link, open_relay
+from sitl.external.session import ExternalSimulation, Parts
+from sitl.run.orders import final_phase, fly_until_told, say
+from sitl.run.server import REPORT_NAME, SENSOR_BAUD
+from sitl.scenario.scenario import Scenario
+
+
+async def serve_external(
+    scenario: Scenario, seed: int, folder: Path, connection: str, *, child: bool = False
+) -> None:
+    """Run the world until it is told to end; see the module's docstring.
+
+    Raises:
+        ConfigError: the connection is none, a port is taken, or the scenario does not suit.
+    """
+    check_connection(connection, "--external")
+    async with contextlib.AsyncExitStack() as stack:
+        link = await open_link(connection, tell)
+        stack.callback(link.close)
+        relay, relay_port = await open_relay()
+        stack.callback(relay.close)
+        range_port = PtyPort(SENSOR_BAUD)
+        stack.callback(range_port.close)
+        frames = FrameServer(folder / "camera")
+        await frames.start()
+        stack.push_async_callback(frames.close)
+        simulation = ExternalSimulation(scenario, seed, Parts(link, relay, range_port, frames), tell)
+        ending = final_phase() if child else _landed_once(_stop_signals())
+        _tell_pad(scenario)
+        tell(f"waiting for a vehicle on {connection}")
+        endpoints = _endpoints(relay_port, range_port.path, frames.address)
+        telling = asyncio.create_task(_tell_once_found(simulation, endpoints))
+        stack.callback(telling.cancel)
+        await fly_until_told(simulation, folder / REPORT_NAME, ending)
+
+
+def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
+    """The app's settings that lead here."""
+    return {
+        "link": {"connection": f"udp:127.0.0.1:{relay_port}"},
+        "sense": {
+            "source": "autopilot",
+            "autopilot": {"range_source": "boards"},
+            "range": {"port": range_path},
+            "vision": {"source": frames},
+        },
+    }
+
+
+async def _tell_once_found(simulation: ExternalSimulation, endpoints: dict[str, Any]) -> None:
+    await simulation.ready.wait()
+    say(endpoints)
+
+
+def _stop_signals() -> asyncio.Event:
+    """Set by Ctrl-C, SIGTERM or SIGHUP, from now on."""
+    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stopped.set)
+    return stopped
+
+
+async def _landed_once(stopped: asyncio.Event) -> Phase:
+    """Whoever flew the vehicle did not say how it ended: the truth alone decides."""
+    await stopped.wait()
+    return Phase.LANDED
+
+
+def _tell_pad(scenario: Scenario) -> None:
+    height_m = scenario.pad.surface_height_m
+    if height_m > 0.0:
+        tell(
+            f"scenario '{scenario.name}': pad.surface_height_m {height_m:g} is taken as 0: the ground of an "
+            "external simulator is flat, so the pad lies flush with it"
+        )
+
+
+def tell(text: str) -> None:
+    """One line for people, on standard error."""
+    print(f"companion-sitl: {text}", file=sys.stderr, flush=True)

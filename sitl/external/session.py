@@ -1,0 +1,262 @@
+"""The world about somebody else's vehicle, put together, in real time: pad, camera, ultrasonic, beacon.
+
+It watches a vehicle over MAVLink and flies nothing. The app may share the connection: what it sends to the
+relay's port goes to the vehicle, and what the vehicle sends comes there too.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from companion.base.clock import Clock
+from companion.base.geometry import Vector3, tilt_from_quat
+from companion.base.messages import Frame, Phase, Truth
+from companion.config import VehicleConfig, find_file, load_model
+from sitl.camera.frame_line import FrameLine
+from sitl.camera.frame_server import FrameServer
+from sitl.devices.ports import PtyPort
+from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
+from sitl.external.client import VehicleClient
+from sitl.external.link import ExternalLink, UdpEnd, pump
+from sitl.external.pose import LONGEST_GUESS_S
+from sitl.external.world import ExternalWorld
+from sitl.mavlink.ground_station import GroundStation
+from sitl.run.report import SimulationReport
+from sitl.run.scene_camera import SceneCamera
+from sitl.run.sensor_quality import sensor_errors
+from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
+from sitl.scenario.scenario import PassBounds, Scenario
+from sitl.sensors.sensors import RangeSensor
+from sitl.world.score import Verdict
+
+TICK_S: Final = 0.005
+# a picture waits so long for the message after its last row; then the newest pose is carried on
+POSE_WAIT_S: Final = 0.04
+CAMERA_BACKLOG_S: Final = 0.2
+_MOST_TRUTH: Final = 100_000  # half an hour: more than a flight, and not all of a world left on for days
+STREAM: Final = 22  # random draws of this world: (seed, 22); the pad's are the bundled world's own
+
+
+@dataclass(slots=True)
+class Parts:
+    """What is plugged together; the ports are the caller's to close."""
+
+    link: ExternalLink
+    relay: UdpEnd
+    range_port: PtyPort
+    frames: FrameServer
+
+
+class ExternalSimulation:
+    """A scenario's pad, camera and ultrasonic about a vehicle that a client watches."""
+
+    def __init__(self, scenario: Scenario, seed: int, parts: Parts, tell: Callable[[str], None]) -> None:
+        """Build it inside the running loop.
+
+        Raises:
+            ConfigError: a file that the scenario names is missing or wrong, or its pad leaves the ground.
+        """
+        self._clock = Clock()
+        self._parts = parts
+        self._tell = tell
+        self._bounds = scenario.pass_bounds
+        self.client = VehicleClient(tell)
+        self.world = ExternalWorld(scenario, seed)
+        self.ready = asyncio.Event()
+        self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
+        streams = iter(np.random.default_rng((seed, STREAM)).spawn(6))
+        errors = sensor_errors(scenario.sensors)
+        self._half_beam_rad = errors.range.half_beam_rad
+        echo = RangeSensor(errors.range, next(streams))
+        polled = scenario.sensors.ultrasonic == "polled"
+        self._ultrasonic = PolledUltrasonicDevice(echo) if polled else UltrasonicDevice(echo)
+        cameras = (next(streams), next(streams), next(streams))
+        self._camera = SceneCamera(scenario, self._vehicle, self.world, *cameras, self._clock.now_s())
+        self._station_rng, self._beacon = next(streams), scenario.beacon
+        self._station: GroundStation | None = None
+        self._settled_by: str | None = None
+        self._frame_line = FrameLine(
+            next(streams), scenario.camera.lost_share, scenario.camera.lost_burst_frames
+        )
+        self._truth: deque[Truth] = deque(maxlen=_MOST_TRUTH)
+        self._ticks = 0
+        self._first_s: float | None = None
+        self._latest_tick_s = 0.0
+        self._told_touchdown_s: float | None = None
+
+    async def run(self) -> None:
+        """Go on until cancelled."""
+        parts = self._parts
+        async with asyncio.TaskGroup() as group:
+            group.create_task(pump(parts.link, self._hear_vehicle, parts.relay.write, tell=self._tell))
+            group.create_task(pump(parts.relay, parts.link.write, self._hear_app, tell=self._tell))
+            group.create_task(self._film())
+            due_s = self._clock.now_s()
+            while True:
+                now_s = self._clock.now_s()
+                self._latest_tick_s = max(self._latest_tick_s, now_s - due_s)
+                self._tick(now_s)
+                due_s = max(due_s + TICK_S, now_s)
+                await self._clock.sleep_until(due_s)
+
+    def report(self, final_phase: Phase) -> SimulationReport:
+        """Judge the flight as it stands; `final_phase` is the app's last."""
+        now_s, verdict = self._clock.now_s(), self.world.judge(final_phase)
+        touchdown = self.world.touchdown
+        pad_speed = (
+            float(np.linalg.norm(self.world.pad_at(now_s).velocity_ned_m_s))
+            if touchdown is None
+            else touchdown.pad_speed_m_s
+        )
+        return SimulationReport(
+            outcome=verdict.outcome,
+            failures=verdict.failures,
+            touchdown=None if verdict.touchdown is None else asdict(verdict.touchdown),
+            pad_speed_m_s=pad_speed,
+            duration_s=0.0 if self._first_s is None else now_s - self._first_s,
+            latest_tick_s=self._latest_tick_s,
+            truth=tuple(self._truth),
+            nearest_obstacle_m=self.world.nearest_obstacle_m,
+        )
+
+    # ------------------------------------------------------------ the link
+
+    def _hear_vehicle(self, data: bytes) -> None:
+        now_s = self._clock.now_s()
+        self.client.receive(data, now_s)
+        if not self._parts.relay.has_peer:
+            self._hear_ground(data, now_s)
+        for sample in self.client.take_samples():
+            # the truth and the estimates lie metres apart, above all in height: each has its own ground
+            if self._settled_by != self.client.source and not self._settle(sample.place):
+                continue
+            self.world.see(sample, armed=self.client.armed)
+            self.client.flown = self.world.flown
+        if self.world.track.newest is not None and self._first_s is None:
+            self._first_s = now_s
+            self._camera.skip_to(now_s)
+            self.ready.set()
+
+    def _hear_app(self, data: bytes) -> None:
+        self._hear_ground(data, self._clock.now_s())
+
+    def _hear_ground(self, data: bytes, now_s: float) -> None:
+        if self._station is not None:
+            self._station.receive(data, now_s)
+
+    def _settle(self, place: Vector3) -> bool:
+        """Choose the origin: where it stands, or its home when it flies already."""
+        if self.client.beats == 0:
+            return False
+        ground = place
+        if self.client.armed:
+            if self.client.home is None:
+                return False  # asked for; until it comes nobody knows where the ground is
+            ground = self.client.home
+            self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
+        self.world.begin(ground)
+        self._settled_by = self.client.source
+        self._station = GroundStation.of(self._beacon, self._station_rng, ground)
+        self._tell(
+            f"vehicle {self.client.system_id} found by {self.client.source}; ground at latitude "
+            f"{ground[0]:.7f}, longitude {ground[1]:.7f}, altitude {ground[2]:.2f} m"
+        )
+        return True
+
+    # ------------------------------------------------------------ one tick
+
+    def _tick(self, now_s: float) -> None:
+        self._parts.link.write(self.client.transmit(now_s))
+        if self._first_s is None:
+            return
+        self._talk(now_s)
+        self._ping(now_s)
+        self._ticks += 1
+        if self._ticks % TRUTH_EVERY_TICKS == 0:
+            self._truth.append(self.world.truth_at(now_s))
+            self._tell_landing()
+
+    def _talk(self, now_s: float) -> None:
+        """The ground station's heartbeat, and the pad's own GPS when it is asked for."""
+        assert self._station is not None
+        pad = self.world.pad_at(now_s)
+        data = self._station.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
+        self._parts.link.write(data)
+        self._parts.relay.write(data)
+
+    def _ping(self, now_s: float) -> None:
+        port, pose = self._parts.range_port, self.world.track.newest
+        assert pose is not None
+        distance = self.world.range_m(self._vehicle.range_position_body_m, self._half_beam_rad)
+        self._ultrasonic.receive(port.receive())
+        port.send(
+            self._ultrasonic.step(
+                now_s, OUT_OF_RANGE_M if distance is None else distance, tilt_from_quat(pose.attitude)
+            )
+        )
+
+    def _tell_landing(self) -> None:
+        """A table of each landing, for people, when the vehicle has disarmed after it."""
+        touchdown = self.world.touchdown
+        if touchdown is None or self.world.armed or touchdown.time_s == self._told_touchdown_s:
+            return
+        self._told_touchdown_s = touchdown.time_s
+        print_verdict(self.world.judge(Phase.LANDED), self._bounds)
+
+    # ------------------------------------------------------------ the camera
+
+    async def _film(self) -> None:
+        """Render each frame once the pose after its last row has come; a thread, since it takes a while."""
+        await self.ready.wait()
+        while True:
+            await self._clock.sleep_until(self._camera.exposed_s)
+            await self._pose_after(self._camera.exposed_s)
+            now_s = self._clock.now_s()
+            watched = self._parts.frames.client_count > 0
+            self._camera.skip_to(now_s - CAMERA_BACKLOG_S if watched else now_s)
+            taken = await asyncio.to_thread(self._camera.step, now_s)
+            if taken is not None:
+                self._deliver_later(*taken)
+
+    async def _pose_after(self, time_s: float) -> None:
+        """Wait for a pose of that time; later, an earlier one will do; later still, frames are dropped."""
+        while True:
+            newest = self.world.track.newest
+            assert newest is not None
+            late_s = self._clock.now_s() - time_s
+            can_be_guessed = late_s > POSE_WAIT_S and newest.time_s > time_s - LONGEST_GUESS_S
+            if newest.time_s >= time_s or can_be_guessed:
+                return
+            if late_s > CAMERA_BACKLOG_S:
+                self._camera.skip_to(self._clock.now_s())
+                time_s = self._camera.exposed_s
+            await asyncio.sleep(TICK_S)
+
+    def _deliver_later(self, frame: Frame, due_s: float) -> None:
+        if self._frame_line.delay_s(frame.sequence) is None:
+            return  # lost on the way
+
+        def deliver() -> None:
+            self._parts.frames.deliver(replace(frame, received_s=self._clock.now_s()))
+
+        asyncio.get_running_loop().call_at(due_s, deliver)
+
+
+def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
+    """The touchdown beside what passes, as a table on standard error."""
+    table = Table(title=f"{verdict.outcome}" + "".join(f"; {failure}" for failure in verdict.failures))
+    for heading in ("touchdown", "measured", "passes"):
+        table.add_column(heading)
+    if verdict.touchdown is not None:
+        limits = bounds.model_dump()
+        for name, value in asdict(verdict.touchdown).items():
+            table.add_row(name, f"{value:.3f}", f"<= {limits[name]:g}" if name in limits else "")
+    Console(stderr=True).print(table)

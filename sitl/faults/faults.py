@@ -1,0 +1,265 @@
+"""What fails in flight, and when: faults as data of a scenario.
+
+A fault works on what a sensor feels, on its chip, on its line or on a frame's way (`sitl.faults.injection`),
+never on anything the app computes. Every sensor can be lost, freeze, step aside (a bias) and spike. Times
+count from the start of the simulation (s), axes are the body's (FRD).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from companion.config import StrictModel
+
+Component = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+BodyVector = tuple[Component, Component, Component]
+
+
+class FaultTimes(StrictModel):
+    """When a fault is there."""
+
+    start_s: float = Field(ge=0.0, le=900.0)  # From the start of the simulation
+    duration_s: float = Field(default=900.0, gt=0.0, le=900.0)  # By default to the end of the flight
+
+    @property
+    def end_s(self) -> float:
+        """When it is over."""
+        return self.start_s + self.duration_s
+
+
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+# ---------------------------------------------------------------- IMU
+
+
+class ImuLost(FaultTimes):
+    """Its cable is off: nothing on the bus answers."""
+
+    kind: Literal["imu_lost"]
+
+
+class ImuBusError(FaultTimes):
+    """The IMU does not acknowledge now and then."""
+
+    kind: Literal["imu_bus_error"]
+    every: int = Field(default=40, ge=1, le=10000)  # One transaction in so many; 1 is a cable that is off
+
+
+class ImuFrozen(FaultTimes):
+    """It goes on giving its last rates and forces."""
+
+    kind: Literal["imu_frozen"]
+
+
+class GyroBiasStep(FaultTimes):
+    """The gyroscope's zero moves at once, as after a knock."""
+
+    kind: Literal["gyro_bias_step"]
+    rate_body_deg_s: BodyVector = (1.15, 1.15, 1.15)  # Added to every reading; by default 2 °/s in all
+
+
+class GyroSpikes(FaultTimes):
+    """Some rates are garbled."""
+
+    kind: Literal["gyro_spikes"]
+    share: Share = 0.01  # Of the readings
+    size_deg_s: float = Field(default=100.0, gt=0.0, le=2000.0)  # Off by up to so much, on one axis
+
+
+class AccelBiasStep(FaultTimes):
+    """The accelerometer's zero moves at once."""
+
+    kind: Literal["accel_bias_step"]
+    force_body_m_s2: BodyVector = (0.5, 0.5, 0.0)  # Added to every reading
+
+
+class AccelSpikes(FaultTimes):
+    """Some forces are garbled."""
+
+    kind: Literal["accel_spikes"]
+    share: Share = 0.01  # Of the readings
+    size_m_s2: float = Field(default=30.0, gt=0.0, le=160.0)  # Off by up to so much, on one axis
+
+
+class AccelClips(FaultTimes):
+    """The accelerometer's element saturates, before any filter, under stronger vibration."""
+
+    kind: Literal["accel_clips"]
+    range_g: float = Field(default=1.2, ge=0.2, le=16.0)  # Each axis feels no more than this
+    vibration_factor: float = Field(default=4.0, ge=1.0, le=20.0)  # On the rotors' vibration meanwhile
+
+
+# ---------------------------------------------------------------- magnetometer
+
+
+class MagLost(FaultTimes):
+    """It acknowledges nothing."""
+
+    kind: Literal["mag_lost"]
+
+
+class MagFrozen(FaultTimes):
+    """It goes on giving its last field."""
+
+    kind: Literal["mag_frozen"]
+
+
+class MagDisturbed(FaultTimes):
+    """A field besides the earth's: a current, a steel tool, a loudspeaker's magnet."""
+
+    kind: Literal["mag_disturbed"]
+    field_body_ut: BodyVector = (0.0, 30.0, 0.0)  # Added to the earth's
+
+
+class MagSpikes(FaultTimes):
+    """Some fields are garbled."""
+
+    kind: Literal["mag_spikes"]
+    share: Share = 0.05  # Of the readings
+    size_ut: float = Field(default=100.0, gt=0.0, le=4900.0)  # Off by up to so much, on one axis
+
+
+# ---------------------------------------------------------------- GPS
+
+
+class GpsLost(FaultTimes):
+    """The receiver sees too little sky, or its line is broken."""
+
+    kind: Literal["gps_lost"]
+    unplugged: bool = False  # Nothing on the line at all, instead of messages without a fix
+
+
+class GpsFrozen(FaultTimes):
+    """It goes on giving its last fix, with the time running on."""
+
+    kind: Literal["gps_frozen"]
+
+
+class GpsJump(FaultTimes):
+    """The fix jumps aside at once, and believes itself: a reflection, or another set of satellites."""
+
+    kind: Literal["gps_jump"]
+    position_ned_m: BodyVector = (5.0, -5.0, 0.0)  # Added to every fix
+
+
+class GpsSpikes(FaultTimes):
+    """Some fixes are far off."""
+
+    kind: Literal["gps_spikes"]
+    share: Share = 0.1  # Of the fixes
+    size_m: float = Field(default=30.0, gt=0.0, le=1000.0)  # Off by up to so much, north, east or down
+
+
+# ---------------------------------------------------------------- ultrasonic
+
+
+class RangeLost(FaultTimes):
+    """It hears no echo, or its line is broken."""
+
+    kind: Literal["range_lost"]
+    share: Share = 1.0  # Of the pings
+    unplugged: bool = False  # Nothing on the line at all, instead of frames without an echo
+
+
+class RangeStuck(FaultTimes):
+    """It shows one distance whatever is below: something hangs before it."""
+
+    kind: Literal["range_stuck"]
+    distance_m: Annotated[float, Field(ge=0.0, le=4.5)] | None = None  # None: the last one it had
+
+
+class RangeBiasStep(FaultTimes):
+    """It shows too much at once, or too little: air of another temperature, a mount that slipped."""
+
+    kind: Literal["range_bias_step"]
+    distance_m: float = Field(default=0.1, ge=-2.0, le=2.0)  # Added to every echo
+
+
+class RangeSpikes(FaultTimes):
+    """The ultrasonic hears something else."""
+
+    kind: Literal["range_spikes"]
+    share: float = Field(default=0.3, ge=0.0, le=1.0)  # Of the pings: an echo from anywhere in between
+
+
+# ---------------------------------------------------------------- camera
+
+
+class FrameLate(FaultTimes):
+    """A frame is held up on its way; frames taken after it may overtake it."""
+
+    kind: Literal["frame_late"]
+    extra_s: float = Field(default=0.25, gt=0.0, le=5.0)  # On top of the camera's own latency
+    every: int = Field(default=10, ge=1, le=1000)  # One frame in so many; 1 is each
+
+
+class FrameLost(FaultTimes):
+    """Frames do not come."""
+
+    kind: Literal["frame_lost"]
+    share: float = Field(default=1.0, gt=0.0, le=1.0)  # Of the frames; 1 is a camera that has stalled
+    burst_frames: float = Field(default=1.0, ge=1.0, le=300.0)  # So many in a row on average; 1: singly
+
+
+class FrameStuck(FaultTimes):
+    """The same picture comes again and again, with new stamps."""
+
+    kind: Literal["frame_stuck"]
+
+
+class FrameGarbled(FaultTimes):
+    """Frames are garbage from some row on, as of a loose cable."""
+
+    kind: Literal["frame_garbled"]
+    share: Share = 0.3  # Of the frames
+
+
+# ---------------------------------------------------------------- link and motors
+
+
+class LinkBlackout(FaultTimes):
+    """Nothing gets through between vehicle and app."""
+
+    kind: Literal["link_blackout"]
+    way: Literal["both", "to_app", "to_vehicle"] = "both"  # Which direction
+
+
+class MotorWeak(FaultTimes):
+    """A motor gives less thrust than is asked of it; all of them: the battery's voltage sags."""
+
+    kind: Literal["motor_weak"]
+    motor: Literal[1, 2, 3, 4, "all"] = 1  # 1 front, 2 right, 3 back, 4 left
+    thrust_factor: float = Field(default=0.85, ge=0.0, le=1.0)  # What is left of its thrust
+
+
+Fault = (
+    ImuLost
+    | ImuBusError
+    | ImuFrozen
+    | GyroBiasStep
+    | GyroSpikes
+    | AccelBiasStep
+    | AccelSpikes
+    | AccelClips
+    | MagLost
+    | MagFrozen
+    | MagDisturbed
+    | MagSpikes
+    | GpsLost
+    | GpsFrozen
+    | GpsJump
+    | GpsSpikes
+    | RangeLost
+    | RangeStuck
+    | RangeBiasStep
+    | RangeSpikes
+    | FrameLate
+    | FrameLost
+    | FrameStuck
+    | FrameGarbled
+    | LinkBlackout
+    | MotorWeak
+)

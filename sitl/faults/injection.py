@@ -1,0 +1,273 @@
+"""Breaks devices as a scenario's faults say, at their times, one function a fault.
+
+`FaultSchedule` asks once a step whether a fault begins or ends; then everything is mended and what is active
+is broken anew, so that faults may overlap. SI units, body axes (FRD).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, add
+from sitl.camera.frame_line import FrameLine
+from sitl.devices.rack import SensorRack
+from sitl.faults import faults
+from sitl.faults.faulty_link import LinkWay
+from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.vehicle.actuators import Motors
+
+
+class Breakable:
+    """The devices and what may be broken about them."""
+
+    def __init__(
+        self,
+        rack: SensorRack,
+        onboard: OnboardSensors,
+        frames: FrameLine,
+        motors: Motors,
+        to_app: LinkWay,
+        to_vehicle: LinkWay,
+    ) -> None:
+        """`onboard` are the autopilot's own sensors, to which the world around does the same."""
+        self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
+        self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
+        self.onboard = onboard
+        self.frames, self.motors = frames, motors
+        self.to_app, self.to_vehicle = to_app, to_vehicle
+
+    def mend(self) -> None:
+        """Everything as it should be."""
+        self.bus.wake()
+        self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
+        self.inertial.accel_limit_m_s2 = math.inf
+        self.inertial.vibration_factor = 1.0
+        self.inertial.gyro_glitches.mend()
+        self.inertial.accel_glitches.mend()
+        self.magnetometer.stray_field_ut = ZERO3
+        self.magnetometer.glitches.mend()
+        self.bus.magnetometer.silent = False
+        self.bus.nack_every, self.bus.fault = 0, "none"
+        self.echo.mend()
+        self.range.silent = False
+        self.gps.has_fix, self.gps.silent = True, False
+        self.position.jump_ned_m, self.position.frozen = ZERO3, False
+        self.position.glitches.mend()
+        self.onboard.has_sky, self.onboard.stray_field_ut = True, ZERO3
+        self.frames.mend()
+        self.motors.mend()
+        self.to_app.cut = self.to_vehicle.cut = False
+
+
+# ---------------------------------------------------------------- IMU
+
+
+def lose_imu(_fault: faults.ImuLost, parts: Breakable) -> None:
+    """Nobody acknowledges."""
+    parts.bus.fault = "nack"
+
+
+def disturb_bus(fault: faults.ImuBusError, parts: Breakable) -> None:
+    """Transactions that fail."""
+    parts.bus.nack_every = fault.every
+
+
+def freeze_imu(_fault: faults.ImuFrozen, parts: Breakable) -> None:
+    """The last readings again and again."""
+    parts.inertial.gyro_glitches.frozen = parts.inertial.accel_glitches.frozen = True
+
+
+def step_gyro_bias(fault: faults.GyroBiasStep, parts: Breakable) -> None:
+    """A rate that is not there."""
+    x, y, z = fault.rate_body_deg_s
+    step = (math.radians(x), math.radians(y), math.radians(z))
+    parts.inertial.rate_offset_rad_s = add(parts.inertial.rate_offset_rad_s, step)
+
+
+def spike_gyro(fault: faults.GyroSpikes, parts: Breakable) -> None:
+    """Wrong rates."""
+    parts.inertial.gyro_glitches.spike(fault.share, math.radians(fault.size_deg_s))
+
+
+def step_accel_bias(fault: faults.AccelBiasStep, parts: Breakable) -> None:
+    """A force that is not there."""
+    parts.inertial.force_offset_m_s2 = add(parts.inertial.force_offset_m_s2, fault.force_body_m_s2)
+
+
+def spike_accel(fault: faults.AccelSpikes, parts: Breakable) -> None:
+    """Wrong forces."""
+    parts.inertial.accel_glitches.spike(fault.share, fault.size_m_s2)
+
+
+def clip_accelerometer(fault: faults.AccelClips, parts: Breakable) -> None:
+    """Less range, more vibration."""
+    limit_m_s2 = fault.range_g * GRAVITY_M_S2
+    parts.inertial.accel_limit_m_s2 = min(parts.inertial.accel_limit_m_s2, limit_m_s2)
+    parts.inertial.vibration_factor *= fault.vibration_factor
+
+
+# ---------------------------------------------------------------- magnetometer
+
+
+def lose_magnetometer(_fault: faults.MagLost, parts: Breakable) -> None:
+    """It acknowledges nothing."""
+    parts.bus.magnetometer.silent = True
+
+
+def freeze_magnetometer(_fault: faults.MagFrozen, parts: Breakable) -> None:
+    """The last field again and again."""
+    parts.magnetometer.glitches.frozen = True
+
+
+def disturb_magnetometer(fault: faults.MagDisturbed, parts: Breakable) -> None:
+    """Another field on top."""
+    for sensor in (parts.magnetometer, parts.onboard):
+        sensor.stray_field_ut = add(sensor.stray_field_ut, fault.field_body_ut)
+
+
+def spike_magnetometer(fault: faults.MagSpikes, parts: Breakable) -> None:
+    """Wrong fields."""
+    parts.magnetometer.glitches.spike(fault.share, fault.size_ut)
+
+
+# ---------------------------------------------------------------- GPS
+
+
+def lose_gps(fault: faults.GpsLost, parts: Breakable) -> None:
+    """No fix any more, or silence."""
+    if fault.unplugged:
+        parts.gps.silent = True
+    else:
+        parts.gps.has_fix = False
+        parts.onboard.has_sky = False
+
+
+def freeze_gps(_fault: faults.GpsFrozen, parts: Breakable) -> None:
+    """The last solution again and again."""
+    parts.position.frozen = True
+
+
+def jump_gps(fault: faults.GpsJump, parts: Breakable) -> None:
+    """Every fix aside."""
+    parts.position.jump_ned_m = add(parts.position.jump_ned_m, fault.position_ned_m)
+
+
+def spike_gps(fault: faults.GpsSpikes, parts: Breakable) -> None:
+    """Some fixes far off."""
+    parts.position.glitches.spike(fault.share, fault.size_m)
+
+
+# ---------------------------------------------------------------- ultrasonic
+
+
+def lose_range(fault: faults.RangeLost, parts: Breakable) -> None:
+    """Fewer echoes, or silence."""
+    if fault.unplugged:
+        parts.range.silent = True
+    else:
+        parts.echo.extra_lost = max(parts.echo.extra_lost, fault.share)
+
+
+def stick_range(fault: faults.RangeStuck, parts: Breakable) -> None:
+    """One distance all the time."""
+    parts.echo.frozen, parts.echo.stuck_m = True, fault.distance_m
+
+
+def step_range_bias(fault: faults.RangeBiasStep, parts: Breakable) -> None:
+    """Longer or shorter echoes."""
+    parts.echo.bias_m += fault.distance_m
+
+
+def spike_range(fault: faults.RangeSpikes, parts: Breakable) -> None:
+    """More wrong echoes."""
+    parts.echo.extra_spikes = max(parts.echo.extra_spikes, fault.share)
+
+
+# ---------------------------------------------------------------- camera
+
+
+def hold_frames_up(fault: faults.FrameLate, parts: Breakable) -> None:
+    """A longer way for some frames."""
+    parts.frames.late_s, parts.frames.late_every = fault.extra_s, fault.every
+
+
+def lose_frames(fault: faults.FrameLost, parts: Breakable) -> None:
+    """No way for some frames."""
+    if fault.share >= parts.frames.lost_share:
+        parts.frames.lost_share, parts.frames.burst_frames = fault.share, fault.burst_frames
+
+
+def stick_frames(_fault: faults.FrameStuck, parts: Breakable) -> None:
+    """The last picture again and again."""
+    parts.frames.stuck = True
+
+
+def garble_frames(fault: faults.FrameGarbled, parts: Breakable) -> None:
+    """Garbage in some frames."""
+    parts.frames.garbled_share = max(parts.frames.garbled_share, fault.share)
+
+
+# ---------------------------------------------------------------- link and motors
+
+
+def black_out_link(fault: faults.LinkBlackout, parts: Breakable) -> None:
+    """Nothing gets through."""
+    parts.to_app.cut |= fault.way in ("both", "to_app")
+    parts.to_vehicle.cut |= fault.way in ("both", "to_vehicle")
+
+
+def weaken_motor(fault: faults.MotorWeak, parts: Breakable) -> None:
+    """Less thrust."""
+    parts.motors.weaken(None if fault.motor == "all" else fault.motor, fault.thrust_factor)
+
+
+BREAK: Final[dict[str, Callable[[Any, Breakable], None]]] = {
+    "imu_lost": lose_imu,
+    "imu_bus_error": disturb_bus,
+    "imu_frozen": freeze_imu,
+    "gyro_bias_step": step_gyro_bias,
+    "gyro_spikes": spike_gyro,
+    "accel_bias_step": step_accel_bias,
+    "accel_spikes": spike_accel,
+    "accel_clips": clip_accelerometer,
+    "mag_lost": lose_magnetometer,
+    "mag_frozen": freeze_magnetometer,
+    "mag_disturbed": disturb_magnetometer,
+    "mag_spikes": spike_magnetometer,
+    "gps_lost": lose_gps,
+    "gps_frozen": freeze_gps,
+    "gps_jump": jump_gps,
+    "gps_spikes": spike_gps,
+    "range_lost": lose_range,
+    "range_stuck": stick_range,
+    "range_bias_step": step_range_bias,
+    "range_spikes": spike_range,
+    "frame_late": hold_frames_up,
+    "frame_lost": lose_frames,
+    "frame_stuck": stick_frames,
+    "frame_garbled": garble_frames,
+    "link_blackout": black_out_link,
+    "motor_weak": weaken_motor,
+}
+
+
+class FaultSchedule:
+    """Breaks and mends at the right times."""
+
+    def __init__(self, plan: Sequence[faults.Fault], parts: Breakable) -> None:
+        self._plan = plan
+        self._parts = parts
+        self._changes_s = sorted({time_s for fault in plan for time_s in (fault.start_s, fault.end_s)})
+
+    def step(self, now_s: float) -> None:
+        """Once a physics step, before the sensors feel it."""
+        if not self._changes_s or now_s < self._changes_s[0]:
+            return
+        while self._changes_s and now_s >= self._changes_s[0]:
+            self._changes_s.pop(0)
+        self._parts.mend()
+        for fault in self._plan:
+            if fault.start_s <= now_s < fault.end_s:
+                BREAK[fault.kind](fault, self._parts)

@@ -1,0 +1,1 @@
+"""The simulated autopilot's MAVLink: endpoint, protocols, streams."""

@@ -1,0 +1,285 @@
+"""The simulated autopilot's end of one link, sans I/O: bytes in with `receive`, bytes out with `transmit`.
+
+System 1, component 1, MAVLink 2 whatever comes in, as both autopilots' simulators do. A vehicle with several
+links has as many endpoints on one autopilot (`sitl.mavlink.network`), each with its own framing, sequence
+numbers and rates; they share what is signed with. Commands are taken from anyone and acknowledged to the
+sender. Whatever arrives that is not MAVLink, or not for us, is dropped.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+from companion.base.geometry import ZERO3, Vector3
+from sitl.autopilot import Autopilot, Severity, StreamedAttitude, StreamedMotion
+from sitl.mavlink import pilot_inputs
+from sitl.mavlink.commands import execute, request_from_message
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect, number
+from sitl.mavlink.mission_protocol import MissionProtocol
+from sitl.mavlink.parameter_protocol import ParameterProtocol
+from sitl.mavlink.sensor_telemetry import SensorMessages
+from sitl.mavlink.signing import Signing
+from sitl.mavlink.streams import Streams, grouped_messages
+from sitl.mavlink.telemetry import Message, builders_of
+from sitl.mavlink.truth_telemetry import TruthMessages
+from sitl.sensors.autopilot_sensors import OnboardSensors
+
+mavlink: Any = dialect
+
+_TEXT_BYTES: Final = 50
+_ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
+
+
+class MavlinkEndpoint:
+    """One autopilot's end of a link; without `sensors` it tells nothing of what its own ones measure.
+
+    With `truth` it tells the simulator's truth to those who ask for it.
+    """
+
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        sensors: OnboardSensors | None = None,
+        system_id: int = 1,
+        component_id: int = 1,
+        *,
+        signing: Signing | None = None,
+        link_id: int = 0,
+        datagrams: bool = False,
+        unix_at_start_s: float = 0.0,
+        truth: TruthMessages | None = None,
+    ) -> None:
+        """Make it; `datagrams`: `receive` is called with whole ones, `unix_at_start_s`: UTC at time 0."""
+        self.autopilot = autopilot
+        self.signing = signing or Signing(autopilot.manner.name)
+        self._builders = builders_of(autopilot.manner.name)
+        self._sensors = None if sensors is None else SensorMessages(autopilot, sensors, unix_at_start_s)
+        self._truth = truth
+        self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._decoder = mavlink.MAVLink(None)  # without a key: what gets here has been judged
+        self._reader = FrameReader(datagrams=datagrams)
+        self._link_id = link_id
+        self._unix_at_start_s = unix_at_start_s
+        self._told_s = -math.inf
+        self._streams = Streams(self._has)
+        self._outgoing: list[Message] = []
+        self.tell_others: Callable[[Message], None] | None = None
+        self._text_id = 0
+        self._handlers: dict[int, Callable[[Message, float], None]] = {
+            mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
+            mavlink.MAVLINK_MSG_ID_COMMAND_INT: self._on_command,
+            mavlink.MAVLINK_MSG_ID_SET_MODE: self._on_set_mode,
+            mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: self._on_local_target,
+            mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: self._on_global_target,
+            mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: self._on_attitude_target,
+            mavlink.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
+            mavlink.MAVLINK_MSG_ID_PING: self._on_ping,
+            mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: self._on_data_stream,
+            mavlink.MAVLINK_MSG_ID_SETUP_SIGNING: self._on_setup_signing,
+        }
+        self._parameters = ParameterProtocol(autopilot)
+        self._mission = MissionProtocol(autopilot.mission)
+        for protocol in (self._parameters, self._mission):
+            for message_id in protocol.message_ids:
+                self._handlers[message_id] = partial(self._answer_by, protocol)
+        for message_id, handler in pilot_inputs.HANDLERS.items():
+            self._handlers[message_id] = partial(handler, autopilot)
+
+    # ------------------------------------------------------------ bytes
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take bytes that have just arrived."""
+        for frame in self.frames(data, now_s):
+            self.handle(frame, now_s)
+
+    @property
+    def waits(self) -> bool:
+        """Whether there is the beginning of a frame, which `frames` gives up after a while."""
+        return self._reader.waits
+
+    def frames(self, data: bytes, now_s: float) -> list[MavFrame]:
+        """The frames that these bytes complete, as far as they may be believed."""
+        self.signing.advance(self._unix_at_start_s + now_s)
+        return [frame for frame in self._reader.read(data, now_s) if self.signing.accepts(frame)]
+
+    def handle(self, frame: MavFrame, now_s: float) -> None:
+        """Do what a frame asks, if it is for us."""
+        handler = self._handlers.get(frame.message_id)
+        if handler is None or not self._is_for_us(frame):
+            return
+        try:
+            message = self._decoder.decode(bytearray(frame.data))
+        except _ANYTHING_IN_A_FRAME:
+            return  # a frame with a good checksum and a content that makes no sense
+        handler(message, now_s)
+
+    def transmit(self, now_s: float) -> bytes:
+        """All that is due on a vehicle's only link: answers, texts, telemetry."""
+        due = self.due(now_s)
+        for severity, text in self.autopilot.take_texts():
+            self.say(severity, text)
+        return b"".join(due + self.answers(now_s))
+
+    def due(self, now_s: float) -> list[bytes]:
+        """All that is due, frame by frame; the autopilot's state is that of `now_s`."""
+        self._told_s = now_s
+        self._outgoing += self._parameters.due(now_s)
+        self._outgoing += self._mission.due(now_s)
+        for message_id in self._streams.due(now_s):
+            self.send_once(message_id, now_s)
+        return self.answers(now_s)
+
+    def answers(self, now_s: float) -> list[bytes]:
+        """What does not wait for its time: answers and what was said, frame by frame."""
+        if not self._outgoing:
+            return []
+        self.signing.advance(self._unix_at_start_s + now_s)
+        self.signing.prepare(self._mav, self._link_id)
+        data = [self._pack(message) for message in self._outgoing]
+        self._outgoing.clear()
+        return data
+
+    def _pack(self, message: Message) -> bytes:
+        packed = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packed
+
+    def _is_for_us(self, frame: MavFrame) -> bool:
+        system, component = frame.target
+        return system in (0, self._mav.srcSystem) and component in (0, self._mav.srcComponent)
+
+    # ------------------------------------------------------------ out
+
+    def send_once(self, message_id: int, now_s: float) -> bool:
+        """Queue a telemetry message; False when there is no such message (no data yet is not that)."""
+        if self._sensors is not None and message_id in self._sensors:
+            self._sensors.ask(message_id)
+            message = self._sensors.build(message_id, max(now_s, self._told_s))
+        elif self._truth is not None and message_id in self._truth:
+            message = self._truth.build(message_id, max(now_s, self._told_s))
+        elif message_id in self._builders:
+            # asked for between two states it is still the last one's
+            message = self._builders[message_id](self.autopilot, max(now_s, self._told_s))
+        else:
+            return False
+        if message is not None:
+            self._outgoing.append(message)
+        return True
+
+    def queue(self, message: Message) -> None:
+        """Send a message over this link."""
+        self._outgoing.append(message)
+
+    def announce(self, message: Message) -> None:
+        """Send a message over this link and the vehicle's others."""
+        self.queue(message)
+        if self.tell_others is not None:
+            self.tell_others(message)
+
+    def set_interval(self, message_id: int, interval_us: float) -> bool:
+        """SET_MESSAGE_INTERVAL; False when there is no such message."""
+        return self._has(message_id) and self._streams.set_interval(message_id, interval_us)
+
+    def tell_interval(self, message_id: int) -> None:
+        """MESSAGE_INTERVAL: 0 for a message that does not exist, -1 for one that is not streamed."""
+        period = self._streams.period_s(message_id)
+        interval = 0 if not self._has(message_id) else -1 if period is None else round(period * 1e6)
+        self._outgoing.append(
+            mavlink.MAVLink_message_interval_message(min(max(message_id, 0), 0xFFFF), interval)
+        )
+
+    def _has(self, message_id: int) -> bool:
+        others = (self._sensors, self._truth)
+        return message_id in self._builders or any(told is not None and message_id in told for told in others)
+
+    def say(self, severity: Severity, text: str) -> None:
+        data = text.encode("ascii", "replace")
+        chunks = [data[i : i + _TEXT_BYTES] for i in range(0, len(data) + 1, _TEXT_BYTES)]
+        if len(data) <= _TEXT_BYTES:
+            self._outgoing.append(mavlink.MAVLink_statustext_message(severity, data))
+            return
+        self._text_id = self._text_id % 0xFFFF + 1
+        for index, chunk in enumerate(chunks):  # the last one is not full, which is how its end is known
+            self._outgoing.append(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, index))
+
+    # ------------------------------------------------------------ commands and modes
+
+    def _on_command(self, message: Message, now_s: float) -> None:
+        result = execute(self, request_from_message(message), now_s)
+        self.queue(
+            mavlink.MAVLink_command_ack_message(
+                message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+            )
+        )
+
+    def _on_set_mode(self, message: Message, now_s: float) -> None:
+        if message.base_mode & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            self.autopilot.set_mode(message.custom_mode)
+
+    # ------------------------------------------------------------ setpoints
+
+    def _on_local_target(self, m: Message, now_s: float) -> None:
+        self.autopilot.stream_fields(_motion(m, m.coordinate_frame, (m.x, m.y, m.z)), now_s)
+
+    def _on_global_target(self, m: Message, now_s: float) -> None:
+        place = (m.lat_int * 1e-7, m.lon_int * 1e-7, number(m.alt))
+        self.autopilot.stream_global(_motion(m, m.coordinate_frame, ZERO3), place, now_s)
+
+    def _on_attitude_target(self, m: Message, now_s: float) -> None:
+        w, x, y, z = m.q
+        rates = (m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate)
+        fields = StreamedAttitude(m.type_mask, (w, x, y, z), rates, m.thrust)
+        self.autopilot.stream_attitude(fields, now_s)
+
+    # ------------------------------------------------------------ time, streams, parameters, missions
+
+    def _on_timesync(self, message: Message, now_s: float) -> None:
+        if message.tc1 == 0:
+            booted_s = self.autopilot.booted_s
+            ours_ns = 0 if booted_s is None else round((now_s - booted_s) * 1e9)
+            self.queue(mavlink.MAVLink_timesync_message(max(ours_ns, 1), message.ts1))
+
+    def _on_ping(self, message: Message, now_s: float) -> None:
+        if (message.target_system, message.target_component) == (0, 0):
+            self.queue(
+                mavlink.MAVLink_ping_message(
+                    message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
+                )
+            )
+
+    def _on_data_stream(self, message: Message, now_s: float) -> None:
+        """REQUEST_DATA_STREAM: a rate for a group of messages."""
+        if message.start_stop not in (0, 1):
+            return
+        rate_hz = message.req_message_rate if message.start_stop else 0
+        interval_us = 1e6 / rate_hz if rate_hz else -1.0
+        for message_id in grouped_messages(self.autopilot.manner.name, message.req_stream_id):
+            self.set_interval(message_id, interval_us)
+
+    def _on_setup_signing(self, message: Message, now_s: float) -> None:
+        self.signing.set_up(bytes(message.secret_key), message.initial_timestamp)
+
+    def _answer_by(
+        self, protocol: ParameterProtocol | MissionProtocol, message: Message, now_s: float
+    ) -> None:
+        changes = message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_SET
+        for answer in protocol.handle(message, now_s):
+            # all of the vehicle's clients hear what a parameter is now
+            (self.announce if changes else self.queue)(answer)
+
+
+def _motion(m: Message, frame: int, position: Vector3) -> StreamedMotion:
+    x, y, z = position
+    return StreamedMotion(
+        frame,
+        m.type_mask,
+        (number(x), number(y), number(z)),
+        (number(m.vx), number(m.vy), number(m.vz)),
+        (number(m.afx), number(m.afy), number(m.afz)),
+        number(m.yaw),
+        number(m.yaw_rate),
+    )

@@ -1,0 +1,183 @@
+"""A ground station at the pad, sans I/O: it hears the companion's texts and answers where the pad is.
+
+MAVLink system 255, component 190. Asked for FOLLOW_TARGET (MAV_CMD_REQUEST_MESSAGE), it sends the position
+that the pad's own GPS shows half a second later: a receiver of the NEO-6M's class (2.5 m CEP), which is off
+by a constant and a little noise. `position_cov` holds standard deviations (eph, eph, epv), m. Truth in, NED.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from companion.base.geometry import ZERO3, Vector3, geodetic_from_ned
+from sitl.mavlink.framing import FrameReader, MavFrame, dialect
+from sitl.mavlink.signing import Signing
+from sitl.scenario.scenario import BeaconSettings
+
+mavlink: Any = dialect
+
+SYSTEM_ID: Final = 255
+COMPONENT_ID: Final = 190
+COMPANION_COMPONENT: Final = 191
+
+_HEARTBEAT_S: Final = 1.0
+_NOISE_STD_M: Final = 0.2
+_VERTICAL_FACTOR: Final = 1.5
+_POSITION_AND_VELOCITY: Final = 0b11
+_LINK_ID: Final = 255  # of its signatures: no link of the vehicle's
+_MOST_TEXTS: Final = 1000
+_MOST_CHUNKS: Final = 16
+_MOST_UNFINISHED: Final = 16  # texts whose end has not come; the oldest gives way
+_MOST_ANSWERS: Final = 32  # that wait for their time
+
+
+class GroundStation:
+    """One ground station on the vehicle's link; `texts` holds (time s, severity, text) from the companion."""
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        position_std_m: float,
+        home: Vector3,
+        *,
+        velocity_std_m_s: float = 0.1,
+        delay_s: float = 0.5,
+        rate_hz: float | None = None,
+        available: bool = True,
+        signing: Signing | None = None,
+    ) -> None:
+        """`rate_hz` is how often the pad's GPS makes a fix: an answer tells the newest; None: one just made.
+        Without a beacon (`available` False) it is said that there is no such message. `position_std_m` is its
+        GPS's, `signing` what its frames are signed with."""
+        self.texts: list[tuple[float, int, str]] = []
+        self.requests = 0
+        self._rng = rng
+        self._std_m = position_std_m
+        self._home = home
+        self._velocity_std_m_s = velocity_std_m_s
+        self._delay_s = delay_s
+        self._fix_period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
+        self._fix_due_s = -math.inf
+        self._fix: tuple[float, Vector3, Vector3] = (0.0, ZERO3, ZERO3)
+        self._available = available
+        north, east, down = (position_std_m * rng.standard_normal(3)).tolist()
+        self._offset: Vector3 = (north, east, _VERTICAL_FACTOR * down)
+        self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM_ID, srcComponent=COMPONENT_ID)
+        self._decoder = mavlink.MAVLink(None)
+        self._signing = signing
+        self._reader = FrameReader()
+        self._acknowledgements: list[Any] = []
+        self._answers_due_s: list[float] = []
+        self._heartbeat_due_s = -math.inf
+        self._chunks: dict[tuple[int, int], list[str]] = {}
+
+    @classmethod
+    def of(
+        cls, beacon: BeaconSettings, rng: np.random.Generator, home: Vector3, signing: Signing | None = None
+    ) -> GroundStation:
+        """The one with a scenario's beacon."""
+        return cls(
+            rng,
+            beacon.position_std_m,
+            home,
+            velocity_std_m_s=beacon.velocity_std_m_s,
+            delay_s=beacon.delay_s,
+            rate_hz=beacon.rate_hz,
+            available=beacon.available,
+            signing=signing,
+        )
+
+    def receive(self, data: bytes, now_s: float) -> None:
+        """Take bytes that have just arrived."""
+        for frame in self._reader.read(data, now_s):
+            self.hear(frame, now_s)
+
+    def hear(self, frame: MavFrame, now_s: float) -> None:
+        """Take a frame that has just arrived and may be believed."""
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
+            self._hear_text(self._decoder.decode(bytearray(frame.data)), now_s)
+        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_for_us(frame.target):
+            self._obey(self._decoder.decode(bytearray(frame.data)), now_s)
+
+    def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
+        """All that is due; the pad's true position (NED from home) and velocity are where its GPS starts."""
+        messages, self._acknowledgements = self._acknowledgements, []
+        if now_s >= self._heartbeat_due_s:
+            self._heartbeat_due_s = now_s + _HEARTBEAT_S
+            messages.append(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                )
+            )
+        if now_s >= self._fix_due_s:
+            self._fix_due_s = now_s + self._fix_period_s
+            self._fix = (now_s, pad_position_ned_m, pad_velocity_ned_m_s)
+        while self._answers_due_s and now_s >= self._answers_due_s[0]:
+            self._answers_due_s.pop(0)
+            messages.append(self._follow_target(*self._fix))
+        return b"".join([self._pack(message) for message in messages])
+
+    def _pack(self, message: Any) -> bytes:
+        if self._signing is not None:
+            self._signing.prepare(self._mav, _LINK_ID)
+        packed = bytes(message.pack(self._mav))
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packed
+
+    def _obey(self, message: Any, now_s: float) -> None:
+        wanted = message.param1
+        known = self._available and (
+            message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
+            and wanted == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET
+        )
+        busy = len(self._answers_due_s) >= _MOST_ANSWERS
+        if known and not busy:
+            self.requests += 1
+            self._answers_due_s.append(now_s + self._delay_s)
+        result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_UNSUPPORTED
+        result = mavlink.MAV_RESULT_TEMPORARILY_REJECTED if known and busy else result
+        self._acknowledgements.append(
+            mavlink.MAVLink_command_ack_message(
+                message.command, result, 0, 0, message.get_srcSystem(), message.get_srcComponent()
+            )
+        )
+
+    def _follow_target(self, fix_s: float, position: Vector3, velocity: Vector3) -> Any:
+        noise = self._rng.standard_normal(6).tolist()
+        shown = [
+            p + offset + _NOISE_STD_M * n
+            for p, offset, n in zip(position, self._offset, noise[:3], strict=True)
+        ]
+        speed = [v + self._velocity_std_m_s * n for v, n in zip(velocity, noise[3:], strict=True)]
+        latitude, longitude, altitude = geodetic_from_ned((shown[0], shown[1], shown[2]), self._home)
+        eph = math.hypot(self._std_m, _NOISE_STD_M)
+        return mavlink.MAVLink_follow_target_message(
+            max(0, round(fix_s * 1e3)), _POSITION_AND_VELOCITY, round(latitude * 1e7), round(longitude * 1e7),
+            altitude, speed, [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 3,
+            [eph, eph, _VERTICAL_FACTOR * eph], 0,
+        )  # fmt: skip
+
+    def _hear_text(self, message: Any, now_s: float) -> None:
+        text = message.text if isinstance(message.text, str) else message.text.decode("ascii", "replace")
+        # "id" of a message object is its own field here, not the message's number
+        text_id = getattr(message, "id", 0)
+        if text_id:
+            key = (message.get_srcSystem(), text_id)
+            if key not in self._chunks and len(self._chunks) >= _MOST_UNFINISHED:
+                del self._chunks[next(iter(self._chunks))]
+            self._chunks.setdefault(key, []).append(text)
+            if len(text) == 50 and len(self._chunks[key]) < _MOST_CHUNKS:
+                return
+            text = "".join(self._chunks.pop(key))
+        # more than a flight has; whoever talks so must not fill the memory
+        if len(self.texts) >= _MOST_TEXTS:
+            del self.texts[0]
+        self.texts.append((now_s, message.severity, text))
+
+
+def _is_for_us(target: tuple[int, int]) -> bool:
+    system, component = target
+    return system == SYSTEM_ID and component in (0, COMPONENT_ID)

@@ -1,0 +1,230 @@
+"""The vehicle's MAVLink sockets: UDP and TCP, each client with a port of its own in the vehicle's network.
+
+UDP as both autopilots' simulators do it: the vehicle has an address of its own, sends to the one where a
+client listens (14540, 14550) from the start, and answers whoever speaks to it besides. Over TCP (5760) it
+listens. Nobody can hold it up: what a client does not read is dropped, by whole frames.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from collections.abc import Sequence
+from typing import Any, Final, Protocol
+
+from companion.base.clock import Clock
+from companion.config import ConfigError
+from sitl.mavlink.framing import FrameReader
+from sitl.mavlink.network import Port, Write
+
+Address = tuple[Any, ...]  # host, port; over IPv6 flow and scope, too
+
+MOST_CLIENTS: Final = 16
+UDP_SILENCE_S: Final = 60.0  # a ground station beats once a second; who is silent so long has gone
+SWEEP_PERIOD_S: Final = 10.0
+DATAGRAM_BYTES: Final = 1400
+UNREAD_BYTES: Final = 1 << 18
+_NO_ADDRESS: Final = (OSError, OverflowError, UnicodeError)  # the last for what is no name of a host
+
+
+class Vehicle(Protocol):
+    """What the sockets bring clients to."""
+
+    def connect(self, write: Write, *, datagrams: bool) -> Port:
+        """Open a port for a client."""
+        ...
+
+    def hear(self, port: Port, data: bytes) -> None:
+        """Take bytes that have just come from a client."""
+        ...
+
+    def disconnect(self, port: Port) -> None:
+        """Close a port."""
+        ...
+
+
+class UdpServer(asyncio.DatagramProtocol):
+    """One UDP address of the vehicle's; `listener` is where a client is expected to listen, None: nowhere."""
+
+    def __init__(self, vehicle: Vehicle, listener: Address | None = None) -> None:
+        self._vehicle = vehicle
+        self._listener = listener
+        self._clock = Clock()
+        self._socket: asyncio.DatagramTransport | None = None
+        self._clients: dict[Address, Port] = {}
+        self._heard_s: dict[Address, float] = {}
+        self._held_up = False
+        self._sweeping: asyncio.TimerHandle | None = None
+
+    async def open(self, host: str, port: int) -> int:
+        """Bind, begin to send, and return the port (a free one for 0).
+
+        Raises:
+            ConfigError: the port is taken or the host is not ours.
+        """
+        loop = asyncio.get_running_loop()
+        try:
+            self._socket, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(host, port))
+            if self._listener is not None:
+                # by number, as it is when it speaks: by name it would be another client
+                family = self._socket.get_extra_info("socket").family
+                found = await loop.getaddrinfo(*self._listener, family=family, type=socket.SOCK_DGRAM)
+                self._listener = found[0][4]
+                self._welcome(self._listener)
+        except _NO_ADDRESS as error:
+            self.close()
+            raise ConfigError(_refusal("UDP", host, port, error)) from error
+        self._sweep()
+        return int(self._socket.get_extra_info("sockname")[1])
+
+    def datagram_received(self, data: bytes, addr: Address) -> None:
+        """asyncio: a datagram came."""
+        port = self._clients.get(addr) or self._welcome_speaker(addr, data)
+        if port is not None:
+            self._heard_s[addr] = self._clock.now_s()
+            self._vehicle.hear(port, data)
+
+    def error_received(self, exc: Exception) -> None:
+        """asyncio: nobody listens there yet; somebody may."""
+
+    def pause_writing(self) -> None:
+        """asyncio: the network takes no more; what is not sent now is dropped."""
+        self._held_up = True
+
+    def resume_writing(self) -> None:
+        """asyncio: it takes again."""
+        self._held_up = False
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self._sweeping is not None:
+            self._sweeping.cancel()
+        for address in tuple(self._clients):
+            self._part_from(address)
+        if self._socket is not None:
+            self._socket.close()
+
+    def _welcome_speaker(self, address: Address, data: bytes) -> Port | None:
+        """A port for whoever sends MAVLink; None when it is something else, or there are too many."""
+        if not FrameReader(datagrams=True).read(data, 0.0):
+            return None  # a stray datagram: no client, and not worth one's place
+        self._part_from_silent()
+        return self._welcome(address) if len(self._clients) < MOST_CLIENTS else None
+
+    def _sweep(self) -> None:
+        """Now and then, so that nobody who has gone is sent to for ever."""
+        self._part_from_silent()
+        self._sweeping = asyncio.get_running_loop().call_later(SWEEP_PERIOD_S, self._sweep)
+
+    def _part_from_silent(self) -> None:
+        """Make room; the listener's place stays its own, whether it speaks or not."""
+        now_s = self._clock.now_s()
+        for address, heard_s in tuple(self._heard_s.items()):
+            if address != self._listener and now_s - heard_s > UDP_SILENCE_S:
+                self._part_from(address)
+
+    def _welcome(self, address: Address) -> Port:
+        """A port for a new client."""
+
+        def write(frames: Sequence[bytes]) -> None:
+            if self._socket is None or self._socket.is_closing() or self._held_up:
+                return
+            for datagram in in_datagrams(frames):
+                self._socket.sendto(datagram, address)
+
+        port = self._clients[address] = self._vehicle.connect(write, datagrams=True)
+        return port
+
+    def _part_from(self, address: Address) -> None:
+        self._vehicle.disconnect(self._clients.pop(address))
+        self._heard_s.pop(address, None)
+
+
+class TcpServer:
+    """The vehicle's TCP port, for several clients."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._server: asyncio.Server | None = None
+        self._clients: set[_TcpClient] = set()
+
+    async def open(self, host: str, port: int) -> int:
+        """Listen and return the port (a free one for 0).
+
+        Raises:
+            ConfigError: the port is taken or the host is not ours.
+        """
+        try:
+            self._server = await asyncio.get_running_loop().create_server(
+                lambda: _TcpClient(self._vehicle, self._clients), host, port
+            )
+        except _NO_ADDRESS as error:
+            raise ConfigError(_refusal("TCP", host, port, error)) from error
+        return int(self._server.sockets[0].getsockname()[1])
+
+    def close(self) -> None:
+        """Stop listening and part from all clients."""
+        if self._server is not None:
+            self._server.close()
+        for client in tuple(self._clients):
+            client.close()
+
+
+class _TcpClient(asyncio.Protocol):
+    def __init__(self, vehicle: Vehicle, clients: set[_TcpClient]) -> None:
+        self._vehicle = vehicle
+        self._clients = clients
+        self._transport: asyncio.Transport | None = None
+        self._port: Port | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        if len(self._clients) >= MOST_CLIENTS:
+            transport.abort()
+            return
+        self._transport = transport
+        self._clients.add(self)
+        self._port = self._vehicle.connect(self._write, datagrams=False)
+
+    def data_received(self, data: bytes) -> None:
+        if self._port is not None:
+            self._vehicle.hear(self._port, data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._clients.discard(self)
+        if self._port is not None:
+            self._vehicle.disconnect(self._port)
+            self._port = None
+
+    def close(self) -> None:
+        """Part from it at once, whether it reads or not."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    def _write(self, frames: Sequence[bytes]) -> None:
+        transport = self._transport
+        if transport is None or transport.is_closing() or transport.get_write_buffer_size() > UNREAD_BYTES:
+            return  # it does not read: what it misses is gone
+        transport.write(b"".join(frames))
+
+
+def in_datagrams(frames: Sequence[bytes]) -> list[bytes]:
+    """Whole frames, as many to a datagram as a network passes on unbroken."""
+    datagrams: list[bytes] = []
+    room = 0
+    for frame in frames:
+        if len(frame) > room:
+            datagrams.append(frame)
+            room = DATAGRAM_BYTES - len(frame)
+        else:
+            datagrams[-1] += frame
+            room -= len(frame)
+    return datagrams
+
+
+def _refusal(kind: str, host: str, port: int, error: Exception) -> str:
+    """Why an address cannot be had, in one line."""
+    in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+    reason = "already in use" if in_use else getattr(error, "strerror", None) or str(error)
+    return f"{kind} port {host}:{port}: {reason}; expected a free port at an address of this computer"

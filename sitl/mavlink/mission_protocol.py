@@ -1,0 +1,296 @@
+"""MAVLink's mission protocol, sans I/O: upload, download, clear, set current, and what has been reached.
+
+One object a link: it keeps that link's transfer, the list itself is in the autopilot's `MissionStore`.
+`handle` takes a message and returns the answers, `due` what has to be sent or asked again by now. An
+upload goes MISSION_COUNT, then MISSION_REQUEST(_INT) and MISSION_ITEM(_INT) for each, then MISSION_ACK. Both
+kinds of item are taken. Downloads are answered item by item without keeping a state: none can get stuck.
+Fences and rally points are not simulated: their lists are empty and stay so.
+Source: mavlink.io's mission protocol; results and time-outs as in `MissionRules`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from sitl.autopilot.flight.mission_items import (
+    PLACES,
+    ItemFrame,
+    MissionItem,
+    MissionResult,
+    MissionStore,
+    item_frame,
+)
+from sitl.autopilot.flight.modes import Severity
+
+Message = Any  # pymavlink's classes are generated without types
+Partner = tuple[int, int]
+
+_MISSION: Final = mavlink.MAV_MISSION_TYPE_MISSION
+_EMPTY_TYPES: Final = (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
+_ALL_TYPES: Final = mavlink.MAV_MISSION_TYPE_ALL
+_DEGREES_E7: Final = 1e-7
+# an autopilot that asks for integers also says so in the frames it tells
+_INTEGER_FRAMES: Final[dict[int, int]] = {
+    ItemFrame.GLOBAL: mavlink.MAV_FRAME_GLOBAL_INT,
+    ItemFrame.RELATIVE: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
+}
+
+
+@dataclass(slots=True)
+class _Upload:
+    """A transfer under way: who sends, which item is next and last, and when something was heard or asked."""
+
+    partner: Partner
+    next: int
+    last: int
+    draft: list[MissionItem]
+    begun: int
+    heard_s: float
+    asked_s: float
+
+
+class MissionProtocol:
+    """One link's end of the protocol."""
+
+    def __init__(self, store: MissionStore) -> None:
+        self._store = store
+        self._upload: _Upload | None = None
+        self._completed_last: tuple[Partner, int] | None = None
+        self._told = store.reached_total
+        self._handlers: dict[int, Callable[[Message, float], list[Message]]] = {
+            mavlink.MAVLINK_MSG_ID_MISSION_COUNT: self._on_count,
+            mavlink.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: self._on_partial_list,
+            mavlink.MAVLINK_MSG_ID_MISSION_ITEM: self._on_item,
+            mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT: self._on_item,
+            mavlink.MAVLINK_MSG_ID_MISSION_ACK: self._on_ack,
+            mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: self._on_request_list,
+            mavlink.MAVLINK_MSG_ID_MISSION_REQUEST: self._on_request,
+            mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT: self._on_request,
+            mavlink.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: self._on_clear,
+            mavlink.MAVLINK_MSG_ID_MISSION_SET_CURRENT: self._on_set_current,
+        }
+        self.message_ids: Final = frozenset(self._handlers)
+
+    def handle(self, message: Message, now_s: float) -> list[Message]:
+        """Answers to a message; none to one that is not of this protocol."""
+        handler = self._handlers.get(message.get_msgId())
+        return [] if handler is None else handler(message, now_s)
+
+    def due(self, now_s: float) -> list[Message]:
+        """Requests to repeat, the end of an upload that has gone silent, and items newly reached."""
+        upload = self._upload
+        messages = [] if upload is None else self._keep_asking(upload, now_s)
+        new = self._store.reached_total - self._told
+        if new > 0:
+            self._told += new
+            recent = list(self._store.reached)[-new:]
+            messages += [mavlink.MAVLink_mission_item_reached_message(number) for number in recent]
+        return messages
+
+    # ------------------------------------------------------------ upload
+
+    def _on_count(self, m: Message, now_s: float) -> list[Message]:
+        store, rules, busy = self._store, self._store.rules, self._upload
+        if m.mission_type != _MISSION:
+            empty = m.mission_type in _EMPTY_TYPES and m.count == 0
+            return [_ack(m, MissionResult.ACCEPTED if empty else MissionResult.UNSUPPORTED)]
+        if self._others_upload(now_s) or (busy is not None and busy.partner != _sender(m)):
+            return [_ack(m, MissionResult.DENIED if rules.restarts else MissionResult.ERROR)]
+        if busy is not None and not rules.restarts and busy.next != busy.begun:
+            return [_ack(m, MissionResult.ERROR)]
+        self._end()
+        if m.count > rules.max_items:
+            return [_ack(m, MissionResult.NO_SPACE)]
+        if m.count == 0:
+            store.clear()
+            return [_ack(m, MissionResult.ACCEPTED)]
+        return self._begin(m, 0, m.count - 1, store.begin_upload(m.count), now_s)
+
+    def _on_partial_list(self, m: Message, now_s: float) -> list[Message]:
+        if not self._store.rules.partial_lists:
+            return []
+        if m.mission_type != _MISSION:
+            return [_ack(m, MissionResult.UNSUPPORTED)]
+        if self._upload is not None or self._others_upload(now_s):
+            return [_ack(m, MissionResult.DENIED)]
+        if not 0 <= m.start_index <= m.end_index < len(self._store):
+            self._store.say(Severity.WARNING, "Flight plan update rejected")
+            return [_ack(m, MissionResult.ERROR)]
+        return self._begin(m, m.start_index, m.end_index, self._store.items, now_s)
+
+    def _begin(
+        self, m: Message, first: int, last: int, draft: list[MissionItem], now_s: float
+    ) -> list[Message]:
+        self._completed_last = None
+        self._store.uploader, self._store.uploader_heard_s = self, now_s
+        self._upload = _Upload(_sender(m), first, last, draft, first, now_s, now_s)
+        return [self._ask(self._upload, now_s)]
+
+    def _end(self) -> None:
+        self._upload = None
+        if self._store.uploader is self:
+            self._store.uploader = None
+
+    def _others_upload(self, now_s: float) -> bool:
+        """Somebody uploads over another link, and has not fallen silent."""
+        store = self._store
+        silent = now_s - store.uploader_heard_s >= store.rules.timeout_s
+        return store.uploader is not None and store.uploader is not self and not silent
+
+    def _on_item(self, m: Message, now_s: float) -> list[Message]:
+        upload, rules = self._upload, self._store.rules
+        if upload is None:
+            repeated = (_sender(m), m.seq) == self._completed_last  # our acknowledgement was lost
+            return [_ack(m, MissionResult.ACCEPTED if repeated else MissionResult.ERROR)]
+        if upload.partner != _sender(m):
+            return [_ack(m, MissionResult.DENIED)]
+        if m.mission_type != _MISSION:
+            return [_ack(m, MissionResult.ERROR)]
+        upload.heard_s = self._store.uploader_heard_s = now_s
+        if m.seq != upload.next:
+            return [_ack(m, MissionResult.INVALID_SEQUENCE)] if rules.restarts else [self._ask(upload, now_s)]
+        item = item_from_message(m)
+        result = rules.check(item, m.frame)
+        if result is not MissionResult.ACCEPTED:
+            self._end()
+            return [_ack(m, result)]
+        upload.draft[upload.next : upload.next + 1] = [item]
+        upload.next += 1
+        return [self._ask(upload, now_s)] if upload.next <= upload.last else self._complete(m, upload)
+
+    def _complete(self, m: Message, upload: _Upload) -> list[Message]:
+        self._end()
+        self._completed_last = (upload.partner, upload.last)
+        self._store.finish_upload(upload.draft)
+        return [_ack(m, MissionResult.ACCEPTED)]
+
+    def _keep_asking(self, upload: _Upload, now_s: float) -> list[Message]:
+        rules = self._store.rules
+        if now_s - upload.heard_s >= rules.timeout_s:
+            self._end()
+            self._store.say(Severity.WARNING, rules.timeout_text)
+            cancelled = mavlink.MAVLink_mission_ack_message(
+                *upload.partner, MissionResult.OPERATION_CANCELLED, _MISSION
+            )
+            return [cancelled]
+        return [self._ask(upload, now_s)] if now_s - upload.asked_s >= rules.retry_s else []
+
+    def _ask(self, upload: _Upload, now_s: float) -> Message:
+        upload.asked_s = now_s
+        integers = self._store.rules.asks_for_integers
+        kind = (
+            mavlink.MAVLink_mission_request_int_message
+            if integers
+            else mavlink.MAVLink_mission_request_message
+        )
+        return kind(*upload.partner, upload.next, _MISSION)
+
+    def _on_ack(self, m: Message, now_s: float) -> list[Message]:
+        upload = self._upload
+        if (
+            upload is not None
+            and upload.partner == _sender(m)
+            and m.type == MissionResult.OPERATION_CANCELLED
+        ):
+            self._end()
+        return []
+
+    # ------------------------------------------------------------ download
+
+    def _on_request_list(self, m: Message, now_s: float) -> list[Message]:
+        known = m.mission_type == _MISSION or m.mission_type in _EMPTY_TYPES
+        return [self._count(m)] if known else [_ack(m, MissionResult.UNSUPPORTED)]
+
+    def _on_request(self, m: Message, now_s: float) -> list[Message]:
+        try:
+            if m.mission_type != _MISSION:
+                raise IndexError(m.seq)
+            item = self._store.item(m.seq)
+        except IndexError:
+            # tell a client that asks beyond the end how many there are
+            return [self._count(m), _ack(m, MissionResult.ERROR)]
+        integers = m.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT
+        current = m.seq == self._store.current
+        frame: int = item.frame
+        if integers and self._store.rules.asks_for_integers:
+            frame = _INTEGER_FRAMES.get(frame, frame)
+        return [message_from_item(item, _sender(m), m.seq, (frame, current), integers=integers)]
+
+    def _count(self, m: Message) -> Message:
+        count = len(self._store) if m.mission_type == _MISSION else 0
+        return mavlink.MAVLink_mission_count_message(*_sender(m), count, m.mission_type)
+
+    # ------------------------------------------------------------ the rest
+
+    def _on_clear(self, m: Message, now_s: float) -> list[Message]:
+        if m.mission_type not in (_MISSION, _ALL_TYPES, *_EMPTY_TYPES):
+            return [_ack(m, MissionResult.UNSUPPORTED)]
+        if self._upload is not None or self._others_upload(now_s):
+            return [_ack(m, MissionResult.ERROR)]
+        if m.mission_type not in _EMPTY_TYPES:
+            self._store.clear()
+        return [_ack(m, MissionResult.ACCEPTED)]
+
+    def _on_set_current(self, m: Message, now_s: float) -> list[Message]:
+        self._store.select(m.seq)
+        return [mission_current(self._store)]
+
+
+def item_from_message(m: Message) -> MissionItem:
+    """The item in a MISSION_ITEM or MISSION_ITEM_INT; an unknown frame is left for `MissionRules.check`."""
+    x, y = float(m.x), float(m.y)
+    if m.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT and m.command in PLACES:
+        x, y = x * _DEGREES_E7, y * _DEGREES_E7
+    frame = item_frame(m.frame)
+    return MissionItem(
+        m.command,
+        ItemFrame.MISSION if frame is None else frame,
+        (m.param1, m.param2, m.param3, m.param4),
+        x,
+        y,
+        m.z,
+        bool(m.autocontinue),
+    )
+
+
+def message_from_item(
+    item: MissionItem, to: Partner, seq: int, frame_and_current: tuple[int, bool], *, integers: bool
+) -> Message:
+    """MISSION_ITEM_INT or MISSION_ITEM of one item, said to be in a MAV_FRAME, and the current one or not."""
+    frame, current = frame_and_current
+    flags = (frame, item.command, int(current), int(item.autocontinue))
+    if not integers:
+        return mavlink.MAVLink_mission_item_message(
+            *to, seq, *flags, *item.parameters, item.x, item.y, item.z, _MISSION
+        )
+    scale = 1.0 / _DEGREES_E7 if item.command in PLACES else 1.0
+    x, y = (_int32(value * scale) for value in (item.x, item.y))
+    return mavlink.MAVLink_mission_item_int_message(
+        *to, seq, *flags, *item.parameters, x, y, item.z, _MISSION
+    )
+
+
+def mission_current(store: MissionStore) -> Message:
+    """MISSION_CURRENT with the number of items (65535: there is no mission)."""
+    total = len(store) - store.rules.first
+    if total <= 0:
+        return mavlink.MAVLink_mission_current_message(0, 0xFFFF, mavlink.MISSION_STATE_NO_MISSION)
+    state = mavlink.MISSION_STATE_COMPLETE if store.finished else mavlink.MISSION_STATE_UNKNOWN
+    return mavlink.MAVLink_mission_current_message(min(store.current, 0xFFFF), total, state)
+
+
+def _int32(value: float) -> int:
+    return round(min(max(value, -(2.0**31)), 2.0**31 - 1.0)) if math.isfinite(value) else 0
+
+
+def _sender(m: Message) -> Partner:
+    return m.get_srcSystem(), m.get_srcComponent()
+
+
+def _ack(m: Message, result: MissionResult) -> Message:
+    return mavlink.MAVLink_mission_ack_message(*_sender(m), result, m.mission_type)

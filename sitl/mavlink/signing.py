@@ -1,0 +1,115 @@
+"""MAVLink 2 signing, sans I/O: one secret key for all links of a vehicle, and the times on each stream.
+
+A frame is believed when its signature is right and its time stamp is later than the last one of its stream
+(link id, system, component); a stream that appears may be a minute behind. The stamps are common to all
+links, so that what was heard on one cannot be replayed on another; only right signatures move them on. They
+count 10 µs since 2015-01-01 UTC. Sources: mavlink.io, "Message Signing"; what passes unsigned: ArduPilot's
+GCS_Signing, PX4's mavlink_sign_control.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from pathlib import Path
+from typing import Any, Final
+
+from companion.base.messages import Manner
+from companion.config import ConfigError
+from sitl.mavlink.framing import SIGNATURE_BYTES, MavFrame, dialect
+
+KEY_BYTES: Final = 32
+EPOCH_UNIX_S: Final = 1_420_070_400
+STAMPS_PER_S: Final = 100_000
+_NEW_STREAM_MAY_LAG: Final = 60 * STAMPS_PER_S
+_TAG_BYTES: Final = 6
+_LAST_STAMP: Final = (1 << 48) - 1
+UNSIGNED: Final[dict[Manner, frozenset[int]]] = {
+    "px4": frozenset(
+        {
+            dialect.MAVLINK_MSG_ID_HEARTBEAT,
+            dialect.MAVLINK_MSG_ID_RADIO_STATUS,
+            dialect.MAVLINK_MSG_ID_ADSB_VEHICLE,
+            dialect.MAVLINK_MSG_ID_COLLISION,
+        }
+    ),
+    "ardupilot": frozenset({dialect.MAVLINK_MSG_ID_RADIO_STATUS, dialect.MAVLINK_MSG_ID_RADIO}),
+}
+
+
+def stamp_from_unix(unix_s: float) -> int:
+    """Seconds since 1970 as a signing time stamp, 0 before 2015."""
+    return max(0, int((unix_s - EPOCH_UNIX_S) * STAMPS_PER_S))
+
+
+def read_key(path: Path) -> bytes:
+    """The key in a file: its 32 bytes, or else the SHA-256 of the passphrase in it, as MAVProxy makes it.
+
+    Raises:
+        ConfigError: it cannot be read or is empty.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"--signing-key {path}: {error.strerror}; expected a file with the key") from error
+    if len(data) == KEY_BYTES:
+        return data
+    if not data.strip():
+        raise ConfigError(f"--signing-key {path}: empty; expected 32 bytes or a passphrase")
+    return hashlib.sha256(data.strip()).digest()
+
+
+class Signing:
+    """Judges what comes and tells packers how to sign; without a key everything passes and nothing is."""
+
+    def __init__(self, manner: Manner, key: bytes | None = None) -> None:
+        self._unsigned = UNSIGNED[manner]
+        self._last: dict[tuple[int, int, int], int] = {}
+        self.key = key
+        self.stamp = 0
+        self.refused = 0
+
+    def set_up(self, key: bytes, stamp: int) -> None:
+        """SETUP_SIGNING: take another key and begin at `stamp`; a key of zeros ends signing.
+
+        Given the same key again, what was heard stays heard: it must not be replayed.
+        """
+        changed = self.key != key
+        self.key = key if any(key) else None
+        self.stamp = min(max(self.stamp, stamp), _LAST_STAMP)
+        if changed:
+            self._last.clear()
+
+    def advance(self, unix_s: float) -> None:
+        """The time (s since 1970), from which our own stamps are taken; they never go back."""
+        self.stamp = max(self.stamp, stamp_from_unix(unix_s))
+
+    def accepts(self, frame: MavFrame) -> bool:
+        """Whether a frame may be believed."""
+        if self.key is None or (frame.signed and self._is_genuine(frame, self.key)):
+            return True
+        if frame.message_id in self._unsigned:
+            return True
+        self.refused += 1
+        return False
+
+    def prepare(self, packer: Any, link_id: int) -> None:
+        """Have pymavlink's packer sign as this vehicle's link from now on, or not."""
+        signing = packer.signing
+        signing.secret_key, signing.sign_outgoing, signing.link_id = self.key, self.key is not None, link_id
+        signing.timestamp = max(signing.timestamp, self.stamp)
+
+    def _is_genuine(self, frame: MavFrame, key: bytes) -> bool:
+        data = frame.data
+        tag = hashlib.sha256(key + data[:-_TAG_BYTES]).digest()[:_TAG_BYTES]
+        if not hmac.compare_digest(tag, data[-_TAG_BYTES:]):
+            return False
+        link_id = data[-SIGNATURE_BYTES]
+        stamp = int.from_bytes(data[1 - SIGNATURE_BYTES : -_TAG_BYTES], "little")
+        stream = (link_id, frame.system, frame.component)
+        earliest = self._last.get(stream, self.stamp - _NEW_STREAM_MAY_LAG - 1)
+        if stamp <= earliest:
+            return False
+        self._last[stream] = stamp
+        self.stamp = max(self.stamp, stamp)
+        return True

@@ -1,0 +1,206 @@
+"""How the pad moves: its way, put in its place, with the board's height, heading and lean.
+
+NED, SI; headings clockwise from north. A path starts anywhere; it is then shifted so that the pad is at a
+meeting point at a meeting time, where the mission looks for it, give or take a seeded spread. What is
+"random" is drawn from the generator handed in, so a seed gives one motion.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from companion.base.geometry import Vector3, add, cross, subtract, wrap_angle
+from sitl.pad.curves import Path
+from sitl.pad.driven_paths import RandomTurnsMotion, WaypointsMotion
+from sitl.pad.paths import (
+    CircleMotion,
+    FigureEightMotion,
+    Heading,
+    HeaveMotion,
+    LineMotion,
+    StaticMotion,
+    drawn_angle,
+)
+from sitl.pad.sea import DeckMotion, DeckSettings
+
+CLEAR_OF_HOME_M: Final = 3.0
+TRIES: Final = 50
+
+Motion = (
+    StaticMotion
+    | LineMotion
+    | CircleMotion
+    | FigureEightMotion
+    | HeaveMotion
+    | RandomTurnsMotion
+    | WaypointsMotion
+)
+
+
+class Axes(NamedTuple):
+    """The board's axes in NED: forward (its heading), right, and down, which is its normal."""
+
+    forward: Vector3
+    right: Vector3
+    down: Vector3
+
+    def to_ned(self, local: Vector3) -> Vector3:
+        """A vector given along the board's axes."""
+        f, r, d = self
+        x, y, z = local
+        return (
+            f[0] * x + r[0] * y + d[0] * z,
+            f[1] * x + r[1] * y + d[1] * z,
+            f[2] * x + r[2] * y + d[2] * z,
+        )
+
+    def from_ned(self, v: Vector3) -> Vector3:
+        """A vector's shares along the board's axes."""
+        f, r, d = self
+        return (
+            f[0] * v[0] + f[1] * v[1] + f[2] * v[2],
+            r[0] * v[0] + r[1] * v[1] + r[2] * v[2],
+            d[0] * v[0] + d[1] * v[1] + d[2] * v[2],
+        )
+
+
+# a board is asked for its axes several times a step
+@lru_cache(maxsize=16)
+def _axes(heading_rad: float, roll_rad: float, pitch_rad: float) -> Axes:
+    cy, sy = math.cos(heading_rad), math.sin(heading_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    return Axes(
+        (cp * cy, cp * sy, -sp),
+        (sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp),
+        (cr * sp * cy + sr * sy, cr * sp * sy - sr * cy, cr * cp),
+    )
+
+
+class PadTruth(NamedTuple):
+    """The pad's surface centre at one time; roll and pitch (after the heading) are of a deck at sea."""
+
+    time_s: float
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    acceleration_ned_m_s2: Vector3
+    heading_rad: float
+    heading_rate_rad_s: float
+    roll_rad: float = 0.0
+    pitch_rad: float = 0.0
+    roll_rate_rad_s: float = 0.0
+    pitch_rate_rad_s: float = 0.0
+
+    def axes(self) -> Axes:
+        """The board's axes: yaw, then pitch, then roll."""
+        return _axes(self.heading_rad, self.roll_rad, self.pitch_rad)
+
+    def rate_ned_rad_s(self) -> Vector3:
+        """How the board turns: the three angles' rates, each about its own axis."""
+        cy, sy = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        cp, sp = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
+        roll, pitch = self.roll_rate_rad_s, self.pitch_rate_rad_s
+        return (
+            roll * cp * cy - pitch * sy,
+            roll * cp * sy + pitch * cy,
+            self.heading_rate_rad_s - roll * sp,
+        )
+
+    def velocity_at_ned_m_s(self, place_ned_m: Vector3) -> Vector3:
+        """Velocity of the board at a place on it: the pad's, and its turning."""
+        lever = subtract(place_ned_m, self.position_ned_m)
+        return add(self.velocity_ned_m_s, cross(self.rate_ned_rad_s(), lever))
+
+    def soon(self, ahead_s: float) -> PadTruth:
+        """Where it will have gone and turned a fraction of a step later."""
+        x, y, z = self.position_ned_m
+        vx, vy, vz = self.velocity_ned_m_s
+        return self._replace(
+            position_ned_m=(x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s),
+            heading_rad=self.heading_rad + self.heading_rate_rad_s * ahead_s,
+            roll_rad=self.roll_rad + self.roll_rate_rad_s * ahead_s,
+            pitch_rad=self.pitch_rad + self.pitch_rate_rad_s * ahead_s,
+        )
+
+
+class PadMotion:
+    """A path put in its place, with the board's height and heading, and what the sea does to it."""
+
+    def __init__(
+        self, path: Path, shift_ned_m: Vector3, heading_rad: float | None, deck: DeckMotion | None = None
+    ) -> None:
+        """`heading_rad` None: the pad points where it goes."""
+        self._path = path
+        self._shift = shift_ned_m
+        self._heading_rad = heading_rad
+        self._deck = deck
+
+    def at(self, time_s: float) -> PadTruth:
+        """The pad at a time (s)."""
+        place = self._path(time_s)
+        fixed = self._heading_rad
+        pad = PadTruth(
+            time_s,
+            add(place.position_ned_m, self._shift),
+            place.velocity_ned_m_s,
+            place.acceleration_ned_m_s2,
+            wrap_angle(place.course_rad) if fixed is None else fixed,
+            place.course_rate_rad_s if fixed is None else 0.0,
+        )
+        return pad if self._deck is None else _at_sea(pad, self._deck)
+
+
+def _at_sea(pad: PadTruth, deck: DeckMotion) -> PadTruth:
+    (down, sinking, falling), (roll, roll_rate), (pitch, pitch_rate) = deck.at(pad.time_s)
+    return pad._replace(
+        position_ned_m=add(pad.position_ned_m, (0.0, 0.0, down)),
+        velocity_ned_m_s=add(pad.velocity_ned_m_s, (0.0, 0.0, sinking)),
+        acceleration_ned_m_s2=add(pad.acceleration_ned_m_s2, (0.0, 0.0, falling)),
+        roll_rad=roll,
+        pitch_rad=pitch,
+        roll_rate_rad_s=roll_rate,
+        pitch_rate_rad_s=pitch_rate,
+    )
+
+
+def build_pad_motion(
+    settings: Motion,
+    surface_height_m: float,
+    heading_deg: Heading,
+    rng: np.random.Generator,
+    deck: DeckSettings | None = None,
+) -> PadMotion:
+    """Draw a motion that can be met where the settings say.
+
+    Where the dice leave room the pad keeps clear of home until it is met: it would otherwise drive through
+    a vehicle that has not yet taken off.
+    """
+    drawn = drawn_angle("random" if isinstance(heading_deg, str) else heading_deg, rng)
+    heading = None if heading_deg == "along" else drawn
+    # a generator of its own: a sea does not change the way
+    at_sea = None if deck is None else DeckMotion(deck, rng.spawn(1)[0])
+    for _ in range(TRIES):
+        motion = PadMotion(*_placed(settings, surface_height_m, rng), heading, at_sea)
+        if _clear_of_home(motion, settings.meet.time_s):
+            break
+    return motion
+
+
+def _placed(settings: Motion, surface_height_m: float, rng: np.random.Generator) -> tuple[Path, Vector3]:
+    path = settings.path(rng)
+    meet = settings.meet
+    # the root spreads the points evenly over the disc
+    away = meet.spread_m * math.sqrt(float(rng.uniform()))
+    bearing = float(rng.uniform(-math.pi, math.pi))
+    point = (meet.point_ned_m[0] + away * math.cos(bearing), meet.point_ned_m[1] + away * math.sin(bearing))
+    shift = subtract((point[0], point[1], 0.0), path(meet.time_s).position_ned_m)
+    return path, (shift[0], shift[1], -surface_height_m)
+
+
+def _clear_of_home(motion: PadMotion, until_s: float) -> bool:
+    times = (0.25 * i for i in range(int(4.0 * until_s) + 1))
+    return all(math.hypot(*motion.at(t).position_ned_m[:2]) > CLEAR_OF_HOME_M for t in times)

@@ -1,0 +1,1 @@
+"""A simulation put together and run, in process or as a process of its own."""

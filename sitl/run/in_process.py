@@ -1,0 +1,113 @@
+"""A simulated vehicle in the caller's own process and on its loop, in virtual time or in real time.
+
+The app's drivers get what hardware gives them: a register bus, two serial lines and a camera. For flights on
+the desk, for campaigns, and for tools that are tried on a vehicle that stands or is carried by hand:
+
+    async def main() -> None:
+        async with carried("static", seed=0, motion="tumble") as vehicle:
+            driver = Mpu9250(vehicle.imu_bus, ImuConfig())
+            ...                               # await asyncio.sleep(...), poll, await vehicle.frames.next()
+            truth = vehicle.simulation.sensor_truth
+
+    run_in_virtual_time(main())
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from sitl.devices.mpu9250 import Mpu9250Device
+from sitl.devices.ports import AppEnd, MemoryPort
+from sitl.firmware.spec import FirmwareSpec
+from sitl.run.simulation import ByteLink, MemoryFrames, Simulation
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.vehicle.hand_paths import HandMotion
+
+GPS_BAUD: Final = 38400
+RANGE_BAUD: Final = 9600
+
+
+class InProcess:
+    """A simulation with its plugs. Make it inside the running loop; its world begins with `simulation.run`.
+
+    `wants_frames` may be set to False where nobody looks: rendering is most of a simulation's cost.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        *,
+        motion: HandMotion | None = None,
+        link: ByteLink | None = None,
+        gps_baud: int = GPS_BAUD,
+        range_baud: int = RANGE_BAUD,
+        firmware: FirmwareSpec | None = None,
+    ) -> None:
+        """Build it; `motion`: it is carried by hand; `link` is the vehicle's end of the MAVLink line.
+
+        A `firmware` flies it in lockstep; `simulation.close` ends that.
+
+        Raises:
+            ConfigError: a settings file that the scenario names is missing or wrong.
+        """
+        self.wants_frames = True
+        self.frames = MemoryFrames()
+        gps_line, range_line = MemoryPort(gps_baud), MemoryPort(range_baud)
+        self.gps_port: AppEnd = gps_line.app
+        self.range_port: AppEnd = range_line.app
+        self.simulation = Simulation(
+            scenario,
+            seed,
+            motion=motion,
+            link=link,
+            gps_port=gps_line,
+            range_port=range_line,
+            deliver_frame=self.frames.deliver,
+            camera_wanted=lambda: self.wants_frames,
+            firmware=firmware,
+        )
+
+    @property
+    def imu_bus(self) -> Mpu9250Device:
+        """The register bus with the MPU9250 on it."""
+        return self.simulation.imu_bus
+
+
+@asynccontextmanager
+async def carried(
+    scenario: str | Path | Scenario,
+    seed: int,
+    motion: HandMotion,
+    *,
+    link: ByteLink | None = None,
+    camera: bool = True,
+) -> AsyncIterator[InProcess]:
+    """A vehicle that is carried by hand while inside; see the module's docstring.
+
+    Args:
+        scenario: a name, a file or a scenario: its pad, camera, sensors and autopilot's manners.
+        seed: repeats it.
+        motion: how it is carried.
+        link: the vehicle's end of a MAVLink line, None without one.
+        camera: whether frames are rendered.
+
+    Raises:
+        ConfigError: the scenario, or a file that it names, is missing or wrong.
+        Exception: whatever ended the world while inside, on leaving.
+    """
+    loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    vehicle = InProcess(loaded, seed, motion=motion, link=link)
+    vehicle.wants_frames = camera
+    world: asyncio.Task[Any] = asyncio.create_task(vehicle.simulation.run())
+    try:
+        yield vehicle
+    finally:
+        world.cancel()
+        await asyncio.wait([world])
+    if not world.cancelled():
+        world.result()  # it has failed, and stood still since

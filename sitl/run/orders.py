@@ -1,0 +1,121 @@
+"""How a simulator talks with whoever started it: lines of JSON out, one order in."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Coroutine, Iterator
+from pathlib import Path
+from typing import Any, Protocol
+
+from companion.base.messages import Phase
+from companion.config import ConfigError
+from sitl.run.report import SimulationReport, write_report
+
+
+class Judged(Protocol):
+    """A simulation that runs until it is cancelled, and judges the flight as it stands."""
+
+    async def run(self) -> None:
+        """Go on until cancelled."""
+        ...
+
+    def report(self, final_phase: Phase) -> SimulationReport:
+        """Judge; `final_phase` is the app's last."""
+        ...
+
+
+async def fly_until_told(
+    simulation: Judged, report_path: Path, ending: Coroutine[Any, Any, Phase | None]
+) -> None:
+    """Run a simulation until `ending` returns; with a phase the flight is judged, and the report's path said.
+
+    Raises:
+        Exception: whatever ended the simulation before.
+    """
+    flying = asyncio.create_task(simulation.run())
+    listening = asyncio.create_task(ending)
+    await asyncio.wait([flying, listening], return_when=asyncio.FIRST_COMPLETED)
+    if flying.done():
+        listening.cancel()
+        flying.result()
+    phase = listening.result()
+    flying.cancel()
+    await asyncio.wait([flying])
+    if phase is not None:
+        write_report(simulation.report(phase), report_path)
+        say({"report": str(report_path)})
+
+
+async def final_phase() -> Phase | None:
+    """Wait for `finish PHASE` on standard input; None when it ends without."""
+    loop = asyncio.get_running_loop()
+    said: asyncio.Future[str] = loop.create_future()
+
+    def settle(line: str) -> None:
+        if not said.done():
+            said.set_result(line)
+
+    def listen() -> None:
+        # a thread, since a loop cannot watch a standard input that is a file or /dev/null; unbuffered, since
+        # a buffer's lock that a waiting thread holds breaks the end of the interpreter
+        line = b""
+        while b"\n" not in line and (data := os.read(sys.stdin.fileno(), 100)):
+            line += data
+        with contextlib.suppress(RuntimeError):  # the loop has ended meanwhile
+            loop.call_soon_threadsafe(settle, line.decode(errors="replace"))
+
+    threading.Thread(target=listen, name="standard input", daemon=True).start()
+    word, _, phase = (await said).strip().partition(" ")
+    return Phase(phase) if word == "finish" and phase in set(Phase) else None
+
+
+def say(message: dict[str, Any]) -> None:
+    """Put one line of JSON on standard output."""
+    print(json.dumps(message), flush=True)
+
+
+@contextlib.contextmanager
+def socket_folder(wanted: Path | None) -> Iterator[Path]:
+    """A folder for the sockets: the wanted one, or a temporary one that goes at the end.
+
+    Raises:
+        ConfigError: the wanted one is none, or cannot be written to.
+    """
+    with contextlib.ExitStack() as stack:
+        place = wanted or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="companion-sitl-")))
+        if not os.access(place, os.W_OK) or not place.is_dir():
+            raise ConfigError(f"--folder {place}: expected a folder that can be written to")
+        yield place
+
+
+@contextlib.contextmanager
+def interrupted_at_once() -> Iterator[None]:
+    """While inside, Ctrl-C breaks off what does not let the loop run, which asyncio would wait for."""
+    loops_own = signal.getsignal(signal.SIGINT)
+    if not callable(loops_own) or threading.current_thread() is not threading.main_thread():
+        yield  # it is ignored, or not ours to take
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, loops_own)
+
+
+@contextlib.contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """While inside, SIGTERM and SIGHUP end a program as cleanly as Ctrl-C does; what is ignored stays so."""
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

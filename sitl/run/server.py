@@ -1,0 +1,258 @@
+"""The simulator as a process of its own, in real time: what `companion-sitl` does when told nothing else.
+
+Two ways of serving. For people (`serve`) MAVLink is on PX4's and ArduPilot's usual ports, a text says where
+and how to connect, and Ctrl-C ends it. As the app's child (`serve_child`) it takes one free UDP port, tells
+where by one line of JSON on standard output (the keys are the app's settings), and flies until standard input
+says `finish PHASE`, which makes it judge the flight and write `report.json` to its folder, or until standard
+input ends: a child whose parent has died does not stay behind.
+
+Either way the GPS and the ultrasonic are on ptys, the MPU9250's registers and the camera's frames on unix
+sockets in its folder.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from companion.base.clock import Clock, start_unix_s
+from companion.base.files import write_atomically
+from sitl.camera.frame_server import FrameServer
+from sitl.devices.neo6m import UNIX_AT_START_S
+from sitl.devices.ports import PtyPort
+from sitl.devices.register_server import serve_registers
+from sitl.firmware.spec import FirmwareSpec
+from sitl.mavlink.links import TcpServer, UdpServer
+from sitl.run.orders import final_phase, fly_until_told, say
+from sitl.run.simulation import Simulation
+from sitl.scenario.app_settings import settings_text
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.hand_paths import HandMotion
+
+REPORT_NAME: Final = "report.json"
+SENSOR_BAUD: Final = 9600
+LOOPBACK: Final = "127.0.0.1"
+COMPANION_PORT: Final = 14540
+GROUND_PORT: Final = 14550
+TCP_PORT: Final = 5760
+# from which the vehicle sends to those two, as PX4's simulator does; to others it sends from a free one
+_OWN_PORTS: Final = {COMPANION_PORT: 14580, GROUND_PORT: 18570}
+
+
+@dataclass(frozen=True, slots=True)
+class Service:
+    """Where MAVLink is served: UDP ports at which clients listen (0: they call), and the TCP port."""
+
+    bind: str = LOOPBACK
+    companion_port: int = COMPANION_PORT
+    ground_port: int = GROUND_PORT
+    tcp_port: int = TCP_PORT
+
+
+@dataclass(frozen=True, slots=True)
+class _Devices:
+    """A simulation and where its devices are."""
+
+    simulation: Simulation
+    settings: dict[str, Any]  # the app's, which lead there
+
+
+async def serve(
+    scenario: Scenario,
+    seed: int,
+    folder: Path,
+    service: Service,
+    signing_key: bytes | None = None,
+    *,
+    serve_truth: bool = False,
+    motion: HandMotion | None = None,
+    settings_path: Path | None = None,
+    firmware: FirmwareSpec | None = None,
+) -> None:
+    """Serve a vehicle to whoever connects, until Ctrl-C or SIGTERM; `serve_truth`: those may ask for it.
+
+    With a `motion` it is carried by hand. The app's settings that lead to it go to `settings_path`.
+
+    Raises:
+        ConfigError: a port is taken, or a settings file that the scenario names is wrong.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        unix_at_start_s = start_unix_s(virtual=False) + Clock().now_s()
+        with _kept_free(service):
+            devices = await _plug_in(
+                stack,
+                scenario,
+                seed,
+                folder,
+                signing_key,
+                unix_at_start_s,
+                serve_truth=serve_truth,
+                keep_truth=False,
+                motion=motion,
+                firmware=firmware,
+            )
+        companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
+        ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
+        tcp = TcpServer(devices.simulation)
+        stack.callback(tcp.close)
+        tcp_port = await tcp.open(service.bind, service.tcp_port)
+        own = (companion_port, ground_port, tcp_port)
+        if settings_path is not None:
+            connection = f"udp:{LOOPBACK}:{companion_port}"
+            write_atomically(settings_path, settings_text(scenario, connection, devices.settings))
+        with _stopping_on_signals(devices.simulation) as flying:
+            print(_greeting(scenario, seed, service, own, devices.settings, motion), flush=True)
+            if settings_path is not None:
+                print(f"The app's settings for it are in {settings_path}", flush=True)
+            await asyncio.wait([flying])
+        if not flying.cancelled():
+            flying.result()
+
+
+async def serve_child(
+    scenario: Scenario,
+    seed: int,
+    folder: Path,
+    motion: HandMotion | None = None,
+    firmware: FirmwareSpec | None = None,
+) -> None:
+    """Run a simulation for a parent process until standard input says so; see the module's docstring.
+
+    Raises:
+        ConfigError: a settings file that the scenario names is wrong.
+    """
+    async with contextlib.AsyncExitStack() as stack:
+        devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
+        udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
+        say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
+        await fly_until_told(devices.simulation, folder / REPORT_NAME, final_phase())
+
+
+async def _plug_in(
+    stack: contextlib.AsyncExitStack,
+    scenario: Scenario,
+    seed: int,
+    folder: Path,
+    signing_key: bytes | None = None,
+    unix_at_start_s: float = UNIX_AT_START_S,
+    *,
+    serve_truth: bool = False,
+    keep_truth: bool = True,
+    motion: HandMotion | None = None,
+    firmware: FirmwareSpec | None = None,
+) -> _Devices:
+    """A simulation with everything but MAVLink connected; the stack takes it all down."""
+    gps_port, range_port = PtyPort(SENSOR_BAUD), PtyPort(SENSOR_BAUD)
+    stack.callback(gps_port.close)
+    stack.callback(range_port.close)
+    frames = FrameServer(folder / "camera")
+    simulation = Simulation(
+        scenario,
+        seed,
+        gps_port=gps_port,
+        range_port=range_port,
+        deliver_frame=frames.deliver,
+        camera_wanted=lambda: frames.client_count > 0,
+        signing_key=signing_key,
+        unix_at_start_s=unix_at_start_s,
+        serve_truth=serve_truth,
+        keep_truth=keep_truth,
+        motion=motion,
+        hands_wait=True,
+        firmware=firmware,
+    )
+    stack.callback(simulation.close)
+    await frames.start(simulation.begin_motion)
+    stack.push_async_callback(frames.close)
+    registers = await serve_registers(simulation.imu_bus, folder / "registers", simulation.begin_motion)
+    stack.callback(registers.close)
+    bus = "spi-socket" if scenario.sensors.imu_interface == "spi" else "socket"
+    settings = {
+        "sense": {
+            "imu": {"bus": f"{bus}:{folder / 'registers'}"},
+            "gps": {"port": gps_port.path},
+            "range": {"port": range_port.path},
+            "vision": {"source": f"socket:{folder / 'camera'}"},
+        },
+    }
+    return _Devices(simulation, settings)
+
+
+@contextlib.contextmanager
+def _kept_free(service: Service) -> Iterator[None]:
+    """While inside, no firmware takes what is to be served: an instance of it has the ports of such a one."""
+    udp = (_OWN_PORTS.get(port, port) for port in (service.companion_port, service.ground_port))
+    wanted = [*((socket.SOCK_DGRAM, port) for port in udp), (socket.SOCK_STREAM, service.tcp_port)]
+    with contextlib.ExitStack() as stack:
+        for kind, port in wanted:
+            kept = stack.enter_context(socket.socket(socket.AF_INET, kind))
+            with contextlib.suppress(OSError):  # somebody has it, which is told when it is opened
+                kept.bind((LOOPBACK, port))
+        yield
+
+
+async def _open_udp(
+    stack: contextlib.AsyncExitStack, simulation: Simulation, bind: str, client_port: int
+) -> int:
+    """Send to a client's port, if there is to be one, and return the vehicle's own."""
+    # what is bound to one address of this computer cannot be reached at another
+    client_host = bind if bind not in ("0.0.0.0", "") else LOOPBACK
+    server = UdpServer(simulation, (client_host, client_port) if client_port else None)
+    stack.callback(server.close)
+    return await server.open(bind, _OWN_PORTS.get(client_port, 0))
+
+
+def _greeting(
+    scenario: Scenario,
+    seed: int,
+    service: Service,
+    own: tuple[int, int, int],
+    settings: dict[str, Any],
+    motion: HandMotion | None,
+) -> str:
+    """What a person has to know to use it."""
+    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[scenario.autopilot]
+    host = LOOPBACK if service.bind == "0.0.0.0" else service.bind
+    companion, ground, tcp = own
+    sense = settings["sense"]
+    lines = [
+        f"companion-sitl: a quadrotor with {name}'s manners, scenario {scenario.name}, seed {seed}"
+        + ("" if motion is None else f", carried by hand: {motion}"),
+        *_udp_lines("companions", "MAVSDK udpin://0.0.0.0:{}", host, service.companion_port, companion),
+        *_udp_lines("ground stations", "QGroundControl, mavproxy.py --master udp:127.0.0.1:{}", host,
+                    service.ground_port, ground),
+        f"  TCP {tcp:<6} MAVLink for several clients: mavproxy.py --master tcp:{host}:{tcp}",
+        f"  camera     {sense['vision']['source']}",
+        f"  IMU        {sense['imu']['bus']}",
+        f"  GPS        {sense['gps']['port']}",
+        f"  ultrasonic {sense['range']['port']}",
+        "Ctrl-C stops it.",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _udp_lines(whom: str, example: str, host: str, client_port: int, own_port: int) -> list[str]:
+    """Where clients listen, and where they may call."""
+    calling = f"call udpout:{host}:{own_port}"
+    if not client_port:
+        return [f"  UDP {own_port:<6} MAVLink for {whom}: {calling}"]
+    return [
+        f"  UDP {client_port:<6} MAVLink for {whom}: listen there ({example.format(client_port)}),",
+        f"             or {calling}",
+    ]
+
+
+@contextlib.contextmanager
+def _stopping_on_signals(simulation: Simulation) -> Iterator[asyncio.Task[None]]:
+    """A running simulation, which Ctrl-C, SIGTERM and SIGHUP cancel while inside."""
+    flying = asyncio.create_task(simulation.run())
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, flying.cancel)
+    yield flying

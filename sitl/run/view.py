@@ -1,0 +1,288 @@
+"""`companion-sitl view`: shows or records the frames of a socket (docs/frames.md), whoever serves them.
+
+A machine without a screen shows them in a browser: Motion JPEG on the loopback. Recorded are PNG files, one a
+frame, or an MP4 file. Each picture carries its number, its time and its age when it came.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Annotated, Final, Protocol
+
+import cv2
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from companion.base.clock import Clock
+from companion.base.frame_format import FrameHeader
+from companion.base.frame_stream import FrameStream
+from companion.base.mjpeg import MjpegServer
+from companion.config import ConfigError
+from sitl.run.orders import terminated_as_interrupted
+
+HELP: Final = "Show (in a browser) or record the frames that a socket serves."
+STATUS_PERIOD_S: Final = 1.0
+_WINDOW: Final = 30
+_VIDEO_SUFFIX: Final = ".mp4"
+_OTHER_SUFFIXES: Final = (".avi", ".mkv", ".mov", ".webm", ".png", ".jpg", ".jpeg", ".gif")
+_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What is to be done with the frames: keep every `every`-th one, end after `frames` kept (0: never)."""
+
+    record: Path | None = None
+    every: int = 1
+    frames: int = 0
+    serve_port: int | None = None
+
+
+class Statistics:
+    """Rate, age and losses of a stream; times in s."""
+
+    def __init__(self) -> None:
+        self.count = self.dropped = 0
+        self._last_sequence: int | None = None
+        self._arrivals: deque[float] = deque(maxlen=_WINDOW)
+        self._ages: deque[float] = deque(maxlen=_WINDOW)
+
+    def take(self, header: FrameHeader, received_s: float) -> None:
+        """Count a frame that has come."""
+        if self._last_sequence is not None:
+            step = (header.sequence - self._last_sequence) % 2**32
+            self.dropped += max(0, step - 1) if step < 2**31 else 0  # a server that starts anew drops none
+        self._last_sequence = header.sequence
+        self.count += 1
+        self._arrivals.append(received_s)
+        if header.time_s is not None:
+            self._ages.append(received_s - header.time_s)
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second, over the last ones."""
+        arrivals = self._arrivals
+        span_s = arrivals[-1] - arrivals[0] if arrivals else 0.0
+        return (len(arrivals) - 1) / span_s if span_s > 0.0 else 0.0
+
+    def __str__(self) -> str:
+        """One line for people."""
+        age = f"{1e3 * median(self._ages):.0f} ms old" if self._ages else "without times"
+        return f"{self.count} frames, {self.rate_hz:.1f} a second, {age}, {self.dropped} dropped"
+
+
+class Recorder(Protocol):
+    """Keeps pictures."""
+
+    def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
+        """Write one; `rate_hz` is how often pictures are kept."""
+
+    def close(self) -> None:
+        """Finish."""
+
+
+class PngFolder:
+    """One PNG file a frame, named by its sequence number."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the folder.
+
+        Raises:
+            ConfigError: it cannot be made.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"--record {folder}: {error.strerror}; expected a folder") from error
+        self._folder = folder
+
+    def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
+        """Write a file; see `Recorder`."""
+        path = self._folder / f"frame-{header.sequence:08d}.png"
+        if not cv2.imwrite(str(path), picture):
+            raise ConfigError(f"--record {path}: cannot be written; expected a folder with room")
+
+    def close(self) -> None:
+        """Nothing to finish."""
+
+
+class Video:
+    """An MP4 file. Its frame rate is the stream's, measured over the first pictures, which wait for it."""
+
+    WAITING: Final = 15
+
+    def __init__(self, path: Path) -> None:
+        """Check that it can be written.
+
+        Raises:
+            ConfigError: its folder does not exist.
+        """
+        if not path.parent.is_dir():
+            raise ConfigError(f"--record {path}: expected a file in an existing folder")
+        self._path = path
+        self._writer: cv2.VideoWriter | None = None
+        self._waiting: list[Image] = []
+        self._rate_hz = 0.0
+
+    def keep(self, picture: Image, header: FrameHeader, rate_hz: float) -> None:
+        """Append a picture; see `Recorder`."""
+        self._rate_hz = rate_hz
+        self._waiting.append(picture.copy())
+        if self._writer is not None or len(self._waiting) >= self.WAITING:
+            self._write()
+
+    def close(self) -> None:
+        """Write what waits, and the file's end."""
+        if self._waiting:
+            self._write()
+        if self._writer is not None:
+            self._writer.release()
+
+    def _write(self) -> None:
+        if self._writer is None:
+            height, width = self._waiting[0].shape[:2]
+            code = cv2.VideoWriter.fourcc(*"mp4v")
+            # MPEG-4 has no room for a rate like 74.183
+            rate_hz = max(1.0, round(self._rate_hz) if self._rate_hz > 10.0 else round(self._rate_hz, 1))
+            self._writer = cv2.VideoWriter(str(self._path), code, rate_hz, (width, height))
+            if not self._writer.isOpened():
+                raise ConfigError(f"--record {self._path}: cannot be written as MP4")
+        for picture in self._waiting:
+            self._writer.write(picture)
+        self._waiting.clear()
+
+
+def annotated(image: Image, header: FrameHeader, received_s: float) -> Image:
+    """A colour copy (height, width, 3) with the frame's number, time and age in its lower left corner."""
+    colour = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    time = "no time"
+    if header.time_s is not None:
+        time = f"{header.time_s:.3f} s, {1e3 * (received_s - header.time_s):.0f} ms old"
+    text = f"{header.sequence}  {time}"
+    (width, height), below = cv2.getTextSize(text, _FONT, 0.5, 1)
+    left, base = 6, header.height_px - 6 - below
+    cv2.rectangle(
+        colour, (left - 3, base - height - 3), (left + width + 3, base + below + 3), (0, 0, 0), cv2.FILLED
+    )
+    cv2.putText(colour, text, (left, base), _FONT, 0.5, (0, 255, 255), 1, cv2.LINE_AA)
+    return np.asarray(colour, dtype=np.uint8)
+
+
+async def _view_until_stopped(address: str, wishes: Wishes) -> Statistics:
+    """As `view`; SIGTERM and SIGHUP end it like the server's end does, and what was recorded is whole."""
+    statistics = Statistics()
+    viewing = asyncio.create_task(view(address, wishes, statistics))
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, viewing.cancel)
+    await asyncio.wait([viewing])
+    if not viewing.cancelled():
+        viewing.result()
+    return statistics
+
+
+async def view(address: str, wishes: Wishes, statistics: Statistics | None = None) -> Statistics:
+    """Show and record frames until there are enough or the server goes; `statistics` counts them.
+
+    Raises:
+        ConfigError: nobody serves frames there, what comes is none, or the wishes cannot be met.
+    """
+    try:
+        stream = await FrameStream.open(address)
+    except (OSError, ValueError) as error:
+        raise ConfigError(str(error)) from error
+    recorder: Recorder | None = None
+    page = MjpegServer()
+    statistics = statistics or Statistics()
+    try:
+        recorder = _recorder(wishes.record)
+        if wishes.serve_port is not None:
+            await _open_page(page, wishes.serve_port)
+        await _watch(stream, wishes, recorder, page, statistics)
+    except OSError as error:
+        if statistics.count == 0 or "does not send frames" in str(error):
+            raise ConfigError(str(error)) from error
+        print(f"companion-sitl view: {error}", file=sys.stderr)
+    finally:
+        stream.close()
+        await page.close()
+        if recorder is not None:
+            recorder.close()
+    return statistics
+
+
+async def _open_page(page: MjpegServer, port: int) -> None:
+    try:
+        taken = await page.start(port)
+    except OSError as error:
+        raise ConfigError(f"--serve {port}: {error.strerror}; expected a free port") from error
+    print(f"http://127.0.0.1:{taken}/", flush=True)
+
+
+async def _watch(
+    stream: FrameStream,
+    wishes: Wishes,
+    recorder: Recorder | None,
+    page: MjpegServer,
+    statistics: Statistics,
+) -> None:
+    clock, kept = Clock(), 0
+    told_s = clock.now_s()
+    while not (wishes.frames and kept >= wishes.frames):
+        header = await stream.read_header()
+        image = await stream.read_image(header)
+        now_s = clock.now_s()
+        statistics.take(header, now_s)
+        if (statistics.count - 1) % wishes.every == 0:
+            kept += 1
+            picture = annotated(image, header, now_s)
+            page.show(picture)
+            if recorder is not None:
+                recorder.keep(picture, header, statistics.rate_hz / wishes.every)
+        if now_s - told_s >= STATUS_PERIOD_S:
+            told_s = now_s
+            _tell(statistics)
+
+
+def _recorder(path: Path | None) -> Recorder | None:
+    if path is None:
+        return None
+    suffix = path.suffix.lower()
+    if suffix in _OTHER_SUFFIXES:
+        raise ConfigError(f"--record {path}: expected FILE.mp4, or a folder for PNG files")
+    return Video(path) if suffix == _VIDEO_SUFFIX else PngFolder(path)
+
+
+def _tell(statistics: Statistics) -> None:
+    """On a terminal one line that is written over, else a line a time."""
+    live = sys.stdout.isatty()
+    print(f"\r{statistics}  " if live else statistics, end="" if live else "\n", flush=True)
+
+
+def view_command(
+    socket: Annotated[str, typer.Argument(help="A socket's path, or tcp:HOST:PORT.")],
+    *,
+    record: Annotated[
+        Path | None, typer.Option(help="Record to FILE.mp4, or to a folder of PNG files.", metavar="PATH")
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Take every N-th frame only.", metavar="N")] = 1,
+    frames: Annotated[int, typer.Option(min=0, help="End after N frames taken.", metavar="N")] = 0,
+    serve: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Show them in a browser, on this port; 0 takes a free one."),
+    ] = None,
+) -> None:
+    """Show or record frames."""
+    address = socket if socket.startswith(("socket:", "tcp:")) else f"socket:{socket}"
+    with terminated_as_interrupted():
+        statistics = asyncio.run(_view_until_stopped(address, Wishes(record, every, frames, serve)))
+    print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

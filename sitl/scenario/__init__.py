@@ -1,0 +1,1 @@
+"""Scenarios: what a flight is to be like."""

@@ -1,0 +1,167 @@
+"""Named scenarios: the pad's motion, the weather, the sensors' quality and faults, and what is a landing.
+
+A scenario with a seed is one flight, repeatable to the bit. `companion` holds what the operator knows and
+would set in the app: overrides of its settings. All else stays in the simulator.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from companion.base.messages import Manner
+from companion.config import Shape, StrictModel, find_file, load_model
+from sitl.autopilot.control.estimator import EstimatorName
+from sitl.autopilot.control.rate_control import RateGains
+from sitl.camera.exposure import DirtSettings
+from sitl.camera.light import LightSettings
+from sitl.camera.sensor_chip import ExposureSettings
+from sitl.faults.faults import Fault
+from sitl.faults.faulty_link import LinkSettings
+from sitl.pad.motion import Motion
+from sitl.pad.paths import Angle, Heading, HeaveMotion, StaticMotion
+from sitl.pad.sea import DeckSettings
+from sitl.vehicle.quadrotor import QuadrotorParameters
+from sitl.world.contact import ContactParameters
+from sitl.world.wind import WindSettings
+
+# of a board as large as the shipped pads are; a larger one may dip an edge into the sea
+LARGEST_HALF_DIAGONAL_M: Final = 1.0
+
+
+Lean = Annotated[float, Field(ge=-180.0, le=180.0)]
+Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
+
+
+class Airframe(StrictModel):
+    """The plant's parameters (configs/airframes), and how the rate loops are tuned to it.
+
+    Without `rates` the autopilot flies by its own defaults.
+    """
+
+    name: str
+    body: QuadrotorParameters
+    legs: ContactParameters
+    rates: RateGains | None = None
+
+
+class PadSettings(StrictModel):
+    """Which pad, how high its surface is over the ground, how it moves and where it points."""
+
+    name: str = "moving_1300"
+    surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
+    heading: Heading = "along"
+    motion: Annotated[Motion, Field(discriminator="kind")] = StaticMotion(kind="static")
+    deck: DeckSettings | None = None
+
+    @model_validator(mode="after")
+    def _over_the_ground(self) -> PadSettings:
+        needed = self.motion.largest_excursion_m() if isinstance(self.motion, HeaveMotion) else 0.0
+        if self.deck is not None:
+            needed += self.deck.largest_excursion_m(LARGEST_HALF_DIAGONAL_M)
+        if needed > self.surface_height_m:
+            raise ValueError(
+                f"surface_height_m is {self.surface_height_m:g}; expected at least {needed:.2f}, "
+                "or the waves' troughs take the pad underground"
+            )
+        return self
+
+
+class CameraSettings(StrictModel):
+    """The simulated camera: its optics (configs/cameras) and its faults."""
+
+    config: str = "sitl_640x480"
+    latency_s: float = Field(default=0.045, ge=0.0, le=0.25)
+    latency_jitter_s: float = Field(default=0.005, ge=0.0, le=0.05)
+    exposure_s: float = Field(default=0.003, gt=0.0, le=0.03)
+    readout_s: float = Field(default=0.015, ge=0.0, le=0.03)
+    noise_grey: float = Field(default=3.0, ge=0.0, le=50.0)
+    calibration_error: float = Field(default=0.003, ge=0.0, le=0.1)  # of the focal length, and sideways
+    mount_error_deg: tuple[Lean, Lean, Lean] = (0.0, 0.0, 0.0)
+    mount_offset_m: tuple[Shift, Shift, Shift] = (0.0, 0.0, 0.0)
+    stamp_error_s: float = Field(default=0.0, ge=-0.04, le=0.1)
+    blur: bool = True
+    rate_hz: Annotated[float, Field(ge=1.0, le=120.0)] | None = None
+    exposure: ExposureSettings = ExposureSettings()
+    dirt: DirtSettings | None = None
+    lost_share: float = Field(default=0.0, ge=0.0, lt=1.0)
+    lost_burst_frames: float = Field(default=1.0, ge=1.0, le=300.0)
+
+
+class SensorSettings(StrictModel):
+    """Factors on each sensor's data-sheet noise, whether anybody has calibrated it, GPS delay, wiring."""
+
+    calibrated: bool = True
+    imu_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    mag_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    gps_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    range_noise_factor: float = Field(default=1.0, ge=0.0, le=20.0)
+    gps_delay_s: float = Field(default=0.12, ge=0.0, le=1.0)
+    gps_wake_baud: Literal[4800, 9600, 19200, 38400, 57600, 115200] = 9600
+    imu_interface: Literal["i2c", "spi"] = "i2c"
+    ultrasonic: Literal["frames", "polled"] = "frames"
+
+
+class BeaconSettings(StrictModel):
+    """The pad's own GPS, which the ground station sends on."""
+
+    available: bool = True
+    position_std_m: float = Field(default=1.5, ge=0.0, le=50.0)
+    velocity_std_m_s: float = Field(default=0.1, ge=0.0, le=5.0)
+    rate_hz: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    delay_s: float = Field(default=0.5, ge=0.0, le=5.0)
+
+
+class PassBounds(StrictModel):
+    """What a landing has to keep at touchdown, relative to the pad."""
+
+    lateral_error_m: float = Field(default=0.15, gt=0.0, le=5.0)
+    vertical_speed_m_s: float = Field(default=0.4, gt=0.0, le=5.0)
+    horizontal_speed_m_s: float = Field(default=0.3, gt=0.0, le=5.0)
+    tilt_deg: float = Field(default=10.0, gt=0.0, le=90.0)
+
+
+class Scenario(StrictModel):
+    """One named flight."""
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    name: str = Field(min_length=1)
+    description: str = Field(min_length=1)
+    time_limit_s: float = Field(default=120.0, ge=5.0, le=900.0)
+    autopilot: Manner = "px4"
+    airframe: str = "x500"
+    estimator: EstimatorName = "typical"
+    mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
+    start_heading_deg: Angle = "random"
+    pad: PadSettings = PadSettings()
+    obstacles: tuple[Shape, ...] = ()
+    wind: WindSettings = WindSettings()
+    light: LightSettings | None = None
+    camera: CameraSettings = CameraSettings()
+    sensors: SensorSettings = SensorSettings()
+    beacon: BeaconSettings = BeaconSettings()
+    link: LinkSettings = LinkSettings()
+    faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
+    pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
+    companion: dict[str, Any] = Field(default_factory=dict)
+
+
+def load_scenario(name: str | Path) -> Scenario:
+    """Read a scenario by name (from configs/scenarios) or path.
+
+    Raises:
+        ConfigError: the file is missing, not YAML, or breaks a rule.
+    """
+    return load_model(Scenario, find_file("scenarios", name))
+
+
+def load_airframe(name: str | Path) -> Airframe:
+    """Read an airframe by name (from configs/airframes) or path.
+
+    Raises:
+        ConfigError: the file is missing, not YAML, or breaks a rule.
+    """
+    return load_model(Airframe, find_file("airframes", name))

@@ -1,0 +1,1 @@
+"""Truth to what sensors measure."""

@@ -1,0 +1,170 @@
+"""The autopilot's own IMU, compass, GPS receiver and rangefinder, for the streams that tell of them.
+
+Sensors of their own: other biases, other noise than those of the companion's boards, from generators of
+their own. IMU, compass and rangefinder cost something at every step, so they sleep until somebody asks for
+one of their messages. Axes FRD (the autopilot has turned the mounting out), SI units, µT; pure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from companion.base.geometry import (
+    ZERO3,
+    Vector3,
+    add,
+    cross,
+    norm,
+    quat_rotate,
+    quat_rotate_inverse,
+    tilt_from_quat,
+)
+from sitl.sensors.flaws import BoardTruth
+from sitl.sensors.inertial import ImuErrors, ImuSensor
+from sitl.sensors.sensors import (
+    GpsErrors,
+    GpsReading,
+    GpsSensor,
+    MagErrors,
+    MagSensor,
+    RangeErrors,
+    RangeSensor,
+)
+from sitl.vehicle.quadrotor import QuadrotorState
+
+MAG_PERIOD_S: Final = 0.02
+GPS_PERIOD_S: Final = 0.2
+RANGE_PERIOD_S: Final = 0.05
+_EARLY_S: Final = 1e-6
+_FIX_LASTS_S: Final = 1.0
+_STRAY_SHARE: Final = 0.35
+
+
+class Inertial(NamedTuple):
+    """One IMU sample: specific force (m/s²) and rate (rad/s)."""
+
+    time_s: float
+    specific_force_m_s2: Vector3
+    rate_rad_s: Vector3
+
+
+class Field(NamedTuple):
+    """One compass sample (µT)."""
+
+    time_s: float
+    field_ut: Vector3
+
+
+class Fix(NamedTuple):
+    """A receiver's epoch, and when the autopilot had it."""
+
+    time_s: float
+    reading: GpsReading
+
+
+class Echo(NamedTuple):
+    """One ping: a distance (m), None without an echo."""
+
+    time_s: float
+    distance_m: float | None
+
+
+class OnboardSensors:
+    """Step it with the physics; the newest of each sensor is in its attribute, None before the first."""
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        dt_s: float,
+        *,
+        home: Vector3,
+        field_ned_ut: Vector3,
+        imu_filter: int,
+        gps_latency_s: float = 0.12,
+        antenna_body_m: Vector3 = (0.0, 0.0, -0.05),
+        imu_errors: ImuErrors | None = None,
+        mag_errors: MagErrors | None = None,
+        gps_errors: GpsErrors | None = None,
+        range_errors: RangeErrors | None = None,
+    ) -> None:
+        """Make them; each draws from a generator of its own."""
+        imu_rng, mag_rng, gps_rng, range_rng = rng.spawn(4)
+        body_axes = np.eye(3)
+        self._imu = ImuSensor(imu_errors or ImuErrors(), imu_rng, dt_s, body_axes, imu_filter)
+        self._mag = MagSensor(mag_errors or MagErrors(), mag_rng, body_axes)
+        self._gps = GpsSensor(gps_errors or GpsErrors(), gps_rng, home)
+        self._range = RangeSensor(range_errors or RangeErrors(), range_rng)
+        self._field_ned_ut = field_ned_ut
+        self._gps_latency_s = gps_latency_s
+        self._antenna_body_m = antenna_body_m
+        self._awake = False
+        self._mag_due_s = self._gps_due_s = self._range_due_s = -math.inf
+        self._coming: deque[Fix] = deque()  # epochs on their way, oldest first
+        # for faults that the world around does, and so to these sensors too: no sky, another field
+        self.has_sky = True
+        self.stray_field_ut = ZERO3
+        self.throttle = 0.0
+        self.motors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+        self.imu: Inertial | None = None
+        self.mag: Field | None = None
+        self.gps: Fix | None = None
+        self.range: Echo | None = None
+
+    @property
+    def truth(self) -> BoardTruth:
+        """What is truly wrong with IMU and compass; its axes are the body's."""
+        return BoardTruth(self._imu.accel_flaws, self._imu.gyro_flaws, self._mag.flaws, np.eye(3))
+
+    def wake(self) -> None:
+        """Somebody wants the IMU, the compass or the rangefinder: sense from the next step on."""
+        self._awake = True
+
+    @property
+    def field_is_plausible(self) -> bool:
+        """Whether the compass feels about as strong a field as the earth's, as both autopilots check."""
+        return norm(self.stray_field_ut) < _STRAY_SHARE * norm(self._field_ned_ut)
+
+    def has_fix(self, now_s: float) -> bool:
+        """Whether the receiver has told of a fix lately."""
+        return self.gps is not None and now_s - self.gps.time_s < _FIX_LASTS_S
+
+    def step(
+        self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]
+    ) -> None:
+        """One physics step; `range_height_m` gives the rangefinder's over what answers it."""
+        self.throttle = throttle
+        self._receive(now_s, state)
+        if not self._awake:
+            return
+        force, rate = self._imu.sample(state.specific_force_body_m_s2, state.rate_body_rad_s, throttle)
+        self.imu = Inertial(now_s, force, rate)
+        if now_s >= self._mag_due_s - _EARLY_S:
+            self._mag_due_s = max(self._mag_due_s, now_s - MAG_PERIOD_S) + MAG_PERIOD_S
+            field_body = add(quat_rotate_inverse(state.attitude, self._field_ned_ut), self.stray_field_ut)
+            self.mag = Field(now_s, self._mag.sample(field_body, throttle))
+        if now_s >= self._range_due_s - _EARLY_S:
+            self._range_due_s = max(self._range_due_s, now_s - RANGE_PERIOD_S) + RANGE_PERIOD_S
+            distance_m = self._range.sample(range_height_m(), tilt_from_quat(state.attitude))
+            self.range = Echo(now_s, distance_m)
+
+    def _receive(self, now_s: float, state: QuadrotorState) -> None:
+        """An epoch of the receiver's reaches the autopilot after a while, and is stamped then."""
+        while self._coming and now_s >= self._coming[0].time_s - _EARLY_S:
+            self.gps = self._coming.popleft()
+        if now_s < self._gps_due_s - _EARLY_S:
+            return
+        self._gps_due_s = max(self._gps_due_s, now_s - GPS_PERIOD_S) + GPS_PERIOD_S
+        if not self.has_sky:
+            return
+        attitude, rate = state.attitude, state.rate_body_rad_s
+        antenna = quat_rotate(attitude, self._antenna_body_m)
+        turning = quat_rotate(attitude, cross(rate, self._antenna_body_m))
+        reading = self._gps.sample(
+            now_s, add(state.position_ned_m, antenna), add(state.velocity_ned_m_s, turning)
+        )
+        self._coming.append(Fix(now_s + self._gps_latency_s, reading))

@@ -1,0 +1,41 @@
+"""What faults do to a sensor's three axes on their way out: single wrong readings, and readings that stay.
+
+Pure; the sensor's own axes and units. The dice are of its own, so that a fault changes no other noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from companion.base.geometry import ZERO3, Vector3
+
+
+class Glitches:
+    """Between a sensor's element and its output. `frozen`: the last reading before stays."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._last: Vector3 = ZERO3
+        self.mend()
+
+    def mend(self) -> None:
+        """Readings come out as they are."""
+        self.frozen = False
+        self.spike_share = 0.0
+        self.spike_size = 0.0
+
+    def spike(self, share: float, size: float) -> None:
+        """A share of the readings is off by up to `size` on one axis; the worse of two faults counts."""
+        self.spike_share = max(self.spike_share, share)
+        self.spike_size = max(self.spike_size, size)
+
+    def out(self, value: Vector3) -> Vector3:
+        """What comes out instead of a reading."""
+        if self.frozen:
+            return self._last
+        self._last = value
+        if self.spike_share == 0.0 or float(self._rng.random()) >= self.spike_share:
+            return value
+        axis, off = int(self._rng.integers(3)), float(self._rng.uniform(-self.spike_size, self.spike_size))
+        x, y, z = value
+        return ((x + off, y, z), (x, y + off, z), (x, y, z + off))[axis]

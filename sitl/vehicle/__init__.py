@@ -1,0 +1,1 @@
+"""The airframe and its motors."""

@@ -1,0 +1,39 @@
+"""How well the motors do what they are told: each gives a share of the thrust that is asked of it.
+
+A worn propeller, a tired speed controller or a battery's sagging voltage costs thrust and reaction torque
+alike, so the command itself is scaled, before the motor's lag.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from sitl.vehicle.quadrotor import Four
+
+SOUND: Final[Four] = (1.0, 1.0, 1.0, 1.0)
+
+
+class Motors:
+    """Front, right, back and left motor (1 to 4)."""
+
+    def __init__(self) -> None:
+        self._shares = SOUND
+
+    def mend(self) -> None:
+        """All give what is asked."""
+        self._shares = SOUND
+
+    def weaken(self, motor: int | None, share: float) -> None:
+        """One motor (1 to 4), or all for None, gives only this share of what it gave."""
+        a, b, c, d = (
+            own * share if motor in (None, number) else own
+            for number, own in enumerate(self._shares, start=1)
+        )
+        self._shares = (a, b, c, d)
+
+    def given(self, commands: Four) -> Four:
+        """What the motors make of commands (shares of full thrust)."""
+        if self._shares is SOUND:
+            return commands
+        a, b, c, d = self._shares
+        return (a * commands[0], b * commands[1], c * commands[2], d * commands[3])

@@ -1,0 +1,285 @@
+"""The airframe: a rigid body with four lagging rotors, drag and rotor gyroscopics (paper eqs. 5-8).
+
+Frames: NED and FRD. "+" layout, rotors in order front, right, rear, left; front and rear turn
+anticlockwise seen from above, right and left clockwise. Units are SI; a motor command is 0..1 of full thrust.
+
+The paper writes eqs. (5)(6) z-up and in small-angle Euler rates. Here they are in vector form,
+    I w' = torque - w x (I w + h),   h = (0, 0, J_TP (-W1 + W2 - W3 + W4)),
+whose gyroscopic part is (-q h, +p h, 0): roll and pitch have opposite signs, which the paper's text misses.
+
+Thrust, contact, wind and the rotational drag are held over a step; within it drag and rotation are integrated
+by RK4. It all runs on plain floats, because arrays of three cost ten times as much.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from math import sqrt
+from typing import Annotated
+
+from pydantic import Field
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    quat_from_euler,
+    quat_normalise,
+    quat_rotate_inverse,
+)
+from companion.config import StrictModel
+
+Positive = Annotated[float, Field(gt=1e-5, le=10.0)]
+Four = tuple[float, float, float, float]
+AIR_DENSITY_KG_M3 = 1.225
+NO_RATIO: Four = (1.0, 1.0, 1.0, 1.0)
+
+# velocity NED, quaternion w x y z, body rate: what forces depend on
+Moving = tuple[float, float, float, float, float, float, float, float, float, float]
+# what stays the same within a step: wind, drags, accelerations and coupling, see Quadrotor.step
+_Held = tuple[float, ...]
+
+
+class QuadrotorParameters(StrictModel):
+    """The plant's numbers; where they come from stands in configs/airframes/x500.yaml."""
+
+    mass_kg: float = Field(gt=0.1, le=20.0)
+    inertia_kg_m2: tuple[Positive, Positive, Positive]
+    arm_length_m: float = Field(gt=0.03, le=1.0)
+    rotor_height_m: float = Field(ge=-0.2, le=0.3)
+    rotor_radius_m: float = Field(gt=0.02, le=0.5)
+    max_thrust_n: float = Field(gt=0.1, le=200.0)
+    max_rotor_speed_rad_s: float = Field(gt=100.0, le=5000.0)
+    torque_to_thrust_m: float = Field(gt=0.0, le=0.1)
+    motor_rise_s: float = Field(gt=0.001, le=0.5)
+    motor_fall_s: float = Field(gt=0.001, le=0.5)
+    rotor_inertia_kg_m2: float = Field(ge=0.0, le=0.01)
+    rotor_drag_plane_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
+    rotor_drag_axial_n_s2_m_rad: float = Field(ge=0.0, le=0.01)
+    body_drag_area_m2: float = Field(ge=0.0, le=1.0)
+    linear_drag_n_s_m: float = Field(default=0.0, ge=0.0, le=10.0)
+    turning_drag_n_m_s: float = Field(default=0.0, ge=0.0, le=1.0)
+
+    def hover_share(self) -> float:
+        """Share of full thrust that carries the weight."""
+        return self.mass_kg * GRAVITY_M_S2 / (4.0 * self.max_thrust_n)
+
+
+@dataclass(slots=True)
+class QuadrotorState:
+    """The body at one time.
+
+    `specific_force_body_m_s2` is what an ideal accelerometer at the centre of mass makes of the step just
+    taken: the mean of all forces but gravity, contact included, over the mass. `angular_acceleration_body`
+    is that step's mean too; with both, sensors can sit off-centre.
+    """
+
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3 = ZERO3
+    attitude: Quaternion = IDENTITY
+    rate_body_rad_s: Vector3 = ZERO3
+    thrust_share: Four = (0.0, 0.0, 0.0, 0.0)
+    specific_force_body_m_s2: Vector3 = (0.0, 0.0, -GRAVITY_M_S2)
+    angular_acceleration_body_rad_s2: Vector3 = ZERO3
+
+
+def resting_state(position_ned_m: Vector3, heading_rad: float) -> QuadrotorState:
+    """A level vehicle with stopped motors."""
+    return QuadrotorState(position_ned_m=position_ned_m, attitude=quat_from_euler(0.0, 0.0, heading_rad))
+
+
+class Quadrotor:
+    """One airframe: turns a state, commands and loads into the state a step later. Holds no state itself."""
+
+    def __init__(self, parameters: QuadrotorParameters, mass_factor: float = 1.0) -> None:
+        """`mass_factor` scales mass and inertia: a load that nobody told the autopilot of."""
+        self.parameters = parameters
+        self.mass_kg = parameters.mass_kg * mass_factor
+        ix, iy, iz = (mass_factor * value for value in parameters.inertia_kg_m2)
+        self._inertia = (ix, iy, iz)
+        self._coupling = ((iy - iz) / ix, (iz - ix) / iy, (ix - iy) / iz)
+        self._body_drag = 0.5 * AIR_DENSITY_KG_M3 * parameters.body_drag_area_m2 / self.mass_kg
+        speed = parameters.max_rotor_speed_rad_s
+        self._plane_drag = parameters.rotor_drag_plane_n_s2_m_rad * speed / self.mass_kg
+        self._axial_drag = parameters.rotor_drag_axial_n_s2_m_rad * speed / self.mass_kg
+        self._linear_drag = parameters.linear_drag_n_s_m / self.mass_kg
+        self._momentum = parameters.rotor_inertia_kg_m2 * speed
+        self._lag_dt_s = 0.0
+        self._rise = self._fall = (0.0, 0.0)
+
+    def step(
+        self,
+        state: QuadrotorState,
+        commands: Four,
+        dt_s: float,
+        *,
+        wind_ned_m_s: Vector3 = ZERO3,
+        thrust_ratio: Four = NO_RATIO,
+        force_ned_n: Vector3 = ZERO3,
+        torque_body_n_m: Vector3 = ZERO3,
+    ) -> QuadrotorState:
+        """The state dt later.
+
+        Args:
+            state: the state now.
+            commands: share of full thrust asked of each motor; clipped to 0..1.
+            dt_s: step (s), a few milliseconds.
+            wind_ned_m_s: motion of the air.
+            thrust_ratio: each rotor's thrust over that in free air (ground effect).
+            force_ned_n: further force at the centre of mass (contact).
+            torque_body_n_m: further torque.
+        """
+        share, mean = self._spin(state.thrust_share, commands, dt_s)
+        speeds, thrust, spin, torque = self._rotors(state.thrust_share, share, mean, thrust_ratio, dt_s)
+        ix, iy, iz = self._inertia
+        drag, (p, q, r) = self.parameters.turning_drag_n_m_s, state.rate_body_rad_s
+        held: _Held = (
+            *wind_ned_m_s,
+            self._plane_drag * speeds + self._linear_drag,
+            self._axial_drag * speeds + self._linear_drag,
+            self._body_drag,
+            thrust / self.mass_kg,
+            force_ned_n[0] / self.mass_kg,
+            force_ned_n[1] / self.mass_kg,
+            force_ned_n[2] / self.mass_kg + GRAVITY_M_S2,
+            spin / ix,
+            spin / iy,
+            (torque[0] + torque_body_n_m[0] - drag * p) / ix,
+            (torque[1] + torque_body_n_m[1] - drag * q) / iy,
+            (torque[2] + torque_body_n_m[2] - drag * r) / iz,
+            *self._coupling,
+        )
+        x = state.velocity_ned_m_s + state.attitude + state.rate_body_rad_s
+        return packed(state, *_rk4(state.position_ned_m, x, held, dt_s), share, dt_s)
+
+    def _spin(self, share: Four, commands: Four, dt_s: float) -> tuple[Four, Four]:
+        """Thrust shares after dt, and their means over it, of a first-order lag solved exactly."""
+        if dt_s != self._lag_dt_s:
+            self._lag_dt_s = dt_s
+            self._rise = _lag(self.parameters.motor_rise_s, dt_s)
+            self._fall = _lag(self.parameters.motor_fall_s, dt_s)
+        s1, m1 = self._spin_one(share[0], commands[0])
+        s2, m2 = self._spin_one(share[1], commands[1])
+        s3, m3 = self._spin_one(share[2], commands[2])
+        s4, m4 = self._spin_one(share[3], commands[3])
+        return (s1, s2, s3, s4), (m1, m2, m3, m4)
+
+    def _spin_one(self, share: float, command: float) -> tuple[float, float]:
+        target = 0.0 if command < 0.0 else 1.0 if command > 1.0 else command
+        end, mean = self._rise if target > share else self._fall
+        gap = share - target
+        return target + gap * end, target + gap * mean
+
+    def _rotors(
+        self, old: Four, new: Four, mean: Four, ratio: Four, dt_s: float
+    ) -> tuple[float, float, float, Vector3]:
+        """Eq. (5) in FRD over a step: sum of speeds over the full one, thrust (N), rotor momentum, torque."""
+        p = self.parameters
+        t1 = mean[0] * ratio[0] * p.max_thrust_n
+        t2 = mean[1] * ratio[1] * p.max_thrust_n
+        t3 = mean[2] * ratio[2] * p.max_thrust_n
+        t4 = mean[3] * ratio[3] * p.max_thrust_n
+        # speed goes with the root of thrust; the ground changes a rotor's thrust, not its reaction torque
+        w1, w2, w3, w4 = sqrt(new[0]), sqrt(new[1]), sqrt(new[2]), sqrt(new[3])
+        spin = self._momentum * (w2 + w4 - w1 - w3)
+        before = sqrt(old[1]) + sqrt(old[3]) - sqrt(old[0]) - sqrt(old[2])
+        spinning_up = (spin - self._momentum * before) / dt_s
+        reaction = p.torque_to_thrust_m * p.max_thrust_n * (mean[0] - mean[1] + mean[2] - mean[3])
+        torque = (p.arm_length_m * (t4 - t2), p.arm_length_m * (t1 - t3), reaction - spinning_up)
+        return w1 + w2 + w3 + w4, t1 + t2 + t3 + t4, spin, torque
+
+
+def _lag(time_constant_s: float, dt_s: float) -> tuple[float, float]:
+    """What is left of a gap at the end of a step, and on the mean over it."""
+    end = math.exp(-dt_s / time_constant_s)
+    return end, (1.0 - end) * time_constant_s / dt_s
+
+
+def _slope(x: Moving, k: Moving, h: float, held: _Held) -> Moving:
+    """Eqs. (6)-(8) at x + h k: how velocity, attitude and rate change, by Newton, Euler, q' = q * (0, w) / 2.
+
+    In its plane and along its axis a rotor drags differently: as if along every axis like in the plane, and
+    the difference along the axis alone. So of the rotation only the body's down axis in NED is needed.
+    """
+    vn, ve, vd, w, a, b, c, p, q, r = x
+    kn, ke, kd, kw, ka, kb, kc, kp, kq, kr = k
+    wn, we, wd, plane, axial, body, thrust, fn, fe, fd, hx, hy, tx, ty, tz, jx, jy, jz = held
+    w, a, b, c = w + h * kw, a + h * ka, b + h * kb, c + h * kc
+    p, q, r = p + h * kp, q + h * kq, r + h * kr
+    an, ae, ad = vn + h * kn - wn, ve + h * ke - we, vd + h * kd - wd
+    dn, de, dd = 2.0 * (a * c + w * b), 2.0 * (b * c - w * a), 1.0 - 2.0 * (a * a + b * b)
+    drag = plane + body * sqrt(an * an + ae * ae + ad * ad)
+    along = (plane - axial) * (dn * an + de * ae + dd * ad) - thrust
+    return (
+        along * dn - drag * an + fn,
+        along * de - drag * ae + fe,
+        along * dd - drag * ad + fd,
+        -0.5 * (a * p + b * q + c * r),
+        0.5 * (w * p + b * r - c * q),
+        0.5 * (w * q + c * p - a * r),
+        0.5 * (w * r + a * q - b * p),
+        tx + (jx * r - hx) * q,
+        ty + (jy * r + hy) * p,
+        tz + jz * p * q,
+    )
+
+
+def _rk4(place: Vector3, x: Moving, held: _Held, dt_s: float) -> tuple[Vector3, Moving]:
+    """One classical Runge-Kutta step; nothing depends on the place, whose slope is the velocity."""
+    half, h = 0.5 * dt_s, dt_s / 6.0
+    a = _slope(x, x, 0.0, held)
+    b = _slope(x, a, half, held)
+    c = _slope(x, b, half, held)
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9 = a
+    b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = b
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = c
+    d0, d1, d2, d3, d4, d5, d6, d7, d8, d9 = _slope(x, c, dt_s, held)
+    x0, x1, x2, x3, x4, x5, x6, x7, x8, x9 = x
+    return (
+        place[0] + dt_s * (x0 + h * (a0 + b0 + c0)),
+        place[1] + dt_s * (x1 + h * (a1 + b1 + c1)),
+        place[2] + dt_s * (x2 + h * (a2 + b2 + c2)),
+    ), (
+        x0 + h * (a0 + 2.0 * (b0 + c0) + d0),
+        x1 + h * (a1 + 2.0 * (b1 + c1) + d1),
+        x2 + h * (a2 + 2.0 * (b2 + c2) + d2),
+        x3 + h * (a3 + 2.0 * (b3 + c3) + d3),
+        x4 + h * (a4 + 2.0 * (b4 + c4) + d4),
+        x5 + h * (a5 + 2.0 * (b5 + c5) + d5),
+        x6 + h * (a6 + 2.0 * (b6 + c6) + d6),
+        x7 + h * (a7 + 2.0 * (b7 + c7) + d7),
+        x8 + h * (a8 + 2.0 * (b8 + c8) + d8),
+        x9 + h * (a9 + 2.0 * (b9 + c9) + d9),
+    )
+
+
+def packed(old: QuadrotorState, place: Vector3, x: Moving, share: Four, dt_s: float) -> QuadrotorState:
+    """The new state with a unit quaternion, and what its sensors felt on the way.
+
+    Args:
+        old: the state dt before.
+        place: position NED (m) now.
+        x: velocity, quaternion (of any length; as near to the old one as it turned) and body rate now.
+        share: the motors' shares of full thrust now.
+        dt_s: the step (s).
+    """
+    vn, ve, vd, w, a, b, c, p, q, r = x
+    n, rate = 1.0 / sqrt(w * w + a * a + b * b + c * c), 1.0 / dt_s
+    w, a, b, c = w * n, a * n, b * n, c * n
+    (un, ue, ud), (p0, q0, r0) = old.velocity_ned_m_s, old.rate_body_rad_s
+    w0, a0, b0, c0 = old.attitude
+    force_ned = ((vn - un) * rate, (ve - ue) * rate, (vd - ud) * rate - GRAVITY_M_S2)
+    # the two unit quaternions' mean stands half-way; they are too close to need a sign check
+    halfway = quat_normalise((w0 + w, a0 + a, b0 + b, c0 + c))
+    return QuadrotorState(
+        place,
+        (vn, ve, vd),
+        (w, a, b, c),
+        (p, q, r),
+        share,
+        quat_rotate_inverse(halfway, force_ned),
+        ((p - p0) * rate, (q - q0) * rate, (r - r0) * rate),
+    )

@@ -1,0 +1,1 @@
+"""The truth: vehicle, pad and sky stepped together, contact, and the score."""

@@ -1,0 +1,134 @@
+"""What lies under the vehicle: ground, the pad's board, and their effect on the rotors.
+
+NED, metres; the ground is the plane z = 0, the board a rectangle above it, level or leaning as a deck does.
+
+Ground effect after Cheeseman and Bennett (ARC R&M 3021, 1955): a rotor of radius R at height z over a plane
+gives, at the same power, 1 / (1 - (R / 4z)^2) times its thrust in free air.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from companion.base.geometry import Quaternion, Vector3, add, dot, quat_rotate, subtract, tilt_from_quat
+from companion.pad import Pad
+from sitl.pad.motion import PadTruth
+from sitl.vehicle.quadrotor import NO_RATIO, Four, QuadrotorState
+
+# The formula mirrors a source in the plane and is taken to hold for z / R > 0.5; nearer it is frozen.
+LOWEST_HEIGHT_IN_RADII: Final = 0.5
+# beyond ten radii the thrust gained is below one thousandth
+NEGLIGIBLE_HEIGHT_IN_RADII: Final = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """The pad's rectangle: half its length along the heading, half its width across."""
+
+    half_length_m: float
+    half_width_m: float
+
+    @property
+    def half_diagonal_m(self) -> float:
+        """From the centre to a corner."""
+        return math.hypot(self.half_length_m, self.half_width_m)
+
+    @classmethod
+    def of(cls, pad: Pad) -> Board:
+        """The board of a pad's layout."""
+        return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
+
+    def local(self, pad: PadTruth, point_ned_m: Vector3) -> Vector3:
+        """Coordinates of a point forward and right of the pad's centre, and down through its surface."""
+        return pad.axes().from_ned(subtract(point_ned_m, pad.position_ned_m))
+
+    def bears(self, local_m: Vector3) -> bool:
+        """Whether the board is above or below a point given in its own axes."""
+        return abs(local_m[0]) <= self.half_length_m and abs(local_m[1]) <= self.half_width_m
+
+    def surface_down_m(self, pad: PadTruth, north_m: float, east_m: float) -> float:
+        """Down coordinate of what lies under a point: the board's top or the ground."""
+        dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]
+        if math.hypot(dn, de) > self.half_diagonal_m:
+            return 0.0
+        axes = pad.axes()
+        normal = axes.down
+        dd = -(normal[0] * dn + normal[1] * de) / normal[2]
+        return pad.position_ned_m[2] + dd if self.bears(axes.from_ned((dn, de, dd))) else 0.0
+
+    def distance_m(self, pad: PadTruth, point_ned_m: Vector3) -> tuple[float, float]:
+        """Distance along the surface to the board's nearest point, and height over the surface (m)."""
+        forward, right, down = self.local(pad, point_ned_m)
+        beyond = math.hypot(
+            max(0.0, abs(forward) - self.half_length_m), max(0.0, abs(right) - self.half_width_m)
+        )
+        return beyond, -down
+
+    def ceiling_down_m(self, pad: PadTruth) -> float:
+        """Down coordinate above which there is neither board nor ground: an angle is more than its sine."""
+        lift = self.half_diagonal_m * (abs(pad.roll_rad) + abs(pad.pitch_rad))
+        return min(0.0, pad.position_ned_m[2] - lift)
+
+
+def echo_distance_m(
+    board: Board,
+    pad: PadTruth,
+    state: QuadrotorState,
+    sensor_position_body_m: Vector3,
+    half_angle_rad: float,
+) -> float | None:
+    """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back.
+
+    A smooth surface throws sound back from its nearest point alone, so that point has to lie in the
+    cone: the plumb point, or the board's nearest edge beside it.
+    """
+    sensor = add(state.position_ned_m, quat_rotate(state.attitude, sensor_position_body_m))
+    echoes = []
+    if sensor[2] < 0.0 and tilt_from_quat(state.attitude) <= half_angle_rad:
+        echoes.append(-sensor[2])
+    sideways, height = board.distance_m(pad, sensor)
+    # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
+    lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
+    if height > 0.0 and lean <= half_angle_rad:
+        echoes.append(math.hypot(sideways, height))
+    return min(echoes, default=None)
+
+
+def lean_over(pad: PadTruth, attitude: Quaternion) -> float:
+    """Angle (rad) between the body's down axis and the board's normal."""
+    axes = pad.axes()
+    return math.acos(max(-1.0, min(1.0, dot(quat_rotate(attitude, (0.0, 0.0, 1.0)), axes.down))))
+
+
+def thrust_ratio(height_m: float, radius_m: float) -> float:
+    """Thrust near a plane over thrust in free air; from 1 up to 4/3 at half a radius and below."""
+    lowest = LOWEST_HEIGHT_IN_RADII * radius_m
+    share = radius_m / (4.0 * (height_m if height_m > lowest else lowest))
+    return 1.0 / (1.0 - share * share)
+
+
+def ground_effect_reach_m(radius_m: float) -> float:
+    """Height over all surfaces from which on a rotor feels none."""
+    return NEGLIGIBLE_HEIGHT_IN_RADII * radius_m
+
+
+def rotor_ratios(
+    state: QuadrotorState,
+    rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
+    radius_m: float,
+    board: Board,
+    pad: PadTruth,
+) -> Four:
+    """Ground effect of each rotor over what lies under its own hub."""
+    position = state.position_ned_m
+    if board.ceiling_down_m(pad) - position[2] > ground_effect_reach_m(radius_m):
+        return NO_RATIO
+    ratios = []
+    for rotor in rotors_body_m:
+        arm = quat_rotate(state.attitude, rotor)
+        north, east = position[0] + arm[0], position[1] + arm[1]
+        height = board.surface_down_m(pad, north, east) - position[2] - arm[2]
+        ratios.append(thrust_ratio(height, radius_m))
+    return (ratios[0], ratios[1], ratios[2], ratios[3])

@@ -1,0 +1,86 @@
+"""A world in which nobody flies: the vehicle is carried by hand over the pad, its rotors stand still.
+
+The same truth as `sitl.world.world` for sensors, camera and autopilot, from a path instead of from forces.
+Position, velocity, attitude and rate are the path's own; specific force and angular acceleration are the
+means over a step, as those of a flight are: Δv/Δt less gravity in body axes half-way, and Δω/Δt.
+NED, FRD, SI.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from companion.base.geometry import Vector3, add, quat_from_euler, rotate_yaw
+from sitl.scenario.scenario import Scenario
+from sitl.vehicle.hand_paths import Carrying, HandMotion, Held, added, carrying
+from sitl.vehicle.quadrotor import Four, QuadrotorState, packed
+from sitl.world.world import World
+
+HAND_STREAM: Final = 14  # of the random draws, beside the world's own
+# what is felt at time 0 is that of a step before
+FIRST_STEP_S: Final = 0.0025
+
+
+class HandHeldWorld(World):
+    """A scenario's world under one seed, with the vehicle in somebody's hands from time 0 on.
+
+    The person stays where the pad is at that time, and looks anywhere. What is asked of the motors moves
+    nothing. A person who `waits` holds the vehicle where moves that end begin, until `begin`.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, motion: HandMotion, *, waits: bool = False) -> None:
+        """Build it.
+
+        Raises:
+            ConfigError: the scenario names an airframe or a pad that cannot be read.
+        """
+        super().__init__(scenario, seed)
+        rng = np.random.default_rng((seed, HAND_STREAM))
+        self._carrying: Carrying = carrying(motion, self.landed_reference_height_m, rng)
+        self._begun_s = math.inf if waits and math.isfinite(self._carrying.round_s) else 0.0
+        self._origin_ned_m = self.pad_state.position_ned_m
+        self._heading_rad = float(rng.uniform(-math.pi, math.pi))
+        self.place(self._felt(self._carried(-FIRST_STEP_S), 0.0, FIRST_STEP_S))
+
+    def begin(self) -> None:
+        """Somebody looks on: do the moves that are waited with, and once more if they have all been done."""
+        if self._begun_s == math.inf or self.time_s > self._begun_s + self._carrying.round_s:
+            self._begun_s = self.time_s
+
+    def step(self, motor_commands: Four, dt_s: float) -> None:
+        """Carry everything on by dt (s)."""
+        self.wind_ned_m_s = self._blow()
+        self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)
+
+    def _felt(self, before: QuadrotorState, time_s: float, dt_s: float) -> QuadrotorState:
+        """The state at a time, with what the sensors felt since the one dt before."""
+        now = self._carried(time_s)
+        moving = now.velocity_ned_m_s + now.attitude + now.rate_body_rad_s
+        return packed(before, now.position_ned_m, moving, now.thrust_share, dt_s)
+
+    def _carried(self, time_s: float) -> QuadrotorState:
+        """Where the hand has it, and how it moves."""
+        (forward, right, down, roll, pitch, yaw), rate = self._held(time_s)
+        offset = rotate_yaw((forward, right, down), self._heading_rad)
+        return QuadrotorState(
+            position_ned_m=add(self._origin_ned_m, offset),
+            velocity_ned_m_s=rotate_yaw(rate[:3], self._heading_rad),
+            attitude=quat_from_euler(roll, pitch, self._heading_rad + yaw),
+            rate_body_rad_s=body_rate(roll, pitch, rate[3:]),
+        )
+
+    def _held(self, time_s: float) -> Held:
+        """Where the hand has it against the middle of the pad; hands that wait tremble too."""
+        moves = self._carrying.moves(time_s - self._begun_s)
+        return added(moves, self._carrying.shake(time_s))
+
+
+def body_rate(roll_rad: float, pitch_rad: float, euler_rate_rad_s: Vector3) -> Vector3:
+    """The body's rate (FRD) from the rates of roll, pitch and yaw; right at every pitch."""
+    sr, cr = math.sin(roll_rad), math.cos(roll_rad)
+    sp, cp = math.sin(pitch_rad), math.cos(pitch_rad)
+    roll, pitch, yaw = euler_rate_rad_s
+    return (roll - sp * yaw, cr * pitch + sr * cp * yaw, cr * cp * yaw - sr * pitch)

@@ -1,0 +1,328 @@
+"""The truth: one vehicle, one pad, one sky, stepped together. One function a disturbance.
+
+NED from home, the ground at z = 0; FRD; SI. What is here reaches the app only through the simulated sensors.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable
+from enum import IntEnum
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from companion.base.geometry import (
+    IDENTITY,
+    Quaternion,
+    Vector3,
+    norm,
+    quat_normalise,
+    quat_rotate_inverse,
+    subtract,
+    wrap_angle,
+)
+from companion.base.messages import Truth
+from companion.pad import load_pad
+from sitl.pad.motion import PadTruth, build_pad_motion
+from sitl.scenario.scenario import Scenario, load_airframe
+from sitl.vehicle.actuators import Motors
+from sitl.vehicle.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
+from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
+from sitl.world.ground import Board, echo_distance_m, ground_effect_reach_m, rotor_ratios
+from sitl.world.obstacles import Obstacles
+from sitl.world.score import Touchdown, TouchdownWatch
+from sitl.world.wind import Wind
+
+MEMORY_S: Final = 0.35
+CLOCK_SLACK_S: Final = 1e-6
+REST_SPEED_M_S: Final = 0.05
+REST_RATE_RAD_S: Final = 0.1
+STANDING_FEET: Final = 3
+
+
+class _Stream(IntEnum):
+    """Each disturbance draws from its own generator, so that one more draw in one leaves the others be."""
+
+    START = 11
+    PAD = 12
+    WIND = 13
+
+
+class _Moment(NamedTuple):
+    time_s: float
+    state: QuadrotorState
+    pad: PadTruth
+    wind_ned_m_s: Vector3
+    in_contact: bool
+
+
+class Motion(NamedTuple):
+    """The part of the truth that an autopilot errs about: it is asked for at every step."""
+
+    vehicle_position_ned_m: Vector3
+    vehicle_velocity_ned_m_s: Vector3
+    vehicle_attitude: Quaternion
+    rate_body_rad_s: Vector3
+
+
+class World:
+    """A scenario's world under one seed, from rest at home at time 0."""
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        """Build it.
+
+        Raises:
+            ConfigError: the scenario names an airframe or a pad that cannot be read.
+        """
+        airframe = load_airframe(scenario.airframe)
+        body = airframe.body
+        arm, up = body.arm_length_m, -body.rotor_height_m
+        self.airframe = airframe
+        self.board = Board.of(load_pad(scenario.pad.name))
+        self.time_s = 0.0
+        self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
+        # the autopilot's wish, kept with the truth for the plots
+        self.attitude_setpoint: Quaternion = IDENTITY
+        self.motors = Motors()
+        self._quadrotor = Quadrotor(body, scenario.mass_factor)
+        self._rotors = ((arm, 0.0, up), (0.0, arm, up), (-arm, 0.0, up), (0.0, -arm, up))
+        self._contact = Contact(airframe.legs, body.mass_kg, self.board, self._rotors)
+        self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
+        self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
+        pad = scenario.pad
+        self._pad_motion = build_pad_motion(
+            pad.motion,
+            pad.surface_height_m,
+            pad.heading,
+            np.random.default_rng((seed, _Stream.PAD)),
+            pad.deck,
+        )
+        self.pad_state = self._pad_motion.at(0.0)
+        self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
+        self._load: ContactLoad = NO_CONTACT
+        self._obstacles = Obstacles(scenario.obstacles, body)
+        self._watch = TouchdownWatch()
+        self._memory: deque[_Moment] = deque([self._moment()])
+
+    def _at_home(self, scenario: Scenario, rng: np.random.Generator) -> QuadrotorState:
+        """Standing on what is at home: the ground, or the pad if that is there."""
+        drawn = float(rng.uniform(-math.pi, math.pi))
+        fixed = scenario.start_heading_deg
+        heading = drawn if fixed == "random" else math.radians(fixed)
+        surface = self.board.surface_down_m(self.pad_state, 0.0, 0.0)
+        return resting_state((0.0, 0.0, surface - self.landed_reference_height_m), heading)
+
+    def place(self, state: QuadrotorState) -> None:
+        """Put the vehicle elsewhere, with nothing touched and nothing remembered: to start in the air."""
+        self._state = state
+        self._load = NO_CONTACT
+        self._contact.release()
+        self._watch = TouchdownWatch()
+        self._watch.airborne(self.height_m - self.landed_reference_height_m)
+        self._memory = deque([self._moment()])
+
+    # ------------------------------------------------------------ stepping
+
+    def step(self, motor_commands: Four, dt_s: float) -> None:
+        """Move everything on by dt (s); commands are the motors' shares of full thrust, 0..1."""
+        self.wind_ned_m_s = self._blow()
+        thrust_ratio = self._feel_surfaces(dt_s)
+        self._watch.step(self.time_s, self._state, self.pad_state, self._load)
+        state = self._quadrotor.step(
+            self._state,
+            self.motors.given(motor_commands),
+            dt_s,
+            wind_ned_m_s=self.wind_ned_m_s,
+            thrust_ratio=thrust_ratio,
+            force_ned_n=self._load.force_ned_n,
+            torque_body_n_m=self._load.torque_body_n_m,
+        )
+        self._advance(state, dt_s)
+
+    def _advance(self, state: QuadrotorState, dt_s: float) -> None:
+        """Let time pass: the vehicle is where it has come to, and the pad goes its way."""
+        self._state = state
+        self.time_s += dt_s
+        self.pad_state = self._pad_motion.at(self.time_s)
+        self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
+        if not self._watch.flying:
+            self._watch.airborne(self.height_m - self.landed_reference_height_m)
+        self._remember()
+
+    def _blow(self) -> Vector3:
+        return self._wind.at(self.time_s, -self._state.position_ned_m[2])
+
+    def _feel_surfaces(self, dt_s: float) -> Four:
+        """What touches, and how each rotor's thrust grows near a surface."""
+        clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
+        if clear_m <= self._contact.reach_m:
+            self._load = self._contact.step(self._state, self.pad_state, dt_s)
+        elif self._load is not NO_CONTACT:
+            self._contact.release()
+            self._load = NO_CONTACT
+        if clear_m > self._ground_effect_reach_m:
+            return NO_RATIO
+        return rotor_ratios(
+            self._state,
+            self._rotors,
+            self.airframe.body.rotor_radius_m,
+            self.board,
+            self.pad_state,
+        )
+
+    def _moment(self) -> _Moment:
+        return _Moment(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)
+
+    def _remember(self) -> None:
+        self._memory.append(self._moment())
+        while self._memory[1].time_s < self.time_s - MEMORY_S:
+            self._memory.popleft()
+
+    # ------------------------------------------------------------ for sensors
+
+    @property
+    def state(self) -> QuadrotorState:
+        """The body now; not to be changed."""
+        return self._state
+
+    @property
+    def specific_force_body_m_s2(self) -> Vector3:
+        """What an ideal accelerometer at the centre of mass felt over the last step."""
+        return self._state.specific_force_body_m_s2
+
+    @property
+    def rate_body_rad_s(self) -> Vector3:
+        """Body rate now."""
+        return self._state.rate_body_rad_s
+
+    @property
+    def angular_acceleration_body_rad_s2(self) -> Vector3:
+        """Angular acceleration over the last step."""
+        return self._state.angular_acceleration_body_rad_s2
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether anything touches ground or pad."""
+        return self._load.touching
+
+    @property
+    def height_m(self) -> float:
+        """Height of the reference point over what lies under it."""
+        north, east, down = self._state.position_ned_m
+        return self.board.surface_down_m(self.pad_state, north, east) - down
+
+    @property
+    def landed_reference_height_m(self) -> float:
+        """Height of the reference point over the surface when standing."""
+        return self.airframe.legs.standing_height_m()
+
+    def range_to_surface_m(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> float | None:
+        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back."""
+        return self.ranging(sensor_position_body_m, half_angle_rad)()
+
+    def ranging(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> Callable[[], float | None]:
+        """What `range_to_surface_m` would tell now, worked out when asked for."""
+        return partial(
+            echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
+        )
+
+    # ------------------------------------------------------------ for the score and the camera
+
+    @property
+    def touchdown(self) -> Touchdown | None:
+        """The last first contact after a flight above 1 m."""
+        return self._watch.touchdown
+
+    @property
+    def crashed(self) -> bool:
+        """Whether it hit something hard, or turned over."""
+        return self._watch.crashed
+
+    @property
+    def nearest_obstacle_m(self) -> float | None:
+        """The least distance from the rotors' tips to an obstacle so far; None without any."""
+        return self._watch.nearest_obstacle_m
+
+    @property
+    def at_rest_on_pad(self) -> bool:
+        """Whether it stands on the board and goes with it."""
+        state, pad = self._state, self.pad_state
+        carried = pad.velocity_at_ned_m_s(state.position_ned_m)
+        still = norm(subtract(state.velocity_ned_m_s, carried)) <= REST_SPEED_M_S
+        turned = quat_rotate_inverse(state.attitude, pad.rate_ned_rad_s())
+        steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
+        return self._load.on_board >= STANDING_FEET and still and steady
+
+    def motion(self) -> Motion:
+        """The vehicle's motion now."""
+        state = self._state
+        return Motion(state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s)
+
+    def truth(self) -> Truth:
+        """Everything now."""
+        return self._told(self._memory[-1])
+
+    def truth_at(self, time_s: float) -> Truth:
+        """Everything at a time up to 0.3 s back, interpolated; before the start all stood as at the start.
+
+        Raises:
+            ValueError: the time lies ahead, or further back than is kept.
+        """
+        memory = self._memory
+        i = bisect_left(memory, time_s - CLOCK_SLACK_S, key=lambda moment: moment.time_s)
+        if i == len(memory) or (i == 0 and memory[0].time_s > max(time_s, 0.0) + CLOCK_SLACK_S):
+            raise ValueError(
+                f"no truth at {time_s:.4f} s: kept from {memory[0].time_s:.4f} to {self.time_s:.4f} s"
+            )
+        if i == 0:
+            return self._told(memory[0])
+        return self._told(_between(memory[i - 1], memory[i], time_s))
+
+    def _told(self, moment: _Moment) -> Truth:
+        return Truth(
+            time_s=moment.time_s,
+            vehicle_position_ned_m=moment.state.position_ned_m,
+            vehicle_velocity_ned_m_s=moment.state.velocity_ned_m_s,
+            vehicle_attitude=moment.state.attitude,
+            pad_position_ned_m=moment.pad.position_ned_m,
+            pad_velocity_ned_m_s=moment.pad.velocity_ned_m_s,
+            pad_heading_rad=moment.pad.heading_rad,
+            pad_roll_rad=moment.pad.roll_rad,
+            pad_pitch_rad=moment.pad.pitch_rad,
+            wind_ned_m_s=moment.wind_ned_m_s,
+            in_contact=moment.in_contact,
+            rate_body_rad_s=moment.state.rate_body_rad_s,
+            attitude_setpoint=self.attitude_setpoint,
+            obstacle_clearance_m=self._obstacles.clearance_m(moment.state.position_ned_m),
+        )
+
+
+def _mixed(a: Vector3, b: Vector3, k: float) -> Vector3:
+    return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
+
+
+def _between(a: _Moment, b: _Moment, time_s: float) -> _Moment:
+    """Straight between two neighbouring steps; at 2.5 ms a chord and an arc differ by nothing that shows."""
+    k = min(1.0, max(0.0, (time_s - a.time_s) / (b.time_s - a.time_s)))
+    p, q = a.state, b.state
+    sign = 1.0 if sum(x * y for x, y in zip(p.attitude, q.attitude, strict=True)) >= 0.0 else -1.0
+    w, x, y, z = (u + k * (sign * v - u) for u, v in zip(p.attitude, q.attitude, strict=True))
+    state = QuadrotorState(
+        position_ned_m=_mixed(p.position_ned_m, q.position_ned_m, k),
+        velocity_ned_m_s=_mixed(p.velocity_ned_m_s, q.velocity_ned_m_s, k),
+        attitude=quat_normalise((w, x, y, z)),
+        rate_body_rad_s=_mixed(p.rate_body_rad_s, q.rate_body_rad_s, k),
+    )
+    turned = wrap_angle(b.pad.heading_rad - a.pad.heading_rad)
+    pad = b.pad._replace(
+        position_ned_m=_mixed(a.pad.position_ned_m, b.pad.position_ned_m, k),
+        velocity_ned_m_s=_mixed(a.pad.velocity_ned_m_s, b.pad.velocity_ned_m_s, k),
+        heading_rad=wrap_angle(a.pad.heading_rad + k * turned),
+        roll_rad=a.pad.roll_rad + k * (b.pad.roll_rad - a.pad.roll_rad),
+        pitch_rad=a.pad.pitch_rad + k * (b.pad.pitch_rad - a.pad.pitch_rad),
+    )
+    return _Moment(time_s, state, pad, b.wind_ned_m_s, b.in_contact)
