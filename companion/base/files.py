@@ -1,10 +1,49 @@
-"""Writing files so that nobody ever sees half of one."""
+"""Files: where settings are found, and writing so that nobody ever sees half of a file."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
-from companion.config import ConfigError
+from companion.base.errors import ConfigError
+
+YAML_SUFFIXES: Final = (".yaml", ".yml")
+CONFIG_FOLDER: Final = Path(__file__).resolve().parents[2] / "configs"
+
+
+def find_file(folder: str, name: str | Path) -> Path:
+    """Path of a settings file given by path, or by name within configs/<folder>.
+
+    Raises:
+        ConfigError: no such file; for a name the line lists those that there are.
+    """
+    path = Path(name)
+    if path.suffix in YAML_SUFFIXES and path.is_file():
+        return path
+    shipped = CONFIG_FOLDER / folder / f"{name}.yaml"
+    if path.suffix == "" and shipped.is_file():
+        return shipped
+    if path.suffix in YAML_SUFFIXES:
+        raise ConfigError(f"{folder}: no file '{name}'; expected the path of one that there is, or a name")
+    names = ", ".join(sorted(p.stem for p in (CONFIG_FOLDER / folder).glob("*.yaml")))
+    raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
+
+
+def cannot_read(path: Path, error: OSError, key: str | None = None) -> ConfigError:
+    """The error for a file that cannot be read; `key` is the setting or option that names it."""
+    return ConfigError(f"{'' if key is None else f'{key}: '}{path}: cannot be read: {error.strerror}")
+
+
+def must_be_readable(path: Path) -> None:
+    """Open a file and close it again, before what takes long to import would read it.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise cannot_read(path, error) from error
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

@@ -13,10 +13,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, ZERO3, FloatArray, Quaternion, Vector3
 
 MarkerGroup = Literal["F", "M", "C"]
-Manner = Literal["px4", "ardupilot"]
+Manner = AutopilotKind
 
 
 # ---------------------------------------------------------------- sense

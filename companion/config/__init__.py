@@ -11,6 +11,8 @@ from typing import Any, Final
 
 from pydantic import Field, model_validator
 
+from companion.base.errors import ConfigError
+from companion.base.files import CONFIG_FOLDER, YAML_SUFFIXES, find_file
 from companion.config.control import ControlConfig, LimitsConfig, PidConfig, PidGains, TrackingConfig
 from companion.config.estimate import (
     AlignmentConfig,
@@ -41,13 +43,9 @@ from companion.config.plan import (
     TouchdownConfig,
 )
 from companion.config.reading import (
-    CONFIG_FOLDER,
-    YAML_SUFFIXES,
-    ConfigError,
     Model,
     StrictModel,
     Vector,
-    find_file,
     load_model,
     merge,
     read_yaml,

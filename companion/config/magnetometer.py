@@ -16,9 +16,10 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from companion.base.errors import ConfigError
 from companion.base.geometry import FloatArray
 from companion.config.calibration import Provenance
-from companion.config.reading import ConfigError, StrictModel, Vector, load_model
+from companion.config.reading import StrictModel, Vector, load_model
 
 Sensor = Literal["mpu9250", "autopilot", "other"]
 Axes = Literal["sensor", "body"]

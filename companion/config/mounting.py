@@ -10,13 +10,13 @@ from typing import Literal
 
 from pydantic import Field
 
+from companion.base.errors import ConfigError
+from companion.base.files import find_file
 from companion.config.calibration import Provenance
 from companion.config.reading import (
-    ConfigError,
     Model,
     StrictModel,
     Vector,
-    find_file,
     load_model,
     read_yaml,
     validate,

@@ -9,6 +9,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from companion.base.errors import ConfigError
+from companion.base.files import cannot_read
 from companion.config.near_names import near_name
 
 # pydantic's words for these name its own types
@@ -18,12 +20,6 @@ _EXPECTED = {
     "model_type": "expected keys with values",
     "tuple_type": "expected a list",
 }
-YAML_SUFFIXES = (".yaml", ".yml")
-CONFIG_FOLDER = Path(__file__).resolve().parent.parent.parent / "configs"
-
-
-class ConfigError(Exception):
-    """Something in a settings file that a user can mend; the text is the one line to show."""
 
 
 class StrictModel(BaseModel):
@@ -50,24 +46,6 @@ Model = TypeVar("Model", bound=BaseModel)
 Vector = tuple[float, float, float]
 
 
-def find_file(folder: str, name: str | Path) -> Path:
-    """Path of a settings file given by path, or by name within configs/<folder>.
-
-    Raises:
-        ConfigError: no such file; for a name the line lists those that there are.
-    """
-    path = Path(name)
-    if path.suffix in YAML_SUFFIXES and path.is_file():
-        return path
-    shipped = CONFIG_FOLDER / folder / f"{name}.yaml"
-    if path.suffix == "" and shipped.is_file():
-        return shipped
-    if path.suffix in YAML_SUFFIXES:
-        raise ConfigError(f"{folder}: no file '{name}'; expected the path of one that there is, or a name")
-    names = ", ".join(sorted(p.stem for p in (CONFIG_FOLDER / folder).glob("*.yaml")))
-    raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
-
-
 def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
     """Read a YAML mapping; `key` is the setting that names the file, if one does.
 
@@ -77,8 +55,7 @@ def read_yaml(path: Path, key: str | None = None) -> dict[str, Any]:
     try:
         data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
     except OSError as error:
-        named = "" if key is None else f"{key}: "
-        raise ConfigError(f"{named}{path}: cannot be read: {error.strerror}") from error
+        raise cannot_read(path, error, key) from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text at byte {error.start}") from error
     except yaml.YAMLError as error:

@@ -14,8 +14,10 @@ from companion.base.messages import GpsFix, Phase, Truth
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import Result, from_start
-from companion.sim.flights import score
-from companion.sim.runner import Trial, desk_settings, fly
+from companion.sim.runner import fly
+from companion.sim.scoring import score
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 
 SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
 
@@ -58,7 +60,7 @@ def fly_scenario(scenario: str, seed: int, settings: Mapping[str, Any] | None = 
         ConfigError: no such scenario, or the settings are wrong.
     """
     trial = Trial.load(scenario, seed)
-    config = desk_settings(SETTINGS, trial, fast=True)
+    config = sitl_settings(SETTINGS, trial, fast=True)
     config = validate(CompanionConfig, merge(config.model_dump(), dict(settings or {})), "the experiment")
     log = _Keeping(None, start_unix_s=0.0)
     flight = fly(config, trial, log, lambda _status: None, fast=True)

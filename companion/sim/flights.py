@@ -21,11 +21,14 @@ from typing import IO, Final
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from companion.base.messages import Outcome
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.flightlog.record import FlightLog
-from companion.flightlog.result import Result, build_result, from_start
-from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
+from companion.flightlog.result import Result
+from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.runner import fly
+from companion.sim.scoring import reason, score
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from sitl.firmware.spec import FirmwareSpec
 
 HELP: Final = "Fly what is asked for on standard input, one JSON line a flight (a campaign's worker)."
@@ -57,31 +60,6 @@ class Answer(_Line):
     fault: str | None = None
 
 
-# ---------------------------------------------------------------- one flight
-
-
-def score(trial: Trial, flight: DeskFlight, log: FlightLog) -> Result:
-    """The result contract of a flight; times count from the app's first cycle."""
-    report = flight.report
-    kept, truth = from_start(log.kept, report.truth)
-    return build_result(
-        scenario=trial.scenario.name,
-        seed=trial.seed,
-        outcome=report.outcome,
-        touchdown=report.touchdown,
-        pad_speed_m_s=report.pad_speed_m_s,
-        kept=kept,
-        truth=truth,
-        real_time_factor=flight.real_time_factor,
-    )
-
-
-def reason(result: Result, flight: DeskFlight) -> str:
-    """Why a flight did not end in a landing: the mission's own words, or the bounds that were broken."""
-    said = [event.text.removeprefix("abort: ") for event in result.events if event.kind == "phase"]
-    return said[-1] if result.outcome is Outcome.ABORTED and said else "; ".join(flight.report.failures)
-
-
 def fly_request(request: Request) -> Answer:
     """Fly one in virtual time and score it.
 
@@ -91,7 +69,7 @@ def fly_request(request: Request) -> Answer:
     trial = Trial.load(request.scenario, request.seed, firmware=request.firmware)
     path = CONFIG_FOLDER / "companion.yaml" if request.config is None else Path(request.config)
     log = FlightLog(None, start_unix_s=0.0)
-    flight = fly(desk_settings(path, trial, fast=True), trial, log, lambda _status: None, fast=True)
+    flight = fly(sitl_settings(path, trial, fast=True), trial, log, lambda _status: None, fast=True)
     result = score(trial, flight, log)
     return Answer(result=result, reason=reason(result, flight), touchdown_pad_m=flight.report.touchdown_pad_m)
 
@@ -108,6 +86,12 @@ def answer(line: bytes) -> Answer:
     except Exception as error:
         traceback.print_exc()
         return Answer(fault=f"{type(error).__name__}: {error}")
+
+
+def flights_command() -> None:
+    """`companion flights`."""
+    prepare_opencv()
+    serve_flights()
 
 
 def serve_flights() -> None:

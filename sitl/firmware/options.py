@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 
 FirmwareOption = Annotated[
-    Manner | None,
+    AutopilotKind | None,
     typer.Option("--firmware", help="Fly the real firmware in lockstep instead of the bundled autopilot."),
 ]
 FirmwarePathOption = Annotated[

@@ -28,11 +28,13 @@ from rich.table import Table
 from companion.app.app import Status
 from companion.base.clock import start_unix_s
 from companion.base.messages import Outcome, Phase
-from companion.cli import prepare_opencv
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import latency
-from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
+from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.runner import SitlFlight, fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from tests.bench.cpu_watch import CpuWatch
 
 CORE_PERCENT: Final = 40.0
@@ -95,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     prepare_opencv()
     trial = Trial.load(chosen.scenario, chosen.seed)
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=chosen.fast)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=chosen.fast)
     sense: dict[str, Any] = {"sense": {"source": chosen.sense}}
     settings = validate(CompanionConfig, merge(settings.model_dump(), sense), "bench")
     span = FlightSpan(CpuWatch(loop=not chosen.fast))
@@ -107,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return report(_bars(span, log, trial, fast=chosen.fast), flight)
 
 
-def report(bars: list[Bar], flight: DeskFlight) -> int:
+def report(bars: list[Bar], flight: SitlFlight) -> int:
     """Print the bars and the verdict; returns the exit status."""
     for bar in bars:
         print(bar)

@@ -35,7 +35,7 @@ from calibration.magnetometer.sources import read_recording
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import ImuConfig
-from companion.sim.runner import Trial
+from companion.sim.trial import Trial
 from sitl.devices.rack import SensorErrors
 from sitl.run.in_process import carried
 from sitl.run.sensor_quality import sensor_errors

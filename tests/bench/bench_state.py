@@ -21,7 +21,7 @@ from typing import Final
 
 from rich.console import Console
 
-from companion.sim.runner import Trial
+from companion.sim.trial import Trial
 from tests.bench import state_pictures
 from tests.bench.consistency import Consistency
 from tests.bench.costs import measure

@@ -29,7 +29,9 @@ from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.vision.pipeline import Vision
-from companion.sim.runner import Trial, desk_settings, fly
+from companion.sim.runner import fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from sitl.autopilot import Autopilot
 from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
@@ -95,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for name in names:
                 stopwatch.watch(part, owner, name)
     trial = Trial.load(chosen.scenario, chosen.seed)
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     log = FlightLog(None, start_unix_s=0.0)
     started_s = wall_clock_s()
     flight = fly(settings, trial, log, lambda _status: None, fast=True)

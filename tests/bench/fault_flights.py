@@ -16,7 +16,7 @@ import numpy as np
 
 from companion.base.geometry import FloatArray
 from companion.config import merge, validate
-from companion.sim.runner import Trial
+from companion.sim.trial import Trial
 from sitl.scenario.scenario import Scenario
 from tests.bench.consistency import recovery_s
 from tests.bench.samples import Samples

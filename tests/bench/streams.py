@@ -41,7 +41,9 @@ from companion.estimate.estimator import Estimator
 from companion.flightlog.record import FlightLog
 from companion.flightlog.result import TruthTrack
 from companion.pad import load_pad
-from companion.sim.runner import Trial, desk_settings, fly
+from companion.sim.runner import fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from tests.bench.samples import Answer, Samples, ask, rms, samples_of
 
 __all__ = [
@@ -161,7 +163,7 @@ def fly_stream(trial: Trial, config: CompanionConfig | None = None) -> Stream:
 
 def settings_of(trial: Trial) -> CompanionConfig:
     """The app's settings for a trial, as shipped."""
-    return desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    return sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
 
 
 def _phases(plans: Sequence[PlanStep]) -> tuple[tuple[float, str], ...]:

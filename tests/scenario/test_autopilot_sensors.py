@@ -11,7 +11,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.base.messages import Manner, Outcome, Phase
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
-from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
+from companion.sim.runner import SitlFlight, fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from sitl.mavlink.sensor_telemetry import SensorMessages
 from tests.scenario.flying import fly as fly_command
 from tests.scenario.flying import run, scenario_file
@@ -27,11 +29,11 @@ def by_telemetry(manner: Manner, sense: dict[str, Any]) -> dict[str, Any]:
     return {"autopilot": manner, "companion": {"sense": sense}}
 
 
-def fly_static(folder: Path, manner: Manner = "px4", **changes: Any) -> tuple[DeskFlight, FlightLog]:
+def fly_static(folder: Path, manner: Manner = "px4", **changes: Any) -> tuple[SitlFlight, FlightLog]:
     path = scenario_file(folder, "static", {**by_telemetry(manner, SENSE), **changes})
     trial = Trial.load(str(path), 0)
     log = FlightLog(None, start_unix_s=0.0)
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     return fly(settings, trial, log, lambda _status: None, fast=True), log
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from companion.cli import LATE_S
+from companion.sim.command import LATE_S
 from sitl.devices.ports import MemoryPort
 from sitl.external.link import open_relay
 from sitl.run.simulation import Simulation

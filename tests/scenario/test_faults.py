@@ -14,17 +14,19 @@ from companion.control.controller import Controller
 from companion.flightlog.record import FlightLog
 from companion.sense.gps.neo6m import Neo6m
 from companion.sense.vision.pipeline import Vision
-from companion.sim.runner import DeskFlight, Trial, desk_settings, fly
+from companion.sim.runner import SitlFlight, fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from sitl.devices.mpu9250 import Mpu9250Device
 
 # by then the vehicle is on its way down to the pad
 IN_DESCENT_S = 26.0
 
 
-def fly_static() -> tuple[DeskFlight, FlightLog]:
+def fly_static() -> tuple[SitlFlight, FlightLog]:
     trial = Trial.load("static", 0)
     log = FlightLog(None, start_unix_s=0.0)
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     return fly(settings, trial, log, lambda _status: None, fast=True), log
 
 
@@ -82,7 +84,7 @@ def test_bus_errors_now_and_then_do_not_keep_from_landing(monkeypatch: pytest.Mo
 def test_a_control_loop_that_fails_leaves_the_vehicle_holding(monkeypatch: pytest.MonkeyPatch) -> None:
     log = FlightLog(None, start_unix_s=0.0)
     trial = Trial.load("static", 0)
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     fails = failing(Controller.step, RuntimeError("a bug"), lambda a: a[4] > IN_DESCENT_S)
     monkeypatch.setattr(Controller, "step", fails)
     with pytest.raises(ExceptionGroup, match="unhandled errors") as caught:

@@ -19,7 +19,8 @@ from companion.base.messages import Manner, Outcome, Phase
 from companion.config import ConfigError
 from companion.sim import runner
 from companion.sim.flights import Answer, answer
-from companion.sim.runner import SimulatorError, SimulatorProcess, Trial
+from companion.sim.process import SimulatorError, SimulatorProcess
+from companion.sim.trial import Trial
 from sitl.firmware import px4, start
 from sitl.run.server import Service, _kept_free
 from tests.scenario.flying import COMMAND, ROOT, alive, children, environment, started

@@ -16,7 +16,7 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from companion.cli import LATE_S
+from companion.sim.command import LATE_S
 from sitl.run.report import read_report
 from tests.scenario.flying import ROOT, Flown, alive, children, run, started, wait_for_line
 

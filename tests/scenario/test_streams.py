@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from companion.base.messages import PadSighting
-from companion.sim.runner import Trial
+from companion.sim.trial import Trial
 from sitl.faults.faults import FrameLate, FrameLost, RangeSpikes
 from tests.bench.streams import (
     INPUTS,

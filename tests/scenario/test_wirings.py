@@ -17,7 +17,10 @@ from companion.flightlog.record import FlightLog
 from companion.sense.gps.neo6m import Neo6m
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sense.range.range_finder import make_range_finder
-from companion.sim.runner import DeskFlight, SimulatorProcess, Trial, desk_settings, fly
+from companion.sim.process import SimulatorProcess
+from companion.sim.runner import SitlFlight, fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from tests.scenario.flying import scenario_file
 
 PATIENCE_S = 40.0
@@ -37,11 +40,11 @@ class CountingLog(FlightLog):
 
 def fly_static(
     folder: Path, sensors: dict[str, Any], sense: dict[str, Any]
-) -> tuple[DeskFlight, CountingLog]:
+) -> tuple[SitlFlight, CountingLog]:
     path = scenario_file(folder, "static", {"sensors": sensors, "companion": {"sense": sense}})
     trial = Trial.load(str(path), 0)
     log = CountingLog()
-    settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     return fly(settings, trial, log, lambda _status: None, fast=True), log
 
 
@@ -84,7 +87,7 @@ async def test_over_sockets_and_pseudo_terminals_in_real_time_the_same_drivers_h
     trial = Trial.load(str(scenario_file(tmp_path, "static", {"sensors": sensors})), 0)
     simulator = await SimulatorProcess.start(trial, tmp_path)
     try:
-        settings = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=False)
+        settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=False)
         wired = validate(CompanionConfig, merge(settings.model_dump(), simulator.endpoints), "endpoints")
         assert wired.sense.imu.over_spi
         async with open_hardware(wired) as hardware:

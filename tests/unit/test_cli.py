@@ -1,9 +1,13 @@
 """The command line's small decisions."""
 
+import subprocess
+import sys
 from pathlib import Path
 
+import pytest
+
+from companion.app.command import EXIT_CODES, next_flight_folder
 from companion.base.messages import Outcome
-from companion.cli import EXIT_CODES, next_flight_folder
 
 
 def test_every_outcome_has_an_exit_code_of_its_own() -> None:
@@ -18,3 +22,43 @@ def test_flights_on_the_vehicle_are_numbered(tmp_path: Path) -> None:
     (tmp_path / "flight-0010").mkdir()
     (tmp_path / "flight-9-of-last-year").mkdir()
     assert next_flight_folder(tmp_path) == tmp_path / "flight-0011"
+
+
+HEAVY = {
+    "cv2",
+    "numpy",
+    "scipy",
+    "osqp",
+    "pymavlink",
+    "mavsdk",
+    "matplotlib",
+    "skfuzzy",
+    "filterpy",
+}
+MOST_MODULES = 700  # Typer, pydantic beneath it and the standard library need some 500
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        (["--help"], 0),
+        (["nope"], 2),
+        (["--config", "nope.yaml"], 2),
+        (["--sitl", "--scenario", "nope"], 2),
+        (["--sitl", "--config", "nope.yaml"], 2),
+    ],
+)
+def test_help_and_not_found_import_no_library_of_the_flight(words: list[str], status: int) -> None:
+    script = (
+        "import sys; from companion import cli\n"
+        f"sys.argv = ['companion', *{words!r}]\n"
+        "try: cli.main()\n"
+        "except SystemExit as end: print(end.code, *sys.modules, sep='\\n')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True
+    )
+    modules = set(done.stdout.splitlines())
+    assert str(status) in modules
+    assert not modules & HEAVY
+    assert len(modules) < MOST_MODULES

@@ -11,9 +11,11 @@ import pytest
 
 from companion import cli
 from companion.config import CONFIG_FOLDER, ConfigError
-from companion.sim import runner
+from companion.sim import process
 from companion.sim.external import External
-from companion.sim.runner import SimulatorError, SimulatorProcess, Trial, desk_settings
+from companion.sim.process import SimulatorError, SimulatorProcess
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 
 UDP, TCP = "udpin:127.0.0.1:14540", "tcp:127.0.0.1:5763"
 
@@ -74,7 +76,7 @@ def test_without_the_desk_they_are_refused(
 
 def test_the_app_takes_the_autopilots_own_sensors_and_our_echoes() -> None:
     trial = Trial.load("static", 0, External(UDP))
-    sense = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=False).sense
+    sense = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=False).sense
     assert (sense.source, sense.autopilot.range_source) == ("autopilot", "boards")
     assert trial.time_limit_s == Trial.load("static", 0).time_limit_s + 60.0
 
@@ -93,8 +95,8 @@ async def test_an_autopilot_that_is_not_there_is_said_in_the_worlds_own_words(tm
 async def test_what_the_world_waits_for_is_said_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(runner, "EXTERNAL_START_TIMEOUT_S", 1.0)
-    monkeypatch.setattr(runner, "WORDS_PERIOD_S", 0.05)
+    monkeypatch.setattr(process, "EXTERNAL_START_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(process, "WORDS_PERIOD_S", 0.05)
     words = tmp_path / "stderr"
     words.write_text("companion-sitl: waiting for a vehicle\n")
     silent = await asyncio.create_subprocess_exec("sleep", "60", stdout=asyncio.subprocess.PIPE)

@@ -25,7 +25,8 @@ from pydantic import BaseModel
 from calibration.camera.command import app as camera_cli
 from calibration.magnetometer.command import cli as magnetometer_cli
 from calibration.mount.command import cli as mount_cli
-from companion.cli import EXIT_CODES, cli
+from companion.app.command import EXIT_CODES
+from companion.cli import cli
 from companion.config import (
     CONFIG_FOLDER,
     CameraConfig,
@@ -116,13 +117,19 @@ def is_run(words: list[str]) -> bool:
     return words[:3] == ["python", "-m", "docs.pictures"]
 
 
+def command_of(program: typer.Typer, name: str) -> Any:
+    """One command of a program, imported as when it runs."""
+    group: Any = typer.main.get_command(program)
+    return group.resolve_command(group.make_context("", [name]), [name])[1]
+
+
 def check_without_running(words: list[str]) -> None:
     """Raise when a command names an option, module, target or file that does not exist."""
     if words[0] in PROGRAMS:
         command = typer.main.get_command(PROGRAMS[words[0]])
         context = command.make_context(words[0], words[1:])
-        if (other := getattr(command, "commands", {}).get("".join(words[1:2]))) is not None:
-            other.make_context(words[1], words[2:])
+        if words[1:2] and words[1] in getattr(command, "commands", {}):
+            command_of(PROGRAMS[words[0]], words[1]).make_context(words[1], words[2:])
         if context.params.get("scenario") is not None:
             load_scenario(context.params["scenario"])
     elif words[:2] == ["python", "-m"]:
@@ -220,13 +227,13 @@ def test_the_simulator_s_options_are_in_its_page() -> None:
 
 
 def test_the_fuzzy_command_s_options_are_in_its_page() -> None:
-    fuzzy = typer.main.get_command(cli).commands["fuzzy"]  # type: ignore[attr-defined]
+    fuzzy = command_of(cli, "fuzzy")
     options = {option for parameter in fuzzy.params for option in parameter.opts if option.startswith("--")}
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
 
 
 def test_the_pad_command_s_options_are_in_its_page() -> None:
-    pad = typer.main.get_command(cli).commands["pad"]  # type: ignore[attr-defined]
+    pad = command_of(cli, "pad")
     options = {option for parameter in pad.params for option in parameter.opts if option.startswith("--")}
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
 

@@ -13,7 +13,8 @@ from companion.base.messages import Manner
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.sim.external import External
 from companion.sim.flights import Request
-from companion.sim.runner import Trial, desk_settings
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
 from sitl import cli as simulator
 from sitl.campaign.manifest import Flight, check_goes_on, make_plan
 from sitl.campaign.worker import Worker
@@ -179,8 +180,8 @@ def test_the_simulator_refuses_in_one_line_what_does_not_go_together(
 
 def test_the_app_takes_the_system_that_it_hears_for_px4_numbers_itself(px4: FirmwareSpec) -> None:
     trial = Trial.load("static", 0, firmware=px4)
-    assert desk_settings(SETTINGS, trial, fast=True).link.system_id == 0
-    assert desk_settings(SETTINGS, Trial.load("static", 0), fast=True).link.system_id == 1
+    assert sitl_settings(SETTINGS, trial, fast=True).link.system_id == 0
+    assert sitl_settings(SETTINGS, Trial.load("static", 0), fast=True).link.system_id == 1
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])

@@ -26,7 +26,9 @@ from companion.config.calibration import Provenance
 from companion.flightlog.record import FlightLog
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.settings import choose
-from companion.sim.runner import Trial, calibrations_left_out, desk_settings, fly
+from companion.sim.runner import fly
+from companion.sim.settings import calibrations_left_out, sitl_settings
+from companion.sim.trial import Trial
 from tests.unit.calibration.mount_world import Held, record_sway, scenario_of
 
 ORIGIN = Provenance(tool="t", source="s", date="d", samples=1)
@@ -81,13 +83,13 @@ def test_a_real_vehicle_s_calibrations_are_not_the_simulated_one_s(
 ) -> None:
     settings = tmp_path / "mine.yaml"
     settings.write_text(yaml.safe_dump(named))
-    flown = desk_settings(settings, trial_of(tmp_path), fast=True)
+    flown = sitl_settings(settings, trial_of(tmp_path), fast=True)
     assert flown.mount is None
     assert flown.sense.imu.inertial_calibration is None
     assert calibrations_left_out(settings, flown) == ["mount", "sense.imu.inertial_calibration"]
     # a scenario whose sensors are off knows its own
     scenario = trial_of(tmp_path, companion={"mount": named["mount"]})
-    by_scenario = desk_settings(settings, scenario, fast=True)
+    by_scenario = sitl_settings(settings, scenario, fast=True)
     assert by_scenario.mount == named["mount"]
     assert calibrations_left_out(settings, by_scenario) == ["sense.imu.inertial_calibration"]
 
@@ -96,7 +98,7 @@ def test_a_flight_s_log_holds_what_was_applied_and_replays_without_the_files(
     tmp_path: Path, named: dict[str, Any]
 ) -> None:
     trial = trial_of(tmp_path, companion=named)
-    config = desk_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     log = FlightLog(tmp_path / "flight", 0.0)
     fly(config, trial, log, lambda _status: None, fast=True)
     log.close()

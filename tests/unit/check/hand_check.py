@@ -17,7 +17,7 @@ from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, Ra
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.link.transport import memory_pair
 from companion.sense.camera.source import FrameSource
-from companion.sim.runner import SIMULATED_HARDWARE
+from companion.sim.settings import SIMULATED_HARDWARE
 from companion.tools.check.causes import Mounting
 from companion.tools.check.samples import Samples
 from companion.tools.check.session import Outlets, PadCheck

@@ -21,8 +21,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample, Phase, PlanStep, RangeSample, Truth
-from companion.config import load_config
-from companion.config.reading import CONFIG_FOLDER
+from companion.config import CONFIG_FOLDER, load_config
 from companion.flightlog.record import FlightLog
 from companion.flightlog.replay.flight_record import Rig
 from companion.flightlog.replay.run import new_estimator

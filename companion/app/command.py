@@ -1,0 +1,102 @@
+"""`companion` on the vehicle: the flight from the settings file to the exit code."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from companion.app.app import App
+from companion.app.hardware import make_actions, open_hardware
+from companion.app.signals import stopping_on_signals
+from companion.app.terminal import StatusView
+from companion.base.clock import start_unix_s
+from companion.base.errors import ConfigError
+from companion.base.messages import Outcome, Phase
+from companion.config import CompanionConfig, load_config
+from companion.flightlog.record import FlightLog
+from companion.sense.vision.opencv import prepare_opencv
+
+EXIT_CODES: Final = {
+    Outcome.LANDED: 0,
+    Outcome.MISSED: 3,
+    Outcome.ABORTED: 4,
+    Outcome.TIMEOUT: 5,
+    Outcome.CRASHED: 6,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where a flight shows itself and leaves its files."""
+
+    console: Console
+    record: Path | None
+    json_file: Path | None
+    live: bool
+
+    @classmethod
+    def of(cls, record: Path | None, json_file: Path | None, *, live: bool) -> Output:
+        """On standard output, with the files that the options name."""
+        return cls(Console(), record, json_file, live)
+
+
+def fly_the_vehicle(config_path: Path, output: Output) -> int:
+    """Fly the real vehicle and return the exit code.
+
+    Raises:
+        ConfigError: something the user can correct.
+    """
+    prepare_opencv()
+    config = load_config(config_path)
+    folder = None if output.record is None else next_flight_folder(output.record)
+    log = new_log(folder, virtual=False)
+    try:
+        with StatusView(output.console, config.vehicle, live=output.live) as view:
+            phase = asyncio.run(_vehicle_flight(config, log, view))
+    except ConfigError:
+        log.discard()
+        raise
+    finally:
+        log.close()
+    return 0 if phase is Phase.LANDED else EXIT_CODES[Outcome.ABORTED]
+
+
+async def _vehicle_flight(config: CompanionConfig, log: FlightLog, view: StatusView) -> Phase:
+    async with open_hardware(config) as hardware:
+        app = App(config, hardware, log, make_actions, view)
+        with stopping_on_signals(app.request_stop):
+            return await app.run()
+
+
+def next_flight_folder(folder: Path) -> Path:
+    """A new folder for this flight: numbered, since a Raspberry Pi may not know the date."""
+    names = [path.name.removeprefix("flight-") for path in folder.glob("flight-*")]
+    return folder / f"flight-{max((int(n) for n in names if n.isdecimal()), default=0) + 1:04d}"
+
+
+def new_log(folder: Path | None, *, virtual: bool) -> FlightLog:
+    """A log in a folder that has none yet.
+
+    Raises:
+        ConfigError: the folder holds a flight already, or cannot be written.
+    """
+    if folder is not None and (folder / "flight.mcap").exists():
+        raise ConfigError(f"--record {folder}: holds a flight already; expected a new or empty folder")
+    return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual))
+
+
+def writable(path: Path | None) -> None:
+    """Make sure before the flight that its result can be written after it.
+
+    Raises:
+        ConfigError: it cannot.
+    """
+    if path is None:
+        return
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise ConfigError(f"--json {path}: cannot be written; expected a file in an existing folder")

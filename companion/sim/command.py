@@ -1,0 +1,113 @@
+"""`companion --sitl`: a flight against the simulator, from the options to the result and the exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from companion.app.command import EXIT_CODES, Output, new_log, writable
+from companion.app.terminal import StatusView
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.command_line import print_error
+from companion.base.errors import ConfigError
+from companion.base.files import write_atomically
+from companion.base.messages import Outcome
+from companion.flightlog.report import result_table, write_plots
+from companion.flightlog.result import Result, from_start
+from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.external import External
+from companion.sim.process import SimulatorError
+from companion.sim.runner import SitlFlight, fly
+from companion.sim.scoring import reason, score
+from companion.sim.settings import calibrations_left_out, sitl_settings
+from companion.sim.trial import Trial
+from sitl.firmware.spec import FirmwareSpec
+
+SIMULATOR_FAILED: Final = 1
+
+# a simulator in real time that falls behind by this much hands out frames and samples too late to fly by
+LATE_S: Final = 0.1
+# and an app whose cycles come late more often than this has no time for its samples either
+LATE_SHARE: Final = 0.01
+
+
+def load_trial(
+    scenario: str,
+    seed: int,
+    external: Mapping[str, str | None],
+    firmware: tuple[AutopilotKind | None, Path | None, list[str] | None],
+    *,
+    fast: bool,
+) -> Trial:
+    """What the options ask for.
+
+    Raises:
+        ConfigError: they do not go together, or the scenario is wrong.
+    """
+    kind, program, parameters = firmware
+    return Trial.load(
+        scenario, seed, External.of(external, fast=fast), FirmwareSpec.of(kind, program, parameters or ())
+    )
+
+
+def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) -> int:
+    """Fly a scenario, show and write its result, and return the exit code.
+
+    Raises:
+        ConfigError: something the user can correct.
+    """
+    prepare_opencv()
+    settings = sitl_settings(config_path, trial, fast=fast)
+    if left_out := calibrations_left_out(config_path, settings):
+        output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
+    writable(output.json_file)
+    log = new_log(output.record, virtual=fast)
+    title = f"{trial.scenario.name}, seed {trial.seed}"
+    try:
+        with StatusView(output.console, title, live=output.live) as view:
+            flight = fly(settings, trial, log, view, fast=fast)
+        for record in flight.report.truth:
+            log.write("truth", record, record.time_s)
+    except SimulatorError as error:
+        return print_error("companion", str(error), SIMULATOR_FAILED)
+    except ConfigError:
+        log.discard()
+        raise
+    finally:
+        log.close()
+    result = score(trial, flight, log)
+    publish(trial, result, flight, output)
+    if output.record is not None:
+        kept, truth = from_start(log.kept, flight.report.truth)
+        write_plots(output.record, kept, truth, trial.scenario.obstacles)
+        output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
+    return EXIT_CODES[result.outcome]
+
+
+def publish(trial: Trial, result: Result, flight: SitlFlight, output: Output) -> None:
+    """Write the result, print the table, and say in one line what was wrong if something was."""
+    text = result.model_dump_json(indent=2) + "\n"
+    if output.json_file is not None:
+        write_atomically(output.json_file, text)
+    if output.record is not None:
+        write_atomically(output.record / "result.json", text)
+    output.console.print(result_table(result, trial.scenario.pass_bounds.model_dump()))
+    nearest_m = flight.report.nearest_obstacle_m
+    if nearest_m is not None:
+        output.console.print(f"nearest to an obstacle: {nearest_m:.2f} m from the rotors' tips")
+    late_s = flight.report.latest_tick_s
+    if late_s > LATE_S:
+        print(
+            f"companion: the simulator ran up to {late_s:.1f} s late: too busy a machine for real time",
+            file=sys.stderr,
+        )
+    elif flight.late_share > LATE_SHARE:
+        print(
+            f"companion: {100.0 * flight.late_share:.0f} % of the control cycles came late: "
+            "too busy a machine for real time",
+            file=sys.stderr,
+        )
+    if result.outcome is not Outcome.LANDED:
+        print_error("companion", f"{result.outcome}: {reason(result, flight)}", EXIT_CODES[result.outcome])
