@@ -17,7 +17,7 @@ from typing import Annotated, Final
 import typer
 from typer.exceptions import TyperException
 
-from companion.base.command_line import Command, lazy_app, print_error
+from companion.base.command_line import Command, VersionOption, lazy_app, print_error
 from companion.base.errors import ConfigError
 from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
@@ -96,6 +96,7 @@ def companion(
         Path | None, typer.Option("--record", help="Leave logs (and plots) in this folder.", metavar="DIR")
     ] = None,
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live status; one line a notice.")] = False,
+    version: VersionOption = False,
 ) -> None:
     """Land a multirotor by vision, softly, on a pad that moves."""
     if context.invoked_subcommand is not None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Any
+from importlib import import_module, metadata
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -54,6 +54,22 @@ def lazy_app(commands: Mapping[str, Command], **options: Any) -> typer.Typer:
 
 def _stands_for_it() -> None:
     """What the group lists; `resolve_command` puts the real command in its place."""
+
+
+def print_version(asked: bool) -> None:
+    """Callback of an eager `--version` option: the version of the installed package, and no more.
+
+    Raises:
+        typer.Exit: it was asked for.
+    """
+    if asked:
+        print(metadata.version("companion"))
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=print_version)
+]
 
 
 def print_error(program: str, text: str, code: int) -> int:
