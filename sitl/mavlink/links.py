@@ -35,7 +35,7 @@ class Vehicle(Protocol):
         """Open a port for a client."""
         ...
 
-    def hear(self, port: Port, data: bytes) -> None:
+    def receive(self, port: Port, data: bytes) -> None:
         """Take bytes that have just come from a client."""
         ...
 
@@ -83,7 +83,7 @@ class UdpServer(asyncio.DatagramProtocol):
         port = self._clients.get(addr) or self._welcome_speaker(addr, data)
         if port is not None:
             self._heard_s[addr] = self._clock.now_s()
-            self._vehicle.hear(port, data)
+            self._vehicle.receive(port, data)
 
     def error_received(self, exc: Exception) -> None:
         """asyncio: nobody listens there yet; somebody may."""
@@ -189,7 +189,7 @@ class _TcpClient(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         if self._port is not None:
-            self._vehicle.hear(self._port, data)
+            self._vehicle.receive(self._port, data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._clients.discard(self)

@@ -99,7 +99,7 @@ async def serve(
             )
         companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
         ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
-        tcp = TcpServer(devices.simulation)
+        tcp = TcpServer(devices.simulation.line)
         stack.callback(tcp.close)
         tcp_port = await tcp.open(service.bind, service.tcp_port)
         own = (companion_port, ground_port, tcp_port)
@@ -203,7 +203,7 @@ async def _open_udp(
     """Send to a client's port, if there is to be one, and return the vehicle's own."""
     # what is bound to one address of this computer cannot be reached at another
     client_host = bind if bind not in ("0.0.0.0", "") else LOOPBACK
-    server = UdpServer(simulation, (client_host, client_port) if client_port else None)
+    server = UdpServer(simulation.line, (client_host, client_port) if client_port else None)
     stack.callback(server.close)
     return await server.open(bind, _OWN_PORTS.get(client_port, 0))
 
