@@ -38,11 +38,11 @@ from companion.base.geometry import (
 )
 from companion.config import CameraConfig, VehicleConfig
 from companion.pad import Pad
-from sitl.camera.exposure import CameraSettings, motion_blur, noise_bank, vignette
+from sitl.camera.exposure import ImagingSettings, motion_blur, noise_bank, vignette
 from sitl.camera.light import Lighting, LightInView
 from sitl.camera.mesh import HORIZON, NODE_PX, Part, covers, node_rays, visible_part, within_board
 from sitl.camera.mounting import mounted_camera
-from sitl.camera.sensor_chip import Metering, add_light, levelled, noise_std_grey, response, through
+from sitl.camera.sensor_chip import AutoExposure, add_light, levelled, noise_std_grey, response, through
 from sitl.camera.textures import PAD_WHITE, GreyImage, Texture, TextureLevel, ground_texture, pad_texture
 
 FARTHEST_TEXEL: Final = 30000.0
@@ -77,7 +77,7 @@ class CameraModel:
         camera: CameraConfig,
         vehicle: VehicleConfig,
         pad: Pad,
-        settings: CameraSettings,
+        settings: ImagingSettings,
         rng: np.random.Generator,
         *,
         ground_seed: int = 1,
@@ -113,11 +113,11 @@ class CameraModel:
         self._row_time = (row_px + 0.5) / camera.height_px - 0.5  # of the readout, from its middle
         # generators of their own: light and dirt change no noise
         light_rng, dirt_rng = rng.spawn(2)
-        self._metering: Metering | None = None
+        self._metering: AutoExposure | None = None
         if settings.light is not None:
             self._lighting = Lighting(settings.light, light_rng)
             self._light = LightInView(self._lighting, self._node_rays)
-            self._metering = Metering(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
+            self._metering = AutoExposure(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
             self._exposure_s = self._metering.now.exposure_s
         self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, Final
 
 from companion.base.geometry import ZERO3, Vector3
-from sitl.autopilot import Autopilot, Severity, StreamedAttitude, StreamedMotion
+from sitl.autopilot import Severity, SimulatedAutopilot, StreamedAttitude, StreamedMotion
 from sitl.mavlink import pilot_inputs
 from sitl.mavlink.commands import execute, request_from_message
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect, number
@@ -26,7 +26,7 @@ from sitl.mavlink.signing import Signing
 from sitl.mavlink.streams import Streams, grouped_messages
 from sitl.mavlink.telemetry import Message, builders_of
 from sitl.mavlink.truth_telemetry import TruthMessages
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 mavlink: Any = dialect
 
@@ -42,8 +42,8 @@ class MavlinkEndpoint:
 
     def __init__(
         self,
-        autopilot: Autopilot,
-        sensors: OnboardSensors | None = None,
+        autopilot: SimulatedAutopilot,
+        sensors: SimulatedAutopilotSensors | None = None,
         system_id: int = 1,
         component_id: int = 1,
         *,

@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from companion.base.geometry import Vector3
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.framing import MavFrame, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.signing import Signing
 from sitl.mavlink.truth_telemetry import TruthMessages
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 mavlink: Any = dialect
 
@@ -59,8 +59,8 @@ class Network:
 
     def __init__(
         self,
-        autopilot: Autopilot,
-        sensors: OnboardSensors,
+        autopilot: SimulatedAutopilot,
+        sensors: SimulatedAutopilotSensors,
         ground_station: GroundStation,
         signing: Signing,
         unix_at_start_s: float,

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot import Autopilot, Severity
+from sitl.autopilot import Severity, SimulatedAutopilot
 
 Message = Any  # pymavlink's classes are generated without types
 
@@ -35,7 +35,7 @@ _ALL_ONES: Final = 0xFFFFFFFF
 class ParameterProtocol:
     """One link's end of the protocol."""
 
-    def __init__(self, autopilot: Autopilot) -> None:
+    def __init__(self, autopilot: SimulatedAutopilot) -> None:
         self._autopilot = autopilot
         self._next: int | None = None
         self._due_s = -math.inf

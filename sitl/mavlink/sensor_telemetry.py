@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, norm, scale
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.framing import dialect
 from sitl.mavlink.telemetry import milliseconds, sys_status
-from sitl.sensors.autopilot_sensors import Inertial, OnboardSensors
+from sitl.sensors.autopilot_sensors import ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import RangeErrors
 
@@ -48,7 +48,9 @@ _PULSE_US: Final = (1000, 1000)  # motors off; and from there to full
 class SensorMessages:
     """Builds the messages of one autopilot's sensors; None while there is nothing (new) to tell."""
 
-    def __init__(self, autopilot: Autopilot, sensors: OnboardSensors, unix_at_start_s: float = 0.0) -> None:
+    def __init__(
+        self, autopilot: SimulatedAutopilot, sensors: SimulatedAutopilotSensors, unix_at_start_s: float = 0.0
+    ) -> None:
         """Of an autopilot and its sensors; `unix_at_start_s` is UTC (s since 1970) at time 0, 0 unknown."""
         self._autopilot = autopilot
         self._sensors = sensors
@@ -204,7 +206,7 @@ class SensorMessages:
         return 0 if booted_s is None else max(0, round((time_s - booted_s) * 1e6))
 
 
-def _in_thousandths(imu: Inertial, field_ut: Vector3) -> tuple[int, ...]:
+def _in_thousandths(imu: ImuReading, field_ut: Vector3) -> tuple[int, ...]:
     """Milli-g, mrad/s and milligauss, cut off towards zero as C does it."""
     values = (
         *scale(imu.specific_force_m_s2, 1e3 / GRAVITY_M_S2),

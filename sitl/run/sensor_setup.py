@@ -11,7 +11,7 @@ from companion.config import GpsConfig
 from sitl.devices.ports import DevicePort
 from sitl.devices.rack import SensorErrors, SensorRack, Wiring
 from sitl.scenario.scenario import SensorSettings
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import GpsErrors, MagErrors, RangeErrors
 
@@ -44,11 +44,11 @@ def sensor_rack(
 
 def autopilot_sensors(
     settings: SensorSettings, rng: np.random.Generator, dt_s: float, place: EarthPlace, imu_filter: int
-) -> OnboardSensors:
+) -> SimulatedAutopilotSensors:
     """The autopilot's own sensors; `imu_filter` is their IMU's low-pass, as DLPF_CFG."""
     home, field_ned_ut = place
     errors = sensor_errors(settings)
-    return OnboardSensors(
+    return SimulatedAutopilotSensors(
         rng,
         dt_s,
         home=home,

@@ -18,11 +18,11 @@ import numpy as np
 from companion.base.geometry import Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
-from sitl.autopilot import ESTIMATORS, MANNERS, Autopilot
+from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
-from sitl.faults.injection import Breakable, FaultSchedule
+from sitl.faults.injection import FaultSchedule, FaultTargets
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
@@ -115,16 +115,16 @@ class Simulation:
         place = (HOME, MAGNETIC_FIELD_NED_UT)
         self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port)
         self.imu_bus = self._rack.imu
-        imu_filter = MANNERS[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
+        imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
         self._onboard = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
         self._camera = SceneCamera(scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng)
         self.line = line = MavlinkLine(scenario.link, fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         devices = (self._rack, self._onboard, self._frame_line, world.motors, line.to_app, line.to_vehicle)
-        self._faults = FaultSchedule(scenario.faults, Breakable(*devices))
+        self._faults = FaultSchedule(scenario.faults, FaultTargets(*devices))
         signing = Signing(scenario.autopilot, signing_key)
         station = GroundStation.of(scenario.beacon, beacon_rng, HOME, signing)
-        self._flies: Autopilot | FirmwareVehicle
+        self._flies: SimulatedAutopilot | FirmwareVehicle
         if firmware is None:
             self._flies = autopilot = self._bundled_autopilot(autopilot_rng)
             truth = TruthMessages(autopilot, world, HOME) if serve_truth else None
@@ -133,9 +133,9 @@ class Simulation:
             self._flies, line.network = self._start_firmware(firmware, station, autopilot_rng)
 
     @property
-    def autopilot(self) -> Autopilot:
+    def autopilot(self) -> SimulatedAutopilot:
         """The bundled one, where it flies: for tests and benches."""
-        assert isinstance(self._flies, Autopilot)
+        assert isinstance(self._flies, SimulatedAutopilot)
         return self._flies
 
     def close(self) -> None:
@@ -206,10 +206,10 @@ class Simulation:
 
     # ------------------------------------------------------------ building it
 
-    def _bundled_autopilot(self, rng: np.random.Generator) -> Autopilot:
+    def _bundled_autopilot(self, rng: np.random.Generator) -> SimulatedAutopilot:
         scenario, airframe = self._scenario, self._world.airframe
         estimator = ESTIMATORS[scenario.estimator]
-        return Autopilot(scenario.autopilot, airframe.body, rng, HOME, estimator, airframe.rates)
+        return SimulatedAutopilot(scenario.autopilot, airframe.body, rng, HOME, estimator, airframe.rates)
 
     def _start_firmware(
         self, firmware: FirmwareSpec, station: GroundStation, rng: np.random.Generator

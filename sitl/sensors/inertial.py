@@ -69,7 +69,7 @@ NO_IMU_ERRORS: Final = ImuErrors(
 )
 
 
-class LowPass:
+class ImuLowPass:
     """Two-pole Butterworth on three axes, followed by the pure delay that is missing to the data sheet's."""
 
     def __init__(self, bandwidth_hz: float, delay_s: float, dt_s: float) -> None:
@@ -213,8 +213,8 @@ class ImuSensor:
 
     def set_filter(self, dlpf: int) -> None:
         """Choose the low-pass filter by its register value DLPF_CFG (one not in the table: 92 Hz)."""
-        self._accel_filter = LowPass(*ACCEL_FILTER.get(dlpf, ACCEL_FILTER[2]), self._dt_s)
-        self._gyro_filter = LowPass(*GYRO_FILTER.get(dlpf, GYRO_FILTER[2]), self._dt_s)
+        self._accel_filter = ImuLowPass(*ACCEL_FILTER.get(dlpf, ACCEL_FILTER[2]), self._dt_s)
+        self._gyro_filter = ImuLowPass(*GYRO_FILTER.get(dlpf, GYRO_FILTER[2]), self._dt_s)
         self._settled = False
 
     def skip(self, throttles: Sequence[float]) -> None:

@@ -32,7 +32,7 @@ from companion.base.geometry import (
 from companion.config import StrictModel
 from sitl.pad.motion import PadTruth
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.ground import Board
+from sitl.world.ground import PadBoard
 
 Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
 Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
@@ -88,7 +88,7 @@ class Contact:
     """The legs' memory: which foot stands where."""
 
     def __init__(
-        self, parameters: ContactParameters, mass_kg: float, board: Board, hull_body_m: tuple[Vector3, ...]
+        self, parameters: ContactParameters, mass_kg: float, board: PadBoard, hull_body_m: tuple[Vector3, ...]
     ) -> None:
         """`mass_kg` is the mass under which the feet stand as the parameters say; `hull_body_m` are further
         points (the rotors' hubs) that touch when the vehicle lies on its side or back."""

@@ -24,7 +24,7 @@ NEGLIGIBLE_HEIGHT_IN_RADII: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class PadBoard:
     """The pad's rectangle: half its length along the heading, half its width across."""
 
     half_length_m: float
@@ -36,7 +36,7 @@ class Board:
         return math.hypot(self.half_length_m, self.half_width_m)
 
     @classmethod
-    def of(cls, pad: Pad) -> Board:
+    def of(cls, pad: Pad) -> PadBoard:
         """The board of a pad's layout."""
         return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
 
@@ -73,7 +73,7 @@ class Board:
 
 
 def echo_distance_m(
-    board: Board,
+    board: PadBoard,
     pad: PadTruth,
     state: QuadrotorState,
     sensor_position_body_m: Vector3,
@@ -118,7 +118,7 @@ def rotor_ratios(
     state: QuadrotorState,
     rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
     radius_m: float,
-    board: Board,
+    board: PadBoard,
     pad: PadTruth,
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""

@@ -32,9 +32,9 @@ from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.actuators import Motors
 from sitl.vehicle.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
 from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.world.ground import Board, echo_distance_m, ground_effect_reach_m, rotor_ratios
+from sitl.world.ground import PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.world.obstacles import Obstacles
-from sitl.world.score import Touchdown, TouchdownWatch
+from sitl.world.score import TouchdownState, TouchdownWatch
 from sitl.world.wind import Wind
 
 MEMORY_S: Final = 0.35
@@ -60,7 +60,7 @@ class _Moment(NamedTuple):
     in_contact: bool
 
 
-class Motion(NamedTuple):
+class VehicleMotion(NamedTuple):
     """The part of the truth that an autopilot errs about: it is asked for at every step."""
 
     vehicle_position_ned_m: Vector3
@@ -82,7 +82,7 @@ class World:
         body = airframe.body
         arm, up = body.arm_length_m, -body.rotor_height_m
         self.airframe = airframe
-        self.board = Board.of(load_pad(scenario.pad.name))
+        self.board = PadBoard.of(load_pad(scenario.pad.name))
         self.time_s = 0.0
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
         # the autopilot's wish, kept with the truth for the plots
@@ -233,7 +233,7 @@ class World:
     # ------------------------------------------------------------ for the score and the camera
 
     @property
-    def touchdown(self) -> Touchdown | None:
+    def touchdown(self) -> TouchdownState | None:
         """The last first contact after a flight above 1 m."""
         return self._watch.touchdown
 
@@ -257,10 +257,12 @@ class World:
         steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
         return self._load.on_board >= STANDING_FEET and still and steady
 
-    def motion(self) -> Motion:
+    def motion(self) -> VehicleMotion:
         """The vehicle's motion now."""
         state = self._state
-        return Motion(state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s)
+        return VehicleMotion(
+            state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s
+        )
 
     def truth(self) -> Truth:
         """Everything now."""

@@ -26,7 +26,7 @@ from rich.table import Table
 
 from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
 from companion.base.messages import Manner, Outcome, Phase
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.world.score import judge
@@ -97,7 +97,7 @@ class Flight:
     def __init__(self, manner: Manner, case: Case, seed: int) -> None:
         self.world = World(_scenario(case), seed)
         generators = np.random.default_rng((seed, 77)).spawn(2)
-        self.autopilot = Autopilot(manner, self.world.airframe.body, generators[0], HOME)
+        self.autopilot = SimulatedAutopilot(manner, self.world.airframe.body, generators[0], HOME)
         self._rng = generators[1]
         self._endpoint = MavlinkEndpoint(self.autopilot)
         self._us = mavlink.MAVLink(None, srcSystem=255, srcComponent=191)

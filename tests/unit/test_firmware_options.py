@@ -15,7 +15,7 @@ from companion.sim.external import External
 from companion.sim.flights import Request
 from companion.sim.runner import Trial, desk_settings
 from sitl import cli as simulator
-from sitl.campaign.manifest import Flight, check_goes_on, make_plan
+from sitl.campaign.manifest import CampaignRun, check_goes_on, make_plan
 from sitl.campaign.worker import Worker
 from sitl.firmware.spec import FirmwareSpec, number_text
 from tests.unit.sitl.campaign_parts import flight
@@ -198,7 +198,7 @@ def test_nobodys_firmware_flies_somebody_elses_vehicle(px4: FirmwareSpec) -> Non
 # ---------------------------------------------------------------- campaigns
 
 
-def planned(firmware: FirmwareSpec | None) -> Flight:
+def planned(firmware: FirmwareSpec | None) -> CampaignRun:
     return next(make_plan(["static"], 3, 1, None, firmware).flights())
 
 

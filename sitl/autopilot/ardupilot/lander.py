@@ -16,7 +16,13 @@ from math import inf, nan
 
 from companion.base.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import AxisFilter, Sight, SightFrame, View, direction_from_angles
+from sitl.autopilot.flight.landing_target import (
+    AxisFilter,
+    LandingTarget,
+    LandingTargetFrame,
+    VehicleEstimate,
+    direction_from_angles,
+)
 from sitl.autopilot.flight.modes import Severity
 from sitl.autopilot.flight.parameters import Parameters
 
@@ -36,7 +42,7 @@ _BACK_WITHIN_M = 0.5
 _VERY_STRICT, _NOT_STRICT = 2, 0
 
 
-class ArduPilotLander:
+class ArdupilotPrecisionLanding:
     """One boot's precision landing."""
 
     def __init__(self, parameters: Parameters) -> None:
@@ -50,9 +56,9 @@ class ArduPilotLander:
         self._most_retries = int(parameters["PLND_RET_MAX"])
         self._timeout_s = parameters["PLND_TIMEOUT"]
         self._lowest_retry_m = parameters["PLND_ALT_MIN"]
-        self._pending: Sight | None = None
-        self._views: deque[View] = deque()
-        self._then: View | None = None
+        self._pending: LandingTarget | None = None
+        self._views: deque[VehicleEstimate] = deque()
+        self._then: VehicleEstimate | None = None
         self._axes: tuple[AxisFilter, AxisFilter] | None = None
         self._rejected = 0
         self._below_m = 0.0
@@ -60,7 +66,7 @@ class ArduPilotLander:
         self._told_frame = False
         self.begin(required=False)
 
-    def see(self, sight: Sight) -> None:
+    def see(self, sight: LandingTarget) -> None:
         """Keep the newest; it is fused at the next step."""
         self._pending = sight
 
@@ -73,7 +79,7 @@ class ArduPilotLander:
 
     # ------------------------------------------------------------ the target
 
-    def watch(self, view: View, dt_s: float) -> None:
+    def watch(self, view: VehicleEstimate, dt_s: float) -> None:
         """Predict, and fuse what has come; all of it at the time of PLND_LAG ago."""
         self._views.append(view)
         before, then = self._then, self._views[0]
@@ -92,7 +98,7 @@ class ArduPilotLander:
             sight, self._pending = self._pending, None
             self._fuse(sight, view, then)
 
-    def _fuse(self, sight: Sight, view: View, then: View) -> None:
+    def _fuse(self, sight: LandingTarget, view: VehicleEstimate, then: VehicleEstimate) -> None:
         body = self._vector(sight, then.height_m)
         if body is None:
             return
@@ -118,7 +124,9 @@ class ArduPilotLander:
         for axis, measured in pairs:
             axis.fuse(measured, variance)
 
-    def _now(self, axes: tuple[AxisFilter, AxisFilter], view: View, dt_s: float) -> tuple[Vector3, Vector3]:
+    def _now(
+        self, axes: tuple[AxisFilter, AxisFilter], view: VehicleEstimate, dt_s: float
+    ) -> tuple[Vector3, Vector3]:
         """Where the target is by now in the own NED, and how fast, from the state of PLND_LAG ago."""
         then = self._views[0]
         place, speed = [], []
@@ -129,11 +137,11 @@ class ArduPilotLander:
             place.append(view.position_ned_m[index] + axis.position_m + moved - own)
         return (place[0], place[1], nan), (speed[0], speed[1], nan)
 
-    def _vector(self, sight: Sight, height_m: float) -> Vector3 | None:
+    def _vector(self, sight: LandingTarget, height_m: float) -> Vector3 | None:
         """The target from the vehicle in body axes (m)."""
         if sight.position_m is None:
             unit = direction_from_angles(sight.angles_rad)
-        elif sight.frame != SightFrame.BODY_FRD:
+        elif sight.frame != LandingTargetFrame.BODY_FRD:
             if not self._told_frame:
                 self.texts.append((Severity.INFO, "Plnd: Frame not supported"))
             self._told_frame = True
@@ -148,7 +156,7 @@ class ArduPilotLander:
 
     # ------------------------------------------------------------ the landing
 
-    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+    def fly(self, view: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """Down over the target; a lost one is waited for, sought, and in the end given up."""
         if self._axes is None or view.now_s - self._seen_s > _FRESH_S:
             return self._without(view)
@@ -169,7 +177,7 @@ class ArduPilotLander:
         half = 0.5 * landing_speed_m_s
         return max(_SLOWEST_M_S, half - error_m * half / _ACCEPTABLE_M)
 
-    def _without(self, view: View) -> MotionSetpoint | None:
+    def _without(self, view: VehicleEstimate) -> MotionSetpoint | None:
         lost = self._found and view.height_m > self._lowest_retry_m
         if not self._found or not lost or self._strict == _NOT_STRICT:
             return self._give_up(view) if self._strict == _VERY_STRICT else None
@@ -186,14 +194,14 @@ class ArduPilotLander:
             self._retrying, self._seen_s = False, view.now_s - _FRESH_S  # there, and nothing: wait once more
         return MotionSetpoint(self._last_seen_at)
 
-    def _give_up(self, view: View) -> MotionSetpoint | None:
+    def _give_up(self, view: VehicleEstimate) -> MotionSetpoint | None:
         """Land where it is, or hover when told to be very strict."""
         if self._strict == _VERY_STRICT:
             return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
         return None
 
 
-def ardupilot_lander(parameters: Parameters) -> ArduPilotLander | None:
+def precision_landing(parameters: Parameters) -> ArdupilotPrecisionLanding | None:
     """The precision landing that the parameters ask for at boot, None without."""
     enabled = parameters["PLND_ENABLED"] >= 1.0 and int(parameters["PLND_TYPE"]) == _MAVLINK_TYPE
-    return ArduPilotLander(parameters) if enabled else None
+    return ArdupilotPrecisionLanding(parameters) if enabled else None

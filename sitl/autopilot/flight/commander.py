@@ -1,6 +1,6 @@
 """Arming, modes and failsafes: decides what may be flown, never how.
 
-Everything that differs between autopilots comes from the `Manner`'s tables.
+Everything that differs between autopilots comes from the `AutopilotProfile`'s tables.
 """
 
 from __future__ import annotations
@@ -8,8 +8,16 @@ from __future__ import annotations
 from collections import deque
 from math import inf
 
-from sitl.autopilot.flight.modes import Failsafe, Mode, Response, Result, Severity, Situation, Task
-from sitl.autopilot.flight.profile import Manner
+from sitl.autopilot.flight.modes import (
+    CommandResult,
+    Failsafe,
+    FailsafeAction,
+    Mode,
+    Severity,
+    Task,
+    VehicleStatus,
+)
+from sitl.autopilot.flight.profile import AutopilotProfile
 
 Text = tuple[Severity, str]
 _ENDS_WITH_FLIGHT = (Task.LAND, Task.PRECISION_LAND, Task.RETURN, Task.TAKE_OFF)
@@ -22,9 +30,9 @@ class Commander:
     motors were stopped, for whoever looks too seldom to see each.
     """
 
-    def __init__(self, manner: Manner) -> None:
+    def __init__(self, manner: AutopilotProfile) -> None:
         self._manner = manner
-        self.situation = Situation()
+        self.situation = VehicleStatus()
         self.armed = False
         self.disarmings = 0
         self.in_failsafe = False
@@ -38,10 +46,10 @@ class Commander:
 
     # ------------------------------------------------------------ commands
 
-    def arm(self, force: bool) -> Result:
+    def arm(self, force: bool) -> CommandResult:
         """Start the motors if every check passes; force skips the checks."""
         if self.armed:
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         self._refresh()
         refusal = next((c.text for c in self._manner.arming_checks if not c.passes(self.situation)), None)
         if refusal is not None and not force:
@@ -50,19 +58,19 @@ class Commander:
         self.armed = True
         self.situation.has_flown = False
         self.say(Severity.INFO, self._manner.texts.armed)
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def disarm(self, force: bool) -> Result:
+    def disarm(self, force: bool) -> CommandResult:
         """Stop the motors: on the ground, or anywhere by force."""
         if not self.armed:
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         if not self.situation.landed and not force:
             self.say(Severity.CRITICAL, self._manner.refused_disarming_text)
             return self._manner.refused_disarming
         self._stop(Severity.INFO, self._manner.texts.disarmed)
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+    def change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
         """Enter a mode with its own task; None is a number the autopilot does not know."""
         if mode is None:
             self.say(Severity.WARNING, self._manner.texts.no_such_mode.format(number=number))
@@ -76,7 +84,7 @@ class Commander:
         self._enter(mode)
         if mode.task is Task.LAND and self.armed:
             self.say(Severity.INFO, self._manner.texts.landing)
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
     def begin(self, task: Task) -> None:
         """Another task within the present mode."""
@@ -129,7 +137,7 @@ class Commander:
         now.streaming = self.mode.task is Task.SETPOINT
 
     def _respond(self, failsafe: Failsafe) -> None:
-        if failsafe.response is Response.DISARM:
+        if failsafe.response is FailsafeAction.DISARM:
             self._stop(failsafe.severity, failsafe.text)
             return
         self.say(failsafe.severity, failsafe.text)

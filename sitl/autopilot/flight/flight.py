@@ -14,9 +14,9 @@ from sitl.autopilot.control.estimator import TrueMotion
 from sitl.autopilot.control.mixer import Motors
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.flight_state import FlightState
-from sitl.autopilot.flight.landing_target import View
-from sitl.autopilot.flight.mission import Here
-from sitl.autopilot.flight.modes import Severity, StickLaw, Task
+from sitl.autopilot.flight.landing_target import VehicleEstimate
+from sitl.autopilot.flight.mission import MissionInputs
+from sitl.autopilot.flight.modes import Severity, StickMode, Task
 
 _EARLY_S = 1e-6
 _THRUST_OPTION = 8
@@ -129,7 +129,7 @@ class FlightLoop(FlightState):
             return by_sticks
         task = self.task
         if task is Task.MISSION:
-            here = Here(
+            here = MissionInputs(
                 self.estimate.position_ned_m, heading, self._cascade.landed, self.manner.outer_period_s
             )
             wanted = self._runner.step(here)
@@ -170,10 +170,10 @@ class FlightLoop(FlightState):
             lander.begin(required=self.task is not Task.MISSION or self._runner.precision_required)
         return lander.fly(self._view(), self.manner.outer_period_s)
 
-    def _view(self) -> View:
+    def _view(self) -> VehicleEstimate:
         estimate = self.estimate
         position = estimate.position_ned_m
-        return View(
+        return VehicleEstimate(
             self._now_s,
             position,
             estimate.velocity_ned_m_s,
@@ -184,7 +184,7 @@ class FlightLoop(FlightState):
 
     def _thrust_is_climb_rate(self) -> bool:
         if self._hand.law is not None:
-            return self._hand.law is StickLaw.ANGLE_AND_CLIMB
+            return self._hand.law is StickMode.ANGLE_AND_CLIMB
         options = self.manner.settings.guided_options
         if options is None:
             return self.manner.thrust_is_climb_rate

@@ -17,25 +17,25 @@ from companion.base.geometry import (
     ned_from_geodetic,
 )
 from companion.base.messages import LandedState
-from companion.base.messages import Manner as MannerName
+from companion.base.messages import Manner as AutopilotName
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.cascade import Cascade
-from sitl.autopilot.control.estimator import Estimator, EstimatorErrors
+from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.commander import Commander, Text
-from sitl.autopilot.flight.hand import Hand
+from sitl.autopilot.flight.hand import ManualControl
 from sitl.autopilot.flight.mission import MissionRunner
-from sitl.autopilot.flight.mission_items import Command, ItemFrame, MissionItem, MissionStore
-from sitl.autopilot.flight.modes import Mode, Result, StickLaw, Task
+from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
+from sitl.autopilot.flight.modes import CommandResult, Mode, StickMode, Task
 from sitl.autopilot.flight.navigator import Navigator
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import Manner
-from sitl.autopilot.flight.sticks import Radio
+from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
-MANNERS: dict[MannerName, Manner] = {"px4": PX4, "ardupilot": ARDUPILOT}
+PROFILES: dict[AutopilotName, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 class FlightState:
@@ -46,16 +46,16 @@ class FlightState:
 
     def __init__(
         self,
-        manner: MannerName,
+        manner: AutopilotName,
         airframe: Airframe,
         rng: np.random.Generator,
         home: Vector3,
         errors: EstimatorErrors | None = None,
         rates: RateGains | None = None,
     ) -> None:
-        self.manner = MANNERS[manner]
+        self.manner = PROFILES[manner]
         self.parameters = Parameters(self.manner.parameters)
-        self.estimate = Estimator(errors or EstimatorErrors(), rng)
+        self.estimate = SimulatedEstimator(errors or EstimatorErrors(), rng)
         self.mission = MissionStore(self.manner.mission, home=self._home_item)
         self.boots = 0
         self._airframe, self._rates = airframe, rates
@@ -74,7 +74,7 @@ class FlightState:
             self.mission, self._navigator, self.parameters, self.manner.settings, self._local
         )
         self._lander = self.manner.lander(self.parameters)
-        self._hand = Hand(self.manner, self.parameters, hover_thrust(self._airframe))
+        self._hand = ManualControl(self.manner, self.parameters, hover_thrust(self._airframe))
         self._outer_due_s = -inf
         self._now_s = -inf
         self._setpoint = None
@@ -122,7 +122,7 @@ class FlightState:
     def ready_to_arm(self) -> bool:
         """What SYS_STATUS reports as the pre-arm check: level, and a known position if the mode needs one."""
         now, mode = self._commander.situation, self._commander.mode
-        needs_position = mode.sticks in (None, StickLaw.VELOCITY)
+        needs_position = mode.sticks in (None, StickMode.VELOCITY)
         known = now.aligned if needs_position else now.home_set
         return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
 
@@ -152,7 +152,7 @@ class FlightState:
         return self._cascade.attitude_setpoint
 
     @property
-    def radio(self) -> Radio:
+    def radio(self) -> RcInput:
         """The sticks, as far as somebody is at them."""
         return self._hand.radio
 
@@ -175,11 +175,11 @@ class FlightState:
             speaker.clear()
         return texts
 
-    def set_mode_named(self, name: str) -> Result:
+    def set_mode_named(self, name: str) -> CommandResult:
         """Change to a mode of the manner's own."""
         return self._change_mode(self.manner.mode(name))
 
-    def _change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+    def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
         self._watch_mission()  # one that has come since the last step counts already
         return self._commander.change_mode(mode, number)
 
@@ -205,4 +205,6 @@ class FlightState:
         """Home as a mission's item 0."""
         latitude, longitude, altitude = self.geodetic(self.home_ned_m)
         parameters = (0.0, 0.0, 0.0, 0.0)
-        return MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL, parameters, latitude, longitude, altitude)
+        return MissionItem(
+            MissionCommand.WAYPOINT, ItemFrame.GLOBAL, parameters, latitude, longitude, altitude
+        )

@@ -5,28 +5,28 @@ from __future__ import annotations
 from math import inf
 
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
-from sitl.autopilot.flight.modes import Mode, Situation, StickLaw, Task
+from sitl.autopilot.flight.modes import Mode, StickMode, Task, VehicleStatus
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import Manner
-from sitl.autopilot.flight.sticks import Radio, StickPilot, Sticks, StickScales
+from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.sticks import RcInput, StickMapper, Sticks, StickScales
 
 # bits of the parameter that says in which tasks a lost radio is of no matter, and tasks where it never is
 _EXCEPTIONS = {Task.MISSION: 1, Task.HOLD: 2, Task.GO_TO: 2, Task.SETPOINT: 4}
 _NOT_NEEDED = (Task.LAND, Task.PRECISION_LAND, Task.RETURN)
 
 
-class Hand:
+class ManualControl:
     """The radio and the pilot; `law` is what the sticks mean at present, None when they fly nothing."""
 
-    def __init__(self, manner: Manner, parameters: Parameters, hover_thrust: float) -> None:
-        self.radio = Radio(manner.forward_is_low)
-        self.law: StickLaw | None = None
+    def __init__(self, manner: AutopilotProfile, parameters: Parameters, hover_thrust: float) -> None:
+        self.radio = RcInput(manner.forward_is_low)
+        self.law: StickMode | None = None
         self._settings = manner.settings
         self._parameters = parameters
         self._hover = hover_thrust
-        self._pilot = StickPilot()
+        self._pilot = StickMapper()
 
-    def watch(self, now: Situation, task: Task, now_s: float) -> None:
+    def watch(self, now: VehicleStatus, task: Task, now_s: float) -> None:
         """Tell the situation who is at the sticks."""
         sticks = self._sticks(now_s)
         now.radio = sticks is not None

@@ -17,7 +17,7 @@ from math import isfinite, nan
 from sitl.autopilot.flight.modes import Severity
 
 
-class Command(IntEnum):
+class MissionCommand(IntEnum):
     """MAV_CMD of the items that somebody here flies, and of those that are read for their place."""
 
     WAYPOINT = 16
@@ -69,21 +69,27 @@ class ItemFrame(IntEnum):
 
 NAVIGATION: frozenset[int] = frozenset(
     {
-        Command.WAYPOINT,
-        Command.LOITER_UNLIM,
-        Command.LOITER_TURNS,
-        Command.LOITER_TIME,
-        Command.RETURN_TO_LAUNCH,
-        Command.LAND,
-        Command.TAKEOFF,
-        Command.SPLINE_WAYPOINT,
-        Command.DELAY,
+        MissionCommand.WAYPOINT,
+        MissionCommand.LOITER_UNLIM,
+        MissionCommand.LOITER_TURNS,
+        MissionCommand.LOITER_TIME,
+        MissionCommand.RETURN_TO_LAUNCH,
+        MissionCommand.LAND,
+        MissionCommand.TAKEOFF,
+        MissionCommand.SPLINE_WAYPOINT,
+        MissionCommand.DELAY,
     }
 )
 # their x and y are a latitude and a longitude, all others' plain numbers
 PLACES: frozenset[int] = frozenset(
-    (NAVIGATION - {Command.RETURN_TO_LAUNCH, Command.DELAY})
-    | {Command.DO_SET_HOME, Command.DO_LAND_START, 31, 195, 201}  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
+    (NAVIGATION - {MissionCommand.RETURN_TO_LAUNCH, MissionCommand.DELAY})
+    | {
+        MissionCommand.DO_SET_HOME,
+        MissionCommand.DO_LAND_START,
+        31,
+        195,
+        201,
+    }  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
 )
 
 
@@ -159,7 +165,7 @@ class MissionRules:
         if item_frame(frame) is None:
             return MissionResult.UNSUPPORTED_FRAME
         if item.command not in PLACES:
-            jump = item.command == Command.DO_JUMP
+            jump = item.command == MissionCommand.DO_JUMP
             return MissionResult.INVALID_PARAM1 if jump and item.whole(1, -1) < 0 else MissionResult.ACCEPTED
         coordinates = zip((item.x, item.y, item.z), _MOST, _OUT_OF_PLACE, strict=True)
         wrong = (result for value, most, result in coordinates if not abs(value) <= most)
@@ -196,7 +202,7 @@ class MissionStore:
     texts: list[tuple[Severity, str]] = field(default_factory=list)
     uploader: object | None = None
     uploader_heard_s: float = -math.inf
-    home: Callable[[], MissionItem] = lambda: MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL)
+    home: Callable[[], MissionItem] = lambda: MissionItem(MissionCommand.WAYPOINT, ItemFrame.GLOBAL)
 
     def __len__(self) -> int:
         return len(self.items)
@@ -268,13 +274,15 @@ class MissionStore:
     def landing_start(self) -> int | None:
         """Number of the item DO_LAND_START, None without."""
         commands = [item.command for item in self.items]
-        return commands.index(Command.DO_LAND_START) if Command.DO_LAND_START in commands else None
+        return (
+            commands.index(MissionCommand.DO_LAND_START) if MissionCommand.DO_LAND_START in commands else None
+        )
 
     def starts_with_take_off(self) -> bool:
         """The first item that is flown is a take-off."""
         flown = (item for item in self.items[self.rules.first :] if item.command in NAVIGATION)
         first = next(flown, None)
-        return first is not None and first.command == Command.TAKEOFF
+        return first is not None and first.command == MissionCommand.TAKEOFF
 
     def _renewed(self) -> None:
         self.finished = False

@@ -1,7 +1,7 @@
 """Modes, arming checks and failsafes as data: what the tables of `manners` are made of.
 
 A mode is what the autopilot announces; a task is what it flies. Some modes allow one task only, ArduPilot's
-GUIDED allows several. A check or failsafe is a predicate on the `Situation`.
+GUIDED allows several. A check or failsafe is a predicate on the `VehicleStatus`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Task(Enum):
     PRECISION_LAND = "precision land"
 
 
-class StickLaw(Enum):
+class StickMode(Enum):
     """What the sticks mean: velocities, leaning angles and a climb rate, or leaning angles and thrust."""
 
     VELOCITY = "velocity"
@@ -34,7 +34,7 @@ class StickLaw(Enum):
     ANGLE_AND_THRUST = "angle and thrust"
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
@@ -69,7 +69,7 @@ class Mode:
     takes_positions: bool = False
     armable: bool = True
     in_flight: bool = True
-    sticks: StickLaw | None = None
+    sticks: StickMode | None = None
     title: str = ""
     offered: bool = True
 
@@ -80,7 +80,7 @@ class Mode:
 
 
 @dataclass(slots=True)
-class Situation:
+class VehicleStatus:
     """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one.
 
     `radio`: somebody's sticks are heard; `radio_lost`: they were, and no longer are. `mission_ready`: there
@@ -105,7 +105,7 @@ class Situation:
     streaming: bool = False
 
 
-Condition = Callable[[Situation], bool]
+Condition = Callable[[VehicleStatus], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +120,11 @@ class ArmingCheck:
 class ModeCheck:
     """A mode is refused with `text` (which may name the `{mode}`) when it `fails`."""
 
-    fails: Callable[[Mode, Situation], bool]
+    fails: Callable[[Mode, VehicleStatus], bool]
     text: str
 
 
-class Response(Enum):
+class FailsafeAction(Enum):
     """What a failsafe does."""
 
     DISARM = "disarm"
@@ -143,7 +143,7 @@ class Failsafe:
     name: str
     condition: Condition
     after_s: float
-    response: Response
+    response: FailsafeAction
     severity: Severity
     text: str
     mode: str = ""

@@ -12,7 +12,7 @@ from companion.base.geometry import ZERO3, Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.modes import Task
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import Manner
+from sitl.autopilot.flight.profile import AutopilotProfile
 
 _HEIGHT_REACHED_M = 0.2
 _HOME_REACHED_M = 0.8
@@ -25,10 +25,10 @@ _SLOWEST_M_S = 0.5
 _FARTHEST_HOME_M = 30_000.0  # above or below the origin of the local frame
 
 
-class Speeds:
+class SpeedSetpoints:
     """Horizontal, climb and descent speed (m/s): the parameters', until DO_CHANGE_SPEED says otherwise."""
 
-    def __init__(self, manner: Manner, parameters: Parameters) -> None:
+    def __init__(self, manner: AutopilotProfile, parameters: Parameters) -> None:
         settings = manner.settings
         self._parameters = parameters
         self._settings = (settings.cruise_speed, settings.climb_speed, settings.descent_speed)
@@ -70,12 +70,12 @@ class Speeds:
 class Navigator:
     """Targets of the tasks, and the setpoint of each outer step."""
 
-    def __init__(self, manner: Manner, parameters: Parameters) -> None:
+    def __init__(self, manner: AutopilotProfile, parameters: Parameters) -> None:
         self._settings = manner.settings
         self._parameters = parameters
         self._held: Vector3 | None = None
         self._task = Task.HOLD
-        self.speeds = Speeds(manner, parameters)
+        self.speeds = SpeedSetpoints(manner, parameters)
         self.home_ned_m = ZERO3
         self.home_is_fixed = False
         self.climb_to_m = 0.0

@@ -12,7 +12,7 @@ from math import inf, nan
 
 from companion.base.geometry import Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import Sight, SightFrame, View
+from sitl.autopilot.flight.landing_target import LandingTarget, LandingTargetFrame, VehicleEstimate
 from sitl.autopilot.flight.modes import Severity
 from sitl.autopilot.flight.parameters import Parameters
 
@@ -20,7 +20,7 @@ _ABOVE_FOR_S = 2.0
 _FRESH_NEAR_GROUND_S = 0.5
 
 
-class Stage(Enum):
+class PrecLandState(Enum):
     """Where a precision landing has got to."""
 
     START = "start"
@@ -31,36 +31,36 @@ class Stage(Enum):
     FALLBACK = "fallback"
 
 
-class PX4Lander:
+class Px4PrecisionLanding:
     """The state machine; `stage` tells where it is."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.texts: list[tuple[Severity, str]] = []
         self._parameters = parameters
-        self._pending: Sight | None = None
+        self._pending: LandingTarget | None = None
         self._target: Vector3 | None = None
         self._seen_s = -inf
         self._told_frame = False
         self.begin(required=True)
 
-    def see(self, sight: Sight) -> None:
+    def see(self, sight: LandingTarget) -> None:
         """Keep the newest."""
         self._pending = sight
 
     def begin(self, *, required: bool) -> None:
         """A landing begins."""
-        self.stage = Stage.START
+        self.stage = PrecLandState.START
         self._required = required
         self._searches = 0
         self._since_s: float | None = None
         self._height_ned_m = 0.0
 
-    def watch(self, view: View, dt_s: float) -> None:
+    def watch(self, view: VehicleEstimate, dt_s: float) -> None:
         """Take over what has come."""
         sight, self._pending = self._pending, None
         if sight is None:
             return
-        if sight.position_m is None or sight.frame != SightFrame.LOCAL_NED:
+        if sight.position_m is None or sight.frame != LandingTargetFrame.LOCAL_NED:
             if not self._told_frame:
                 text = f"landing target: coordinate frame {sight.frame} unsupported"
                 self.texts.append((Severity.CRITICAL, text))
@@ -68,26 +68,26 @@ class PX4Lander:
             return
         self._target, self._seen_s = sight.position_m, view.now_s
 
-    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+    def fly(self, view: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """One step of the state machine."""
         steps = {
-            Stage.START: self._start,
-            Stage.APPROACH: self._approach,
-            Stage.DESCEND: self._descend,
-            Stage.FINAL: self._final,
-            Stage.SEARCH: self._search,
+            PrecLandState.START: self._start,
+            PrecLandState.APPROACH: self._approach,
+            PrecLandState.DESCEND: self._descend,
+            PrecLandState.FINAL: self._final,
+            PrecLandState.SEARCH: self._search,
         }
         step = steps.get(self.stage)
         return None if step is None else step(view)
 
     # ------------------------------------------------------------ stages
 
-    def _start(self, view: View) -> MotionSetpoint | None:
+    def _start(self, view: VehicleEstimate) -> MotionSetpoint | None:
         if self._visible(view) is not None:
             return self._begin_approach(view)
         return self._begin_search(view) if self._required else self._give_up()
 
-    def _approach(self, view: View) -> MotionSetpoint | None:
+    def _approach(self, view: VehicleEstimate) -> MotionSetpoint | None:
         target = self._visible(view)
         if target is None:
             self._say("Lost landing target while landing (horizontal approach).")
@@ -96,25 +96,25 @@ class PX4Lander:
             self._since_s = view.now_s if self._since_s is None else self._since_s
             # from the first time above it on: a moment off does not start the wait anew
             if view.now_s - self._since_s > _ABOVE_FOR_S:
-                self.stage = Stage.DESCEND
+                self.stage = PrecLandState.DESCEND
         return MotionSetpoint((target[0], target[1], self._height_ned_m))
 
-    def _descend(self, view: View) -> MotionSetpoint | None:
+    def _descend(self, view: VehicleEstimate) -> MotionSetpoint | None:
         target = self._visible(view)
         close = self._target is not None and self._is_close(self._target, view)
         if close and view.now_s - self._seen_s > _FRESH_NEAR_GROUND_S:
-            self.stage = Stage.FINAL
+            self.stage = PrecLandState.FINAL
             return self._final(view)
         if target is None:
             self._say("Lost landing target while landing (descending).")
             return self._begin_search(view) if self._required else self._give_up()
         return MotionSetpoint((target[0], target[1], nan), (nan, nan, view.landing_speed_m_s))
 
-    def _final(self, view: View) -> MotionSetpoint | None:
+    def _final(self, view: VehicleEstimate) -> MotionSetpoint | None:
         north, east, _ = self._target or view.position_ned_m
         return MotionSetpoint((north, east, nan), (nan, nan, view.landing_speed_m_s))
 
-    def _search(self, view: View) -> MotionSetpoint | None:
+    def _search(self, view: VehicleEstimate) -> MotionSetpoint | None:
         if self._visible(view) is not None:
             return self._begin_approach(view)
         if self._since_s is not None and view.now_s - self._since_s > self._value("PLD_SRCH_TOUT"):
@@ -124,16 +124,16 @@ class PX4Lander:
 
     # ------------------------------------------------------------ parts
 
-    def _begin_approach(self, view: View) -> MotionSetpoint | None:
-        self.stage, self._since_s = Stage.APPROACH, None
+    def _begin_approach(self, view: VehicleEstimate) -> MotionSetpoint | None:
+        self.stage, self._since_s = PrecLandState.APPROACH, None
         self._height_ned_m = view.position_ned_m[2]
         return self._approach(view)
 
-    def _begin_search(self, view: View) -> MotionSetpoint | None:
+    def _begin_search(self, view: VehicleEstimate) -> MotionSetpoint | None:
         self._searches += 1
         if self._searches > self._value("PLD_MAX_SRCH"):
             return self._give_up()
-        self.stage, self._since_s = Stage.SEARCH, view.now_s
+        self.stage, self._since_s = PrecLandState.SEARCH, view.now_s
         self._place = view.position_ned_m
         higher = max(0.0, self._value("PLD_SRCH_ALT") - view.height_m)
         self._height_ned_m = view.position_ned_m[2] - higher
@@ -141,16 +141,16 @@ class PX4Lander:
 
     def _give_up(self) -> MotionSetpoint | None:
         """Land as without a target."""
-        self.stage = Stage.FALLBACK
+        self.stage = PrecLandState.FALLBACK
         return None
 
-    def _visible(self, view: View) -> Vector3 | None:
+    def _visible(self, view: VehicleEstimate) -> Vector3 | None:
         return self._target if view.now_s - self._seen_s < self._value("PLD_BTOUT") else None
 
-    def _is_close(self, target: Vector3, view: View) -> bool:
+    def _is_close(self, target: Vector3, view: VehicleEstimate) -> bool:
         return target[2] - view.position_ned_m[2] < self._value("PLD_FAPPR_ALT")
 
-    def _away(self, target: Vector3, view: View) -> float:
+    def _away(self, target: Vector3, view: VehicleEstimate) -> float:
         return math.hypot(target[0] - view.position_ned_m[0], target[1] - view.position_ned_m[1])
 
     def _value(self, name: str) -> float:

@@ -22,7 +22,7 @@ from sitl.pad.paths import LineMotion, StaticMotion
 from sitl.pad.sea import DeckMotion, DeckSettings
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.ground import Board, lean_over
+from sitl.world.ground import PadBoard, lean_over
 from sitl.world.world import World
 
 DT = 0.0025
@@ -119,7 +119,7 @@ def test_a_place_on_the_deck_goes_where_its_turning_takes_it() -> None:
 
 
 def test_what_lies_under_a_point_is_the_sloping_surface() -> None:
-    board, pad = Board(0.65, 0.65), leaning(0.0, 10.0, heading_deg=0.0)
+    board, pad = PadBoard(0.65, 0.65), leaning(0.0, 10.0, heading_deg=0.0)
     # bow up: forward is higher, by the slope
     assert board.surface_down_m(pad, 4.4, 5.0) == pytest.approx(-1.0 - 0.4 * math.tan(math.radians(10.0)))
     assert board.surface_down_m(pad, 3.6, 5.0) == pytest.approx(-1.0 + 0.4 * math.tan(math.radians(10.0)))

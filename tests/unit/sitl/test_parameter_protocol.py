@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.messages import Manner
-from sitl.autopilot import MANNERS
+from sitl.autopilot import PROFILES
 from tests.unit.sitl.mission_desk import Station
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
@@ -43,11 +43,11 @@ def test_a_list_is_complete_in_order_and_paced(manner: Manner) -> None:
 
 
 def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
-    for manner in MANNERS.values():
+    for manner in PROFILES.values():
         names = [parameter.name for parameter in manner.parameters]
         assert len(names) > 100
         assert len(set(names)) == len(names)
-    names = [parameter.name for parameter in MANNERS["px4"].parameters]
+    names = [parameter.name for parameter in PROFILES["px4"].parameters]
     assert names == sorted(names)
 
 
