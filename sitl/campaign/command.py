@@ -29,7 +29,7 @@ from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_
 from sitl.campaign.worker import RunResult
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 from sitl.firmware.spec import FirmwareSpec
-from sitl.run.orders import terminated_as_interrupted
+from sitl.run.process_control import terminated_as_interrupted
 
 INTERRUPTED: Final = 130
 FAILED: Final = 1

@@ -28,7 +28,7 @@ from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.contact import NO_CONTACT, ContactLoad
 from sitl.world.ground import PadBoard
 from sitl.world.obstacles import Obstacles
-from sitl.world.score import TouchdownState, TouchdownWatch, Verdict, judge
+from sitl.world.score import TouchdownDetector, TouchdownState, Verdict, judge
 
 PAD_STREAM: Final = 12  # the bundled world's: the same seed gives the same way of the pad
 # A foot this near counts as down: a simulator's ground is level with the first stand to a centimetre, and a
@@ -79,7 +79,7 @@ class ExternalWorld:
         self.armed = self.flown = False  # flown: it has been in the air, armed
         self._load = NO_CONTACT
         self._in_air: Pose | None = None
-        self._watch = TouchdownWatch()
+        self._watch = TouchdownDetector()
         self._stop_pad()
 
     def _stop_pad(self) -> None:
@@ -116,7 +116,7 @@ class ExternalWorld:
         lowest_m = -max(foot[2] for foot in feet)
         pad, touched = self.pad_at(pose.time_s), self._load.touching
         if lowest_m <= CONTACT_M:
-            over = sum(self.board.bears(self.board.local(pad, foot)) for foot in feet)
+            over = sum(self.board.contains(self.board.local(pad, foot)) for foot in feet)
             self._load = ContactLoad(on_board=over, on_ground=len(feet) - over)
         else:
             self._load = NO_CONTACT

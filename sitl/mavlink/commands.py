@@ -47,7 +47,7 @@ class Sender(Protocol):
     def set_interval(self, message_id: int, interval_us: float) -> bool:
         """Change how often a telemetry message is sent; False when there is no such message."""
 
-    def tell_interval(self, message_id: int) -> None:
+    def send_message_interval(self, message_id: int) -> None:
         """Send MESSAGE_INTERVAL for one message."""
 
 
@@ -94,7 +94,7 @@ def _set_mode(sender: Sender, request: CommandRequest, now_s: float) -> CommandR
     flags, main, sub = request.whole(1), request.whole(2), request.whole(3)
     if flags < 0 or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or main < 0:
         return CommandResult.DENIED
-    return sender.autopilot.set_mode(sender.autopilot.manner.custom_mode(main, max(sub, 0)))
+    return sender.autopilot.set_mode(sender.autopilot.profile.custom_mode(main, max(sub, 0)))
 
 
 def _take_off(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
@@ -102,15 +102,15 @@ def _take_off(sender: Sender, request: CommandRequest, now_s: float) -> CommandR
 
 
 def _land(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.set_mode_named(sender.autopilot.manner.land_mode)
+    return sender.autopilot.set_mode_named(sender.autopilot.profile.land_mode)
 
 
 def _return(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.set_mode_named(sender.autopilot.manner.return_mode)
+    return sender.autopilot.set_mode_named(sender.autopilot.profile.return_mode)
 
 
 def _hold(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.set_mode_named(sender.autopilot.manner.hold_mode)
+    return sender.autopilot.set_mode_named(sender.autopilot.profile.hold_mode)
 
 
 def _reposition(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
@@ -119,7 +119,7 @@ def _reposition(sender: Sender, request: CommandRequest, now_s: float) -> Comman
         return CommandResult.DENIED
     changes_mode = request.whole(2) > 0 and request.whole(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
     autopilot = sender.autopilot
-    if not changes_mode and autopilot.mode != autopilot.manner.after_take_off_mode:
+    if not changes_mode and autopilot.mode != autopilot.profile.after_take_off_mode:
         return CommandResult.DENIED
     return autopilot.go_to(
         request.place(),
@@ -141,8 +141,8 @@ def _land_by_mission(sender: Sender, request: CommandRequest, now_s: float) -> C
     return sender.autopilot.land_by_mission()
 
 
-def _land_precisely(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    return sender.autopilot.land_precisely()
+def _precision_land(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.precision_land()
 
 
 def _pause(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
@@ -156,7 +156,7 @@ def _change_speed(sender: Sender, request: CommandRequest, now_s: float) -> Comm
 
 
 def _turn(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    if not sender.autopilot.manner.turns_by_command:
+    if not sender.autopilot.profile.turns_by_command:
         return CommandResult.UNSUPPORTED
     return sender.autopilot.turn_to(request.parameters)
 
@@ -195,7 +195,7 @@ def _prearm(sender: Sender, request: CommandRequest, now_s: float) -> CommandRes
 def _request_message(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     if sender.send_once(request.whole(1), now_s):
         return CommandResult.ACCEPTED
-    return sender.autopilot.manner.unsupported_request
+    return sender.autopilot.profile.unsupported_request
 
 
 def _set_interval(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
@@ -204,7 +204,7 @@ def _set_interval(sender: Sender, request: CommandRequest, now_s: float) -> Comm
 
 
 def _get_interval(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    sender.tell_interval(request.whole(1))
+    sender.send_message_interval(request.whole(1))
     return CommandResult.ACCEPTED
 
 
@@ -236,7 +236,7 @@ HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     mavlink.MAV_CMD_PREFLIGHT_STORAGE: _store_parameters,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _prearm,
-    _NAV_PRECLAND: _land_precisely,
+    _NAV_PRECLAND: _precision_land,
     mavlink.MAV_CMD_REQUEST_MESSAGE: _request_message,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,

@@ -86,7 +86,7 @@ class ParameterProtocol:
             return []
         if self._bytewise:
             if m.param_type != self._type(name):
-                self._autopilot.say(Severity.CRITICAL, f"param types mismatch param: {name}")
+                self._autopilot.send_text(Severity.CRITICAL, f"param types mismatch param: {name}")
                 return []
             if parameters.is_integer(name):
                 value = float(struct.unpack("<i", struct.pack("<f", value))[0])
@@ -96,7 +96,7 @@ class ParameterProtocol:
 
     @property
     def _bytewise(self) -> bool:
-        return self._autopilot.manner.parameters_bytewise
+        return self._autopilot.profile.parameters_bytewise
 
     def _type(self, name: str) -> int:
         parameters = self._autopilot.parameters

@@ -30,7 +30,7 @@ def channels_overridden(autopilot: SimulatedAutopilot, m: Message, now_s: float)
         raw = getattr(m, f"chan{number}_raw")
         leaves = raw == _LEAVE or (number > 8 and raw == 0)
         values.append(None if leaves else 0 if number > 8 and raw == _RELEASE_UPPER else raw)
-    autopilot.override_channels(values, m.get_srcSystem(), now_s)
+    autopilot.override_rc_channels(values, m.get_srcSystem(), now_s)
 
 
 def manually_controlled(autopilot: SimulatedAutopilot, m: Message, now_s: float) -> None:
@@ -39,7 +39,7 @@ def manually_controlled(autopilot: SimulatedAutopilot, m: Message, now_s: float)
     roll, pitch, throttle, yaw = (min(max(axis / _FULL, -1.0), 1.0) for axis in axes)
     if m.z == _NOT_GIVEN:
         throttle = 0.0
-    autopilot.take_sticks(Sticks(roll, pitch, throttle, yaw), m.get_srcSystem(), now_s)
+    autopilot.set_manual_control(Sticks(roll, pitch, throttle, yaw), m.get_srcSystem(), now_s)
 
 
 def target_seen(autopilot: SimulatedAutopilot, m: Message, now_s: float) -> None:
@@ -48,7 +48,9 @@ def target_seen(autopilot: SimulatedAutopilot, m: Message, now_s: float) -> None
     numbers = (m.angle_x, m.angle_y, m.distance) if position is None else (*position, m.distance)
     if not all(math.isfinite(number) and abs(number) < 1e6 for number in numbers):
         return
-    autopilot.see_target(LandingTarget(m.frame, position, (m.angle_x, m.angle_y), max(m.distance, 0.0)))
+    autopilot.handle_landing_target(
+        LandingTarget(m.frame, position, (m.angle_x, m.angle_y), max(m.distance, 0.0))
+    )
 
 
 Handler = Callable[[SimulatedAutopilot, Message, float], None]

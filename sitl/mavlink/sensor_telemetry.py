@@ -27,7 +27,7 @@ _TEMPERATURE_C: Final = 38.0
 _GEOID_M: Final = 47.0
 _DILUTIONS: Final = (100, 170)
 # IMU, compass and rangefinder cost something, so they work when somebody asks for one of these
-_OF_SLEEPERS: Final = frozenset(
+_COSTLY_MESSAGES: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_HIGHRES_IMU,
         mavlink.MAVLINK_MSG_ID_RAW_IMU,
@@ -70,7 +70,7 @@ class SensorMessages:
             mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_outputs,
             mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self._actuator_outputs,
             mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance_sensor,
-            **dict(of_imu[name] for name in autopilot.manner.imu_messages),
+            **dict(of_imu[name] for name in autopilot.profile.imu_messages),
         }
 
     def __contains__(self, message_id: int) -> bool:
@@ -79,7 +79,7 @@ class SensorMessages:
 
     def ask(self, message_id: int) -> None:
         """Somebody wants this message: the sensors that cost something begin to work."""
-        if message_id in _OF_SLEEPERS:
+        if message_id in _COSTLY_MESSAGES:
             self._sensors.wake()
 
     def build(self, message_id: int, now_s: float) -> Message | None:
@@ -120,12 +120,12 @@ class SensorMessages:
     # ------------------------------------------------------------ health and time
 
     def _sys_status(self, now_s: float) -> Message:
-        sensors, ill = self._sensors, 0
+        sensors, unhealthy = self._sensors, 0
         if not sensors.has_fix(now_s):
-            ill |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
+            unhealthy |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
         if not sensors.field_is_plausible:
-            ill |= mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
-        return sys_status(self._autopilot, now_s, ill)
+            unhealthy |= mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+        return sys_status(self._autopilot, now_s, unhealthy)
 
     def _system_time(self, now_s: float) -> Message:
         """UTC as the receiver knows it: from the first fix on."""

@@ -77,16 +77,17 @@ def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     else:
         state = mavlink.MAV_STATE_STANDBY if autopilot.aligned else mavlink.MAV_STATE_CALIBRATING
     return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_QUADROTOR, autopilot.manner.autopilot_id, base_mode, custom_mode, state, 3
+        mavlink.MAV_TYPE_QUADROTOR, autopilot.profile.autopilot_id, base_mode, custom_mode, state, 3
     )
 
 
-def sys_status(autopilot: SimulatedAutopilot, now_s: float, ill: int = 0) -> Message:
-    """SYS_STATUS: which sensors are well, and whether it would arm; `ill`: bits of those that are not."""
+def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) -> Message:
+    """SYS_STATUS: which sensors are well, and whether it would arm; `unhealthy`: bits of those that are
+    not."""
     present = _SENSORS | _ESTIMATES
-    if not autopilot.manner.prearm_in_health_only:
+    if not autopilot.profile.prearm_in_health_only:
         present |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~ill
+    health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~unhealthy
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
     return mavlink.MAVLink_sys_status_message(
@@ -181,9 +182,9 @@ def system_time(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 def autopilot_version(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """AUTOPILOT_VERSION: capabilities and version."""
-    manner = autopilot.manner
+    profile = autopilot.profile
     return mavlink.MAVLink_autopilot_version_message(
-        manner.capabilities, manner.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
+        profile.capabilities, profile.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
     )
 
 
@@ -230,7 +231,7 @@ def position_target(autopilot: SimulatedAutopilot, now_s: float) -> Message | No
 
 def rc_channels(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """RC_CHANNELS: sticks and switches (microseconds); none while there is nobody at them."""
-    channels = autopilot.radio.channels
+    channels = autopilot.rc_input.channels
     return mavlink.MAVLink_rc_channels_message(
         milliseconds(autopilot, now_s),
         0 if channels is None else len(channels),
@@ -291,6 +292,6 @@ OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
 }
 
 
-def builders_of(manner: Manner) -> dict[int, Builder]:
+def builders_of(profile: Manner) -> dict[int, Builder]:
     """The messages of one autopilot, its sensors' apart."""
-    return BUILDERS | OWN_BUILDERS[manner]
+    return BUILDERS | OWN_BUILDERS[profile]

@@ -28,7 +28,7 @@ class TruthMessages:
     def __init__(self, autopilot: SimulatedAutopilot, world: World, home: Vector3) -> None:
         """`home` is the world's origin: latitude (deg), longitude (deg), altitude (m)."""
         self._autopilot, self._world, self._home = autopilot, world, home
-        is_px4 = autopilot.manner.autopilot_id == mavlink.MAV_AUTOPILOT_PX4
+        is_px4 = autopilot.profile.autopilot_id == mavlink.MAV_AUTOPILOT_PX4
         self._message_id = HIL_STATE if is_px4 else SIM_STATE
 
     def __contains__(self, message_id: int) -> bool:

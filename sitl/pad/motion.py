@@ -115,7 +115,7 @@ class PadTruth(NamedTuple):
         lever = subtract(place_ned_m, self.position_ned_m)
         return add(self.velocity_ned_m_s, cross(self.rate_ned_rad_s(), lever))
 
-    def soon(self, ahead_s: float) -> PadTruth:
+    def extrapolated(self, ahead_s: float) -> PadTruth:
         """Where it will have gone and turned a fraction of a step later."""
         x, y, z = self.position_ned_m
         vx, vy, vz = self.velocity_ned_m_s

@@ -29,7 +29,7 @@ from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.links import TcpServer, UdpServer
-from sitl.run.orders import final_phase, fly_until_told, say
+from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.simulation import Simulation
 from sitl.scenario.app_settings import settings_text
 from sitl.scenario.scenario import Scenario
@@ -130,8 +130,8 @@ async def serve_child(
     async with contextlib.AsyncExitStack() as stack:
         devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
         udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
-        say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
-        await fly_until_told(devices.simulation, folder / REPORT_NAME, final_phase())
+        print_json({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
+        await run_until_finished(devices.simulation, folder / REPORT_NAME, final_phase())
 
 
 async def _plug_in(

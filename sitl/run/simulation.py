@@ -31,13 +31,13 @@ from sitl.mavlink.network import Network
 from sitl.mavlink.signing import Signing
 from sitl.mavlink.truth_telemetry import TruthMessages
 from sitl.run.mavlink_line import ByteLink, MavlinkLine, VehicleNetwork
-from sitl.run.orders import interrupted_at_once
+from sitl.run.process_control import interrupted_at_once
 from sitl.run.report import SimulationReport
 from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.sensor_setup import autopilot_sensors, sensor_rack
 from sitl.run.tick_timer import TickTimer
 from sitl.scenario.scenario import Scenario
-from sitl.sensors.flaws import BoardTruth
+from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.sensors import RangeErrors
 from sitl.vehicle.hand_paths import HandMotion
 from sitl.world.hand_held import HandHeldWorld

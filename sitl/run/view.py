@@ -25,7 +25,7 @@ from companion.base.frame_format import FrameHeader
 from companion.base.frame_stream import FrameStream
 from companion.base.mjpeg import MjpegServer
 from companion.config import ConfigError
-from sitl.run.orders import terminated_as_interrupted
+from sitl.run.process_control import terminated_as_interrupted
 
 HELP: Final = "Show (in a browser) or record the frames that a socket serves."
 STATUS_PERIOD_S: Final = 1.0

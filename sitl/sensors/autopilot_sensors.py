@@ -24,7 +24,7 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
 )
-from sitl.sensors.flaws import BoardTruth
+from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.inertial import ImuErrors, ImuSensor
 from sitl.sensors.sensors import (
     GpsErrors,
@@ -118,7 +118,12 @@ class SimulatedAutopilotSensors:
     @property
     def truth(self) -> BoardTruth:
         """What is truly wrong with IMU and compass; its axes are the body's."""
-        return BoardTruth(self._imu.accel_flaws, self._imu.gyro_flaws, self._mag.flaws, np.eye(3))
+        return BoardTruth(
+            self._imu.accel_calibration_errors,
+            self._imu.gyro_calibration_errors,
+            self._mag.calibration_errors,
+            np.eye(3),
+        )
 
     def wake(self) -> None:
         """Somebody wants the IMU, the compass or the rangefinder: sense from the next step on."""

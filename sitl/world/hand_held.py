@@ -52,7 +52,7 @@ class HandHeldWorld(World):
 
     def step(self, motor_commands: Four, dt_s: float) -> None:
         """Carry everything on by dt (s)."""
-        self.wind_ned_m_s = self._blow()
+        self.wind_ned_m_s = self._wind_now()
         self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)
 
     def _felt(self, before: QuadrotorState, time_s: float, dt_s: float) -> QuadrotorState:

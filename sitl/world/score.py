@@ -26,7 +26,7 @@ from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.contact import ContactLoad
-from sitl.world.ground import lean_over
+from sitl.world.ground import tilt_from_normal
 
 AIRBORNE_HEIGHT_M: Final = 1.0
 CRASH_SPEED_M_S: Final = 2.0
@@ -72,7 +72,7 @@ class TouchdownResult:
         )
 
 
-class TouchdownWatch:
+class TouchdownDetector:
     """Watches a flight for its touchdown and for a crash.
 
     A vehicle that rises a metre again after a touchdown flies again: its next contact replaces the last.
@@ -136,7 +136,7 @@ def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool
         lateral_error_m=math.hypot(*_along_surface(away, normal)),
         vertical_speed_m_s=dot(relative, normal),
         horizontal_speed_m_s=math.hypot(*_along_surface(relative, normal)),
-        tilt_deg=math.degrees(lean_over(pad, state.attitude)),
+        tilt_deg=math.degrees(tilt_from_normal(pad, state.attitude)),
         yaw_error_deg=math.degrees(wrap_angle(yaw_from_quat(state.attitude) - pad.heading_rad)),
         pad_speed_m_s=norm(pad.velocity_ned_m_s),
         impact_speed_m_s=norm(relative if on_pad else state.velocity_ned_m_s),

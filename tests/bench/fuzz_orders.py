@@ -41,8 +41,8 @@ class Orders:
     def __init__(self, rng: Rng, autopilot: SimulatedAutopilot) -> None:
         self._rng = rng
         self._names = [name.encode() for name in autopilot.parameters]
-        self._modes = [mode.custom_mode for mode in autopilot.manner.modes]
-        self._is_px4 = autopilot.manner.name == "px4"
+        self._modes = [mode.custom_mode for mode in autopilot.profile.modes]
+        self._is_px4 = autopilot.profile.name == "px4"
         self._waiting: list[Message] = []
         self._kinds: tuple[Callable[[], Message], ...] = (
             *(self._command,) * 3, *(self._command_int,) * 3, self._home, self._reposition, self._target,

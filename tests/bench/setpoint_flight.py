@@ -47,7 +47,7 @@ def fly(manner: Manner, recorded: Record, seed: int) -> Record:
         PHYSICS_STEP_S,
         home=HOME,
         field_ned_ut=MAGNETIC_FIELD_NED_UT,
-        imu_filter=autopilot.manner.imu_filter,
+        imu_filter=autopilot.profile.imu_filter,
     )
     endpoint = MavlinkEndpoint(autopilot, sensors)
     lead_s = -recorded.booted_s

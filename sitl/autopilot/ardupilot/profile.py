@@ -10,8 +10,8 @@ import math
 
 from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
 from sitl.autopilot.ardupilot.control import ArdupilotControl
-from sitl.autopilot.ardupilot.lander import precision_landing
 from sitl.autopilot.ardupilot.parameters import PARAMETERS
+from sitl.autopilot.ardupilot.precision_landing import precision_landing
 from sitl.autopilot.control.attitude_control import AttitudeGains, ReferenceLimits
 from sitl.autopilot.control.rate_control import RateFilters, ShareGains
 from sitl.autopilot.flight.mission_items import MissionCommand, MissionRules
@@ -69,7 +69,7 @@ ARDUPILOT = AutopilotProfile(
         Mode("LAND", 9, _GUIDED, Task.LAND, armable=False),
         Mode("POSHOLD", 16, _STICKS, Task.HOLD, sticks=StickMode.VELOCITY),
         Mode("BRAKE", 17, _STICKS, Task.HOLD, armable=False),
-        Mode("SMART_RTL", 21, _GUIDED, Task.RETURN, armable=False, offered=False),
+        Mode("SMART_RTL", 21, _GUIDED, Task.RETURN, armable=False, available=False),
     ),
     boot_mode="STABILIZE",
     after_disarm_mode="",
@@ -86,7 +86,7 @@ ARDUPILOT = AutopilotProfile(
     take_off_needs_guided=True,
     thrust_is_climb_rate=True,
     thrust_is_upward=True,
-    forward_is_low=True,
+    pitch_channel_reversed=True,
     turns_by_command=True,
     refused_mode=CommandResult.FAILED,
     refused_selection=CommandResult.FAILED,
@@ -94,7 +94,7 @@ ARDUPILOT = AutopilotProfile(
     refused_disarming=CommandResult.FAILED,
     refused_disarming_text="",
     unsupported_request=CommandResult.FAILED,
-    settings=ParameterMap(
+    parameter_map=ParameterMap(
         setpoint_timeout=ParameterRef("GUID_TIMEOUT"),
         cruise_speed=ParameterRef("WPNAV_SPEED", 0.01),
         top_speed=ParameterRef("WPNAV_SPEED", 0.01),
@@ -106,14 +106,14 @@ ARDUPILOT = AutopilotProfile(
         final_landing_height=ParameterRef("LAND_ALT_LOW", 0.01),
         return_height=ParameterRef("RTL_ALT", 0.01),
         acceptance_radius=ParameterRef("WPNAV_RADIUS", 0.01),
-        radio_timeout=ParameterRef("RC_OVERRIDE_TIME"),
+        rc_timeout=ParameterRef("RC_OVERRIDE_TIME"),
         stick_speed=ParameterRef("LOIT_SPEED", 0.01),
         stick_climb=ParameterRef("PILOT_SPEED_UP", 0.01),
         stick_descent=ParameterRef("PILOT_SPEED_DN", 0.01),
         stick_tilt=ParameterRef("ANGLE_MAX", math.pi / 18000.0),
         stick_yaw_rate=ParameterRef("PILOT_Y_RATE", math.pi / 180.0),
-        radio_watched=ParameterRef("FS_THR_ENABLE"),
-        own_ground_station=ParameterRef("SYSID_MYGCS"),
+        rc_loss_enabled=ParameterRef("FS_THR_ENABLE"),
+        gcs_system_id=ParameterRef("SYSID_MYGCS"),
         guided_options=ParameterRef("GUID_OPTIONS"),
     ),
     texts=Texts(
@@ -127,7 +127,7 @@ ARDUPILOT = AutopilotProfile(
         no_such_mode="No such mode {number}",
     ),
     mode_checks=(
-        ModeCheck(lambda mode, _now: not mode.offered, "Mode change to {mode} failed: init failed"),
+        ModeCheck(lambda mode, _now: not mode.available, "Mode change to {mode} failed: init failed"),
         ModeCheck(mission_missing, "Mode change to {mode} failed: init failed"),
         ModeCheck(
             lambda mode, now: (
@@ -154,13 +154,13 @@ ARDUPILOT = AutopilotProfile(
         ),
         Failsafe(
             "radio lost",
-            lambda now: now.radio_lost and not now.landed,
+            lambda now: now.rc_lost and not now.landed,
             0.5,
             FailsafeAction.LEAVE_MODE,
             Severity.WARNING,
             "Radio Failsafe - RTL",
             mode="RTL",
-            over=lambda now: now.radio,
+            over=lambda now: now.rc_available,
         ),
         Failsafe(
             "on the ground",
@@ -183,7 +183,7 @@ ARDUPILOT = AutopilotProfile(
     mission=MissionRules(
         flown=frozenset(MissionCommand),
         # change of altitude, servo, relay, ROI, mounts, camera, gimbal: taken whether or not there is one
-        unheeded=frozenset({113, 181, 182, 183, 184, 195, 197, 201, 202, 203, 205, 206, 211, 222, 223})
+        without_effect=frozenset({113, 181, 182, 183, 184, 195, 197, 201, 202, 203, 205, 206, 211, 222, 223})
         | frozenset({1000, 2000, 2500, 2501}),
         max_items=724,
         retry_s=1.0,
@@ -193,9 +193,9 @@ ARDUPILOT = AutopilotProfile(
         writes_in_place=True,
         restarts=True,
         partial_lists=True,
-        own_take_off=False,
+        takes_off_before_mission=False,
         waits_for_start=True,
-        heeds_heading=False,
+        uses_yaw_parameter=False,
         rewinds_on_disarm=True,
         received_text="Flight plan received",
         timeout_text="Mission upload timeout",
@@ -204,8 +204,8 @@ ARDUPILOT = AutopilotProfile(
         reached_text="Reached command #{number}",
         finished_text="",
     ),
-    lander=precision_landing,
-    lands_precisely=frozenset({Task.LAND, Task.PRECISION_LAND}),
+    precision_landing=precision_landing,
+    precision_landing_tasks=frozenset({Task.LAND, Task.PRECISION_LAND}),
     position_control=ArdupilotControl,
     attitude_gains=AttitudeGains(
         tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P

@@ -45,9 +45,9 @@ def read_motion(
     velocity = None if mask & (Ignore.VX | Ignore.VY | Ignore.VZ) else fields.velocity_m_s
     acceleration = None if mask & (Ignore.AX | Ignore.AY | Ignore.AZ) else fields.acceleration_m_s2
     given = [vector for vector in (position, velocity, acceleration) if vector is not None]
-    lonely = position is not None and velocity is None and acceleration is not None
+    incomplete = position is not None and velocity is None and acceleration is not None
     force = bool(mask & Ignore.FORCE) and acceleration is not None
-    if not given or lonely or force or not all(map(is_finite, given)) or not _known(fields, position):
+    if not given or incomplete or force or not all(map(is_finite, given)) or not _known(fields, position):
         return STOP
     if position is not None and fields.is_global and fields.frame in OVER_TERRAIN:
         return STOP if velocity is not None else Refusal()  # it has no terrain's heights

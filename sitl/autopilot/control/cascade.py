@@ -37,16 +37,16 @@ _DESCENDING_M_S = 0.05
 class Cascade:
     """Controllers of one airframe with one manner's gains, and the landed detector."""
 
-    def __init__(self, manner: AutopilotProfile, airframe: Airframe, rates: RateGains | None = None) -> None:
+    def __init__(self, profile: AutopilotProfile, airframe: Airframe, rates: RateGains | None = None) -> None:
         self._hover = hover_thrust(airframe)
-        gains = manner.attitude_gains
-        self._position = manner.position_control(self._hover)
-        self._thrust_is_upward = manner.thrust_is_upward
-        self._throttle_hz = manner.throttle_hz
+        gains = profile.attitude_gains
+        self._position = profile.position_control(self._hover)
+        self._thrust_is_upward = profile.thrust_is_upward
+        self._throttle_hz = profile.throttle_hz
         self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe))
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
         self._mixer = MotorMixer(airframe, _IDLE)
-        self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)
+        self._detector = LandedDetector(profile.landed_time_s, profile.landed_thrust_share)
         self._spool = 0.0
         self._share = 1.0
         self._feed_rate = ZERO3
@@ -112,7 +112,7 @@ class Cascade:
         if frozen:
             self.thrust = min(self.thrust, self._spool)
         else:
-            self._feel_ground(descending, estimate, still_speed_m_s, dt_s)
+            self._detect_ground(descending, estimate, still_speed_m_s, dt_s)
 
     def step(self, estimate: SimulatedEstimator, dt_s: float) -> Motors:
         """Motor commands 0..1 of an armed vehicle."""
@@ -200,7 +200,7 @@ class Cascade:
             self._reference.reset(estimate.attitude)
         self._rates_alone = False
 
-    def _feel_ground(
+    def _detect_ground(
         self, descending: bool, estimate: SimulatedEstimator, still_speed: float, dt_s: float
     ) -> None:
         speed = estimate.velocity_ned_m_s[2]

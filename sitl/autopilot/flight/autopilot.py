@@ -42,7 +42,7 @@ class SimulatedAutopilot(FlightLoop):
 
     def set_mode(self, custom_mode: int) -> CommandResult:
         """Change to the mode of that custom_mode."""
-        return self._change_mode(self.manner.mode_by_number(custom_mode), custom_mode)
+        return self._change_mode(self.profile.mode_by_number(custom_mode), custom_mode)
 
     def take_off(self, altitude_m: float) -> CommandResult:
         """NAV_TAKEOFF.
@@ -50,8 +50,8 @@ class SimulatedAutopilot(FlightLoop):
         PX4 takes an altitude above sea level, NaN or too low a one meaning MIS_TAKEOFF_ALT; ArduPilot
         takes one over home, in GUIDED, armed, from the ground.
         """
-        if self.manner.take_off_needs_guided:
-            if self.mode != self.manner.take_off_mode or not self.armed or not self._cascade.landed:
+        if self.profile.take_off_needs_guided:
+            if self.mode != self.profile.take_off_mode or not self.armed or not self._cascade.landed:
                 return CommandResult.FAILED
             if not _LEAST_TAKE_OFF_M <= altitude_m <= _MOST_ALTITUDE_M:
                 return CommandResult.FAILED
@@ -59,13 +59,13 @@ class SimulatedAutopilot(FlightLoop):
             self._commander.begin(Task.TAKE_OFF)
             return CommandResult.ACCEPTED
         if not self._cascade.landed:
-            return self.set_mode_named(self.manner.hold_mode)
+            return self.set_mode_named(self.profile.hold_mode)
         height = altitude_m - self.geodetic(self._navigator.home_ned_m)[2]
-        if self.manner.settings.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
-            height = self.parameters.si(self.manner.settings.take_off_height)
-            self._commander.say(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
+        if self.profile.parameter_map.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
+            height = self.parameters.si(self.profile.parameter_map.take_off_height)
+            self._commander.send_text(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
         self._navigator.climb_to_m = height
-        return self.set_mode_named(self.manner.take_off_mode)
+        return self.set_mode_named(self.profile.take_off_mode)
 
     def go_to(
         self, place: Vector3, over_home: bool, yaw_rad: float = nan, speed_m_s: float | None = None
@@ -76,7 +76,7 @@ class SimulatedAutopilot(FlightLoop):
         """
         if not self.armed or self._cascade.landed or not _is_place(place):
             return CommandResult.DENIED
-        result = self.set_mode_named(self.manner.after_take_off_mode)
+        result = self.set_mode_named(self.profile.after_take_off_mode)
         if result is CommandResult.ACCEPTED:
             self._navigator.target_ned_m = self._local(place, over_home)
             self._navigator.target_yaw_rad = yaw_rad if isfinite(yaw_rad) else nan
@@ -84,9 +84,9 @@ class SimulatedAutopilot(FlightLoop):
             self._commander.begin(Task.GO_TO)
         return result
 
-    def land_precisely(self) -> CommandResult:
+    def precision_land(self) -> CommandResult:
         """Land on the target of LANDING_TARGET, where there is a mode of its own for it."""
-        mode = next((mode for mode in self.manner.modes if mode.task is Task.PRECISION_LAND), None)
+        mode = next((mode for mode in self.profile.modes if mode.task is Task.PRECISION_LAND), None)
         return CommandResult.UNSUPPORTED if mode is None else self._change_mode(mode)
 
     def change_speed(self, kind: int, speed_m_s: float) -> CommandResult:
@@ -120,23 +120,23 @@ class SimulatedAutopilot(FlightLoop):
     def reboot(self) -> CommandResult:
         """Start anew on the ground, as after power-up; parameters and mission stay. Refused while armed."""
         if self.armed:
-            return self.manner.refused_arming
+            return self.profile.refused_arming
         self._boot()
         return CommandResult.ACCEPTED
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Tell the ground something."""
-        self._commander.say(severity, text)
+        self._commander.send_text(severity, text)
 
     # ------------------------------------------------------------ missions
 
     def start_mission(self, first: int = -1) -> CommandResult:
         """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
         if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
-            self._commander.say(Severity.CRITICAL, self.manner.texts.no_mission)
-            return self.manner.refused_mode
-        mode = next(mode for mode in self.manner.modes if mode.task is Task.MISSION)
-        waits = self.manner.mission.waits_for_start
+            self._commander.send_text(Severity.CRITICAL, self.profile.texts.no_mission)
+            return self.profile.refused_mode
+        mode = next(mode for mode in self.profile.modes if mode.task is Task.MISSION)
+        waits = self.profile.mission.waits_for_start
         if waits and not self.armed:
             return CommandResult.FAILED
         result = self._change_mode(mode)
@@ -148,7 +148,7 @@ class SimulatedAutopilot(FlightLoop):
 
     def select_mission_item(self, number: int) -> CommandResult:
         """DO_SET_MISSION_CURRENT."""
-        return CommandResult.ACCEPTED if self.mission.select(number) else self.manner.refused_selection
+        return CommandResult.ACCEPTED if self.mission.select(number) else self.profile.refused_selection
 
     def land_by_mission(self) -> CommandResult:
         """DO_LAND_START: go on from the mission's item of that name."""
@@ -164,23 +164,23 @@ class SimulatedAutopilot(FlightLoop):
 
     # ------------------------------------------------------------ sticks and targets
 
-    def override_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
+    def override_rc_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
         """RC_CHANNELS_OVERRIDE (microseconds, 0 releases, None leaves), from a system that may."""
-        if self._may_fly_by_hand(sender_system):
-            self.radio.override(values, now_s)
+        if self._may_control_manually(sender_system):
+            self.rc_input.override(values, now_s)
 
-    def take_sticks(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
+    def set_manual_control(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
         """MANUAL_CONTROL, from a system that may."""
-        if self._may_fly_by_hand(sender_system):
-            self.radio.manual(sticks, now_s)
+        if self._may_control_manually(sender_system):
+            self.rc_input.manual(sticks, now_s)
 
-    def see_target(self, sight: LandingTarget) -> None:
+    def handle_landing_target(self, target: LandingTarget) -> None:
         """LANDING_TARGET."""
-        if self._lander is not None:
-            self._lander.see(sight)
+        if self._precision_landing is not None:
+            self._precision_landing.update_target(target)
 
-    def _may_fly_by_hand(self, sender_system: int) -> bool:
-        own = self.manner.settings.own_ground_station
+    def _may_control_manually(self, sender_system: int) -> bool:
+        own = self.profile.parameter_map.gcs_system_id
         return own is None or sender_system == int(self.parameters.si(own))
 
     # ------------------------------------------------------------ streamed setpoints
@@ -189,9 +189,9 @@ class SimulatedAutopilot(FlightLoop):
         """SET_POSITION_TARGET_LOCAL_NED: obeyed, answered by a text, or passed over, as the manner has it."""
         estimate = self.estimate
         heading = yaw_from_quat(estimate.attitude)
-        wish = self.manner.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
+        wish = self.profile.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
         if isinstance(wish, MotionSetpoint):
-            top_speed = self.parameters.si(self.manner.settings.top_speed)
+            top_speed = self.parameters.si(self.profile.parameter_map.top_speed)
             wish = dataclasses.replace(wish, horizontal_speed_m_s=top_speed)
         self._take(wish, now_s)
 
@@ -202,11 +202,11 @@ class SimulatedAutopilot(FlightLoop):
 
     def stream_attitude(self, fields: StreamedAttitude, now_s: float) -> None:
         """SET_ATTITUDE_TARGET."""
-        self._take(self.manner.read_attitude(fields), now_s)
+        self._take(self.profile.read_attitude(fields), now_s)
 
     def _take(self, wish: MotionSetpoint | AttitudeSetpoint | Refusal, now_s: float) -> None:
         if isinstance(wish, Refusal):
-            self._commander.say(Severity.CRITICAL, wish.text)
+            self._commander.send_text(Severity.CRITICAL, wish.text)
         else:
             self.stream(wish, now_s)
 

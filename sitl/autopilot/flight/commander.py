@@ -30,19 +30,19 @@ class Commander:
     motors were stopped, for whoever looks too seldom to see each.
     """
 
-    def __init__(self, manner: AutopilotProfile) -> None:
-        self._manner = manner
+    def __init__(self, profile: AutopilotProfile) -> None:
+        self._profile = profile
         self.situation = VehicleStatus()
         self.armed = False
         self.disarmings = 0
         self.in_failsafe = False
-        self.texts: deque[Text] = deque((Severity.INFO, text) for text in manner.texts.boot)
-        self.mode = manner.mode(manner.boot_mode)
+        self.texts: deque[Text] = deque((Severity.INFO, text) for text in profile.texts.boot)
+        self.mode = profile.mode(profile.boot_mode)
         self.task = self.mode.task
         self.subtask: Task | None = None
         self._left_mode: Mode | None = None
         self._left_by: Failsafe | None = None
-        self._held_s = [0.0] * len(manner.failsafes)
+        self._held_s = [0.0] * len(profile.failsafes)
 
     # ------------------------------------------------------------ commands
 
@@ -51,13 +51,13 @@ class Commander:
         if self.armed:
             return CommandResult.ACCEPTED
         self._refresh()
-        refusal = next((c.text for c in self._manner.arming_checks if not c.passes(self.situation)), None)
+        refusal = next((c.text for c in self._profile.arming_checks if not c.passes(self.situation)), None)
         if refusal is not None and not force:
-            self.say(Severity.CRITICAL, refusal)
-            return self._manner.refused_arming
+            self.send_text(Severity.CRITICAL, refusal)
+            return self._profile.refused_arming
         self.armed = True
         self.situation.has_flown = False
-        self.say(Severity.INFO, self._manner.texts.armed)
+        self.send_text(Severity.INFO, self._profile.texts.armed)
         return CommandResult.ACCEPTED
 
     def disarm(self, force: bool) -> CommandResult:
@@ -65,25 +65,25 @@ class Commander:
         if not self.armed:
             return CommandResult.ACCEPTED
         if not self.situation.landed and not force:
-            self.say(Severity.CRITICAL, self._manner.refused_disarming_text)
-            return self._manner.refused_disarming
-        self._stop(Severity.INFO, self._manner.texts.disarmed)
+            self.send_text(Severity.CRITICAL, self._profile.refused_disarming_text)
+            return self._profile.refused_disarming
+        self._stop(Severity.INFO, self._profile.texts.disarmed)
         return CommandResult.ACCEPTED
 
     def change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
         """Enter a mode with its own task; None is a number the autopilot does not know."""
         if mode is None:
-            self.say(Severity.WARNING, self._manner.texts.no_such_mode.format(number=number))
-            return self._manner.refused_mode
+            self.send_text(Severity.WARNING, self._profile.texts.no_such_mode.format(number=number))
+            return self._profile.refused_mode
         self._refresh()
-        refusal = next((c.text for c in self._manner.mode_checks if c.fails(mode, self.situation)), None)
+        refusal = next((c.text for c in self._profile.mode_checks if c.fails(mode, self.situation)), None)
         if refusal is not None:
-            self.say(Severity.CRITICAL, refusal.format(mode=mode.shown))
-            return self._manner.refused_mode
+            self.send_text(Severity.CRITICAL, refusal.format(mode=mode.display_name))
+            return self._profile.refused_mode
         self._forget_failsafe()
         self._enter(mode)
         if mode.task is Task.LAND and self.armed:
-            self.say(Severity.INFO, self._manner.texts.landing)
+            self.send_text(Severity.INFO, self._profile.texts.landing)
         return CommandResult.ACCEPTED
 
     def begin(self, task: Task) -> None:
@@ -98,9 +98,9 @@ class Commander:
     def terminate(self) -> None:
         """Stop the motors wherever that is."""
         if self.armed:
-            self._stop(Severity.CRITICAL, self._manner.texts.terminated or self._manner.texts.disarmed)
+            self._stop(Severity.CRITICAL, self._profile.texts.terminated or self._profile.texts.disarmed)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Queue a text for the ground; an empty one is not worth sending."""
         if text:
             self.texts.append((severity, text))
@@ -119,7 +119,7 @@ class Commander:
                 self._forget_failsafe()
                 self._enter(mode)
             return
-        for index, failsafe in enumerate(self._manner.failsafes):
+        for index, failsafe in enumerate(self._profile.failsafes):
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0
@@ -140,11 +140,11 @@ class Commander:
         if failsafe.response is FailsafeAction.DISARM:
             self._stop(failsafe.severity, failsafe.text)
             return
-        self.say(failsafe.severity, failsafe.text)
+        self.send_text(failsafe.severity, failsafe.text)
         if failsafe.over is None:
             self._left_mode, self._left_by = self.mode, failsafe
         self.in_failsafe = True
-        self._enter(self._manner.mode(failsafe.mode))
+        self._enter(self._profile.mode(failsafe.mode))
         if failsafe.task is not None:
             self.begin(failsafe.task)
 
@@ -157,11 +157,11 @@ class Commander:
     def _stop(self, severity: Severity, text: str) -> None:
         self.armed = False
         self.disarmings += 1
-        self.say(severity, text)
+        self.send_text(severity, text)
         self._forget_failsafe()
         self._held_s = [0.0] * len(self._held_s)
-        if self._manner.after_disarm_mode and self.mode.task in _ENDS_WITH_FLIGHT:
-            self._enter(self._manner.mode(self._manner.after_disarm_mode))
+        if self._profile.after_disarm_mode and self.mode.task in _ENDS_WITH_FLIGHT:
+            self._enter(self._profile.mode(self._profile.after_disarm_mode))
         self.begin(self.mode.task)
 
     def _forget_failsafe(self) -> None:

@@ -25,7 +25,7 @@ from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.commander import Commander, Text
-from sitl.autopilot.flight.hand import ManualControl
+from sitl.autopilot.flight.manual_control import ManualControl
 from sitl.autopilot.flight.mission import MissionRunner
 from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
 from sitl.autopilot.flight.modes import CommandResult, Mode, StickMode, Task
@@ -46,17 +46,17 @@ class FlightState:
 
     def __init__(
         self,
-        manner: AutopilotName,
+        profile: AutopilotName,
         airframe: Airframe,
         rng: np.random.Generator,
         home: Vector3,
         errors: EstimatorErrors | None = None,
         rates: RateGains | None = None,
     ) -> None:
-        self.manner = PROFILES[manner]
-        self.parameters = Parameters(self.manner.parameters)
+        self.profile = PROFILES[profile]
+        self.parameters = Parameters(self.profile.parameters)
         self.estimate = SimulatedEstimator(errors or EstimatorErrors(), rng)
-        self.mission = MissionStore(self.manner.mission, home=self._home_item)
+        self.mission = MissionStore(self.profile.mission, home=self._home_item)
         self.boots = 0
         self._airframe, self._rates = airframe, rates
         self._origin = home
@@ -67,14 +67,14 @@ class FlightState:
         """Everything that does not outlive a reboot; the parameters and the mission do."""
         self.boots += 1
         self.booted_s: float | None = None
-        self._commander = Commander(self.manner)
-        self._navigator = Navigator(self.manner, self.parameters)
-        self._cascade = Cascade(self.manner, self._airframe, self._rates)
+        self._commander = Commander(self.profile)
+        self._navigator = Navigator(self.profile, self.parameters)
+        self._cascade = Cascade(self.profile, self._airframe, self._rates)
         self._runner = MissionRunner(
-            self.mission, self._navigator, self.parameters, self.manner.settings, self._local
+            self.mission, self._navigator, self.parameters, self.profile.parameter_map, self._local
         )
-        self._lander = self.manner.lander(self.parameters)
-        self._hand = ManualControl(self.manner, self.parameters, hover_thrust(self._airframe))
+        self._precision_landing = self.profile.precision_landing(self.parameters)
+        self._manual_control = ManualControl(self.profile, self.parameters, hover_thrust(self._airframe))
         self._outer_due_s = -inf
         self._now_s = -inf
         self._setpoint = None
@@ -83,7 +83,7 @@ class FlightState:
         self._arming_seen = (False, 0)  # armed, and disarmings so far
         self._mission_version = -1
         self._last_task: Task | None = None
-        self._lands_precisely = False
+        self._precision_landing_active = False
 
     # ------------------------------------------------------------ what it shows
 
@@ -152,9 +152,9 @@ class FlightState:
         return self._cascade.attitude_setpoint
 
     @property
-    def radio(self) -> RcInput:
+    def rc_input(self) -> RcInput:
         """The sticks, as far as somebody is at them."""
-        return self._hand.radio
+        return self._manual_control.rc_input
 
     @property
     def home_ned_m(self) -> Vector3:
@@ -167,7 +167,11 @@ class FlightState:
 
     def take_texts(self) -> list[Text]:
         """Severities and texts since the last call."""
-        speakers = [self.mission.texts] if self._lander is None else [self.mission.texts, self._lander.texts]
+        speakers = (
+            [self.mission.texts]
+            if self._precision_landing is None
+            else [self.mission.texts, self._precision_landing.texts]
+        )
         texts = list(self._commander.texts)
         self._commander.texts.clear()
         for speaker in speakers:
@@ -177,7 +181,7 @@ class FlightState:
 
     def set_mode_named(self, name: str) -> CommandResult:
         """Change to a mode of the manner's own."""
-        return self._change_mode(self.manner.mode(name))
+        return self._change_mode(self.profile.mode(name))
 
     def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
         self._watch_mission()  # one that has come since the last step counts already

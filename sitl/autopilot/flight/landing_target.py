@@ -51,11 +51,11 @@ class PrecisionLanding(Protocol):
 
     texts: list[tuple[Severity, str]]
 
-    def see(self, sight: LandingTarget) -> None:
+    def update_target(self, target: LandingTarget) -> None:
         """A LANDING_TARGET has come."""
         ...
 
-    def watch(self, view: VehicleEstimate, dt_s: float) -> None:
+    def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
         """One outer step of whatever it keeps of the target, landing or not."""
         ...
 
@@ -63,7 +63,7 @@ class PrecisionLanding(Protocol):
         """A landing begins; `required`: without a target it searches rather than lands anywhere."""
         ...
 
-    def fly(self, view: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
+    def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """What to fly; None: land as without a target."""
         ...
 

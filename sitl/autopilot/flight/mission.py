@@ -79,13 +79,13 @@ class MissionRunner:
         store: MissionStore,
         navigator: Navigator,
         parameters: Parameters,
-        settings: ParameterMap,
+        parameter_map: ParameterMap,
         to_ned: Callable[[Vector3, bool], Vector3],
     ) -> None:
         self._store = store
         self._navigator = navigator
         self._parameters = parameters
-        self._settings = settings
+        self._parameter_map = parameter_map
         self._to_ned = to_ned
         self._handlers: dict[int, Callable[[MissionItem, MissionInputs], MissionOutput | None]] = {
             MissionCommand.WAYPOINT: self._waypoint,
@@ -162,7 +162,7 @@ class MissionRunner:
         if not self._now.announced and item.command != MissionCommand.DO_JUMP:
             self._now.announced = True
             text = self._store.rules.item_text
-            self._store.say(Severity.INFO, text.format(number=self._store.current) if text else "")
+            self._store.send_text(Severity.INFO, text.format(number=self._store.current) if text else "")
         handler = self._handlers.get(item.command)
         return None if handler is None else handler(item, here)
 
@@ -173,7 +173,7 @@ class MissionRunner:
         store.current = store.current + 1 if self._now.jump_to is None else self._now.jump_to
         if store.current >= len(store):
             store.finished, store.current = True, max(0, len(store) - 1)
-            store.say(Severity.INFO, store.rules.finished_text)
+            store.send_text(Severity.INFO, store.rules.finished_text)
         self._now = _Progress()
 
     def _finish(self, here: MissionInputs) -> MissionOutput:
@@ -184,9 +184,14 @@ class MissionRunner:
         if self._now.climbing_first:
             return Task.TAKE_OFF
         goes = item.command in NAVIGATION and item.command not in _FROM_THE_GROUND
-        if not (here.landed and goes and self._store.rules.own_take_off and self._settings.take_off_height):
+        if not (
+            here.landed
+            and goes
+            and self._store.rules.takes_off_before_mission
+            and self._parameter_map.take_off_height
+        ):
             return None
-        self._navigator.climb_to_m = self._parameters.si(self._settings.take_off_height)
+        self._navigator.climb_to_m = self._parameters.si(self._parameter_map.take_off_height)
         self._now.climbing_first = True
         return Task.TAKE_OFF
 
@@ -208,7 +213,7 @@ class MissionRunner:
 
     def _heading(self, item: MissionItem, target: Vector3, here: MissionInputs) -> float:
         """The item's own heading, or towards the place as long as it is far."""
-        asked = heading_rad(item.parameters[3]) if self._store.rules.heeds_heading else nan
+        asked = heading_rad(item.parameters[3]) if self._store.rules.uses_yaw_parameter else nan
         if not math.isnan(asked):
             return asked
         north, east = target[0] - here.position_ned_m[0], target[1] - here.position_ned_m[1]
@@ -228,7 +233,9 @@ class MissionRunner:
         """Fly to an item's place and stay there."""
         target = self._place(item, here)
         own_radius = item.parameter(2) if item.command == MissionCommand.WAYPOINT else 0.0
-        radius = own_radius if own_radius > 0.0 else self._parameters.si(self._settings.acceptance_radius)
+        radius = (
+            own_radius if own_radius > 0.0 else self._parameters.si(self._parameter_map.acceptance_radius)
+        )
         if self._reached(target, here, radius):
             self._now.waited_s += here.dt_s
             if self._now.waited_s >= seconds:
@@ -279,7 +286,7 @@ class MissionRunner:
             x, y, _ = self._to_ned((item.x, item.y, nan), False)
             if self._now.target is None:
                 self._now.target = (x, y, here.position_ned_m[2])
-            radius = self._parameters.si(self._settings.acceptance_radius)
+            radius = self._parameters.si(self._parameter_map.acceptance_radius)
             if not self._reached(self._now.target, here, min(radius, 1.0)):
                 return self._towards(item, self._now.target, here)
         self.precision_required = item.whole(2) == _REQUIRED

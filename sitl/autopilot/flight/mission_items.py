@@ -124,16 +124,17 @@ class MissionItem:
 class MissionRules:
     """One autopilot's habits with missions.
 
-    `unheeded` are items it takes that find nothing here to act upon (cameras, gimbals, servos).
+    `without_effect` are items it takes that find nothing here to act upon (cameras, gimbals, servos).
     `home_first`: item 0 is home whatever is sent for it. `writes_in_place`: an upload overwrites the list
     item by item, else the old one stands until the new one is complete. `restarts`: a second MISSION_COUNT of
-    the same client begins anew at any time, else only before the first item. `own_take_off`: on the ground it
-    climbs to its take-off height before a first item that is none. `waits_for_start`: armed on the ground it
-    waits for MISSION_START or a raised throttle. `heeds_heading`: parameter 4 of a waypoint is a heading.
+    the same client begins anew at any time, else only before the first item. `takes_off_before_mission`: on
+    the ground it climbs to its take-off height before a first item that is none. `waits_for_start`: armed on
+    the ground it waits for MISSION_START or a raised throttle. `uses_yaw_parameter`: parameter 4 of a
+    waypoint is a heading.
     """
 
     flown: frozenset[int]
-    unheeded: frozenset[int]
+    without_effect: frozenset[int]
     max_items: int
     retry_s: float
     timeout_s: float
@@ -142,9 +143,9 @@ class MissionRules:
     writes_in_place: bool
     restarts: bool
     partial_lists: bool
-    own_take_off: bool
+    takes_off_before_mission: bool
     waits_for_start: bool
-    heeds_heading: bool
+    uses_yaw_parameter: bool
     rewinds_on_disarm: bool
     received_text: str
     timeout_text: str
@@ -160,7 +161,7 @@ class MissionRules:
 
     def check(self, item: MissionItem, frame: int) -> MissionResult:
         """May an item with that MAV_FRAME be uploaded?"""
-        if item.command not in self.flown and item.command not in self.unheeded:
+        if item.command not in self.flown and item.command not in self.without_effect:
             return MissionResult.UNSUPPORTED
         if item_frame(frame) is None:
             return MissionResult.UNSUPPORTED_FRAME
@@ -238,7 +239,7 @@ class MissionStore:
         self._renewed()
         if not self.rules.writes_in_place:
             self.current = 0
-        self.say(Severity.INFO, self.rules.received_text)
+        self.send_text(Severity.INFO, self.rules.received_text)
 
     def clear(self) -> None:
         """Forget the mission."""
@@ -248,7 +249,7 @@ class MissionStore:
     def select(self, number: int) -> bool:
         """Make an item the current one; False (and a text) when there is none of that number."""
         if not 0 <= number < len(self.items):
-            self.say(Severity.CRITICAL, self.rules.unknown_current_text)
+            self.send_text(Severity.CRITICAL, self.rules.unknown_current_text)
             return False
         self.current, self.finished = number, False
         self.version += 1
@@ -262,11 +263,11 @@ class MissionStore:
         """An item is done: tell everyone."""
         self.reached.append(number)
         self.reached_total += 1
-        self.say(
+        self.send_text(
             Severity.INFO, self.rules.reached_text.format(number=number) if self.rules.reached_text else ""
         )
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Queue a text for the ground; an empty one is not worth sending."""
         if text:
             self.texts.append((severity, text))

@@ -58,7 +58,7 @@ class Mode:
     """One flight mode: HEARTBEAT's custom_mode, base_mode without the armed bit, and what it may do.
 
     `title` is its name in texts. A mode with `sticks` is flown by them once there are any, and holds until
-    then. One that is not `offered` is known and always refused.
+    then. One that is not `available` is known and always refused.
     """
 
     name: str
@@ -71,10 +71,10 @@ class Mode:
     in_flight: bool = True
     sticks: StickMode | None = None
     title: str = ""
-    offered: bool = True
+    available: bool = True
 
     @property
-    def shown(self) -> str:
+    def display_name(self) -> str:
         """The mode's name in texts."""
         return self.title or self.name
 
@@ -83,13 +83,13 @@ class Mode:
 class VehicleStatus:
     """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one.
 
-    `radio`: somebody's sticks are heard; `radio_lost`: they were, and no longer are. `mission_ready`: there
-    is one to fly, `mission_climbs`: and it begins with a take-off.
+    `rc_available`: somebody's sticks are heard; `rc_lost`: they were, and no longer are. `mission_ready`:
+    there is one to fly, `mission_climbs`: and it begins with a take-off.
     """
 
     armed: bool = False
-    radio: bool = False
-    radio_lost: bool = False
+    rc_available: bool = False
+    rc_lost: bool = False
     throttle_up: bool = False
     mission_ready: bool = False
     mission_climbs: bool = False

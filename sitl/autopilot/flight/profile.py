@@ -44,8 +44,8 @@ class ParameterMap:
     """Which parameter holds what; None: the autopilot has none for it.
 
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
-    `radio_watched` at 0 lets a lost radio be; `radio_exceptions` are bits of modes that a lost radio does not
-    end: 1 mission, 2 hold, 4 external.
+    `rc_loss_enabled` at 0 lets a lost radio be; `rc_loss_exceptions` are bits of modes that a lost radio does
+    not end: 1 mission, 2 hold, 4 external.
     """
 
     setpoint_timeout: ParameterRef
@@ -59,15 +59,15 @@ class ParameterMap:
     final_landing_height: ParameterRef
     return_height: ParameterRef
     acceptance_radius: ParameterRef
-    radio_timeout: ParameterRef
+    rc_timeout: ParameterRef
     stick_speed: ParameterRef
     stick_climb: ParameterRef
     stick_descent: ParameterRef
     stick_tilt: ParameterRef
     stick_yaw_rate: ParameterRef
-    radio_exceptions: ParameterRef | None = None
-    radio_watched: ParameterRef | None = None
-    own_ground_station: ParameterRef | None = None
+    rc_loss_exceptions: ParameterRef | None = None
+    rc_loss_enabled: ParameterRef | None = None
+    gcs_system_id: ParameterRef | None = None
     take_off_height: ParameterRef | None = None
     still_speed: ParameterRef | None = None
     guided_options: ParameterRef | None = None
@@ -93,19 +93,18 @@ class Texts:
 class AutopilotProfile:
     """One autopilot's habits.
 
-    `forward_is_low`: the RC channel of the pitch stick falls when it is pushed. `lander` makes the precision
-    landing, if the parameters ask for one at boot; it flies the tasks in `lands_precisely`.
-    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message
-    means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control`
-    makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
-    hover.
-    A thrust that comes with an attitude and `thrust_is_upward` is raised for the lean that is flown, as
-    ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a low-pass of `throttle_hz`.
-    The position controller runs every `outer_period_s`.
-    `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
-    register value that the simulated IMU knows. `home_s` after its start it has set home, and its checks pass
-    for a mode that needs no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the
-    bit of those checks stands in SYS_STATUS's health, and not in what is present and enabled.
+    `pitch_channel_reversed`: the RC channel of the pitch stick falls when it is pushed. `precision_landing`
+    makes the precision landing, if the parameters ask for one at boot; it flies the tasks in
+    `precision_landing_tasks`. `read_motion` (fields, own place, attitude, heading) and `read_attitude` say
+    what a streamed message means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it
+    later; `position_control` makes the control law for a hover thrust. On the ground the thrust falls under
+    `landed_thrust_share` of hover. A thrust that comes with an attitude and `thrust_is_upward` is raised for
+    the lean that is flown, as ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a
+    low-pass of `throttle_hz`. The position controller runs every `outer_period_s`. `imu_messages` are those
+    that tell its IMU's samples, `imu_filter` is the low-pass before them, as the register value that the
+    simulated IMU knows. `home_s` after its start it has set home, and its checks pass for a mode that needs
+    no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the bit of those checks
+    stands in SYS_STATUS's health, and not in what is present and enabled.
     """
 
     name: AutopilotName
@@ -134,7 +133,7 @@ class AutopilotProfile:
     take_off_needs_guided: bool
     thrust_is_climb_rate: bool
     thrust_is_upward: bool
-    forward_is_low: bool
+    pitch_channel_reversed: bool
     turns_by_command: bool
     refused_arming: CommandResult
     refused_mode: CommandResult
@@ -142,15 +141,15 @@ class AutopilotProfile:
     refused_disarming: CommandResult
     refused_disarming_text: str
     unsupported_request: CommandResult
-    settings: ParameterMap
+    parameter_map: ParameterMap
     texts: Texts
     mode_checks: tuple[ModeCheck, ...]
     arming_checks: tuple[ArmingCheck, ...]
     failsafes: tuple[Failsafe, ...]
     parameters: tuple[Parameter, ...]
     mission: MissionRules
-    lander: Callable[[Parameters], PrecisionLanding | None]
-    lands_precisely: frozenset[Task]
+    precision_landing: Callable[[Parameters], PrecisionLanding | None]
+    precision_landing_tasks: frozenset[Task]
     position_control: Callable[[float], PositionControl]
     attitude_gains: AttitudeGains
     throttle_hz: float | None
@@ -208,12 +207,12 @@ def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
 
 def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
     """Flown by hand alone, in flight, and nobody is at the sticks."""
-    return not mode.in_flight and now.armed and not now.landed and not now.radio
+    return not mode.in_flight and now.armed and not now.landed and not now.rc_available
 
 
-def radio_lost(now: VehicleStatus) -> bool:
+def rc_lost(now: VehicleStatus) -> bool:
     """Somebody was at the sticks, and no longer is."""
-    return now.radio_lost
+    return now.rc_lost
 
 
 def setpoints_stopped(now: VehicleStatus) -> bool:

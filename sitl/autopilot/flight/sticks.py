@@ -52,8 +52,8 @@ class StickScales:
 class RcInput:
     """What was last heard of the sticks, and when."""
 
-    def __init__(self, forward_is_low: bool) -> None:
-        self._pitch_sign = -1.0 if forward_is_low else 1.0
+    def __init__(self, pitch_channel_reversed: bool) -> None:
+        self._pitch_sign = -1.0 if pitch_channel_reversed else 1.0
         self._heard_s = -inf
         self._channels = [0] * CHANNELS
         self._sticks: Sticks | None = None
@@ -100,12 +100,12 @@ class StickMapper:
         self._heading_rad = nan
 
     def setpoint(
-        self, law: StickMode, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
+        self, stick_mode: StickMode, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
     ) -> MotionSetpoint | AttitudeSetpoint | None:
         """What the sticks ask for; None when they rest in the middle of a law that then holds its place."""
         yaw_rate = scales.yaw_rate_rad_s * _outside_band(sticks.yaw)
-        if law is not StickMode.VELOCITY:
-            return self._lean(law, sticks, scales, heading_rad, yaw_rate, dt_s)
+        if stick_mode is not StickMode.VELOCITY:
+            return self._lean(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
         forward, right = _outside_band(sticks.pitch), _outside_band(sticks.roll)
         climb = _outside_band(sticks.throttle)
         if not (forward or right or climb or yaw_rate):
@@ -120,7 +120,7 @@ class StickMapper:
 
     def _lean(
         self,
-        law: StickMode,
+        stick_mode: StickMode,
         sticks: Sticks,
         scales: StickScales,
         heading_rad: float,
@@ -132,8 +132,8 @@ class StickMapper:
         attitude = quat_from_euler(
             scales.tilt_rad * sticks.roll, -scales.tilt_rad * sticks.pitch, self._heading_rad
         )
-        up = _outside_band(sticks.throttle) if law is StickMode.ANGLE_AND_CLIMB else sticks.throttle
-        if law is StickMode.ANGLE_AND_CLIMB:
+        up = _outside_band(sticks.throttle) if stick_mode is StickMode.ANGLE_AND_CLIMB else sticks.throttle
+        if stick_mode is StickMode.ANGLE_AND_CLIMB:
             thrust = 0.5 + 0.5 * up
         else:
             thrust = scales.hover * (1.0 + up) + max(up, 0.0) * (1.0 - 2.0 * scales.hover)

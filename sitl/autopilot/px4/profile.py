@@ -40,13 +40,13 @@ from sitl.autopilot.flight.profile import (
     mode_armable,
     never_flown,
     not_from_flight,
-    radio_lost,
+    rc_lost,
     setpoints_stopped,
 )
 from sitl.autopilot.px4 import setpoints as px4_setpoints
 from sitl.autopilot.px4.control import Px4Control
-from sitl.autopilot.px4.lander import Px4PrecisionLanding
 from sitl.autopilot.px4.parameters import PARAMETERS
+from sitl.autopilot.px4.precision_landing import Px4PrecisionLanding
 
 _AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
 _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
@@ -96,7 +96,7 @@ PX4 = AutopilotProfile(
             armable=False,
             title="Precision Landing",
         ),
-        Mode("ACRO", _number(5), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, title="Acro", offered=False),
+        Mode("ACRO", _number(5), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, title="Acro", available=False),
         Mode(
             "OFFBOARD",
             _number(6),
@@ -130,7 +130,7 @@ PX4 = AutopilotProfile(
     take_off_needs_guided=False,
     thrust_is_climb_rate=False,
     thrust_is_upward=False,
-    forward_is_low=False,
+    pitch_channel_reversed=False,
     turns_by_command=False,
     refused_mode=CommandResult.TEMPORARILY_REJECTED,
     refused_selection=CommandResult.DENIED,
@@ -138,7 +138,7 @@ PX4 = AutopilotProfile(
     refused_disarming=CommandResult.TEMPORARILY_REJECTED,
     refused_disarming_text="Disarming denied: not landed",
     unsupported_request=CommandResult.UNSUPPORTED,
-    settings=ParameterMap(
+    parameter_map=ParameterMap(
         setpoint_timeout=ParameterRef("COM_OF_LOSS_T"),
         cruise_speed=ParameterRef("MPC_XY_CRUISE"),
         top_speed=ParameterRef("MPC_XY_VEL_MAX"),
@@ -150,13 +150,13 @@ PX4 = AutopilotProfile(
         final_landing_height=ParameterRef("MPC_LAND_ALT3"),
         return_height=ParameterRef("RTL_RETURN_ALT"),
         acceptance_radius=ParameterRef("NAV_ACC_RAD"),
-        radio_timeout=ParameterRef("COM_RC_LOSS_T"),
+        rc_timeout=ParameterRef("COM_RC_LOSS_T"),
         stick_speed=ParameterRef("MPC_VEL_MANUAL"),
         stick_climb=ParameterRef("MPC_Z_VEL_MAX_UP"),
         stick_descent=ParameterRef("MPC_Z_VEL_MAX_DN"),
         stick_tilt=ParameterRef("MPC_MAN_TILT_MAX", math.pi / 180.0),
         stick_yaw_rate=ParameterRef("MPC_MAN_Y_MAX", math.pi / 180.0),
-        radio_exceptions=ParameterRef("COM_RCL_EXCEPT"),
+        rc_loss_exceptions=ParameterRef("COM_RCL_EXCEPT"),
         still_speed=ParameterRef("LNDMC_Z_VEL_MAX"),
         take_off_height=ParameterRef("MIS_TAKEOFF_ALT"),
     ),
@@ -174,7 +174,7 @@ PX4 = AutopilotProfile(
     mode_checks=tuple(
         ModeCheck(fails, "Switching to mode '{mode}' is currently not available")
         for fails in (
-            lambda mode, _now: not mode.offered,
+            lambda mode, _now: not mode.available,
             mission_missing,
             not_from_flight,
             lambda mode, now: (
@@ -201,13 +201,13 @@ PX4 = AutopilotProfile(
         ),
         Failsafe(
             "radio lost",
-            radio_lost,
+            rc_lost,
             5.0,  # COM_FAIL_ACT_T
             FailsafeAction.LEAVE_MODE,
             Severity.CRITICAL,
             "Failsafe activated: Manual control lost, switching to Return",
             mode="AUTO_RTL",
-            over=lambda now: now.radio,
+            over=lambda now: now.rc_available,
         ),
         Failsafe(
             "landed", landed_after_flight, 2.0, FailsafeAction.DISARM, Severity.INFO, "Disarmed by landing"
@@ -239,7 +239,9 @@ PX4 = AutopilotProfile(
             }
         ),
         # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
-        unheeded=frozenset({183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001})
+        without_effect=frozenset(
+            {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001}
+        )
         | frozenset({2500, 2501}),
         max_items=2000,
         retry_s=0.25,
@@ -249,9 +251,9 @@ PX4 = AutopilotProfile(
         writes_in_place=False,
         restarts=False,
         partial_lists=False,
-        own_take_off=True,
+        takes_off_before_mission=True,
         waits_for_start=False,
-        heeds_heading=True,
+        uses_yaw_parameter=True,
         rewinds_on_disarm=False,
         received_text="",
         timeout_text="Operation timeout",
@@ -260,8 +262,8 @@ PX4 = AutopilotProfile(
         reached_text="",
         finished_text="Mission finished, loitering",
     ),
-    lander=Px4PrecisionLanding,
-    lands_precisely=frozenset({Task.PRECISION_LAND}),
+    precision_landing=Px4PrecisionLanding,
+    precision_landing_tasks=frozenset({Task.PRECISION_LAND}),
     position_control=Px4Control,
     attitude_gains=AttitudeGains(
         # MC_ROLLRATE_P, _I, _D, MC_RR_INT_LIM, MC_YAWRATE_P, _I, _D, MC_YR_INT_LIM; the pseudo-inverse of a

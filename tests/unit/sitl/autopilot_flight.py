@@ -172,7 +172,7 @@ class Flight:
         """From boot to a hover under external control (OFFBOARD or GUIDED)."""
         self.run(6.0)
         autopilot = self.autopilot
-        if autopilot.manner.name == "px4":
+        if autopilot.profile.name == "px4":
             assert autopilot.arm() is CommandResult.ACCEPTED
             assert autopilot.take_off(HOME[2] + 0.18 + height_m) is CommandResult.ACCEPTED
         else:
@@ -184,7 +184,7 @@ class Flight:
     def take_control(self) -> None:
         """Stream "stand still" and enter OFFBOARD (GUIDED already is)."""
         self.run(0.2, STAND_STILL)
-        if self.autopilot.manner.name == "px4":
+        if self.autopilot.profile.name == "px4":
             assert self.autopilot.set_mode(PX4_OFFBOARD) is CommandResult.ACCEPTED
         self.run(2.0, STAND_STILL)
 

@@ -230,7 +230,7 @@ def test_going_to_a_place_ends_there_in_the_heading_asked_for(manner: Manner) ->
 def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
     flight = Flight(manner)
     flight.take_off(5.0)
-    assert flight.autopilot.set_mode_named(flight.autopilot.manner.land_mode) is CommandResult.ACCEPTED
+    assert flight.autopilot.set_mode_named(flight.autopilot.profile.land_mode) is CommandResult.ACCEPTED
     # PX4 crawls below MPC_LAND_ALT3, ArduPilot keeps LAND_SPEED from LAND_ALT_LOW (10 m) down
     first, last = (0.7, 0.3) if manner == "px4" else (0.5, 0.5)
     flight.run(2.0)
@@ -246,7 +246,7 @@ def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
 def test_returning_comes_home_and_lands(manner: Manner) -> None:
     flight = in_the_air(manner)
     flight.run(6.0, velocity(2.0, 1.0))
-    flight.autopilot.set_mode_named(flight.autopilot.manner.return_mode)
+    flight.autopilot.set_mode_named(flight.autopilot.profile.return_mode)
     flight.run(50.0)
     assert not flight.autopilot.armed
     assert math.hypot(*flight.vehicle.position[:2]) < 1.0

@@ -222,7 +222,7 @@ def test_every_name_in_a_manners_table_leads_somewhere(manner: Manner) -> None:
     assert len({mode.custom_mode for mode in table.modes}) == len(table.modes)
     known = {parameter.name for parameter in table.parameters}
     assert all(len(name) <= 16 for name in known)
-    settings = table.settings
+    settings = table.parameter_map
     for setting in (settings.setpoint_timeout, settings.cruise_speed, settings.top_speed):
         assert setting.name in known
     for setting in (settings.landing_speed, settings.return_height):

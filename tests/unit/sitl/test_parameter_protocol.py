@@ -118,11 +118,11 @@ def test_values_and_mission_outlive_a_reboot_which_is_one(manner: Manner) -> Non
     station = Station(manner)
     name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
     store(station, name.encode(), 7.5, REAL32)
-    station.flight.autopilot.set_mode_named(station.flight.autopilot.manner.hold_mode)
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
     assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == 0
     station.run(0.5)
     assert not station.flight.autopilot.aligned
-    assert station.flight.autopilot.mode == station.flight.autopilot.manner.boot_mode
+    assert station.flight.autopilot.mode == station.flight.autopilot.profile.boot_mode
     assert station.flight.autopilot.parameters[name] == 7.5
     assert station.flight.autopilot.arm() != 0
     station.run(6.0)

@@ -41,7 +41,7 @@ class Vehicle:
             DT_S,
             home=HOME,
             field_ned_ut=FIELD_UT,
-            imu_filter=self.autopilot.manner.imu_filter,
+            imu_filter=self.autopilot.profile.imu_filter,
             antenna_body_m=(0.0, 0.0, 0.0),
             **(errors if flawless else {}),
         )
