@@ -42,7 +42,7 @@ from companion.sense.vision.lens import Lens
 from companion.sense.vision.pose import PadPose, estimate_pose
 from companion.sense.vision.search import SearchPlanner
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 
 mpl.use("Agg")
 
@@ -142,7 +142,7 @@ class Viewer:
         pad, settings = load_pad("moving_1300"), VisionConfig()
         self._settings = settings
         self._model = CameraModel(
-            self._camera, self._vehicle, pad, CameraSettings(), np.random.default_rng(0)
+            self._camera, self._vehicle, pad, ImagingSettings(), np.random.default_rng(0)
         )
         self._lens = Lens(self._camera)
         self._planner = SearchPlanner(pad, self._lens, settings)

@@ -36,7 +36,7 @@ from companion.config import (
 )
 from companion.pad import Marker, Pad
 from sitl.faults.faults import Fault, FaultTimes
-from sitl.pad.motion import Motion
+from sitl.pad.motion import PadMotionSettings
 from sitl.scenario.scenario import Scenario
 
 DOCS: Final = Path(__file__).resolve().parent
@@ -207,7 +207,9 @@ def groups_of(model: type[BaseModel]) -> dict[str, list[Setting]]:
 
 def tables() -> dict[str, dict[str, list[Setting]]]:
     """Every table of the pages: by name, then by group."""
-    motions = {motion.model_fields["kind"].annotation.__args__[0]: motion for motion in get_args(Motion)}
+    motions = {
+        motion.model_fields["kind"].annotation.__args__[0]: motion for motion in get_args(PadMotionSettings)
+    }
     times = groups_of(FaultTimes)[""]
     return {
         "companion": groups_of(CompanionConfig),

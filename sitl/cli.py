@@ -25,8 +25,8 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.signing import read_key
 from sitl.run.hold_command import HELP as HOLD_HELP
 from sitl.run.hold_command import hold_command
-from sitl.run.orders import socket_folder, terminated_as_interrupted
 from sitl.run.port_options import GroundPortOption, PortOption, TcpPortOption
+from sitl.run.process_control import socket_folder, terminated_as_interrupted
 from sitl.run.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
 from sitl.run.view import HELP as VIEW_HELP
 from sitl.run.view import view_command

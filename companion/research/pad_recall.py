@@ -36,7 +36,7 @@ from companion.pad import DICTIONARIES, Marker, Pad
 from companion.sense.vision.pipeline import Vision
 from companion.tools.pads.recall import Optics, RecallModel
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 
 mpl.use("Agg")
 
@@ -108,7 +108,7 @@ def _look_at(
     board_m = marker.side_m + 2.0 * marker.quiet_m
     pad = Pad(name="one", width_m=board_m, length_m=board_m, markers=(marker,))
     vision = Vision(pad, camera, vehicle, VisionConfig())
-    model = CameraModel(camera, vehicle, pad, CameraSettings(lens_blur_px=lens_px), rng)
+    model = CameraModel(camera, vehicle, pad, ImagingSettings(lens_blur_px=lens_px), rng)
     optics = Optics(lens_blur_px=lens_px)
     for k in range(frames):
         cell_px = math.exp(rng.uniform(math.log(CELL_PX[0]), math.log(CELL_PX[1])))

@@ -33,7 +33,7 @@ from companion.base.messages import PadState, Phase, PlanStep, Reference, Setpoi
 from companion.config import ControlConfig, VehicleConfig, find_file, load_model
 from companion.control.controller import Controller
 from companion.plan.trajectory.min_jerk import Motion, Trajectory, plan
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.run.simulation import HOME, PHYSICS_STEP_S
 from sitl.scenario.scenario import Scenario
@@ -121,7 +121,7 @@ class TrackingLoop:
             np.random.default_rng(s) for s in np.random.SeedSequence((seed, 31)).spawn(2)
         )
         self._world = World(scenario, seed)
-        self._autopilot = Autopilot("px4", self._world.airframe.body, autopilot_rng, HOME)
+        self._autopilot = SimulatedAutopilot("px4", self._world.airframe.body, autopilot_rng, HOME)
         vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         self._controller = Controller(config, vehicle)
         self._link_delay_s = case.link_delay_s

@@ -5,31 +5,31 @@ from sitl.autopilot.control.estimator import ESTIMATORS, NO_ERRORS, EstimatorErr
 from sitl.autopilot.control.mixer import Motors
 from sitl.autopilot.control.setpoints import (
     AttitudeSetpoint,
-    Frame,
     Ignore,
+    LocalFrame,
     MotionSetpoint,
     StreamedAttitude,
     StreamedMotion,
 )
-from sitl.autopilot.flight.autopilot import Autopilot
-from sitl.autopilot.flight.flight_state import MANNERS
-from sitl.autopilot.flight.modes import Result, Severity, Task
+from sitl.autopilot.flight.autopilot import SimulatedAutopilot
+from sitl.autopilot.flight.flight_state import PROFILES
+from sitl.autopilot.flight.modes import CommandResult, Severity, Task
 
 __all__ = [
     "ESTIMATORS",
-    "MANNERS",
     "NO_ERRORS",
+    "PROFILES",
     "Airframe",
     "AttitudeSetpoint",
-    "Autopilot",
+    "CommandResult",
     "EstimatorErrors",
     "EstimatorName",
-    "Frame",
     "Ignore",
+    "LocalFrame",
     "MotionSetpoint",
     "Motors",
-    "Result",
     "Severity",
+    "SimulatedAutopilot",
     "StreamedAttitude",
     "StreamedMotion",
     "Task",

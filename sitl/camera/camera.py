@@ -8,8 +8,7 @@ texture coordinates interpolated between: against following every pixel, that is
 between as many as are asked for. Blur is one straight stroke for the whole image: the motion, over the
 exposure, of what is in the middle of the pad's part of the image.
 
-World NED with the ground at z = 0; the pad's surface is at the height of its position. How the camera
-sits on the airframe is worked out here, apart from the app's code: a sign that is wrong on one side shows.
+World NED with the ground at z = 0; the pad's surface is at the height of its position.
 """
 
 from __future__ import annotations
@@ -39,10 +38,11 @@ from companion.base.geometry import (
 )
 from companion.config import CameraConfig, VehicleConfig
 from companion.pad import Pad
-from sitl.camera.exposure import CameraSettings, motion_blur, noise_bank, vignette
+from sitl.camera.exposure import ImagingSettings, motion_blur, noise_bank, vignette
 from sitl.camera.light import Lighting, LightInView
 from sitl.camera.mesh import HORIZON, NODE_PX, Part, covers, node_rays, visible_part, within_board
-from sitl.camera.sensor_chip import Metering, add_light, levelled, noise_std_grey, response, through
+from sitl.camera.mounting import mounted_camera
+from sitl.camera.sensor_chip import AutoExposure, add_light, levelled, noise_std_grey, response, through
 from sitl.camera.textures import PAD_WHITE, GreyImage, Texture, TextureLevel, ground_texture, pad_texture
 
 FARTHEST_TEXEL: Final = 30000.0
@@ -77,7 +77,7 @@ class CameraModel:
         camera: CameraConfig,
         vehicle: VehicleConfig,
         pad: Pad,
-        settings: CameraSettings,
+        settings: ImagingSettings,
         rng: np.random.Generator,
         *,
         ground_seed: int = 1,
@@ -101,16 +101,7 @@ class CameraModel:
         self._settings = settings
         self._rng = rng
         self.position_body_m = vehicle.camera_position_body_m
-        self.body_from_camera = body_from_camera(
-            math.radians(vehicle.camera_yaw_deg),
-            math.radians(vehicle.camera_tilt_deg),
-            math.radians(vehicle.camera_roll_deg),
-        )
-        if mount_error_deg != ZERO3:
-            roll, pitch, yaw = (math.radians(angle) for angle in mount_error_deg)
-            self.body_from_camera = (
-                matrix_from_quat(quat_from_euler(roll, pitch, yaw)) @ self.body_from_camera
-            )
+        self.body_from_camera = mounted_camera(vehicle, mount_error_deg)
         self._camera_attitude = quat_from_matrix(self.body_from_camera)
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
@@ -122,11 +113,11 @@ class CameraModel:
         self._row_time = (row_px + 0.5) / camera.height_px - 0.5  # of the readout, from its middle
         # generators of their own: light and dirt change no noise
         light_rng, dirt_rng = rng.spawn(2)
-        self._metering: Metering | None = None
+        self._metering: AutoExposure | None = None
         if settings.light is not None:
             self._lighting = Lighting(settings.light, light_rng)
             self._light = LightInView(self._lighting, self._node_rays)
-            self._metering = Metering(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
+            self._metering = AutoExposure(settings.exposure, self._exposure_s, settings.light.illuminance_lux)
             self._exposure_s = self._metering.now.exposure_s
         self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)
@@ -314,33 +305,6 @@ class CameraModel:
         mu, mv = u0 - u1, v0 - v1
         share = self._exposure_s / self.span_s / (ru * dv - du * rv)
         return ((mu * dv - du * mv) * share, (ru * mv - mu * rv) * share)
-
-
-def body_from_camera(yaw_rad: float, tilt_rad: float, roll_rad: float = 0.0) -> FloatArray:
-    """How the camera sits on the airframe: rotation (3, 3) of camera axes into body axes (FRD).
-
-    The columns are what the camera's axes are on the vehicle: the image's right, the image's down, and
-    where the lens looks. Untilted and unturned, the lens looks down and the image's top edge is forward:
-    right is right, the image's down is back. Tilted, the lens rises from down towards forward and the
-    image's down from back towards down. Turned, forward becomes (cos, sin, 0) and right (-sin, cos, 0):
-    clockwise seen from above. Rolled, before all that, the lens swings from down towards the left.
-    """
-    st, ct = math.sin(tilt_rad), math.cos(tilt_rad)
-    sy, cy = math.sin(yaw_rad), math.cos(yaw_rad)
-    tilted = np.array(
-        [
-            # image right, image down, lens
-            [0.0, -ct, st],  # forward
-            [1.0, 0.0, 0.0],  # right
-            [0.0, st, ct],  # down
-        ]
-    )
-    if roll_rad != 0.0:
-        sr, cr = math.sin(roll_rad), math.cos(roll_rad)
-        rolled = np.array([[0.0, -1.0, 0.0], [cr, 0.0, -sr], [sr, 0.0, cr]])
-        tilted = np.array([[ct, 0.0, st], [0.0, 1.0, 0.0], [-st, 0.0, ct]]) @ rolled
-    turned = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(turned @ tilted)
 
 
 def _pad_attitude(scene: ScenePose) -> Quaternion:

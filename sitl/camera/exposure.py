@@ -26,7 +26,7 @@ class DirtSettings(StrictModel):
     opacity: float = Field(default=0.7, gt=0.0, le=1.0)  # Of the most opaque one's middle
 
 
-class CameraSettings(StrictModel):
+class ImagingSettings(StrictModel):
     """What the lens and the sensor do to the image, beyond the calibrated geometry.
 
     Exposure and readout default to the camera's own; a scenario may differ from what the app believes.
@@ -91,7 +91,7 @@ def _stroke_kernel(right_px: float, down_px: float) -> FloatArray:
     return np.array(kernel) / samples
 
 
-def vignette(camera: CameraConfig, settings: CameraSettings, rng: np.random.Generator) -> GreyImage | None:
+def vignette(camera: CameraConfig, settings: ImagingSettings, rng: np.random.Generator) -> GreyImage | None:
     """How much light (0..255) reaches each pixel: falls with the square of the distance from the axis.
 
     Dirt takes its share of it.

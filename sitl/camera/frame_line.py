@@ -19,9 +19,9 @@ class FrameLine:
         self._always = (lost_share, burst_frames)
         self._losing = False
         self._last: GreyImage | None = None
-        self.mend()
+        self.clear_faults()
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """Let through at once what the camera itself does not drop."""
         self.late_s = 0.0
         self.late_every = 1

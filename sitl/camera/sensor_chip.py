@@ -51,14 +51,14 @@ class ExposureSettings(StrictModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Exposing:
+class Exposure:
     """One frame's exposure (s) and gain."""
 
     exposure_s: float
     gain: float
 
 
-class Metering:
+class AutoExposure:
     """Chooses each frame's exposure from the picture before."""
 
     def __init__(self, settings: ExposureSettings, fixed_s: float, illuminance_lux: float) -> None:
@@ -66,7 +66,7 @@ class Metering:
         self._settings = settings
         self._lux = illuminance_lux
         self._wanted_s = RIGHT_EXPOSURE_LUX_S / illuminance_lux
-        self.now = self._split() if settings.automatic else Exposing(fixed_s, settings.gain)
+        self.now = self._split() if settings.automatic else Exposure(fixed_s, settings.gain)
 
     @property
     def brightness(self) -> float:
@@ -83,11 +83,11 @@ class Metering:
         self._wanted_s = min(s.longest_s * s.most_gain, max(s.shortest_s, self._wanted_s * step))
         self.now = self._split()
 
-    def _split(self) -> Exposing:
+    def _split(self) -> Exposure:
         """Shutter first, then gain."""
         s = self._settings
         exposure_s = min(s.longest_s, max(s.shortest_s, self._wanted_s))
-        return Exposing(exposure_s, min(s.most_gain, max(1.0, self._wanted_s / exposure_s)))
+        return Exposure(exposure_s, min(s.most_gain, max(1.0, self._wanted_s / exposure_s)))
 
 
 def response(brightness: float, veil: float) -> GreyImage:

@@ -16,15 +16,15 @@ from typing import Final
 from distributed import Client, Future, KilledWorker, as_completed
 
 from companion.config import ConfigError
-from sitl.campaign.manifest import Flight, code_digest, scenario_digest
-from sitl.campaign.worker import Flown, Worker
+from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
+from sitl.campaign.worker import RunResult, Worker
 
 CONNECT_S: Final = 10.0
 LOGGERS: Final = ("distributed", "distributed.client")
 _mine = threading.local()
 
 
-def fly_on_cluster(flights: Sequence[Flight], address: str) -> Generator[Flown, None, None]:
+def fly_on_cluster(flights: Sequence[CampaignRun], address: str) -> Generator[RunResult, None, None]:
     """Fly runs on the cluster of a scheduler; they come as they end.
 
     Raises:
@@ -50,17 +50,17 @@ def fly_on_cluster(flights: Sequence[Flight], address: str) -> Generator[Flown, 
             client.cancel(futures)
 
 
-def taken(future: Future, flight: Flight) -> Flown:
+def taken(future: Future, flight: CampaignRun) -> RunResult:
     """What became of a run on the cluster.
 
     Raises:
         ConfigError: the cluster cannot go on.
     """
     try:
-        flown: Flown = future.result()
+        flown: RunResult = future.result()
     except KilledWorker as error:
         tries, last = error.allowed_failures + 1, error.last_worker.address
-        return Flown(flight, 0.0, error=f"{tries} workers of the cluster died of it, the last {last}")
+        return RunResult(flight, 0.0, error=f"{tries} workers of the cluster died of it, the last {last}")
     except CancelledError as error:
         raise ConfigError("--scheduler: it has gone; give the same command again when it is back") from error
     except ModuleNotFoundError as error:
@@ -70,7 +70,7 @@ def taken(future: Future, flight: Flight) -> Flown:
     return flown
 
 
-def fly_here(flight: Flight) -> Flown:
+def fly_here(flight: CampaignRun) -> RunResult:
     """What a worker of the cluster does: fly in this thread's own process.
 
     Raises:
@@ -84,13 +84,13 @@ def fly_here(flight: Flight) -> Flown:
         )
     if not hasattr(_mine, "worker"):
         _mine.worker = Worker()
-    flown: Flown = _mine.worker.fly(flight)
+    flown: RunResult = _mine.worker.fly(flight)
     return flown
 
 
 @lru_cache(maxsize=256)
 def identity(source: str, config: str | None) -> str:
-    """What decides a run here, but for its seed: see `Flight.identity`.
+    """What decides a run here, but for its seed: see `CampaignRun.identity`.
 
     Raises:
         ConfigError: a file is missing here.

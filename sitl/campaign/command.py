@@ -22,14 +22,14 @@ from rich.console import Console
 from companion.base.files import write_atomically
 from companion.config import ConfigError
 from sitl.campaign import SCENARIOS
-from sitl.campaign.manifest import MANIFEST_NAME, Flight, Plan, check_goes_on, make_plan, read_manifest
+from sitl.campaign.manifest import MANIFEST_NAME, CampaignRun, Plan, check_goes_on, make_plan, read_manifest
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import CSV_NAME, Row, RunsFile, make_row, pending, read_rows, write_parquet
-from sitl.campaign.worker import Flown
+from sitl.campaign.worker import RunResult
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 from sitl.firmware.spec import FirmwareSpec
-from sitl.run.orders import terminated_as_interrupted
+from sitl.run.process_control import terminated_as_interrupted
 
 INTERRUPTED: Final = 130
 FAILED: Final = 1
@@ -213,7 +213,7 @@ def _fly(plan: Plan, runs: RunsFile, options: Options, console: Console) -> None
             meter.take(row)
 
 
-def _flown(flights: Sequence[Flight], options: Options) -> Generator[Flown, None, None]:
+def _flown(flights: Sequence[CampaignRun], options: Options) -> Generator[RunResult, None, None]:
     """Where they are flown."""
     if options.scheduler is None:
         return fly_locally(flights, options.jobs)

@@ -49,7 +49,7 @@ def share(hits: int, of: int) -> Share:
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class Percentiles:
     """Half of the values are at most `p50`, 95 % at most `p95`, all at most `worst`."""
 
     p50: float
@@ -62,13 +62,13 @@ def values(rows: Sequence[Row], column: str) -> list[float]:
     return sorted(abs(value) for row in rows if (value := getattr(row, column)) is not None)
 
 
-def spread(rows: Sequence[Row], column: str) -> Spread | None:
+def spread(rows: Sequence[Row], column: str) -> Percentiles | None:
     """How a column's sizes are spread; None without any."""
     sizes = values(rows, column)
     if not sizes:
         return None
     p50, p95 = np.percentile(sizes, [50.0, 95.0])
-    return Spread(float(p50), float(p95), sizes[-1])
+    return Percentiles(float(p50), float(p95), sizes[-1])
 
 
 def by_scenario(rows: Sequence[Row]) -> dict[str, list[Row]]:

@@ -37,7 +37,7 @@ _DIGEST_LENGTH: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class CampaignRun:
     """One run that is to be flown. `source` is what `--scenario` takes, `scenario` the name in the file.
 
     `identity` is the digest of all that decides it but the seed: files, settings and code.
@@ -93,14 +93,14 @@ class Plan:
     scenarios: dict[str, Scenario]
     firmware: FirmwareSpec | None = None
 
-    def flights(self) -> Iterator[Flight]:
+    def flights(self) -> Iterator[CampaignRun]:
         """Every run, seed by seed, so that one which is cut short has flown all scenarios alike."""
         manifest = self.manifest
         for seed in manifest.seeds:
             for name, entry in manifest.scenarios.items():
                 limit_s = self.scenarios[name].time_limit_s
                 identity = f"{manifest.code}-{entry.digest}"
-                yield Flight(name, entry.source, seed, manifest.config, limit_s, identity, self.firmware)
+                yield CampaignRun(name, entry.source, seed, manifest.config, limit_s, identity, self.firmware)
 
 
 def make_plan(

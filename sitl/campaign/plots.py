@@ -41,7 +41,7 @@ CLOSE_BOUNDS: Final = 1.15
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class PlotStyle:
     """How a scenario is drawn, in every picture alike."""
 
     colour: str
@@ -80,12 +80,12 @@ def write_plots(folder: Path, rows: Sequence[Row], scenarios: Mapping[str, Scena
     return paths
 
 
-def looks_of_all(count: int) -> list[Look]:
+def looks_of_all(count: int) -> list[PlotStyle]:
     """So many looks; lines change where colours come round again."""
     endless = zip(
         cycle(COLOURS), cycle(MARKERS), (LINES[k // len(COLOURS) % len(LINES)] for k in range(count))
     )
-    return [Look(*parts) for parts in endless]
+    return [PlotStyle(*parts) for parts in endless]
 
 
 def _bounds(groups: Mapping[str, Any], scenarios: Mapping[str, Scenario], name: str) -> list[float]:
@@ -133,7 +133,7 @@ def draw_outcomes(groups: Mapping[str, Sequence[Row]]) -> Figure:
 
 def draw_share(
     groups: Mapping[str, Sequence[Row]],
-    looks: Mapping[str, Look],
+    looks: Mapping[str, PlotStyle],
     column: str,
     factor: float,
     label: str,
@@ -178,7 +178,7 @@ def draw_share(
 
 
 def draw_touchdowns(
-    groups: Mapping[str, Sequence[Row]], looks: Mapping[str, Look], scenarios: Mapping[str, Scenario]
+    groups: Mapping[str, Sequence[Row]], looks: Mapping[str, PlotStyle], scenarios: Mapping[str, Scenario]
 ) -> Figure:
     """Where the vehicles came down: the whole pad on the left, then the middle of it for each scenario."""
     columns = math.ceil(math.sqrt(len(groups)))
@@ -208,7 +208,7 @@ def draw_touchdowns(
 def draw_places(
     axes: Any,
     groups: Mapping[str, Sequence[Row]],
-    looks: Mapping[str, Look],
+    looks: Mapping[str, PlotStyle],
     scenarios: Mapping[str, Scenario],
     pads: Mapping[str, Pad],
     reach_m: float,
@@ -240,7 +240,7 @@ def _draw_pad(axes: Any, pad: Pad) -> None:
     axes.axvline(0.0, color="grey", linewidth=0.4)
 
 
-def _draw_group(axes: Any, name: str, group: Sequence[Row], look: Look, reach_m: float) -> int:
+def _draw_group(axes: Any, name: str, group: Sequence[Row], look: PlotStyle, reach_m: float) -> int:
     """A scenario's touchdowns; returns how many lie outside the picture."""
     met = [row for row in group if row.touchdown_along_m is not None]
     across = np.array([row.touchdown_across_m for row in met], dtype=float)

@@ -6,13 +6,13 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from queue import SimpleQueue
 
-from sitl.campaign.manifest import Flight
-from sitl.campaign.worker import Flown, Worker
+from sitl.campaign.manifest import CampaignRun
+from sitl.campaign.worker import RunResult, Worker
 
 
 def fly_locally(
-    flights: Sequence[Flight], jobs: int, make_worker: Callable[[], Worker] = Worker
-) -> Generator[Flown, None, None]:
+    flights: Sequence[CampaignRun], jobs: int, make_worker: Callable[[], Worker] = Worker
+) -> Generator[RunResult, None, None]:
     """Fly runs, `jobs` at a time; they come as they end. Close it early and nothing is left running.
 
     Raises:
@@ -23,7 +23,7 @@ def fly_locally(
     for worker in workers:
         idle.put(worker)
 
-    def fly(flight: Flight) -> Flown:
+    def fly(flight: CampaignRun) -> RunResult:
         worker = idle.get()
         try:
             return worker.fly(flight)

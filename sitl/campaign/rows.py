@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from companion.config import ConfigError, StrictModel, validate
-from sitl.campaign.manifest import Flight
-from sitl.campaign.worker import Flown
+from sitl.campaign.manifest import CampaignRun
+from sitl.campaign.worker import RunResult
 
 RowOutcome = Literal["landed", "missed", "aborted", "timeout", "crashed", "failed"]
 OUTCOMES: Final[tuple[RowOutcome, ...]] = ("landed", "missed", "aborted", "timeout", "crashed", "failed")
@@ -111,7 +111,7 @@ class Row(StrictModel):
 COLUMNS: Final = tuple(Row.model_fields)
 
 
-def make_row(flown: Flown, version: str) -> Row:
+def make_row(flown: RunResult, version: str) -> Row:
     """The row of a run that has ended."""
     flight, result = flown.flight, flown.result
     along, across = flown.touchdown_pad_m or (None, None)
@@ -258,7 +258,7 @@ def write_parquet(rows: Sequence[Row], folder: Path) -> Path | None:
     return path
 
 
-def pending(flights: Sequence[Flight], rows: Sequence[Row]) -> list[Flight]:
+def pending(flights: Sequence[CampaignRun], rows: Sequence[Row]) -> list[CampaignRun]:
     """The runs that have no row yet."""
     flown = {(row.scenario, row.seed) for row in rows}
     return [flight for flight in flights if (flight.scenario, flight.seed) not in flown]

@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from sitl.campaign.figures import Spread, by_scenario, share, spread, worst
+from sitl.campaign.figures import Percentiles, by_scenario, share, spread, worst
 from sitl.campaign.rows import OUTCOMES, Row
 from sitl.scenario.scenario import PassBounds
 
@@ -66,7 +66,7 @@ def _table(title: str, first: str) -> Table:
     return table
 
 
-def _middle(found: Spread | None, digits: int) -> str:
+def _middle(found: Percentiles | None, digits: int) -> str:
     return "-" if found is None else f"{found.p50:.{digits}f}"
 
 
@@ -87,7 +87,7 @@ def error_table(rows: Sequence[Row], bounds: Mapping[str, PassBounds]) -> Table:
     return table
 
 
-def _spread_text(found: Spread | None, factor: float, digits: int) -> str:
+def _spread_text(found: Percentiles | None, factor: float, digits: int) -> str:
     if found is None:
         return "-"
     return " ".join(f"{factor * value:.{digits}f}" for value in (found.p50, found.p95, found.worst))

@@ -22,7 +22,7 @@ from typing import IO, Any, Final
 
 from companion.base.clock import wall_clock_s
 from companion.config import ConfigError
-from sitl.campaign.manifest import Flight
+from sitl.campaign.manifest import CampaignRun
 
 COMMAND: Final = (sys.executable, "-m", "companion.cli", "flights")
 # a machine that simulates at a tenth of real time is hopelessly busy; then there is Python to start
@@ -36,13 +36,13 @@ _WORDS_BYTES: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class RunResult:
     """A run that has ended: its result (as `--json` has it), or the last words of what flew it.
 
     `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right.
     """
 
-    flight: Flight
+    flight: CampaignRun
     wall_s: float
     result: dict[str, Any] | None = None
     reason: str = ""
@@ -70,7 +70,7 @@ class Worker:
         self._stopped = False
         self._lock = threading.Lock()
 
-    def fly(self, flight: Flight, timeout_s: float | None = None) -> Flown:
+    def fly(self, flight: CampaignRun, timeout_s: float | None = None) -> RunResult:
         """Fly a run; by default it may take ten times as long as the scenario's own limit.
 
         Raises:
@@ -82,15 +82,15 @@ class Worker:
             answer = self._ask(flight, started_s + patience_s, patience_s)
         except _DiedError as error:
             self._end()
-            return Flown(flight, wall_clock_s() - started_s, error=str(error))
+            return RunResult(flight, wall_clock_s() - started_s, error=str(error))
         wall_s = wall_clock_s() - started_s
         if answer["refused"] is not None:
             raise ConfigError(answer["refused"])
         if answer["fault"] is not None:
             # what state it was left in nobody knows
             self._end()
-            return Flown(flight, wall_s, error=answer["fault"])
-        return Flown(flight, wall_s, answer["result"], answer["reason"], answer["touchdown_pad_m"])
+            return RunResult(flight, wall_s, error=answer["fault"])
+        return RunResult(flight, wall_s, answer["result"], answer["reason"], answer["touchdown_pad_m"])
 
     def stop(self) -> None:
         """End the process, whatever it does, for good; a run that is being flown ends as failed."""
@@ -106,7 +106,7 @@ class Worker:
 
     # ------------------------------------------------------------ the process
 
-    def _ask(self, flight: Flight, deadline_s: float, patience_s: float) -> dict[str, Any]:
+    def _ask(self, flight: CampaignRun, deadline_s: float, patience_s: float) -> dict[str, Any]:
         if self._flown >= self._flights_per_process:
             self._end()
         process = self._process or self._start()

@@ -17,7 +17,7 @@ import tty
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from sitl.devices.uart import BITS_PER_BYTE, as_heard
+from sitl.devices.uart import BITS_PER_BYTE, as_received
 
 _SPEEDS: Final = {
     getattr(termios, f"B{baud}"): baud for baud in (4800, 9600, 19200, 38400, 57600, 115200, 230400)
@@ -49,13 +49,13 @@ class DevicePort(Protocol):
 class PacedLine:
     """One direction: hands bytes on as fast as the line carries them; what waits over a second is dropped.
 
-    `baud` is the sender's; `heard_baud` tells the receiver's at the moment of arrival.
+    `baud` is the sender's; `receiver_baud` tells the receiver's at the moment of arrival.
     """
 
-    def __init__(self, baud: int, deliver: Callable[[bytes], None], heard_baud: Callable[[], int]) -> None:
+    def __init__(self, baud: int, deliver: Callable[[bytes], None], receiver_baud: Callable[[], int]) -> None:
         self.baud = baud
         self._deliver = deliver
-        self._heard_baud = heard_baud
+        self._receiver_baud = receiver_baud
         self._loop = asyncio.get_running_loop()
         self._free_s = 0.0
 
@@ -71,7 +71,7 @@ class PacedLine:
             self._loop.call_at(self._free_s, self._arrive, piece, self.baud)
 
     def _arrive(self, piece: bytes, sent_baud: int) -> None:
-        heard = as_heard(piece, sent_baud, self._heard_baud())
+        heard = as_received(piece, sent_baud, self._receiver_baud())
         if heard:
             self._deliver(heard)
 
@@ -219,7 +219,7 @@ class PtyPort:
         except OSError:
             self.close()
             return
-        self._from_app += as_heard(data, self._app_baud(), self._line.baud)
+        self._from_app += as_received(data, self._app_baud(), self._line.baud)
 
 
 def _unplugged() -> OSError:

@@ -26,7 +26,7 @@ from sitl.devices.mpu9250 import Interface, Mpu9250Device
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import DevicePort
 from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
-from sitl.sensors.flaws import BoardTruth
+from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.inertial import ImuErrors, ImuSensor
 from sitl.sensors.sensors import GpsErrors, GpsSensor, MagErrors, MagSensor, RangeErrors, RangeSensor
 from sitl.vehicle.quadrotor import QuadrotorState
@@ -108,7 +108,12 @@ class SensorRack:
     def truth(self) -> BoardTruth:
         """What is truly wrong with IMU and magnetometer."""
         imu = self.inertial
-        return BoardTruth(imu.accel_flaws, imu.gyro_flaws, self.magnetometer.flaws, SENSOR_FROM_BODY)
+        return BoardTruth(
+            imu.accel_calibration_errors,
+            imu.gyro_calibration_errors,
+            self.magnetometer.calibration_errors,
+            SENSOR_FROM_BODY,
+        )
 
     def step(
         self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]

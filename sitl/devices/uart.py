@@ -13,12 +13,12 @@ from typing import Final
 BITS_PER_BYTE: Final = 10
 
 
-def as_heard(data: bytes, sent_baud: int, heard_baud: int) -> bytes:
-    """The bytes that a receiver at `heard_baud` gets of `data` sent in one go at `sent_baud`."""
-    if sent_baud == heard_baud or not data:
+def as_received(data: bytes, sent_baud: int, receiver_baud: int) -> bytes:
+    """The bytes that a receiver at `receiver_baud` gets of `data` sent in one go at `sent_baud`."""
+    if sent_baud == receiver_baud or not data:
         return data
     wave = _waveform(data)
-    ratio = sent_baud / heard_baud  # bits of the sender in one of the receiver's
+    ratio = sent_baud / receiver_baud  # bits of the sender in one of the receiver's
     heard = bytearray()
     at = _falling_edge(wave, 0)
     while at is not None:

@@ -22,12 +22,12 @@ from sitl.external.pose import (
     HIL_STATE,
     LOCAL_POSITION,
     SIM_STATE,
-    Anchor,
+    LocalOrigin,
     Message,
     Sample,
-    anchor,
     estimate,
     hil_state,
+    local_origin,
     place_of,
     sim_state,
 )
@@ -111,7 +111,7 @@ class VehicleClient:
         self._counts: dict[int, int] = {}
         self._on_estimates = False
         self._attitude: Message | None = None
-        self._anchor: Anchor | None = None
+        self._anchor: LocalOrigin | None = None
         self._global: Message | None = None
         self._lost = self._blind = self._kept = False
         self._slow_windows = 0
@@ -214,7 +214,7 @@ class VehicleClient:
         if not self._on_estimates or self._attitude is None:
             return
         if self._anchor is None and self._global is not None:
-            self._anchor = anchor(message, self._global)
+            self._anchor = local_origin(message, self._global)
         if self._anchor is None:
             return
         sample = estimate(message, self._attitude, self._anchor, now_s)

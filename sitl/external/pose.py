@@ -112,21 +112,21 @@ def hil_state(message: Message, time_s: float) -> Sample | None:
     )
 
 
-class Anchor(NamedTuple):
+class LocalOrigin(NamedTuple):
     """Where the estimates' local frame lies on the globe: a place, and the local position (m, NED) there."""
 
     place: Vector3
     local_ned_m: Vector3
 
 
-def anchor(local: Message, position: Message) -> Anchor | None:
+def local_origin(local: Message, position: Message) -> LocalOrigin | None:
     """Of a LOCAL_POSITION_NED and the GLOBAL_POSITION_INT of about then; None when either holds no place."""
     place = place_of(position.lat, position.lon, position.alt)
     there = (local.x, local.y, local.z)
-    return Anchor(place, there) if place is not None and norm(there) <= FARTHEST_M else None
+    return LocalOrigin(place, there) if place is not None and norm(there) <= FARTHEST_M else None
 
 
-def estimate(local: Message, attitude: Message, tied: Anchor, time_s: float) -> Sample | None:
+def estimate(local: Message, attitude: Message, tied: LocalOrigin, time_s: float) -> Sample | None:
     """LOCAL_POSITION_NED and the last ATTITUDE_QUATERNION; None when they hold no pose."""
     unit = _unit((attitude.q1, attitude.q2, attitude.q3, attitude.q4))
     away = subtract((local.x, local.y, local.z), tied.local_ned_m)

@@ -23,7 +23,7 @@ from sitl.camera.frame_server import FrameServer
 from sitl.devices.ports import PtyPort
 from sitl.external.link import check_connection, open_link, open_relay
 from sitl.external.session import ExternalSimulation, Parts
-from sitl.run.orders import final_phase, fly_until_told, say
+from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.server import REPORT_NAME, SENSOR_BAUD
 from sitl.scenario.scenario import Scenario
 
@@ -54,7 +54,7 @@ async def serve_external(
         endpoints = _endpoints(relay_port, range_port.path, frames.address)
         telling = asyncio.create_task(_tell_once_found(simulation, endpoints))
         stack.callback(telling.cancel)
-        await fly_until_told(simulation, folder / REPORT_NAME, ending)
+        await run_until_finished(simulation, folder / REPORT_NAME, ending)
 
 
 def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def _endpoints(relay_port: int, range_path: str, frames: str) -> dict[str, Any]:
 
 async def _tell_once_found(simulation: ExternalSimulation, endpoints: dict[str, Any]) -> None:
     await simulation.ready.wait()
-    say(endpoints)
+    print_json(endpoints)
 
 
 def _stop_signals() -> asyncio.Event:

@@ -31,7 +31,7 @@ from sitl.external.world import ExternalWorld
 from sitl.mavlink.ground_station import GroundStation
 from sitl.run.report import SimulationReport
 from sitl.run.scene_camera import SceneCamera
-from sitl.run.sensor_quality import sensor_errors
+from sitl.run.sensor_setup import sensor_errors
 from sitl.run.simulation import OUT_OF_RANGE_M, TRUTH_EVERY_TICKS
 from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.sensors.sensors import RangeSensor

@@ -26,9 +26,9 @@ from sitl.pad.motion import PadMotion, PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.contact import NO_CONTACT, ContactLoad
-from sitl.world.ground import Board
+from sitl.world.ground import PadBoard
 from sitl.world.obstacles import Obstacles
-from sitl.world.score import Touchdown, TouchdownWatch, Verdict, judge
+from sitl.world.score import TouchdownDetector, TouchdownState, Verdict, judge
 
 PAD_STREAM: Final = 12  # the bundled world's: the same seed gives the same way of the pad
 # A foot this near counts as down: a simulator's ground is level with the first stand to a centimetre, and a
@@ -54,7 +54,7 @@ class ExternalWorld:
         self._feet = airframe.legs.feet_body_m
         self._standing_m = airframe.legs.standing_height_m()
         self._bounds = scenario.pass_bounds
-        self.board = Board.of(load_pad(scenario.pad.name))
+        self.board = PadBoard.of(load_pad(scenario.pad.name))
         self._motion = build_pad_motion(
             scenario.pad.motion, 0.0, scenario.pad.heading, np.random.default_rng((seed, PAD_STREAM))
         )
@@ -79,7 +79,7 @@ class ExternalWorld:
         self.armed = self.flown = False  # flown: it has been in the air, armed
         self._load = NO_CONTACT
         self._in_air: Pose | None = None
-        self._watch = TouchdownWatch()
+        self._watch = TouchdownDetector()
         self._stop_pad()
 
     def _stop_pad(self) -> None:
@@ -116,7 +116,7 @@ class ExternalWorld:
         lowest_m = -max(foot[2] for foot in feet)
         pad, touched = self.pad_at(pose.time_s), self._load.touching
         if lowest_m <= CONTACT_M:
-            over = sum(self.board.bears(self.board.local(pad, foot)) for foot in feet)
+            over = sum(self.board.contains(self.board.local(pad, foot)) for foot in feet)
             self._load = ContactLoad(on_board=over, on_ground=len(feet) - over)
         else:
             self._load = NO_CONTACT
@@ -178,7 +178,7 @@ class ExternalWorld:
         return height if height > 0.0 and tilt_from_quat(pose.attitude) <= half_beam_rad else None
 
     @property
-    def touchdown(self) -> Touchdown | None:
+    def touchdown(self) -> TouchdownState | None:
         """The last first contact after a flight above 1 m."""
         return self._watch.touchdown
 

@@ -15,17 +15,17 @@ from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
 from sitl.faults.faulty_link import LinkWay
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.actuators import Motors
 
 
-class Breakable:
+class FaultTargets:
     """The devices and what may be broken about them."""
 
     def __init__(
         self,
         rack: SensorRack,
-        onboard: OnboardSensors,
+        onboard: SimulatedAutopilotSensors,
         frames: FrameLine,
         motors: Motors,
         to_app: LinkWay,
@@ -38,192 +38,192 @@ class Breakable:
         self.frames, self.motors = frames, motors
         self.to_app, self.to_vehicle = to_app, to_vehicle
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """Everything as it should be."""
         self.bus.wake()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
         self.inertial.vibration_factor = 1.0
-        self.inertial.gyro_glitches.mend()
-        self.inertial.accel_glitches.mend()
+        self.inertial.gyro_glitches.clear_faults()
+        self.inertial.accel_glitches.clear_faults()
         self.magnetometer.stray_field_ut = ZERO3
-        self.magnetometer.glitches.mend()
+        self.magnetometer.glitches.clear_faults()
         self.bus.magnetometer.silent = False
         self.bus.nack_every, self.bus.fault = 0, "none"
-        self.echo.mend()
+        self.echo.clear_faults()
         self.range.silent = False
         self.gps.has_fix, self.gps.silent = True, False
         self.position.jump_ned_m, self.position.frozen = ZERO3, False
-        self.position.glitches.mend()
+        self.position.glitches.clear_faults()
         self.onboard.has_sky, self.onboard.stray_field_ut = True, ZERO3
-        self.frames.mend()
-        self.motors.mend()
+        self.frames.clear_faults()
+        self.motors.clear_faults()
         self.to_app.cut = self.to_vehicle.cut = False
 
 
 # ---------------------------------------------------------------- IMU
 
 
-def lose_imu(_fault: faults.ImuLost, parts: Breakable) -> None:
+def lose_imu(_fault: faults.ImuLost, targets: FaultTargets) -> None:
     """Nobody acknowledges."""
-    parts.bus.fault = "nack"
+    targets.bus.fault = "nack"
 
 
-def disturb_bus(fault: faults.ImuBusError, parts: Breakable) -> None:
+def disturb_bus(fault: faults.ImuBusError, targets: FaultTargets) -> None:
     """Transactions that fail."""
-    parts.bus.nack_every = fault.every
+    targets.bus.nack_every = fault.every
 
 
-def freeze_imu(_fault: faults.ImuFrozen, parts: Breakable) -> None:
+def freeze_imu(_fault: faults.ImuFrozen, targets: FaultTargets) -> None:
     """The last readings again and again."""
-    parts.inertial.gyro_glitches.frozen = parts.inertial.accel_glitches.frozen = True
+    targets.inertial.gyro_glitches.frozen = targets.inertial.accel_glitches.frozen = True
 
 
-def step_gyro_bias(fault: faults.GyroBiasStep, parts: Breakable) -> None:
+def step_gyro_bias(fault: faults.GyroBiasStep, targets: FaultTargets) -> None:
     """A rate that is not there."""
     x, y, z = fault.rate_body_deg_s
     step = (math.radians(x), math.radians(y), math.radians(z))
-    parts.inertial.rate_offset_rad_s = add(parts.inertial.rate_offset_rad_s, step)
+    targets.inertial.rate_offset_rad_s = add(targets.inertial.rate_offset_rad_s, step)
 
 
-def spike_gyro(fault: faults.GyroSpikes, parts: Breakable) -> None:
+def spike_gyro(fault: faults.GyroSpikes, targets: FaultTargets) -> None:
     """Wrong rates."""
-    parts.inertial.gyro_glitches.spike(fault.share, math.radians(fault.size_deg_s))
+    targets.inertial.gyro_glitches.spike(fault.share, math.radians(fault.size_deg_s))
 
 
-def step_accel_bias(fault: faults.AccelBiasStep, parts: Breakable) -> None:
+def step_accel_bias(fault: faults.AccelBiasStep, targets: FaultTargets) -> None:
     """A force that is not there."""
-    parts.inertial.force_offset_m_s2 = add(parts.inertial.force_offset_m_s2, fault.force_body_m_s2)
+    targets.inertial.force_offset_m_s2 = add(targets.inertial.force_offset_m_s2, fault.force_body_m_s2)
 
 
-def spike_accel(fault: faults.AccelSpikes, parts: Breakable) -> None:
+def spike_accel(fault: faults.AccelSpikes, targets: FaultTargets) -> None:
     """Wrong forces."""
-    parts.inertial.accel_glitches.spike(fault.share, fault.size_m_s2)
+    targets.inertial.accel_glitches.spike(fault.share, fault.size_m_s2)
 
 
-def clip_accelerometer(fault: faults.AccelClips, parts: Breakable) -> None:
+def clip_accelerometer(fault: faults.AccelClips, targets: FaultTargets) -> None:
     """Less range, more vibration."""
     limit_m_s2 = fault.range_g * GRAVITY_M_S2
-    parts.inertial.accel_limit_m_s2 = min(parts.inertial.accel_limit_m_s2, limit_m_s2)
-    parts.inertial.vibration_factor *= fault.vibration_factor
+    targets.inertial.accel_limit_m_s2 = min(targets.inertial.accel_limit_m_s2, limit_m_s2)
+    targets.inertial.vibration_factor *= fault.vibration_factor
 
 
 # ---------------------------------------------------------------- magnetometer
 
 
-def lose_magnetometer(_fault: faults.MagLost, parts: Breakable) -> None:
+def lose_magnetometer(_fault: faults.MagLost, targets: FaultTargets) -> None:
     """It acknowledges nothing."""
-    parts.bus.magnetometer.silent = True
+    targets.bus.magnetometer.silent = True
 
 
-def freeze_magnetometer(_fault: faults.MagFrozen, parts: Breakable) -> None:
+def freeze_magnetometer(_fault: faults.MagFrozen, targets: FaultTargets) -> None:
     """The last field again and again."""
-    parts.magnetometer.glitches.frozen = True
+    targets.magnetometer.glitches.frozen = True
 
 
-def disturb_magnetometer(fault: faults.MagDisturbed, parts: Breakable) -> None:
+def disturb_magnetometer(fault: faults.MagDisturbed, targets: FaultTargets) -> None:
     """Another field on top."""
-    for sensor in (parts.magnetometer, parts.onboard):
+    for sensor in (targets.magnetometer, targets.onboard):
         sensor.stray_field_ut = add(sensor.stray_field_ut, fault.field_body_ut)
 
 
-def spike_magnetometer(fault: faults.MagSpikes, parts: Breakable) -> None:
+def spike_magnetometer(fault: faults.MagSpikes, targets: FaultTargets) -> None:
     """Wrong fields."""
-    parts.magnetometer.glitches.spike(fault.share, fault.size_ut)
+    targets.magnetometer.glitches.spike(fault.share, fault.size_ut)
 
 
 # ---------------------------------------------------------------- GPS
 
 
-def lose_gps(fault: faults.GpsLost, parts: Breakable) -> None:
+def lose_gps(fault: faults.GpsLost, targets: FaultTargets) -> None:
     """No fix any more, or silence."""
     if fault.unplugged:
-        parts.gps.silent = True
+        targets.gps.silent = True
     else:
-        parts.gps.has_fix = False
-        parts.onboard.has_sky = False
+        targets.gps.has_fix = False
+        targets.onboard.has_sky = False
 
 
-def freeze_gps(_fault: faults.GpsFrozen, parts: Breakable) -> None:
+def freeze_gps(_fault: faults.GpsFrozen, targets: FaultTargets) -> None:
     """The last solution again and again."""
-    parts.position.frozen = True
+    targets.position.frozen = True
 
 
-def jump_gps(fault: faults.GpsJump, parts: Breakable) -> None:
+def jump_gps(fault: faults.GpsJump, targets: FaultTargets) -> None:
     """Every fix aside."""
-    parts.position.jump_ned_m = add(parts.position.jump_ned_m, fault.position_ned_m)
+    targets.position.jump_ned_m = add(targets.position.jump_ned_m, fault.position_ned_m)
 
 
-def spike_gps(fault: faults.GpsSpikes, parts: Breakable) -> None:
+def spike_gps(fault: faults.GpsSpikes, targets: FaultTargets) -> None:
     """Some fixes far off."""
-    parts.position.glitches.spike(fault.share, fault.size_m)
+    targets.position.glitches.spike(fault.share, fault.size_m)
 
 
 # ---------------------------------------------------------------- ultrasonic
 
 
-def lose_range(fault: faults.RangeLost, parts: Breakable) -> None:
+def lose_range(fault: faults.RangeLost, targets: FaultTargets) -> None:
     """Fewer echoes, or silence."""
     if fault.unplugged:
-        parts.range.silent = True
+        targets.range.silent = True
     else:
-        parts.echo.extra_lost = max(parts.echo.extra_lost, fault.share)
+        targets.echo.extra_lost = max(targets.echo.extra_lost, fault.share)
 
 
-def stick_range(fault: faults.RangeStuck, parts: Breakable) -> None:
+def stick_range(fault: faults.RangeStuck, targets: FaultTargets) -> None:
     """One distance all the time."""
-    parts.echo.frozen, parts.echo.stuck_m = True, fault.distance_m
+    targets.echo.frozen, targets.echo.stuck_m = True, fault.distance_m
 
 
-def step_range_bias(fault: faults.RangeBiasStep, parts: Breakable) -> None:
+def step_range_bias(fault: faults.RangeBiasStep, targets: FaultTargets) -> None:
     """Longer or shorter echoes."""
-    parts.echo.bias_m += fault.distance_m
+    targets.echo.bias_m += fault.distance_m
 
 
-def spike_range(fault: faults.RangeSpikes, parts: Breakable) -> None:
+def spike_range(fault: faults.RangeSpikes, targets: FaultTargets) -> None:
     """More wrong echoes."""
-    parts.echo.extra_spikes = max(parts.echo.extra_spikes, fault.share)
+    targets.echo.extra_spikes = max(targets.echo.extra_spikes, fault.share)
 
 
 # ---------------------------------------------------------------- camera
 
 
-def hold_frames_up(fault: faults.FrameLate, parts: Breakable) -> None:
+def hold_frames_up(fault: faults.FrameLate, targets: FaultTargets) -> None:
     """A longer way for some frames."""
-    parts.frames.late_s, parts.frames.late_every = fault.extra_s, fault.every
+    targets.frames.late_s, targets.frames.late_every = fault.extra_s, fault.every
 
 
-def lose_frames(fault: faults.FrameLost, parts: Breakable) -> None:
+def lose_frames(fault: faults.FrameLost, targets: FaultTargets) -> None:
     """No way for some frames."""
-    if fault.share >= parts.frames.lost_share:
-        parts.frames.lost_share, parts.frames.burst_frames = fault.share, fault.burst_frames
+    if fault.share >= targets.frames.lost_share:
+        targets.frames.lost_share, targets.frames.burst_frames = fault.share, fault.burst_frames
 
 
-def stick_frames(_fault: faults.FrameStuck, parts: Breakable) -> None:
+def stick_frames(_fault: faults.FrameStuck, targets: FaultTargets) -> None:
     """The last picture again and again."""
-    parts.frames.stuck = True
+    targets.frames.stuck = True
 
 
-def garble_frames(fault: faults.FrameGarbled, parts: Breakable) -> None:
+def garble_frames(fault: faults.FrameGarbled, targets: FaultTargets) -> None:
     """Garbage in some frames."""
-    parts.frames.garbled_share = max(parts.frames.garbled_share, fault.share)
+    targets.frames.garbled_share = max(targets.frames.garbled_share, fault.share)
 
 
 # ---------------------------------------------------------------- link and motors
 
 
-def black_out_link(fault: faults.LinkBlackout, parts: Breakable) -> None:
+def black_out_link(fault: faults.LinkBlackout, targets: FaultTargets) -> None:
     """Nothing gets through."""
-    parts.to_app.cut |= fault.way in ("both", "to_app")
-    parts.to_vehicle.cut |= fault.way in ("both", "to_vehicle")
+    targets.to_app.cut |= fault.way in ("both", "to_app")
+    targets.to_vehicle.cut |= fault.way in ("both", "to_vehicle")
 
 
-def weaken_motor(fault: faults.MotorWeak, parts: Breakable) -> None:
+def weaken_motor(fault: faults.MotorWeak, targets: FaultTargets) -> None:
     """Less thrust."""
-    parts.motors.weaken(None if fault.motor == "all" else fault.motor, fault.thrust_factor)
+    targets.motors.weaken(None if fault.motor == "all" else fault.motor, fault.thrust_factor)
 
 
-BREAK: Final[dict[str, Callable[[Any, Breakable], None]]] = {
+INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "imu_lost": lose_imu,
     "imu_bus_error": disturb_bus,
     "imu_frozen": freeze_imu,
@@ -256,9 +256,9 @@ BREAK: Final[dict[str, Callable[[Any, Breakable], None]]] = {
 class FaultSchedule:
     """Breaks and mends at the right times."""
 
-    def __init__(self, plan: Sequence[faults.Fault], parts: Breakable) -> None:
+    def __init__(self, plan: Sequence[faults.Fault], targets: FaultTargets) -> None:
         self._plan = plan
-        self._parts = parts
+        self._parts = targets
         self._changes_s = sorted({time_s for fault in plan for time_s in (fault.start_s, fault.end_s)})
 
     def step(self, now_s: float) -> None:
@@ -267,7 +267,7 @@ class FaultSchedule:
             return
         while self._changes_s and now_s >= self._changes_s[0]:
             self._changes_s.pop(0)
-        self._parts.mend()
+        self._parts.clear_faults()
         for fault in self._plan:
             if fault.start_s <= now_s < fault.end_s:
-                BREAK[fault.kind](fault, self._parts)
+                INJECT[fault.kind](fault, self._parts)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple, Protocol
 
 from companion.base.geometry import Vector3
-from sitl.scenario.scenario import Airframe
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.scenario.scenario import AirframeConfig
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import Four, QuadrotorState
 
 # an answer takes a fraction of a millisecond; a machine too busy for this one is hopeless
@@ -17,14 +17,14 @@ class Moment(NamedTuple):
     """The vehicle at one step, as its sensors have it; `clock_s` is the firmware's time."""
 
     clock_s: float
-    sensors: OnboardSensors
+    sensors: SimulatedAutopilotSensors
     state: QuadrotorState
 
 
 class Setup(NamedTuple):
     """What the firmware is told of the vehicle: by parameters, as its owner would."""
 
-    airframe: Airframe
+    airframe: AirframeConfig
     home: Vector3  # latitude (deg), longitude (deg), altitude (m AMSL) of the world's origin
     gps_delay_s: float
     parameters: dict[str, float]  # over all others

@@ -53,7 +53,7 @@ class FirmwareNetwork:
         """Take what a client sent: to the firmware frame by frame, and to the ground station."""
         for frame in port.reader.read(data, now_s):
             self._firmware.write(frame.data)
-            self._ground_station.hear(frame, now_s)
+            self._ground_station.handle(frame, now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
         """Hand on what the firmware has sent, and the ground station; the beacon starts at the pad."""

@@ -16,7 +16,7 @@ from sitl.firmware.process import FirmwareError
 from sitl.firmware.px4 import Px4
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import QuadrotorState
 
 mavlink: Any = dialect
@@ -41,7 +41,9 @@ def start_firmware(spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> Fi
     return Px4(spec, setup, barometer) if spec.kind == "px4" else ArduPilot(spec, setup)
 
 
-def boot(firmware: Firmware, sensors: OnboardSensors, state: QuadrotorState, step_s: float) -> float:
+def boot(
+    firmware: Firmware, sensors: SimulatedAutopilotSensors, state: QuadrotorState, step_s: float
+) -> float:
     """Let it boot about a vehicle at rest until it may be armed; returns its clock (s) by then.
 
     Before its first heartbeat it is given real time: its start-up script runs by the wall's clock.

@@ -13,9 +13,9 @@ from sitl.firmware.network import FirmwareNetwork
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.start import boot, start_firmware
 from sitl.mavlink.ground_station import GroundStation
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import Four
-from sitl.world.world import Motion, World
+from sitl.world.world import VehicleMotion, World
 
 # what the chip passes on; the firmware filters by itself
 IMU_FILTER: Final = 1
@@ -28,7 +28,7 @@ class FirmwareVehicle:
         self,
         spec: FirmwareSpec,
         world: World,
-        sensors: OnboardSensors,
+        sensors: SimulatedAutopilotSensors,
         ground_station: GroundStation,
         rng: np.random.Generator,
         *,
@@ -54,7 +54,7 @@ class FirmwareVehicle:
             raise
         self.network = FirmwareNetwork(self._firmware, ground_station)
 
-    def step(self, _motion: Motion, _dt_s: float, now_s: float) -> Four:
+    def step(self, _motion: VehicleMotion, _dt_s: float, now_s: float) -> Four:
         """The motors' commands until the next step, by what its sensors have now.
 
         Raises:

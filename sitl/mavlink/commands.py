@@ -1,6 +1,6 @@
 """COMMAND_LONG and COMMAND_INT to the simulated autopilot: one function a command, in a table.
 
-Both kinds of message become a `Request`; what a function returns goes back as COMMAND_ACK.
+Both kinds of message become a `CommandRequest`; what a function returns goes back as COMMAND_ACK.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, Final, Protocol
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot import Autopilot, Result
+from sitl.autopilot import CommandResult, SimulatedAutopilot
 
 FORCE_MAGIC: Final = 21196
 _ARDUPILOT_FORCE_ARM: Final = 2989
@@ -39,7 +39,7 @@ _NAV_PRECLAND: Final = 23  # PX4's own, where MAVLink's dialects have NAV_LAND_L
 class Sender(Protocol):
     """What commands may ask of the endpoint besides the autopilot."""
 
-    autopilot: Autopilot
+    autopilot: SimulatedAutopilot
 
     def send_once(self, message_id: int, now_s: float) -> bool:
         """Send a telemetry message now; False when there is no such message."""
@@ -47,12 +47,12 @@ class Sender(Protocol):
     def set_interval(self, message_id: int, interval_us: float) -> bool:
         """Change how often a telemetry message is sent; False when there is no such message."""
 
-    def tell_interval(self, message_id: int) -> None:
+    def send_message_interval(self, message_id: int) -> None:
         """Send MESSAGE_INTERVAL for one message."""
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class CommandRequest:
     """A command: its number, parameters 1 to 7 (latitude and longitude in degrees), frame."""
 
     command: int
@@ -70,57 +70,57 @@ class Request:
         return latitude, longitude, altitude
 
 
-def request_from_message(message: Any) -> Request:
+def request_from_message(message: Any) -> CommandRequest:
     """The request in a COMMAND_LONG or COMMAND_INT."""
     m = message
     first = (m.param1, m.param2, m.param3, m.param4)
     if m.get_msgId() == mavlink.MAVLINK_MSG_ID_COMMAND_LONG:
-        return Request(m.command, (*first, m.param5, m.param6, m.param7), _POSITION_OF_LONG)
+        return CommandRequest(m.command, (*first, m.param5, m.param6, m.param7), _POSITION_OF_LONG)
     scale = 1e-7 if m.command in _WITH_PLACE else 1.0
     latitude, longitude = (math.nan if e7 == _NOT_GIVEN_E7 else e7 * scale for e7 in (m.x, m.y))
-    return Request(m.command, (*first, latitude, longitude, m.z), m.frame)
+    return CommandRequest(m.command, (*first, latitude, longitude, m.z), m.frame)
 
 
-def _arm_or_disarm(sender: Sender, request: Request, now_s: float) -> Result:
+def _arm_or_disarm(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     force = request.whole(2) in (FORCE_MAGIC, _ARDUPILOT_FORCE_ARM)
     if request.parameters[0] == 1.0:
         return sender.autopilot.arm(force)
     if request.parameters[0] == 0.0:
         return sender.autopilot.disarm(force)
-    return Result.UNSUPPORTED
+    return CommandResult.UNSUPPORTED
 
 
-def _set_mode(sender: Sender, request: Request, now_s: float) -> Result:
+def _set_mode(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     flags, main, sub = request.whole(1), request.whole(2), request.whole(3)
     if flags < 0 or not flags & mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED or main < 0:
-        return Result.DENIED
-    return sender.autopilot.set_mode(sender.autopilot.manner.custom_mode(main, max(sub, 0)))
+        return CommandResult.DENIED
+    return sender.autopilot.set_mode(sender.autopilot.profile.custom_mode(main, max(sub, 0)))
 
 
-def _take_off(sender: Sender, request: Request, now_s: float) -> Result:
+def _take_off(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.take_off(request.parameters[6])
 
 
-def _land(sender: Sender, request: Request, now_s: float) -> Result:
-    return sender.autopilot.set_mode_named(sender.autopilot.manner.land_mode)
+def _land(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.set_mode_named(sender.autopilot.profile.land_mode)
 
 
-def _return(sender: Sender, request: Request, now_s: float) -> Result:
-    return sender.autopilot.set_mode_named(sender.autopilot.manner.return_mode)
+def _return(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.set_mode_named(sender.autopilot.profile.return_mode)
 
 
-def _hold(sender: Sender, request: Request, now_s: float) -> Result:
-    return sender.autopilot.set_mode_named(sender.autopilot.manner.hold_mode)
+def _hold(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.set_mode_named(sender.autopilot.profile.hold_mode)
 
 
-def _reposition(sender: Sender, request: Request, now_s: float) -> Result:
+def _reposition(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     speed, yaw = request.parameters[0], request.parameters[3]
     if request.frame not in _GLOBAL_FRAMES:
-        return Result.DENIED
+        return CommandResult.DENIED
     changes_mode = request.whole(2) > 0 and request.whole(2) & mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
     autopilot = sender.autopilot
-    if not changes_mode and autopilot.mode != autopilot.manner.after_take_off_mode:
-        return Result.DENIED
+    if not changes_mode and autopilot.mode != autopilot.profile.after_take_off_mode:
+        return CommandResult.DENIED
     return autopilot.go_to(
         request.place(),
         over_home=request.frame in _OVER_HOME,
@@ -129,94 +129,94 @@ def _reposition(sender: Sender, request: Request, now_s: float) -> Result:
     )
 
 
-def _start_mission(sender: Sender, request: Request, now_s: float) -> Result:
+def _start_mission(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.start_mission(request.whole(1) if request.whole(1) > 0 else -1)
 
 
-def _select_item(sender: Sender, request: Request, now_s: float) -> Result:
+def _select_item(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.select_mission_item(request.whole(1))
 
 
-def _land_by_mission(sender: Sender, request: Request, now_s: float) -> Result:
+def _land_by_mission(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.land_by_mission()
 
 
-def _land_precisely(sender: Sender, request: Request, now_s: float) -> Result:
-    return sender.autopilot.land_precisely()
+def _precision_land(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.precision_land()
 
 
-def _pause(sender: Sender, request: Request, now_s: float) -> Result:
+def _pause(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     if request.whole(1) not in (0, 1):
-        return Result.DENIED
+        return CommandResult.DENIED
     return sender.autopilot.pause(request.whole(1) == 0)
 
 
-def _change_speed(sender: Sender, request: Request, now_s: float) -> Result:
+def _change_speed(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     return sender.autopilot.change_speed(request.whole(1), request.parameters[1])
 
 
-def _turn(sender: Sender, request: Request, now_s: float) -> Result:
-    if not sender.autopilot.manner.turns_by_command:
-        return Result.UNSUPPORTED
+def _turn(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    if not sender.autopilot.profile.turns_by_command:
+        return CommandResult.UNSUPPORTED
     return sender.autopilot.turn_to(request.parameters)
 
 
-def _set_home(sender: Sender, request: Request, now_s: float) -> Result:
+def _set_home(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     if request.whole(1) == 1:
         return sender.autopilot.set_home(None)
     latitude, longitude, altitude = request.place()
     usable = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and abs(altitude) < 1e5
     if not usable or request.frame not in _GLOBAL_FRAMES:
-        return Result.DENIED
+        return CommandResult.DENIED
     return sender.autopilot.set_home((latitude, longitude, altitude), request.frame in _OVER_HOME)
 
 
-def _terminate(sender: Sender, request: Request, now_s: float) -> Result:
-    return sender.autopilot.terminate() if request.parameters[0] > 0.5 else Result.DENIED
+def _terminate(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.terminate() if request.parameters[0] > 0.5 else CommandResult.DENIED
 
 
-def _reboot(sender: Sender, request: Request, now_s: float) -> Result:
-    return sender.autopilot.reboot() if request.whole(1) in _REBOOT else Result.UNSUPPORTED
+def _reboot(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return sender.autopilot.reboot() if request.whole(1) in _REBOOT else CommandResult.UNSUPPORTED
 
 
-def _store_parameters(sender: Sender, request: Request, now_s: float) -> Result:
+def _store_parameters(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     """PREFLIGHT_STORAGE: 0 and 1 load and save, which they are anyhow for this run; 2 resets."""
     if sender.autopilot.armed or request.whole(1) not in (0, 1, 2):
-        return Result.DENIED
+        return CommandResult.DENIED
     if request.whole(1) == 2:
         sender.autopilot.parameters.reset()
-    return Result.ACCEPTED
+    return CommandResult.ACCEPTED
 
 
-def _prearm(sender: Sender, request: Request, now_s: float) -> Result:
-    return Result.TEMPORARILY_REJECTED if sender.autopilot.armed else Result.ACCEPTED
+def _prearm(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    return CommandResult.TEMPORARILY_REJECTED if sender.autopilot.armed else CommandResult.ACCEPTED
 
 
-def _request_message(sender: Sender, request: Request, now_s: float) -> Result:
+def _request_message(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     if sender.send_once(request.whole(1), now_s):
-        return Result.ACCEPTED
-    return sender.autopilot.manner.unsupported_request
+        return CommandResult.ACCEPTED
+    return sender.autopilot.profile.unsupported_request
 
 
-def _set_interval(sender: Sender, request: Request, now_s: float) -> Result:
+def _set_interval(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     accepted = sender.set_interval(request.whole(1), request.parameters[1])
-    return Result.ACCEPTED if accepted else Result.FAILED
+    return CommandResult.ACCEPTED if accepted else CommandResult.FAILED
 
 
-def _get_interval(sender: Sender, request: Request, now_s: float) -> Result:
-    sender.tell_interval(request.whole(1))
-    return Result.ACCEPTED
+def _get_interval(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
+    sender.send_message_interval(request.whole(1))
+    return CommandResult.ACCEPTED
 
 
 def _sender_of(message_id: int) -> Handler:
-    def send(sender: Sender, request: Request, now_s: float) -> Result:
+    def send(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
         sender.send_once(message_id, now_s)
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
     return send
 
 
-Handler = Callable[[Sender, Request, float], Result]
+Handler = Callable[[Sender, CommandRequest, float], CommandResult]
 HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_COMPONENT_ARM_DISARM: _arm_or_disarm,
     mavlink.MAV_CMD_DO_SET_MODE: _set_mode,
@@ -236,7 +236,7 @@ HANDLERS: Final[dict[int, Handler]] = {
     mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     mavlink.MAV_CMD_PREFLIGHT_STORAGE: _store_parameters,
     mavlink.MAV_CMD_RUN_PREARM_CHECKS: _prearm,
-    _NAV_PRECLAND: _land_precisely,
+    _NAV_PRECLAND: _precision_land,
     mavlink.MAV_CMD_REQUEST_MESSAGE: _request_message,
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
@@ -245,7 +245,7 @@ HANDLERS: Final[dict[int, Handler]] = {
 }
 
 
-def execute(sender: Sender, request: Request, now_s: float) -> Result:
+def execute(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
     """Carry out a command; one that is not in the table is UNSUPPORTED."""
     handler = HANDLERS.get(request.command)
-    return Result.UNSUPPORTED if handler is None else handler(sender, request, now_s)
+    return CommandResult.UNSUPPORTED if handler is None else handler(sender, request, now_s)

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, Final
 
 from companion.base.geometry import ZERO3, Vector3
-from sitl.autopilot import Autopilot, Severity, StreamedAttitude, StreamedMotion
+from sitl.autopilot import Severity, SimulatedAutopilot, StreamedAttitude, StreamedMotion
 from sitl.mavlink import pilot_inputs
 from sitl.mavlink.commands import execute, request_from_message
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect, number
@@ -26,7 +26,7 @@ from sitl.mavlink.signing import Signing
 from sitl.mavlink.streams import Streams, grouped_messages
 from sitl.mavlink.telemetry import Message, builders_of
 from sitl.mavlink.truth_telemetry import TruthMessages
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 mavlink: Any = dialect
 
@@ -42,8 +42,8 @@ class MavlinkEndpoint:
 
     def __init__(
         self,
-        autopilot: Autopilot,
-        sensors: OnboardSensors | None = None,
+        autopilot: SimulatedAutopilot,
+        sensors: SimulatedAutopilotSensors | None = None,
         system_id: int = 1,
         component_id: int = 1,
         *,
@@ -55,8 +55,8 @@ class MavlinkEndpoint:
     ) -> None:
         """Make it; `datagrams`: `receive` is called with whole ones, `unix_at_start_s`: UTC at time 0."""
         self.autopilot = autopilot
-        self.signing = signing or Signing(autopilot.manner.name)
-        self._builders = builders_of(autopilot.manner.name)
+        self.signing = signing or Signing(autopilot.profile.name)
+        self._builders = builders_of(autopilot.profile.name)
         self._sensors = None if sensors is None else SensorMessages(autopilot, sensors, unix_at_start_s)
         self._truth = truth
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -67,7 +67,7 @@ class MavlinkEndpoint:
         self._told_s = -math.inf
         self._streams = Streams(self._has)
         self._outgoing: list[Message] = []
-        self.tell_others: Callable[[Message], None] | None = None
+        self.send_to_other_links: Callable[[Message], None] | None = None
         self._text_id = 0
         self._handlers: dict[int, Callable[[Message, float], None]] = {
             mavlink.MAVLINK_MSG_ID_COMMAND_LONG: self._on_command,
@@ -121,7 +121,7 @@ class MavlinkEndpoint:
         """All that is due on a vehicle's only link: answers, texts, telemetry."""
         due = self.due(now_s)
         for severity, text in self.autopilot.take_texts():
-            self.say(severity, text)
+            self.send_text(severity, text)
         return b"".join(due + self.answers(now_s))
 
     def due(self, now_s: float) -> list[bytes]:
@@ -177,14 +177,14 @@ class MavlinkEndpoint:
     def announce(self, message: Message) -> None:
         """Send a message over this link and the vehicle's others."""
         self.queue(message)
-        if self.tell_others is not None:
-            self.tell_others(message)
+        if self.send_to_other_links is not None:
+            self.send_to_other_links(message)
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
         """SET_MESSAGE_INTERVAL; False when there is no such message."""
         return self._has(message_id) and self._streams.set_interval(message_id, interval_us)
 
-    def tell_interval(self, message_id: int) -> None:
+    def send_message_interval(self, message_id: int) -> None:
         """MESSAGE_INTERVAL: 0 for a message that does not exist, -1 for one that is not streamed."""
         period = self._streams.period_s(message_id)
         interval = 0 if not self._has(message_id) else -1 if period is None else round(period * 1e6)
@@ -196,7 +196,7 @@ class MavlinkEndpoint:
         others = (self._sensors, self._truth)
         return message_id in self._builders or any(told is not None and message_id in told for told in others)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         data = text.encode("ascii", "replace")
         chunks = [data[i : i + _TEXT_BYTES] for i in range(0, len(data) + 1, _TEXT_BYTES)]
         if len(data) <= _TEXT_BYTES:
@@ -257,7 +257,7 @@ class MavlinkEndpoint:
             return
         rate_hz = message.req_message_rate if message.start_stop else 0
         interval_us = 1e6 / rate_hz if rate_hz else -1.0
-        for message_id in grouped_messages(self.autopilot.manner.name, message.req_stream_id):
+        for message_id in grouped_messages(self.autopilot.profile.name, message.req_stream_id):
             self.set_interval(message_id, interval_us)
 
     def _on_setup_signing(self, message: Message, now_s: float) -> None:

@@ -93,14 +93,14 @@ class GroundStation:
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that have just arrived."""
         for frame in self._reader.read(data, now_s):
-            self.hear(frame, now_s)
+            self.handle(frame, now_s)
 
-    def hear(self, frame: MavFrame, now_s: float) -> None:
+    def handle(self, frame: MavFrame, now_s: float) -> None:
         """Take a frame that has just arrived and may be believed."""
         if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
-            self._hear_text(self._decoder.decode(bytearray(frame.data)), now_s)
+            self._handle_text(self._decoder.decode(bytearray(frame.data)), now_s)
         elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_for_us(frame.target):
-            self._obey(self._decoder.decode(bytearray(frame.data)), now_s)
+            self._handle_command(self._decoder.decode(bytearray(frame.data)), now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
         """All that is due; the pad's true position (NED from home) and velocity are where its GPS starts."""
@@ -127,7 +127,7 @@ class GroundStation:
         self._mav.seq = (self._mav.seq + 1) % 256
         return packed
 
-    def _obey(self, message: Any, now_s: float) -> None:
+    def _handle_command(self, message: Any, now_s: float) -> None:
         wanted = message.param1
         known = self._available and (
             message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
@@ -160,7 +160,7 @@ class GroundStation:
             [eph, eph, _VERTICAL_FACTOR * eph], 0,
         )  # fmt: skip
 
-    def _hear_text(self, message: Any, now_s: float) -> None:
+    def _handle_text(self, message: Any, now_s: float) -> None:
         text = message.text if isinstance(message.text, str) else message.text.decode("ascii", "replace")
         # "id" of a message object is its own field here, not the message's number
         text_id = getattr(message, "id", 0)

@@ -35,7 +35,7 @@ class Vehicle(Protocol):
         """Open a port for a client."""
         ...
 
-    def hear(self, port: Port, data: bytes) -> None:
+    def receive(self, port: Port, data: bytes) -> None:
         """Take bytes that have just come from a client."""
         ...
 
@@ -53,8 +53,8 @@ class UdpServer(asyncio.DatagramProtocol):
         self._clock = Clock()
         self._socket: asyncio.DatagramTransport | None = None
         self._clients: dict[Address, Port] = {}
-        self._heard_s: dict[Address, float] = {}
-        self._held_up = False
+        self._received_s: dict[Address, float] = {}
+        self._write_paused = False
         self._sweeping: asyncio.TimerHandle | None = None
 
     async def open(self, host: str, port: int) -> int:
@@ -71,7 +71,7 @@ class UdpServer(asyncio.DatagramProtocol):
                 family = self._socket.get_extra_info("socket").family
                 found = await loop.getaddrinfo(*self._listener, family=family, type=socket.SOCK_DGRAM)
                 self._listener = found[0][4]
-                self._welcome(self._listener)
+                self._add_client(self._listener)
         except _NO_ADDRESS as error:
             self.close()
             raise ConfigError(_refusal("UDP", host, port, error)) from error
@@ -80,55 +80,55 @@ class UdpServer(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
         """asyncio: a datagram came."""
-        port = self._clients.get(addr) or self._welcome_speaker(addr, data)
+        port = self._clients.get(addr) or self._add_sender(addr, data)
         if port is not None:
-            self._heard_s[addr] = self._clock.now_s()
-            self._vehicle.hear(port, data)
+            self._received_s[addr] = self._clock.now_s()
+            self._vehicle.receive(port, data)
 
     def error_received(self, exc: Exception) -> None:
         """asyncio: nobody listens there yet; somebody may."""
 
     def pause_writing(self) -> None:
         """asyncio: the network takes no more; what is not sent now is dropped."""
-        self._held_up = True
+        self._write_paused = True
 
     def resume_writing(self) -> None:
         """asyncio: it takes again."""
-        self._held_up = False
+        self._write_paused = False
 
     def close(self) -> None:
         """Give the port back."""
         if self._sweeping is not None:
             self._sweeping.cancel()
         for address in tuple(self._clients):
-            self._part_from(address)
+            self._remove_client(address)
         if self._socket is not None:
             self._socket.close()
 
-    def _welcome_speaker(self, address: Address, data: bytes) -> Port | None:
+    def _add_sender(self, address: Address, data: bytes) -> Port | None:
         """A port for whoever sends MAVLink; None when it is something else, or there are too many."""
         if not FrameReader(datagrams=True).read(data, 0.0):
             return None  # a stray datagram: no client, and not worth one's place
-        self._part_from_silent()
-        return self._welcome(address) if len(self._clients) < MOST_CLIENTS else None
+        self._remove_inactive()
+        return self._add_client(address) if len(self._clients) < MOST_CLIENTS else None
 
     def _sweep(self) -> None:
         """Now and then, so that nobody who has gone is sent to for ever."""
-        self._part_from_silent()
+        self._remove_inactive()
         self._sweeping = asyncio.get_running_loop().call_later(SWEEP_PERIOD_S, self._sweep)
 
-    def _part_from_silent(self) -> None:
+    def _remove_inactive(self) -> None:
         """Make room; the listener's place stays its own, whether it speaks or not."""
         now_s = self._clock.now_s()
-        for address, heard_s in tuple(self._heard_s.items()):
-            if address != self._listener and now_s - heard_s > UDP_SILENCE_S:
-                self._part_from(address)
+        for address, received_s in tuple(self._received_s.items()):
+            if address != self._listener and now_s - received_s > UDP_SILENCE_S:
+                self._remove_client(address)
 
-    def _welcome(self, address: Address) -> Port:
+    def _add_client(self, address: Address) -> Port:
         """A port for a new client."""
 
         def write(frames: Sequence[bytes]) -> None:
-            if self._socket is None or self._socket.is_closing() or self._held_up:
+            if self._socket is None or self._socket.is_closing() or self._write_paused:
                 return
             for datagram in in_datagrams(frames):
                 self._socket.sendto(datagram, address)
@@ -136,9 +136,9 @@ class UdpServer(asyncio.DatagramProtocol):
         port = self._clients[address] = self._vehicle.connect(write, datagrams=True)
         return port
 
-    def _part_from(self, address: Address) -> None:
+    def _remove_client(self, address: Address) -> None:
         self._vehicle.disconnect(self._clients.pop(address))
-        self._heard_s.pop(address, None)
+        self._received_s.pop(address, None)
 
 
 class TcpServer:
@@ -189,7 +189,7 @@ class _TcpClient(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         if self._port is not None:
-            self._vehicle.hear(self._port, data)
+            self._vehicle.receive(self._port, data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._clients.discard(self)

@@ -119,7 +119,7 @@ class MissionProtocol:
         if self._upload is not None or self._others_upload(now_s):
             return [_ack(m, MissionResult.DENIED)]
         if not 0 <= m.start_index <= m.end_index < len(self._store):
-            self._store.say(Severity.WARNING, "Flight plan update rejected")
+            self._store.send_text(Severity.WARNING, "Flight plan update rejected")
             return [_ack(m, MissionResult.ERROR)]
         return self._begin(m, m.start_index, m.end_index, self._store.items, now_s)
 
@@ -173,7 +173,7 @@ class MissionProtocol:
         rules = self._store.rules
         if now_s - upload.heard_s >= rules.timeout_s:
             self._end()
-            self._store.say(Severity.WARNING, rules.timeout_text)
+            self._store.send_text(Severity.WARNING, rules.timeout_text)
             cancelled = mavlink.MAVLink_mission_ack_message(
                 *upload.partner, MissionResult.OPERATION_CANCELLED, _MISSION
             )

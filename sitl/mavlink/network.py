@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from companion.base.geometry import Vector3
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.framing import MavFrame, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.signing import Signing
 from sitl.mavlink.truth_telemetry import TruthMessages
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 
 mavlink: Any = dialect
 
@@ -59,8 +59,8 @@ class Network:
 
     def __init__(
         self,
-        autopilot: Autopilot,
-        sensors: OnboardSensors,
+        autopilot: SimulatedAutopilot,
+        sensors: SimulatedAutopilotSensors,
         ground_station: GroundStation,
         signing: Signing,
         unix_at_start_s: float,
@@ -94,7 +94,7 @@ class Network:
         )
         self._links_made += 1
         port = Port(endpoint, write)
-        endpoint.tell_others = lambda message: self._tell_all_but(port, message)
+        endpoint.send_to_other_links = lambda message: self._send_to_others(port, message)
         self._ports.append(port)
         return port
 
@@ -111,7 +111,7 @@ class Network:
             port.learn(frame)
             self._forward(port, frame)
             endpoint.handle(frame, now_s)
-            self._ground_station.hear(frame, now_s)
+            self._ground_station.handle(frame, now_s)
         self._answer(now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
@@ -129,18 +129,18 @@ class Network:
         self._answer(now_s)  # what has been said since, in the course of the above as well
 
     def _answer(self, now_s: float) -> None:
-        self._say_texts()
+        self._send_texts()
         for port in self._ports:
             if answers := port.endpoint.answers(now_s):
                 port.write(answers)
 
-    def _say_texts(self) -> None:
+    def _send_texts(self) -> None:
         """The autopilot's texts go to everybody."""
         for severity, text in self._autopilot.take_texts():
             for port in self._ports:
-                port.endpoint.say(severity, text)
+                port.endpoint.send_text(severity, text)
 
-    def _tell_all_but(self, source: Port, message: Any) -> None:
+    def _send_to_others(self, source: Port, message: Any) -> None:
         for port in self._ports:
             if port is not source:
                 port.endpoint.queue(message)

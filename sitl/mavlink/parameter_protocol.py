@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot import Autopilot, Severity
+from sitl.autopilot import Severity, SimulatedAutopilot
 
 Message = Any  # pymavlink's classes are generated without types
 
@@ -35,7 +35,7 @@ _ALL_ONES: Final = 0xFFFFFFFF
 class ParameterProtocol:
     """One link's end of the protocol."""
 
-    def __init__(self, autopilot: Autopilot) -> None:
+    def __init__(self, autopilot: SimulatedAutopilot) -> None:
         self._autopilot = autopilot
         self._next: int | None = None
         self._due_s = -math.inf
@@ -86,7 +86,7 @@ class ParameterProtocol:
             return []
         if self._bytewise:
             if m.param_type != self._type(name):
-                self._autopilot.say(Severity.CRITICAL, f"param types mismatch param: {name}")
+                self._autopilot.send_text(Severity.CRITICAL, f"param types mismatch param: {name}")
                 return []
             if parameters.is_integer(name):
                 value = float(struct.unpack("<i", struct.pack("<f", value))[0])
@@ -96,7 +96,7 @@ class ParameterProtocol:
 
     @property
     def _bytewise(self) -> bool:
-        return self._autopilot.manner.parameters_bytewise
+        return self._autopilot.profile.parameters_bytewise
 
     def _type(self, name: str) -> int:
         parameters = self._autopilot.parameters

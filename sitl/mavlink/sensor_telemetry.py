@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, norm, scale
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.framing import dialect
 from sitl.mavlink.telemetry import milliseconds, sys_status
-from sitl.sensors.autopilot_sensors import Inertial, OnboardSensors
+from sitl.sensors.autopilot_sensors import ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import RangeErrors
 
@@ -27,7 +27,7 @@ _TEMPERATURE_C: Final = 38.0
 _GEOID_M: Final = 47.0
 _DILUTIONS: Final = (100, 170)
 # IMU, compass and rangefinder cost something, so they work when somebody asks for one of these
-_OF_SLEEPERS: Final = frozenset(
+_COSTLY_MESSAGES: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_HIGHRES_IMU,
         mavlink.MAVLINK_MSG_ID_RAW_IMU,
@@ -48,7 +48,9 @@ _PULSE_US: Final = (1000, 1000)  # motors off; and from there to full
 class SensorMessages:
     """Builds the messages of one autopilot's sensors; None while there is nothing (new) to tell."""
 
-    def __init__(self, autopilot: Autopilot, sensors: OnboardSensors, unix_at_start_s: float = 0.0) -> None:
+    def __init__(
+        self, autopilot: SimulatedAutopilot, sensors: SimulatedAutopilotSensors, unix_at_start_s: float = 0.0
+    ) -> None:
         """Of an autopilot and its sensors; `unix_at_start_s` is UTC (s since 1970) at time 0, 0 unknown."""
         self._autopilot = autopilot
         self._sensors = sensors
@@ -68,7 +70,7 @@ class SensorMessages:
             mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_outputs,
             mavlink.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: self._actuator_outputs,
             mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: self._distance_sensor,
-            **dict(of_imu[name] for name in autopilot.manner.imu_messages),
+            **dict(of_imu[name] for name in autopilot.profile.imu_messages),
         }
 
     def __contains__(self, message_id: int) -> bool:
@@ -77,7 +79,7 @@ class SensorMessages:
 
     def ask(self, message_id: int) -> None:
         """Somebody wants this message: the sensors that cost something begin to work."""
-        if message_id in _OF_SLEEPERS:
+        if message_id in _COSTLY_MESSAGES:
             self._sensors.wake()
 
     def build(self, message_id: int, now_s: float) -> Message | None:
@@ -118,12 +120,12 @@ class SensorMessages:
     # ------------------------------------------------------------ health and time
 
     def _sys_status(self, now_s: float) -> Message:
-        sensors, ill = self._sensors, 0
+        sensors, unhealthy = self._sensors, 0
         if not sensors.has_fix(now_s):
-            ill |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
+            unhealthy |= mavlink.MAV_SYS_STATUS_SENSOR_GPS
         if not sensors.field_is_plausible:
-            ill |= mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
-        return sys_status(self._autopilot, now_s, ill)
+            unhealthy |= mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+        return sys_status(self._autopilot, now_s, unhealthy)
 
     def _system_time(self, now_s: float) -> Message:
         """UTC as the receiver knows it: from the first fix on."""
@@ -204,7 +206,7 @@ class SensorMessages:
         return 0 if booted_s is None else max(0, round((time_s - booted_s) * 1e6))
 
 
-def _in_thousandths(imu: Inertial, field_ut: Vector3) -> tuple[int, ...]:
+def _in_thousandths(imu: ImuReading, field_ut: Vector3) -> tuple[int, ...]:
     """Milli-g, mrad/s and milligauss, cut off towards zero as C does it."""
     values = (
         *scale(imu.specific_force_m_s2, 1e3 / GRAVITY_M_S2),

@@ -62,8 +62,8 @@ def read_key(path: Path) -> bytes:
 class Signing:
     """Judges what comes and tells packers how to sign; without a key everything passes and nothing is."""
 
-    def __init__(self, manner: Manner, key: bytes | None = None) -> None:
-        self._unsigned = UNSIGNED[manner]
+    def __init__(self, autopilot: Manner, key: bytes | None = None) -> None:
+        self._unsigned = UNSIGNED[autopilot]
         self._last: dict[tuple[int, int, int], int] = {}
         self.key = key
         self.stamp = 0

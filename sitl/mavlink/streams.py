@@ -77,9 +77,9 @@ STREAM_GROUPS: Final[dict[Manner, dict[int, tuple[int, ...]]]] = {
 }
 
 
-def grouped_messages(manner: Manner, group: int) -> tuple[int, ...]:
+def grouped_messages(autopilot: Manner, group: int) -> tuple[int, ...]:
     """Message ids of a MAV_DATA_STREAM; none when the autopilot does not know it."""
-    groups = STREAM_GROUPS[manner]
+    groups = STREAM_GROUPS[autopilot]
     if group == mavlink.MAV_DATA_STREAM_ALL:
         return tuple(message_id for members in groups.values() for message_id in members)
     return groups.get(group, ())

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from companion.base.geometry import Vector3, euler_from_quat, norm
 from companion.base.messages import LandedState, Manner
-from sitl.autopilot import AttitudeSetpoint, Autopilot
+from sitl.autopilot import AttitudeSetpoint, SimulatedAutopilot
 from sitl.mavlink import mission_protocol
 from sitl.mavlink.framing import dialect
 
@@ -62,12 +62,12 @@ _MOST_INT32: Final = 2**31 - 1
 _CELL_MV: Final = (4100, 4100, 4100, *(65535,) * 7)
 
 
-def milliseconds(autopilot: Autopilot, now_s: float) -> int:
+def milliseconds(autopilot: SimulatedAutopilot, now_s: float) -> int:
     """Time since boot (ms), 0 before it."""
     return 0 if autopilot.booted_s is None else max(0, round((now_s - autopilot.booted_s) * 1e3))
 
 
-def heartbeat(autopilot: Autopilot, now_s: float) -> Message:
+def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """HEARTBEAT: mode, armed, state."""
     base_mode, custom_mode = autopilot.mode_numbers
     if autopilot.in_failsafe:
@@ -77,16 +77,17 @@ def heartbeat(autopilot: Autopilot, now_s: float) -> Message:
     else:
         state = mavlink.MAV_STATE_STANDBY if autopilot.aligned else mavlink.MAV_STATE_CALIBRATING
     return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_QUADROTOR, autopilot.manner.autopilot_id, base_mode, custom_mode, state, 3
+        mavlink.MAV_TYPE_QUADROTOR, autopilot.profile.autopilot_id, base_mode, custom_mode, state, 3
     )
 
 
-def sys_status(autopilot: Autopilot, now_s: float, ill: int = 0) -> Message:
-    """SYS_STATUS: which sensors are well, and whether it would arm; `ill`: bits of those that are not."""
+def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) -> Message:
+    """SYS_STATUS: which sensors are well, and whether it would arm; `unhealthy`: bits of those that are
+    not."""
     present = _SENSORS | _ESTIMATES
-    if not autopilot.manner.prearm_in_health_only:
+    if not autopilot.profile.prearm_in_health_only:
         present |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~ill
+    health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~unhealthy
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
     return mavlink.MAVLink_sys_status_message(
@@ -94,7 +95,7 @@ def sys_status(autopilot: Autopilot, now_s: float, ill: int = 0) -> Message:
     )
 
 
-def attitude(autopilot: Autopilot, now_s: float) -> Message:
+def attitude(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """ATTITUDE in Euler angles."""
     estimate = autopilot.estimate
     return mavlink.MAVLink_attitude_message(
@@ -102,7 +103,7 @@ def attitude(autopilot: Autopilot, now_s: float) -> Message:
     )
 
 
-def attitude_quaternion(autopilot: Autopilot, now_s: float) -> Message:
+def attitude_quaternion(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """ATTITUDE_QUATERNION."""
     estimate = autopilot.estimate
     return mavlink.MAVLink_attitude_quaternion_message(
@@ -110,14 +111,14 @@ def attitude_quaternion(autopilot: Autopilot, now_s: float) -> Message:
     )
 
 
-def attitude_target(autopilot: Autopilot, now_s: float) -> Message:
+def attitude_target(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """ATTITUDE_TARGET: what the inner loop follows."""
     return mavlink.MAVLink_attitude_target_message(
         milliseconds(autopilot, now_s), 7, autopilot.attitude_setpoint, 0.0, 0.0, 0.0, autopilot.thrust
     )
 
 
-def local_position(autopilot: Autopilot, now_s: float) -> Message | None:
+def local_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """LOCAL_POSITION_NED, once there is a position."""
     if not autopilot.aligned:
         return None
@@ -127,7 +128,7 @@ def local_position(autopilot: Autopilot, now_s: float) -> Message | None:
     )
 
 
-def global_position(autopilot: Autopilot, now_s: float) -> Message | None:
+def global_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """GLOBAL_POSITION_INT, once there is a position."""
     if not autopilot.aligned:
         return None
@@ -142,7 +143,7 @@ def global_position(autopilot: Autopilot, now_s: float) -> Message | None:
     )  # fmt: skip
 
 
-def home_position(autopilot: Autopilot, now_s: float) -> Message | None:
+def home_position(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """HOME_POSITION: where it was armed, in both kinds of coordinates."""
     if not autopilot.home_set:
         return None
@@ -152,42 +153,42 @@ def home_position(autopilot: Autopilot, now_s: float) -> Message | None:
     )
 
 
-def gps_global_origin(autopilot: Autopilot, now_s: float) -> Message | None:
+def gps_global_origin(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """GPS_GLOBAL_ORIGIN of its local frame."""
     if not autopilot.aligned:
         return None
     return mavlink.MAVLink_gps_global_origin_message(*_scaled(autopilot, (0.0, 0.0, 0.0)))
 
 
-def extended_sys_state(autopilot: Autopilot, now_s: float) -> Message:
+def extended_sys_state(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """EXTENDED_SYS_STATE: on the ground or not."""
     return mavlink.MAVLink_extended_sys_state_message(0, _LANDED[autopilot.landed_state])
 
 
-def mission_current(autopilot: Autopilot, now_s: float) -> Message:
+def mission_current(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """MISSION_CURRENT."""
     return mission_protocol.mission_current(autopilot.mission)
 
 
-def battery_status(autopilot: Autopilot, now_s: float) -> Message:
+def battery_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """BATTERY_STATUS of a battery that never drains."""
     return mavlink.MAVLink_battery_status_message(0, 1, 1, 32767, _CELL_MV, 1500, -1, -1, 90)
 
 
-def system_time(autopilot: Autopilot, now_s: float) -> Message:
+def system_time(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """SYSTEM_TIME since boot; the world's time is not known here."""
     return mavlink.MAVLink_system_time_message(0, milliseconds(autopilot, now_s))
 
 
-def autopilot_version(autopilot: Autopilot, now_s: float) -> Message:
+def autopilot_version(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """AUTOPILOT_VERSION: capabilities and version."""
-    manner = autopilot.manner
+    profile = autopilot.profile
     return mavlink.MAVLink_autopilot_version_message(
-        manner.capabilities, manner.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
+        profile.capabilities, profile.flight_version, 0, 0, 1, [0] * 8, [0] * 8, [0] * 8, 0, 0, 1
     )
 
 
-def vfr_hud(autopilot: Autopilot, now_s: float) -> Message | None:
+def vfr_hud(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """VFR_HUD: speeds, heading, throttle and the altitude above sea level; it has no airspeed sensor."""
     if not autopilot.aligned:
         return None
@@ -200,7 +201,7 @@ def vfr_hud(autopilot: Autopilot, now_s: float) -> Message | None:
     return mavlink.MAVLink_vfr_hud_message(ground_speed, ground_speed, heading, throttle, altitude_m, -down)
 
 
-def altitude(autopilot: Autopilot, now_s: float) -> Message | None:
+def altitude(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """ALTITUDE above sea level, over the local frame's origin and over home; of terrain it knows nothing."""
     if not autopilot.aligned:
         return None
@@ -212,7 +213,7 @@ def altitude(autopilot: Autopilot, now_s: float) -> Message | None:
     )  # fmt: skip
 
 
-def position_target(autopilot: Autopilot, now_s: float) -> Message | None:
+def position_target(autopilot: SimulatedAutopilot, now_s: float) -> Message | None:
     """POSITION_TARGET_LOCAL_NED: the motion that is flown; while an attitude is flown there is none."""
     wanted = autopilot.wanted
     if not autopilot.armed or wanted is None or isinstance(wanted, AttitudeSetpoint):
@@ -228,9 +229,9 @@ def position_target(autopilot: Autopilot, now_s: float) -> Message | None:
     )
 
 
-def rc_channels(autopilot: Autopilot, now_s: float) -> Message:
+def rc_channels(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """RC_CHANNELS: sticks and switches (microseconds); none while there is nobody at them."""
-    channels = autopilot.radio.channels
+    channels = autopilot.rc_input.channels
     return mavlink.MAVLink_rc_channels_message(
         milliseconds(autopilot, now_s),
         0 if channels is None else len(channels),
@@ -239,7 +240,7 @@ def rc_channels(autopilot: Autopilot, now_s: float) -> Message:
     )
 
 
-def estimator_status(autopilot: Autopilot, now_s: float) -> Message:
+def estimator_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """ESTIMATOR_STATUS (PX4): what its filter knows, and test ratios as in a calm hover."""
     flags = mavlink.ESTIMATOR_ATTITUDE | (_ESTIMATOR_KNOWS if autopilot.aligned else 0)
     return mavlink.MAVLink_estimator_status_message(
@@ -247,13 +248,13 @@ def estimator_status(autopilot: Autopilot, now_s: float) -> Message:
     )
 
 
-def ekf_status_report(autopilot: Autopilot, now_s: float) -> Message:
+def ekf_status_report(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """EKF_STATUS_REPORT (ArduPilot): the same as ESTIMATOR_STATUS in its own words."""
     flags = mavlink.EKF_ATTITUDE | (_EKF_KNOWS if autopilot.aligned else mavlink.EKF_CONST_POS_MODE)
     return mavlink.MAVLink_ekf_status_report_message(flags, *_TEST_RATIOS, 0.0)
 
 
-def _scaled(autopilot: Autopilot, position_ned_m: Vector3) -> tuple[int, int, int]:
+def _scaled(autopilot: SimulatedAutopilot, position_ned_m: Vector3) -> tuple[int, int, int]:
     latitude, longitude, altitude = autopilot.geodetic(position_ned_m)
     return round(latitude * 1e7), round(longitude * 1e7), _bounded(altitude * 1e3, _MOST_INT32)
 
@@ -262,7 +263,7 @@ def _bounded(value: float, limit: int) -> int:
     return max(-limit, min(limit, round(value)))
 
 
-Builder = Callable[[Autopilot, float], Message | None]
+Builder = Callable[[SimulatedAutopilot, float], Message | None]
 BUILDERS: Final[dict[int, Builder]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: heartbeat,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: sys_status,
@@ -291,6 +292,6 @@ OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
 }
 
 
-def builders_of(manner: Manner) -> dict[int, Builder]:
+def builders_of(profile: Manner) -> dict[int, Builder]:
     """The messages of one autopilot, its sensors' apart."""
-    return BUILDERS | OWN_BUILDERS[manner]
+    return BUILDERS | OWN_BUILDERS[profile]

@@ -11,7 +11,7 @@ from typing import Any, Final
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, euler_from_quat, geodetic_from_ned
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.telemetry import milliseconds
 from sitl.world.world import World
 
@@ -25,10 +25,10 @@ _I16: Final = 32767
 class TruthMessages:
     """Builds the one message that a simulator of this autopilot's kind has."""
 
-    def __init__(self, autopilot: Autopilot, world: World, home: Vector3) -> None:
+    def __init__(self, autopilot: SimulatedAutopilot, world: World, home: Vector3) -> None:
         """`home` is the world's origin: latitude (deg), longitude (deg), altitude (m)."""
         self._autopilot, self._world, self._home = autopilot, world, home
-        is_px4 = autopilot.manner.autopilot_id == mavlink.MAV_AUTOPILOT_PX4
+        is_px4 = autopilot.profile.autopilot_id == mavlink.MAV_AUTOPILOT_PX4
         self._message_id = HIL_STATE if is_px4 else SIM_STATE
 
     def __contains__(self, message_id: int) -> bool:

@@ -19,7 +19,7 @@ LEMNISCATE_LAP: Final = 5.244115108584239
 _NODES: Final = tuple(zip(*(values.tolist() for values in np.polynomial.legendre.leggauss(16)), strict=True))
 
 
-class Place(NamedTuple):
+class PathPoint(NamedTuple):
     """A path's point."""
 
     position_ned_m: Vector3
@@ -29,12 +29,12 @@ class Place(NamedTuple):
     course_rate_rad_s: float
 
 
-Path = Callable[[float], Place]
+Path = Callable[[float], PathPoint]
 # amplitude (m), frequency (rad/s) and phase (rad)
 Wave = tuple[float, float, float]
 
 
-class Bend(NamedTuple):
+class PathSegment(NamedTuple):
     """A stretch that is driven: where it begins, by how much it turns and speeds up, and how long it lasts.
 
     Rate of turn and acceleration along it are raised cosines, zero at both ends: one bend runs into the next
@@ -49,7 +49,7 @@ class Bend(NamedTuple):
     end_speed_m_s: float
 
 
-def bend_place(bend: Bend, t: float) -> Place:
+def bend_place(bend: PathSegment, t: float) -> PathPoint:
     """The point t seconds along a bend; a straight one goes on beyond its ends.
 
     The place is the velocity's integral by Gauss and Legendre's rule: right to 1e-9 m in half a turn.
@@ -67,7 +67,7 @@ def bend_place(bend: Bend, t: float) -> Place:
     speed, course, rate = speed0 + gain * ramp, course0 + turn * ramp, turn * slope
     c, s = math.cos(course), math.sin(course)
     along, across = gain * slope, rate * speed
-    return Place(
+    return PathPoint(
         add(place, (half * x, half * y, 0.0)),
         (speed * c, speed * s, 0.0),
         (along * c - across * s, along * s + across * c, 0.0),
@@ -76,7 +76,7 @@ def bend_place(bend: Bend, t: float) -> Place:
     )
 
 
-def lemniscate_place(arc_m: float, a: float, speed_m_s: float, axis_rad: float) -> Place:
+def lemniscate_place(arc_m: float, a: float, speed_m_s: float, axis_rad: float) -> PathPoint:
     """The point arc_m along Bernoulli's r^4 = a^2 (x^2 - y^2), x along the axis.
 
     With u the arc over a, r / a = sl(u) = sd(u sqrt 2 | 1/2) / sqrt 2 and y / x = cl(u) = cn(u sqrt 2 | 1/2);
@@ -90,7 +90,7 @@ def lemniscate_place(arc_m: float, a: float, speed_m_s: float, axis_rad: float) 
     ty = tx * cl - x * r * (1.0 + cl * cl)
     rate = -3.0 * r / a * speed_m_s
     velocity = rotate_yaw((speed_m_s * tx, speed_m_s * ty, 0.0), axis_rad)
-    return Place(
+    return PathPoint(
         rotate_yaw((a * x, a * x * cl, 0.0), axis_rad),
         velocity,
         (-rate * velocity[1], rate * velocity[0], 0.0),

@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from companion.base.geometry import ZERO3, Vector3, wrap_angle
 from companion.config import StrictModel
-from sitl.pad.curves import Bend, Path, Place, bend_place
+from sitl.pad.curves import Path, PathPoint, PathSegment, bend_place
 from sitl.pad.paths import Angle, Meeting, Metres, drawn_angle
 
 Seconds = Annotated[float, Field(ge=0.5, le=60.0)]
@@ -59,8 +59,8 @@ class RandomTurnsMotion(StrictModel):
         """Bends from the origin at time 0."""
         return drive(self._bends(rng))
 
-    def _bends(self, rng: np.random.Generator) -> Iterator[Bend]:
-        place = Place(ZERO3, ZERO3, ZERO3, drawn_angle(self.course_deg, rng), 0.0)
+    def _bends(self, rng: np.random.Generator) -> Iterator[PathSegment]:
+        place = PathPoint(ZERO3, ZERO3, ZERO3, drawn_angle(self.course_deg, rng), 0.0)
         speed = self.speed_m_s
         while True:
             turn, length_s = self._turn(place, speed, rng)
@@ -68,11 +68,11 @@ class RandomTurnsMotion(StrictModel):
             slowest = self.slowest_m_s
             wanted = speed if slowest is None else float(rng.uniform(slowest, self.speed_m_s))
             after = speed + max(-reach, min(reach, wanted - speed))
-            bend = Bend(place.position_ned_m, place.course_rad, turn, length_s, speed, after)
+            bend = PathSegment(place.position_ned_m, place.course_rad, turn, length_s, speed, after)
             yield bend
             place, speed = bend_place(bend, length_s), after
 
-    def _turn(self, place: Place, speed_m_s: float, rng: np.random.Generator) -> tuple[float, float]:
+    def _turn(self, place: PathPoint, speed_m_s: float, rng: np.random.Generator) -> tuple[float, float]:
         """Angle (rad) and duration (s) of the next bend: at whim, or home."""
         sideways = SIDEWAYS_SHARE * self.max_acceleration_m_s2
         # the bend may speed up meanwhile, so its fastest counts
@@ -128,14 +128,14 @@ class WaypointsMotion(StrictModel):
         first = self.points_ned_m[0]
         bends = drive(self._bends())
 
-        def at(t: float) -> Place:
+        def at(t: float) -> PathPoint:
             place = bends(t - self.start_s)
             north, east, down = place.position_ned_m
             return place._replace(position_ned_m=(north + first[0], east + first[1], down))
 
         return at
 
-    def _bends(self) -> Iterator[Bend]:
+    def _bends(self) -> Iterator[PathSegment]:
         points = self.points_ned_m
         route = cycle(points) if self.loop else chain(points)
         here: Vector3 = ZERO3
@@ -144,14 +144,14 @@ class WaypointsMotion(StrictModel):
             course, turn, length_s = self._corner(before, corner, after)
             reach_m = self._reach_m(before, corner, after)
             leg_m = math.dist((here[0], here[1]), _less(corner, points[0])) - reach_m
-            straight = Bend(here, course, 0.0, leg_m / self.speed_m_s, self.speed_m_s, self.speed_m_s)
+            straight = PathSegment(here, course, 0.0, leg_m / self.speed_m_s, self.speed_m_s, self.speed_m_s)
             yield straight
             start = bend_place(straight, straight.length_s)
-            bend = Bend(start.position_ned_m, course, turn, length_s, self.speed_m_s, self.speed_m_s)
+            bend = PathSegment(start.position_ned_m, course, turn, length_s, self.speed_m_s, self.speed_m_s)
             yield bend
             here = bend_place(bend, length_s).position_ned_m
             before, corner = corner, after
-        yield Bend(here, _course(before, corner), 0.0, DRIVES_FOR_S, self.speed_m_s, self.speed_m_s)
+        yield PathSegment(here, _course(before, corner), 0.0, DRIVES_FOR_S, self.speed_m_s, self.speed_m_s)
 
     def _corner(self, before: Point, corner: Point, after: Point) -> tuple[float, float, float]:
         """Course towards it, turn (rad) and duration (s) of the bend."""
@@ -168,14 +168,14 @@ class WaypointsMotion(StrictModel):
                 f"points_ned_m: the corner at {list(corner)} turns by {math.degrees(abs(turn)):.0f} deg; "
                 f"expected at most {SHARPEST_CORNER_DEG:g}: put a point beside it"
             )
-        end = bend_place(Bend(ZERO3, 0.0, turn, length_s, self.speed_m_s, self.speed_m_s), length_s)
+        end = bend_place(PathSegment(ZERO3, 0.0, turn, length_s, self.speed_m_s, self.speed_m_s), length_s)
         return math.hypot(*end.position_ned_m[:2]) / (2.0 * math.cos(0.5 * turn))
 
 
-def drive(bends: Iterable[Bend]) -> Path:
+def drive(bends: Iterable[PathSegment]) -> Path:
     """A row of bends from time 0, the first also before it, the last also after it."""
     starts: list[float] = []
-    row: list[Bend] = []
+    row: list[PathSegment] = []
     t = 0.0
     for bend in bends:
         starts.append(t)
@@ -184,7 +184,7 @@ def drive(bends: Iterable[Bend]) -> Path:
         if t >= DRIVES_FOR_S:
             break
 
-    def at(time_s: float) -> Place:
+    def at(time_s: float) -> PathPoint:
         i = max(0, bisect_right(starts, time_s) - 1)
         return bend_place(row[i], time_s - starts[i])
 

@@ -30,7 +30,7 @@ from sitl.pad.sea import DeckMotion, DeckSettings
 CLEAR_OF_HOME_M: Final = 3.0
 TRIES: Final = 50
 
-Motion = (
+PadMotionSettings = (
     StaticMotion
     | LineMotion
     | CircleMotion
@@ -115,7 +115,7 @@ class PadTruth(NamedTuple):
         lever = subtract(place_ned_m, self.position_ned_m)
         return add(self.velocity_ned_m_s, cross(self.rate_ned_rad_s(), lever))
 
-    def soon(self, ahead_s: float) -> PadTruth:
+    def extrapolated(self, ahead_s: float) -> PadTruth:
         """Where it will have gone and turned a fraction of a step later."""
         x, y, z = self.position_ned_m
         vx, vy, vz = self.velocity_ned_m_s
@@ -168,7 +168,7 @@ def _at_sea(pad: PadTruth, deck: DeckMotion) -> PadTruth:
 
 
 def build_pad_motion(
-    settings: Motion,
+    settings: PadMotionSettings,
     surface_height_m: float,
     heading_deg: Heading,
     rng: np.random.Generator,
@@ -190,7 +190,9 @@ def build_pad_motion(
     return motion
 
 
-def _placed(settings: Motion, surface_height_m: float, rng: np.random.Generator) -> tuple[Path, Vector3]:
+def _placed(
+    settings: PadMotionSettings, surface_height_m: float, rng: np.random.Generator
+) -> tuple[Path, Vector3]:
     path = settings.path(rng)
     meet = settings.meet
     # the root spreads the points evenly over the disc

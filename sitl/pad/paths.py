@@ -14,7 +14,7 @@ from pydantic import Field
 
 from companion.base.geometry import ZERO3, rotate_yaw
 from companion.config import StrictModel
-from sitl.pad.curves import LEMNISCATE_LAP, Path, Place, lemniscate_place, sum_of_waves
+from sitl.pad.curves import LEMNISCATE_LAP, Path, PathPoint, lemniscate_place, sum_of_waves
 from sitl.pad.sea import draw_waves, peak
 
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
@@ -45,7 +45,7 @@ class StaticMotion(StrictModel):
 
     def path(self, rng: np.random.Generator) -> Path:
         """A point with a drawn course, which "along" turns into a heading."""
-        place = Place(ZERO3, ZERO3, ZERO3, drawn_angle("random", rng), 0.0)
+        place = PathPoint(ZERO3, ZERO3, ZERO3, drawn_angle("random", rng), 0.0)
         return lambda _time_s: place
 
 
@@ -61,7 +61,7 @@ class LineMotion(StrictModel):
         """A straight line through the origin at time 0."""
         course = drawn_angle(self.course_deg, rng)
         velocity = rotate_yaw((self.speed_m_s, 0.0, 0.0), course)
-        return lambda t: Place((velocity[0] * t, velocity[1] * t, 0.0), velocity, ZERO3, course, 0.0)
+        return lambda t: PathPoint((velocity[0] * t, velocity[1] * t, 0.0), velocity, ZERO3, course, 0.0)
 
 
 class CircleMotion(StrictModel):
@@ -81,11 +81,11 @@ class CircleMotion(StrictModel):
         sign = {"clockwise": 1.0, "anticlockwise": -1.0, "random": coin}[self.direction]
         r, w = self.radius_m, sign * self.speed_m_s / self.radius_m
 
-        def at(t: float) -> Place:
+        def at(t: float) -> PathPoint:
             c, s = math.cos(phase0 + w * t), math.sin(phase0 + w * t)
             position, velocity = (r * c, r * s, 0.0), (-r * w * s, r * w * c, 0.0)
             acceleration = (-r * w * w * c, -r * w * w * s, 0.0)
-            return Place(position, velocity, acceleration, math.atan2(velocity[1], velocity[0]), w)
+            return PathPoint(position, velocity, acceleration, math.atan2(velocity[1], velocity[0]), w)
 
         return at
 
@@ -107,7 +107,7 @@ class FigureEightMotion(StrictModel):
         drawn = float(rng.uniform())
         start_m = lap_m * (drawn if self.phase == "random" else self.phase)
 
-        def at(t: float) -> Place:
+        def at(t: float) -> PathPoint:
             return lemniscate_place(start_m + self.speed_m_s * t, self.half_length_m, self.speed_m_s, axis)
 
         return at
@@ -138,11 +138,11 @@ class HeaveMotion(StrictModel):
         waves = draw_waves(self.significant_height_m, self.peak_period_s, rng)
         c, s = math.cos(course), math.sin(course)
 
-        def at(t: float) -> Place:
+        def at(t: float) -> PathPoint:
             z, vz, az = sum_of_waves(waves, t, 0.0)
             # on deep water surge follows heave by a quarter of a period
             x, vx, ax = (self.surge_share * value for value in sum_of_waves(waves, t, -0.5 * math.pi))
             x, vx = x + self.drift_speed_m_s * t, vx + self.drift_speed_m_s
-            return Place((x * c, x * s, z), (vx * c, vx * s, vz), (ax * c, ax * s, az), course, 0.0)
+            return PathPoint((x * c, x * s, z), (vx * c, vx * s, vz), (ax * c, ax * s, az), course, 0.0)
 
         return at

@@ -20,15 +20,36 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final
 
+from companion.base.messages import Frame
+from companion.base.slots import Slot
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
 from sitl.firmware.spec import FirmwareSpec
-from sitl.run.simulation import ByteLink, MemoryFrames, Simulation
+from sitl.run.mavlink_line import ByteLink
+from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.vehicle.hand_paths import HandMotion
 
 GPS_BAUD: Final = 38400
 RANGE_BAUD: Final = 9600
+
+
+class MemoryFrames:
+    """The camera of an app in the same process: the newest frame replaces the one before."""
+
+    def __init__(self) -> None:
+        self._slot: Slot[Frame] = Slot()
+
+    def deliver(self, frame: Frame) -> None:
+        """A frame has arrived."""
+        self._slot.put(frame)
+
+    async def next(self) -> Frame:
+        """Wait for a frame newer than the last."""
+        return await self._slot.next()
+
+    def close(self) -> None:
+        """Nothing to release."""
 
 
 class InProcess:

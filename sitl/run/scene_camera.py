@@ -17,7 +17,7 @@ from companion.base.messages import Frame, Truth
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera import camera as optics
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 from sitl.scenario.scenario import Scenario
 
 
@@ -60,7 +60,7 @@ class SceneCamera:
         settings = scenario.camera
         calibration = load_model(CameraConfig, find_file("cameras", settings.config))
         config = ground_otherwise(calibration, settings.calibration_error, lens_rng)
-        develop = CameraSettings(
+        develop = ImagingSettings(
             exposure_s=settings.exposure_s,
             readout_s=settings.readout_s,
             noise_grey=settings.noise_grey,

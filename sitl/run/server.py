@@ -29,7 +29,7 @@ from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.links import TcpServer, UdpServer
-from sitl.run.orders import final_phase, fly_until_told, say
+from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.simulation import Simulation
 from sitl.scenario.app_settings import settings_text
 from sitl.scenario.scenario import Scenario
@@ -99,7 +99,7 @@ async def serve(
             )
         companion_port = await _open_udp(stack, devices.simulation, service.bind, service.companion_port)
         ground_port = await _open_udp(stack, devices.simulation, service.bind, service.ground_port)
-        tcp = TcpServer(devices.simulation)
+        tcp = TcpServer(devices.simulation.line)
         stack.callback(tcp.close)
         tcp_port = await tcp.open(service.bind, service.tcp_port)
         own = (companion_port, ground_port, tcp_port)
@@ -130,8 +130,8 @@ async def serve_child(
     async with contextlib.AsyncExitStack() as stack:
         devices = await _plug_in(stack, scenario, seed, folder, motion=motion, firmware=firmware)
         udp_port = await _open_udp(stack, devices.simulation, LOOPBACK, 0)
-        say({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
-        await fly_until_told(devices.simulation, folder / REPORT_NAME, final_phase())
+        print_json({"link": {"connection": f"udp:{LOOPBACK}:{udp_port}"}, **devices.settings})
+        await run_until_finished(devices.simulation, folder / REPORT_NAME, final_phase())
 
 
 async def _plug_in(
@@ -203,7 +203,7 @@ async def _open_udp(
     """Send to a client's port, if there is to be one, and return the vehicle's own."""
     # what is bound to one address of this computer cannot be reached at another
     client_host = bind if bind not in ("0.0.0.0", "") else LOOPBACK
-    server = UdpServer(simulation, (client_host, client_port) if client_port else None)
+    server = UdpServer(simulation.line, (client_host, client_port) if client_port else None)
     stack.callback(server.close)
     return await server.open(bind, _OWN_PORTS.get(client_port, 0))
 

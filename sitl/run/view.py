@@ -25,7 +25,7 @@ from companion.base.frame_format import FrameHeader
 from companion.base.frame_stream import FrameStream
 from companion.base.mjpeg import MjpegServer
 from companion.config import ConfigError
-from sitl.run.orders import terminated_as_interrupted
+from sitl.run.process_control import terminated_as_interrupted
 
 HELP: Final = "Show (in a browser) or record the frames that a socket serves."
 STATUS_PERIOD_S: Final = 1.0
@@ -38,7 +38,7 @@ Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class ViewOptions:
     """What is to be done with the frames: keep every `every`-th one, end after `frames` kept (0: never)."""
 
     record: Path | None = None
@@ -177,7 +177,7 @@ def annotated(image: Image, header: FrameHeader, received_s: float) -> Image:
     return np.asarray(colour, dtype=np.uint8)
 
 
-async def _view_until_stopped(address: str, wishes: Wishes) -> Statistics:
+async def _view_until_stopped(address: str, wishes: ViewOptions) -> Statistics:
     """As `view`; SIGTERM and SIGHUP end it like the server's end does, and what was recorded is whole."""
     statistics = Statistics()
     viewing = asyncio.create_task(view(address, wishes, statistics))
@@ -190,7 +190,7 @@ async def _view_until_stopped(address: str, wishes: Wishes) -> Statistics:
     return statistics
 
 
-async def view(address: str, wishes: Wishes, statistics: Statistics | None = None) -> Statistics:
+async def view(address: str, wishes: ViewOptions, statistics: Statistics | None = None) -> Statistics:
     """Show and record frames until there are enough or the server goes; `statistics` counts them.
 
     Raises:
@@ -230,7 +230,7 @@ async def _open_page(page: MjpegServer, port: int) -> None:
 
 async def _watch(
     stream: FrameStream,
-    wishes: Wishes,
+    wishes: ViewOptions,
     recorder: Recorder | None,
     page: MjpegServer,
     statistics: Statistics,
@@ -284,5 +284,5 @@ def view_command(
     """Show or record frames."""
     address = socket if socket.startswith(("socket:", "tcp:")) else f"socket:{socket}"
     with terminated_as_interrupted():
-        statistics = asyncio.run(_view_until_stopped(address, Wishes(record, every, frames, serve)))
+        statistics = asyncio.run(_view_until_stopped(address, ViewOptions(record, every, frames, serve)))
     print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

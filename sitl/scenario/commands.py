@@ -9,7 +9,7 @@ import typer
 import yaml
 
 from companion.config import CONFIG_FOLDER
-from sitl.pad.motion import Motion
+from sitl.pad.motion import PadMotionSettings
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.world.wind import WindSettings
 
@@ -77,7 +77,7 @@ def pad_words(scenario: Scenario) -> str:
     return _way_words(scenario.pad.motion) + ("" if scenario.pad.deck is None else ", at sea")
 
 
-def _way_words(motion: Motion) -> str:
+def _way_words(motion: PadMotionSettings) -> str:
     speed = getattr(motion, "speed_m_s", None)
     return motion.kind if speed is None else f"{motion.kind} {speed:g} m/s"
 

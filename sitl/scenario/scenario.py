@@ -20,7 +20,7 @@ from sitl.camera.light import LightSettings
 from sitl.camera.sensor_chip import ExposureSettings
 from sitl.faults.faults import Fault
 from sitl.faults.faulty_link import LinkSettings
-from sitl.pad.motion import Motion
+from sitl.pad.motion import PadMotionSettings
 from sitl.pad.paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.pad.sea import DeckSettings
 from sitl.vehicle.quadrotor import QuadrotorParameters
@@ -35,7 +35,7 @@ Lean = Annotated[float, Field(ge=-180.0, le=180.0)]
 Shift = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
-class Airframe(StrictModel):
+class AirframeConfig(StrictModel):
     """The plant's parameters (configs/airframes), and how the rate loops are tuned to it.
 
     Without `rates` the autopilot flies by its own defaults.
@@ -53,7 +53,7 @@ class PadSettings(StrictModel):
     name: str = "moving_1300"
     surface_height_m: float = Field(default=0.1, ge=0.0, le=10.0)
     heading: Heading = "along"
-    motion: Annotated[Motion, Field(discriminator="kind")] = StaticMotion(kind="static")
+    motion: Annotated[PadMotionSettings, Field(discriminator="kind")] = StaticMotion(kind="static")
     deck: DeckSettings | None = None
 
     @model_validator(mode="after")
@@ -158,10 +158,10 @@ def load_scenario(name: str | Path) -> Scenario:
     return load_model(Scenario, find_file("scenarios", name))
 
 
-def load_airframe(name: str | Path) -> Airframe:
+def load_airframe(name: str | Path) -> AirframeConfig:
     """Read an airframe by name (from configs/airframes) or path.
 
     Raises:
         ConfigError: the file is missing, not YAML, or breaks a rule.
     """
-    return load_model(Airframe, find_file("airframes", name))
+    return load_model(AirframeConfig, find_file("airframes", name))

@@ -24,7 +24,7 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
 )
-from sitl.sensors.flaws import BoardTruth
+from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.inertial import ImuErrors, ImuSensor
 from sitl.sensors.sensors import (
     GpsErrors,
@@ -45,7 +45,7 @@ _FIX_LASTS_S: Final = 1.0
 _STRAY_SHARE: Final = 0.35
 
 
-class Inertial(NamedTuple):
+class ImuReading(NamedTuple):
     """One IMU sample: specific force (m/s²) and rate (rad/s)."""
 
     time_s: float
@@ -74,7 +74,7 @@ class Echo(NamedTuple):
     distance_m: float | None
 
 
-class OnboardSensors:
+class SimulatedAutopilotSensors:
     """Step it with the physics; the newest of each sensor is in its attribute, None before the first."""
 
     def __init__(
@@ -110,7 +110,7 @@ class OnboardSensors:
         self.stray_field_ut = ZERO3
         self.throttle = 0.0
         self.motors: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-        self.imu: Inertial | None = None
+        self.imu: ImuReading | None = None
         self.mag: Field | None = None
         self.gps: Fix | None = None
         self.range: Echo | None = None
@@ -118,7 +118,12 @@ class OnboardSensors:
     @property
     def truth(self) -> BoardTruth:
         """What is truly wrong with IMU and compass; its axes are the body's."""
-        return BoardTruth(self._imu.accel_flaws, self._imu.gyro_flaws, self._mag.flaws, np.eye(3))
+        return BoardTruth(
+            self._imu.accel_calibration_errors,
+            self._imu.gyro_calibration_errors,
+            self._mag.calibration_errors,
+            np.eye(3),
+        )
 
     def wake(self) -> None:
         """Somebody wants the IMU, the compass or the rangefinder: sense from the next step on."""
@@ -142,7 +147,7 @@ class OnboardSensors:
         if not self._awake:
             return
         force, rate = self._imu.sample(state.specific_force_body_m_s2, state.rate_body_rad_s, throttle)
-        self.imu = Inertial(now_s, force, rate)
+        self.imu = ImuReading(now_s, force, rate)
         if now_s >= self._mag_due_s - _EARLY_S:
             self._mag_due_s = max(self._mag_due_s, now_s - MAG_PERIOD_S) + MAG_PERIOD_S
             field_body = add(quat_rotate_inverse(state.attitude, self._field_ned_ut), self.stray_field_ut)

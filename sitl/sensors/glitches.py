@@ -16,9 +16,9 @@ class Glitches:
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng = rng
         self._last: Vector3 = ZERO3
-        self.mend()
+        self.clear_faults()
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """Readings come out as they are."""
         self.frozen = False
         self.spike_share = 0.0

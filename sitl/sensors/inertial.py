@@ -23,7 +23,11 @@ from companion.base.geometry import (
     FloatArray,
     Vector3,
 )
-from sitl.sensors.flaws import Flaws, uncalibrated_accelerometer, uncalibrated_gyroscope
+from sitl.sensors.calibration_errors import (
+    CalibrationErrors,
+    uncalibrated_accelerometer,
+    uncalibrated_gyroscope,
+)
 from sitl.sensors.glitches import Glitches
 from sitl.sensors.sensors import NOISE_BLOCK, flawed_rotation
 
@@ -51,7 +55,8 @@ class ImuErrors:
     vibration_m_s2: float = 1.5  # rms an axis at full throttle, before the filter
     vibration_rad_s: float = 0.04
     full_rotor_hz: float = 130.0  # 7800 rpm; the blades pass at twice that
-    calibrated: bool = True  # else the data sheet's tolerances (`sensor_flaws`) instead of biases and scales
+    # False: the data sheet's tolerances (`calibration_errors`) instead of biases and scales
+    calibrated: bool = True
 
 
 NO_IMU_ERRORS: Final = ImuErrors(
@@ -69,7 +74,7 @@ NO_IMU_ERRORS: Final = ImuErrors(
 )
 
 
-class LowPass:
+class ImuLowPass:
     """Two-pole Butterworth on three axes, followed by the pure delay that is missing to the data sheet's."""
 
     def __init__(self, bandwidth_hz: float, delay_s: float, dt_s: float) -> None:
@@ -202,19 +207,19 @@ class ImuSensor:
         self._gyro_matrix, self._gyro_noise.bias = gyro.rows(self._mounting), gyro.offset
 
     @property
-    def accel_flaws(self) -> Flaws:
+    def accel_calibration_errors(self) -> CalibrationErrors:
         """What is truly wrong with the accelerometer, in sensor axes, m/s²."""
-        return Flaws.of(self._accel_matrix, self._mounting, self._accel_noise.bias)
+        return CalibrationErrors.of(self._accel_matrix, self._mounting, self._accel_noise.bias)
 
     @property
-    def gyro_flaws(self) -> Flaws:
+    def gyro_calibration_errors(self) -> CalibrationErrors:
         """The same of the gyroscope, rad/s."""
-        return Flaws.of(self._gyro_matrix, self._mounting, self._gyro_noise.bias)
+        return CalibrationErrors.of(self._gyro_matrix, self._mounting, self._gyro_noise.bias)
 
     def set_filter(self, dlpf: int) -> None:
         """Choose the low-pass filter by its register value DLPF_CFG (one not in the table: 92 Hz)."""
-        self._accel_filter = LowPass(*ACCEL_FILTER.get(dlpf, ACCEL_FILTER[2]), self._dt_s)
-        self._gyro_filter = LowPass(*GYRO_FILTER.get(dlpf, GYRO_FILTER[2]), self._dt_s)
+        self._accel_filter = ImuLowPass(*ACCEL_FILTER.get(dlpf, ACCEL_FILTER[2]), self._dt_s)
+        self._gyro_filter = ImuLowPass(*GYRO_FILTER.get(dlpf, GYRO_FILTER[2]), self._dt_s)
         self._settled = False
 
     def skip(self, throttles: Sequence[float]) -> None:

@@ -22,7 +22,7 @@ from companion.base.geometry import (
     add,
     geodetic_from_ned,
 )
-from sitl.sensors.flaws import Flaws, uncalibrated_magnetometer
+from sitl.sensors.calibration_errors import CalibrationErrors, uncalibrated_magnetometer
 from sitl.sensors.glitches import Glitches
 
 NOISE_BLOCK: Final = 256  # noise is drawn in blocks: one call costs as much as a hundred numbers
@@ -46,7 +46,9 @@ class MagErrors:
     hard_iron_ut: float = 0.7
     soft_iron: float = 0.01
     current_ut: float = 1.0  # the motors' supply at full throttle, a fixed direction
-    calibrated: bool = True  # else the iron of `sensor_flaws`, instead of what a fit leaves of it
+    calibrated: bool = (
+        True  # else the iron of `sitl.sensors.calibration_errors`, instead of what a fit leaves of it
+    )
 
 
 NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
@@ -72,9 +74,9 @@ class MagSensor:
             self._matrix, self._offset = iron.rows(sensor_from_body), iron.offset.tolist()
 
     @property
-    def flaws(self) -> Flaws:
+    def calibration_errors(self) -> CalibrationErrors:
         """What is truly wrong with it, in sensor axes, µT."""
-        return Flaws.of(self._matrix, self._mounting, np.array(self._offset))
+        return CalibrationErrors.of(self._matrix, self._mounting, np.array(self._offset))
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
         """Field (µT) in sensor axes from the true field in body axes."""
@@ -180,9 +182,9 @@ class RangeSensor:
         self._errors = errors
         self._rng = rng
         self._last_m: float | None = None
-        self.mend()
+        self.clear_faults()
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """No faults: no more wrong or lost echoes than usual, no bias, no distance that stays."""
         self.extra_spikes = 0.0
         self.extra_lost = 0.0

@@ -19,7 +19,7 @@ class Motors:
     def __init__(self) -> None:
         self._shares = SOUND
 
-    def mend(self) -> None:
+    def clear_faults(self) -> None:
         """All give what is asked."""
         self._shares = SOUND
 

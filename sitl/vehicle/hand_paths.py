@@ -29,17 +29,17 @@ _NOWHERE: Final[Six] = (0.0,) * 6
 _LENGTH, _ANGLE = (0, 1, 2), (3, 4, 5)
 
 
-class Held(NamedTuple):
+class PoseAndRate(NamedTuple):
     """Six coordinates (m, rad) and their rates (m/s, rad/s)."""
 
     place: Six
     rate: Six
 
 
-HandPath = Callable[[float], Held]
+HandPath = Callable[[float], PoseAndRate]
 
 
-class Carrying(NamedTuple):
+class CarriedMotion(NamedTuple):
     """What a hand means to do, and what it adds to that.
 
     `round_s` is how long the moves take that end where they begin, at rest; infinite for those that go on.
@@ -50,7 +50,7 @@ class Carrying(NamedTuple):
     round_s: float = math.inf
 
 
-class Rest(NamedTuple):
+class PoseWaypoint(NamedTuple):
     """A pose that is held for a while, after a move to it."""
 
     place: Six
@@ -58,7 +58,7 @@ class Rest(NamedTuple):
     move_s: float = 2.0
 
 
-def arrivals_s(stations: Sequence[Rest]) -> list[float]:
+def arrivals_s(stations: Sequence[PoseWaypoint]) -> list[float]:
     """When each rest begins."""
     begins = [0.0]
     for before, after in pairwise(stations):
@@ -66,27 +66,27 @@ def arrivals_s(stations: Sequence[Rest]) -> list[float]:
     return begins
 
 
-def rests(stations: Sequence[Rest]) -> HandPath:
+def rests(stations: Sequence[PoseWaypoint]) -> HandPath:
     """Minimum-jerk moves from rest to rest; the first move is none, the last rest has no end.
 
     Minimum jerk is how a human arm reaches (T. Flash and N. Hogan, 1985): 10 τ³ - 15 τ⁴ + 6 τ⁵.
     """
     begins = arrivals_s(stations)
 
-    def at(time_s: float) -> Held:
+    def at(time_s: float) -> PoseAndRate:
         # the first station that is still to be reached, if there is one
         upcoming = next((k for k, begin in enumerate(begins) if begin > time_s), len(begins))
         last = stations[max(0, upcoming - 1)].place
         if upcoming in (0, len(begins)):
-            return Held(last, _NOWHERE)
+            return PoseAndRate(last, _NOWHERE)
         target, _, move_s = stations[upcoming]
         tau = (time_s - begins[upcoming]) / move_s + 1.0
         if tau <= 0.0:
-            return Held(last, _NOWHERE)
+            return PoseAndRate(last, _NOWHERE)
         share = tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
         speed = 30.0 * (tau * (1.0 - tau)) ** 2 / move_s
         gaps = [b - a for a, b in zip(last, target, strict=True)]
-        return Held(
+        return PoseAndRate(
             _six(a + share * gap for a, gap in zip(last, gaps, strict=True)),
             _six(speed * gap for gap in gaps),
         )
@@ -97,21 +97,21 @@ def rests(stations: Sequence[Rest]) -> HandPath:
 def swung(middle: Six, waves: Sequence[Waves]) -> HandPath:
     """Sums of sines about a middle."""
 
-    def at(time_s: float) -> Held:
+    def at(time_s: float) -> PoseAndRate:
         place, rate = list(middle), [0.0] * 6
         for axis, own in enumerate(waves):
             for amplitude, frequency, phase in own:
                 angle = frequency * time_s + phase
                 place[axis] += amplitude * math.sin(angle)
                 rate[axis] += amplitude * frequency * math.cos(angle)
-        return Held(_six(place), _six(rate))
+        return PoseAndRate(_six(place), _six(rate))
 
     return at
 
 
-def added(*helds: Held) -> Held:
+def added(*helds: PoseAndRate) -> PoseAndRate:
     """The sum of places and of rates."""
-    return Held(
+    return PoseAndRate(
         _six(map(sum, zip(*(held.place for held in helds), strict=True))),
         _six(map(sum, zip(*(held.rate for held in helds), strict=True))),
     )
@@ -150,7 +150,7 @@ def _wave(
 # ---------------------------------------------------------------- the motions
 
 
-def carrying(motion: HandMotion, standing_m: float, rng: np.random.Generator) -> Carrying:
+def carrying(motion: HandMotion, standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """The paths of a motion, with what the dice vary.
 
     Args:
@@ -161,18 +161,20 @@ def carrying(motion: HandMotion, standing_m: float, rng: np.random.Generator) ->
     return _MOTIONS[motion](standing_m, rng)
 
 
-def _still(standing_m: float, rng: np.random.Generator) -> Carrying:
+def _still(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """Standing on the pad, which does not tremble."""
-    return Carrying(rests([Rest((0.0, 0.0, -standing_m, 0.0, 0.0, 0.0), math.inf)]), swung(_NOWHERE, ()))
+    return CarriedMotion(
+        rests([PoseWaypoint((0.0, 0.0, -standing_m, 0.0, 0.0, 0.0), math.inf)]), swung(_NOWHERE, ())
+    )
 
 
-def _tumble(standing_m: float, rng: np.random.Generator) -> Carrying:
+def _tumble(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """Turned about slowly until every side has been everywhere: no two of the three periods go together."""
     waves: list[Waves] = [()] * 3
     for turn_deg, period_s in ((200.0, 13.0), (105.0, 31.0), (190.0, 21.0)):
         frequency_hz = 1.0 / period_s
         waves.append((_wave(rng, math.radians(turn_deg), 0.9 * frequency_hz, 1.1 * frequency_hz),))
-    return Carrying(swung((0.0, 0.0, -1.1, 0.0, 0.0, 0.0), waves), tremor(rng))
+    return CarriedMotion(swung((0.0, 0.0, -1.1, 0.0, 0.0, 0.0), waves), tremor(rng))
 
 
 # roll and pitch (deg) with each of the six sides down
@@ -189,7 +191,7 @@ FACES: Final[tuple[tuple[float, float], ...]] = (
 FACE_ROUNDS: Final = 10
 
 
-def _faces(standing_m: float, rng: np.random.Generator) -> Carrying:
+def _faces(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """Laid down on each of its six sides, level first, the others in any order, none quite straight.
 
     Round after round, for whoever began to look on in the middle of one.
@@ -200,12 +202,12 @@ def _faces(standing_m: float, rng: np.random.Generator) -> Carrying:
         roll, pitch = np.radians(FACES[side]) + np.radians(3.0) * rng.uniform(-1.0, 1.0, 2)
         yaw = float(rng.uniform(-0.5, 0.5))
         stations.append(
-            Rest((0.0, 0.0, -0.8, float(roll), float(pitch), yaw), 5.0, float(rng.uniform(2.0, 3.0)))
+            PoseWaypoint((0.0, 0.0, -0.8, float(roll), float(pitch), yaw), 5.0, float(rng.uniform(2.0, 3.0)))
         )
-    return Carrying(rests(stations), swung(_NOWHERE, ()))
+    return CarriedMotion(rests(stations), swung(_NOWHERE, ()))
 
 
-def _sway(standing_m: float, rng: np.random.Generator) -> Carrying:
+def _sway(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """Swung about over the pad, quickly and slowly, with all six coordinates, the pad mostly in view."""
     waves = []
     for axis, (slow, quick) in enumerate(
@@ -214,13 +216,13 @@ def _sway(standing_m: float, rng: np.random.Generator) -> Carrying:
         top_hz = 1.1 if axis in _ANGLE else 0.8
         waves.append((_wave(rng, slow, 0.10, 0.25), _wave(rng, quick, 0.5, top_hz)))
     height_m = float(rng.uniform(1.1, 1.4))
-    return Carrying(swung((0.0, 0.0, -height_m, 0.0, 0.0, 0.0), waves), tremor(rng))
+    return CarriedMotion(swung((0.0, 0.0, -height_m, 0.0, 0.0, 0.0), waves), tremor(rng))
 
 
 HOLD_S: Final = 4.0
 
 
-def _over_pad(standing_m: float, rng: np.random.Generator) -> Carrying:
+def _over_pad(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """What `companion check --pad` asks for, one after another, each from the middle and back to it."""
     low, high = -float(rng.uniform(0.5, 0.6)), -float(rng.uniform(0.95, 1.1))
     turn, lean = (math.radians(float(rng.uniform(*span))) for span in ((35.0, 55.0), (14.0, 20.0)))
@@ -234,14 +236,14 @@ def _over_pad(standing_m: float, rng: np.random.Generator) -> Carrying:
         (0.0, 0.0, high, 0.0, lean, 0.0),
     ]
     # long enough at first for what looks on to find an autopilot, and to ask for the first move
-    stations = [Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), 10.0), Rest(middle, HOLD_S)]
+    stations = [PoseWaypoint((0.0, 0.0, low, 0.0, 0.0, 0.0), 10.0), PoseWaypoint(middle, HOLD_S)]
     for place in moved:
-        stations += [Rest(place, HOLD_S, 1.5), Rest(middle, HOLD_S, 1.5)]
-    stations.append(Rest((0.0, 0.0, low, 0.0, 0.0, 0.0), math.inf))
-    return Carrying(rests(stations), tremor(rng), arrivals_s(stations)[-1])
+        stations += [PoseWaypoint(place, HOLD_S, 1.5), PoseWaypoint(middle, HOLD_S, 1.5)]
+    stations.append(PoseWaypoint((0.0, 0.0, low, 0.0, 0.0, 0.0), math.inf))
+    return CarriedMotion(rests(stations), tremor(rng), arrivals_s(stations)[-1])
 
 
-_MOTIONS: Final[dict[HandMotion, Callable[[float, np.random.Generator], Carrying]]] = {
+_MOTIONS: Final[dict[HandMotion, Callable[[float, np.random.Generator], CarriedMotion]]] = {
     "still": _still,
     "tumble": _tumble,
     "faces": _faces,

@@ -32,7 +32,7 @@ from companion.base.geometry import (
 from companion.config import StrictModel
 from sitl.pad.motion import PadTruth
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.ground import Board
+from sitl.world.ground import PadBoard
 
 Metres = Annotated[float, Field(ge=-2.0, le=2.0)]
 Place = tuple[Metres, Metres, Annotated[float, Field(gt=0.0, le=2.0)]]
@@ -88,7 +88,7 @@ class Contact:
     """The legs' memory: which foot stands where."""
 
     def __init__(
-        self, parameters: ContactParameters, mass_kg: float, board: Board, hull_body_m: tuple[Vector3, ...]
+        self, parameters: ContactParameters, mass_kg: float, board: PadBoard, hull_body_m: tuple[Vector3, ...]
     ) -> None:
         """`mass_kg` is the mass under which the feet stand as the parameters say; `hull_body_m` are further
         points (the rotors' hubs) that touch when the vehicle lies on its side or back."""
@@ -110,14 +110,14 @@ class Contact:
         w, x, y, z = state.attitude
         # the body's axes' shares downwards: most points are too high to touch
         down_x, down_y, down_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
-        soon = pad.soon(half)
+        extrapolated = pad.extrapolated(half)
         force, torque, touched = ZERO3, ZERO3, {"board": 0, "ground": 0}
         for point in self._points:
             px, py, pz = point.body_m
             if down_x * px + down_y * py + down_z * pz < clear_m - MARGIN_M:
                 point.surface = None
                 continue
-            push = self._push(point, state, soon, half)
+            push = self._push(point, state, extrapolated, half)
             if point.surface is not None:
                 touched[point.surface] += 1
                 force = add(force, push)
@@ -151,7 +151,7 @@ class Contact:
         depth = local[2]
         if depth <= 0.0 or (point.surface != "board" and depth > DEEPEST_ENTRY_M):
             return False
-        return self._board.bears(local)
+        return self._board.contains(local)
 
     def _on_board(
         self, point: _Point, place: Vector3, local: Vector3, velocity: Vector3, pad: PadTruth

@@ -24,7 +24,7 @@ NEGLIGIBLE_HEIGHT_IN_RADII: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class PadBoard:
     """The pad's rectangle: half its length along the heading, half its width across."""
 
     half_length_m: float
@@ -36,7 +36,7 @@ class Board:
         return math.hypot(self.half_length_m, self.half_width_m)
 
     @classmethod
-    def of(cls, pad: Pad) -> Board:
+    def of(cls, pad: Pad) -> PadBoard:
         """The board of a pad's layout."""
         return cls(0.5 * pad.length_m, 0.5 * pad.width_m)
 
@@ -44,7 +44,7 @@ class Board:
         """Coordinates of a point forward and right of the pad's centre, and down through its surface."""
         return pad.axes().from_ned(subtract(point_ned_m, pad.position_ned_m))
 
-    def bears(self, local_m: Vector3) -> bool:
+    def contains(self, local_m: Vector3) -> bool:
         """Whether the board is above or below a point given in its own axes."""
         return abs(local_m[0]) <= self.half_length_m and abs(local_m[1]) <= self.half_width_m
 
@@ -56,7 +56,7 @@ class Board:
         axes = pad.axes()
         normal = axes.down
         dd = -(normal[0] * dn + normal[1] * de) / normal[2]
-        return pad.position_ned_m[2] + dd if self.bears(axes.from_ned((dn, de, dd))) else 0.0
+        return pad.position_ned_m[2] + dd if self.contains(axes.from_ned((dn, de, dd))) else 0.0
 
     def distance_m(self, pad: PadTruth, point_ned_m: Vector3) -> tuple[float, float]:
         """Distance along the surface to the board's nearest point, and height over the surface (m)."""
@@ -73,7 +73,7 @@ class Board:
 
 
 def echo_distance_m(
-    board: Board,
+    board: PadBoard,
     pad: PadTruth,
     state: QuadrotorState,
     sensor_position_body_m: Vector3,
@@ -90,13 +90,13 @@ def echo_distance_m(
         echoes.append(-sensor[2])
     sideways, height = board.distance_m(pad, sensor)
     # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
-    lean = max(lean_over(pad, state.attitude), math.atan2(sideways, height))
+    lean = max(tilt_from_normal(pad, state.attitude), math.atan2(sideways, height))
     if height > 0.0 and lean <= half_angle_rad:
         echoes.append(math.hypot(sideways, height))
     return min(echoes, default=None)
 
 
-def lean_over(pad: PadTruth, attitude: Quaternion) -> float:
+def tilt_from_normal(pad: PadTruth, attitude: Quaternion) -> float:
     """Angle (rad) between the body's down axis and the board's normal."""
     axes = pad.axes()
     return math.acos(max(-1.0, min(1.0, dot(quat_rotate(attitude, (0.0, 0.0, 1.0)), axes.down))))
@@ -118,7 +118,7 @@ def rotor_ratios(
     state: QuadrotorState,
     rotors_body_m: tuple[Vector3, Vector3, Vector3, Vector3],
     radius_m: float,
-    board: Board,
+    board: PadBoard,
     pad: PadTruth,
 ) -> Four:
     """Ground effect of each rotor over what lies under its own hub."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from companion.base.geometry import Vector3, add, quat_from_euler, rotate_yaw
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.hand_paths import Carrying, HandMotion, Held, added, carrying
+from sitl.vehicle.hand_paths import CarriedMotion, HandMotion, PoseAndRate, added, carrying
 from sitl.vehicle.quadrotor import Four, QuadrotorState, packed
 from sitl.world.world import World
 
@@ -39,7 +39,7 @@ class HandHeldWorld(World):
         """
         super().__init__(scenario, seed)
         rng = np.random.default_rng((seed, HAND_STREAM))
-        self._carrying: Carrying = carrying(motion, self.landed_reference_height_m, rng)
+        self._carrying: CarriedMotion = carrying(motion, self.landed_reference_height_m, rng)
         self._begun_s = math.inf if waits and math.isfinite(self._carrying.round_s) else 0.0
         self._origin_ned_m = self.pad_state.position_ned_m
         self._heading_rad = float(rng.uniform(-math.pi, math.pi))
@@ -52,7 +52,7 @@ class HandHeldWorld(World):
 
     def step(self, motor_commands: Four, dt_s: float) -> None:
         """Carry everything on by dt (s)."""
-        self.wind_ned_m_s = self._blow()
+        self.wind_ned_m_s = self._wind_now()
         self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)
 
     def _felt(self, before: QuadrotorState, time_s: float, dt_s: float) -> QuadrotorState:
@@ -72,7 +72,7 @@ class HandHeldWorld(World):
             rate_body_rad_s=body_rate(roll, pitch, rate[3:]),
         )
 
-    def _held(self, time_s: float) -> Held:
+    def _held(self, time_s: float) -> PoseAndRate:
         """Where the hand has it against the middle of the pad; hands that wait tremble too."""
         moves = self._carrying.moves(time_s - self._begun_s)
         return added(moves, self._carrying.shake(time_s))

@@ -26,7 +26,7 @@ from sitl.pad.motion import PadTruth
 from sitl.scenario.scenario import PassBounds
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.contact import ContactLoad
-from sitl.world.ground import lean_over
+from sitl.world.ground import tilt_from_normal
 
 AIRBORNE_HEIGHT_M: Final = 1.0
 CRASH_SPEED_M_S: Final = 2.0
@@ -35,7 +35,7 @@ UPSIDE_DOWN_RAD: Final = math.radians(90.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Touchdown:
+class TouchdownState:
     """The first contact after a flight. `impact_speed_m_s` is relative to what was hit.
 
     `offset_pad_m` is where on the pad: along its heading and to its right.
@@ -64,7 +64,7 @@ class TouchdownResult:
     yaw_error_deg: float
 
     @classmethod
-    def of(cls, touchdown: Touchdown) -> TouchdownResult:
+    def of(cls, touchdown: TouchdownState) -> TouchdownResult:
         """The part of a touchdown that is reported."""
         t = touchdown
         return cls(
@@ -72,7 +72,7 @@ class TouchdownResult:
         )
 
 
-class TouchdownWatch:
+class TouchdownDetector:
     """Watches a flight for its touchdown and for a crash.
 
     A vehicle that rises a metre again after a touchdown flies again: its next contact replaces the last.
@@ -80,7 +80,7 @@ class TouchdownWatch:
     """
 
     def __init__(self) -> None:
-        self.touchdown: Touchdown | None = None
+        self.touchdown: TouchdownState | None = None
         self.crashed = False
         self.nearest_obstacle_m: float | None = None
         self._airborne = False
@@ -124,19 +124,19 @@ class TouchdownWatch:
             self._airborne = False
 
 
-def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> Touchdown:
+def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> TouchdownState:
     # a turning board moves at the touched place with it; beside the board there is only the pad's own way
     carried = pad.velocity_at_ned_m_s(state.position_ned_m) if on_pad else pad.velocity_ned_m_s
     relative = subtract(state.velocity_ned_m_s, carried)
     away = subtract(state.position_ned_m, pad.position_ned_m)
     axes = pad.axes()
     normal = axes.down
-    return Touchdown(
+    return TouchdownState(
         time_s=time_s,
         lateral_error_m=math.hypot(*_along_surface(away, normal)),
         vertical_speed_m_s=dot(relative, normal),
         horizontal_speed_m_s=math.hypot(*_along_surface(relative, normal)),
-        tilt_deg=math.degrees(lean_over(pad, state.attitude)),
+        tilt_deg=math.degrees(tilt_from_normal(pad, state.attitude)),
         yaw_error_deg=math.degrees(wrap_angle(yaw_from_quat(state.attitude) - pad.heading_rad)),
         pad_speed_m_s=norm(pad.velocity_ned_m_s),
         impact_speed_m_s=norm(relative if on_pad else state.velocity_ned_m_s),
@@ -167,7 +167,7 @@ class Verdict:
 
 
 def judge(
-    touchdown: Touchdown | None,
+    touchdown: TouchdownState | None,
     bounds: PassBounds,
     *,
     crashed: bool,
@@ -200,7 +200,7 @@ def judge(
     return Verdict(Outcome.LANDED, result)
 
 
-def _broken(touchdown: Touchdown, bounds: PassBounds) -> tuple[str, ...]:
+def _broken(touchdown: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
     measured = (
         ("lateral error", touchdown.lateral_error_m, bounds.lateral_error_m, "m"),
         ("vertical speed", touchdown.vertical_speed_m_s, bounds.vertical_speed_m_s, "m/s"),

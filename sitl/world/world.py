@@ -32,12 +32,12 @@ from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.actuators import Motors
 from sitl.vehicle.quadrotor import NO_RATIO, Four, Quadrotor, QuadrotorState, resting_state
 from sitl.world.contact import NO_CONTACT, Contact, ContactLoad
-from sitl.world.ground import Board, echo_distance_m, ground_effect_reach_m, rotor_ratios
+from sitl.world.ground import PadBoard, echo_distance_m, ground_effect_reach_m, rotor_ratios
 from sitl.world.obstacles import Obstacles
-from sitl.world.score import Touchdown, TouchdownWatch
+from sitl.world.score import TouchdownDetector, TouchdownState
 from sitl.world.wind import Wind
 
-MEMORY_S: Final = 0.35
+HISTORY_S: Final = 0.35
 CLOCK_SLACK_S: Final = 1e-6
 REST_SPEED_M_S: Final = 0.05
 REST_RATE_RAD_S: Final = 0.1
@@ -52,7 +52,7 @@ class _Stream(IntEnum):
     WIND = 13
 
 
-class _Moment(NamedTuple):
+class _Snapshot(NamedTuple):
     time_s: float
     state: QuadrotorState
     pad: PadTruth
@@ -60,7 +60,7 @@ class _Moment(NamedTuple):
     in_contact: bool
 
 
-class Motion(NamedTuple):
+class VehicleMotion(NamedTuple):
     """The part of the truth that an autopilot errs about: it is asked for at every step."""
 
     vehicle_position_ned_m: Vector3
@@ -82,7 +82,7 @@ class World:
         body = airframe.body
         arm, up = body.arm_length_m, -body.rotor_height_m
         self.airframe = airframe
-        self.board = Board.of(load_pad(scenario.pad.name))
+        self.board = PadBoard.of(load_pad(scenario.pad.name))
         self.time_s = 0.0
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
         # the autopilot's wish, kept with the truth for the plots
@@ -105,8 +105,8 @@ class World:
         self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
         self._load: ContactLoad = NO_CONTACT
         self._obstacles = Obstacles(scenario.obstacles, body)
-        self._watch = TouchdownWatch()
-        self._memory: deque[_Moment] = deque([self._moment()])
+        self._watch = TouchdownDetector()
+        self._history: deque[_Snapshot] = deque([self._snapshot()])
 
     def _at_home(self, scenario: Scenario, rng: np.random.Generator) -> QuadrotorState:
         """Standing on what is at home: the ground, or the pad if that is there."""
@@ -121,16 +121,16 @@ class World:
         self._state = state
         self._load = NO_CONTACT
         self._contact.release()
-        self._watch = TouchdownWatch()
+        self._watch = TouchdownDetector()
         self._watch.airborne(self.height_m - self.landed_reference_height_m)
-        self._memory = deque([self._moment()])
+        self._history = deque([self._snapshot()])
 
     # ------------------------------------------------------------ stepping
 
     def step(self, motor_commands: Four, dt_s: float) -> None:
         """Move everything on by dt (s); commands are the motors' shares of full thrust, 0..1."""
-        self.wind_ned_m_s = self._blow()
-        thrust_ratio = self._feel_surfaces(dt_s)
+        self.wind_ned_m_s = self._wind_now()
+        thrust_ratio = self._surface_effects(dt_s)
         self._watch.step(self.time_s, self._state, self.pad_state, self._load)
         state = self._quadrotor.step(
             self._state,
@@ -151,12 +151,12 @@ class World:
         self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
         if not self._watch.flying:
             self._watch.airborne(self.height_m - self.landed_reference_height_m)
-        self._remember()
+        self._record()
 
-    def _blow(self) -> Vector3:
+    def _wind_now(self) -> Vector3:
         return self._wind.at(self.time_s, -self._state.position_ned_m[2])
 
-    def _feel_surfaces(self, dt_s: float) -> Four:
+    def _surface_effects(self, dt_s: float) -> Four:
         """What touches, and how each rotor's thrust grows near a surface."""
         clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
         if clear_m <= self._contact.reach_m:
@@ -174,13 +174,13 @@ class World:
             self.pad_state,
         )
 
-    def _moment(self) -> _Moment:
-        return _Moment(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)
+    def _snapshot(self) -> _Snapshot:
+        return _Snapshot(self.time_s, self._state, self.pad_state, self.wind_ned_m_s, self._load.touching)
 
-    def _remember(self) -> None:
-        self._memory.append(self._moment())
-        while self._memory[1].time_s < self.time_s - MEMORY_S:
-            self._memory.popleft()
+    def _record(self) -> None:
+        self._history.append(self._snapshot())
+        while self._history[1].time_s < self.time_s - HISTORY_S:
+            self._history.popleft()
 
     # ------------------------------------------------------------ for sensors
 
@@ -233,7 +233,7 @@ class World:
     # ------------------------------------------------------------ for the score and the camera
 
     @property
-    def touchdown(self) -> Touchdown | None:
+    def touchdown(self) -> TouchdownState | None:
         """The last first contact after a flight above 1 m."""
         return self._watch.touchdown
 
@@ -257,14 +257,16 @@ class World:
         steady = norm(subtract(state.rate_body_rad_s, turned)) <= REST_RATE_RAD_S
         return self._load.on_board >= STANDING_FEET and still and steady
 
-    def motion(self) -> Motion:
+    def motion(self) -> VehicleMotion:
         """The vehicle's motion now."""
         state = self._state
-        return Motion(state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s)
+        return VehicleMotion(
+            state.position_ned_m, state.velocity_ned_m_s, state.attitude, state.rate_body_rad_s
+        )
 
     def truth(self) -> Truth:
         """Everything now."""
-        return self._told(self._memory[-1])
+        return self._truth_of(self._history[-1])
 
     def truth_at(self, time_s: float) -> Truth:
         """Everything at a time up to 0.3 s back, interpolated; before the start all stood as at the start.
@@ -272,32 +274,32 @@ class World:
         Raises:
             ValueError: the time lies ahead, or further back than is kept.
         """
-        memory = self._memory
-        i = bisect_left(memory, time_s - CLOCK_SLACK_S, key=lambda moment: moment.time_s)
+        memory = self._history
+        i = bisect_left(memory, time_s - CLOCK_SLACK_S, key=lambda snapshot: snapshot.time_s)
         if i == len(memory) or (i == 0 and memory[0].time_s > max(time_s, 0.0) + CLOCK_SLACK_S):
             raise ValueError(
                 f"no truth at {time_s:.4f} s: kept from {memory[0].time_s:.4f} to {self.time_s:.4f} s"
             )
         if i == 0:
-            return self._told(memory[0])
-        return self._told(_between(memory[i - 1], memory[i], time_s))
+            return self._truth_of(memory[0])
+        return self._truth_of(_between(memory[i - 1], memory[i], time_s))
 
-    def _told(self, moment: _Moment) -> Truth:
+    def _truth_of(self, snapshot: _Snapshot) -> Truth:
         return Truth(
-            time_s=moment.time_s,
-            vehicle_position_ned_m=moment.state.position_ned_m,
-            vehicle_velocity_ned_m_s=moment.state.velocity_ned_m_s,
-            vehicle_attitude=moment.state.attitude,
-            pad_position_ned_m=moment.pad.position_ned_m,
-            pad_velocity_ned_m_s=moment.pad.velocity_ned_m_s,
-            pad_heading_rad=moment.pad.heading_rad,
-            pad_roll_rad=moment.pad.roll_rad,
-            pad_pitch_rad=moment.pad.pitch_rad,
-            wind_ned_m_s=moment.wind_ned_m_s,
-            in_contact=moment.in_contact,
-            rate_body_rad_s=moment.state.rate_body_rad_s,
+            time_s=snapshot.time_s,
+            vehicle_position_ned_m=snapshot.state.position_ned_m,
+            vehicle_velocity_ned_m_s=snapshot.state.velocity_ned_m_s,
+            vehicle_attitude=snapshot.state.attitude,
+            pad_position_ned_m=snapshot.pad.position_ned_m,
+            pad_velocity_ned_m_s=snapshot.pad.velocity_ned_m_s,
+            pad_heading_rad=snapshot.pad.heading_rad,
+            pad_roll_rad=snapshot.pad.roll_rad,
+            pad_pitch_rad=snapshot.pad.pitch_rad,
+            wind_ned_m_s=snapshot.wind_ned_m_s,
+            in_contact=snapshot.in_contact,
+            rate_body_rad_s=snapshot.state.rate_body_rad_s,
             attitude_setpoint=self.attitude_setpoint,
-            obstacle_clearance_m=self._obstacles.clearance_m(moment.state.position_ned_m),
+            obstacle_clearance_m=self._obstacles.clearance_m(snapshot.state.position_ned_m),
         )
 
 
@@ -305,7 +307,7 @@ def _mixed(a: Vector3, b: Vector3, k: float) -> Vector3:
     return (a[0] + k * (b[0] - a[0]), a[1] + k * (b[1] - a[1]), a[2] + k * (b[2] - a[2]))
 
 
-def _between(a: _Moment, b: _Moment, time_s: float) -> _Moment:
+def _between(a: _Snapshot, b: _Snapshot, time_s: float) -> _Snapshot:
     """Straight between two neighbouring steps; at 2.5 ms a chord and an arc differ by nothing that shows."""
     k = min(1.0, max(0.0, (time_s - a.time_s) / (b.time_s - a.time_s)))
     p, q = a.state, b.state
@@ -325,4 +327,4 @@ def _between(a: _Moment, b: _Moment, time_s: float) -> _Moment:
         roll_rad=a.pad.roll_rad + k * (b.pad.roll_rad - a.pad.roll_rad),
         pitch_rad=a.pad.pitch_rad + k * (b.pad.pitch_rad - a.pad.pitch_rad),
     )
-    return _Moment(time_s, state, pad, b.wind_ned_m_s, b.in_contact)
+    return _Snapshot(time_s, state, pad, b.wind_ned_m_s, b.in_contact)

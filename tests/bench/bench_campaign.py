@@ -18,14 +18,14 @@ from rich.console import Console
 from rich.progress import track
 
 from companion.base.clock import wall_clock_s
-from sitl.campaign.manifest import Flight, make_plan
+from sitl.campaign.manifest import CampaignRun, make_plan
 from sitl.campaign.pool import fly_locally
 
 JOBS: Final = 2
 FASTER: Final = 1.8
 
 
-def timed(flights: Sequence[Flight], jobs: int, console: Console) -> tuple[float, dict[int, Any]]:
+def timed(flights: Sequence[CampaignRun], jobs: int, console: Console) -> tuple[float, dict[int, Any]]:
     """Fly on so many jobs: seconds it took, and each seed's result but for what depends on the machine."""
     started_s = wall_clock_s()
     ended = track(fly_locally(flights, jobs), f"jobs: {jobs}", len(flights), console=console, transient=True)

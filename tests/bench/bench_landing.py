@@ -25,7 +25,7 @@ from rich.table import Table
 
 from companion.config import ConfigError
 from sitl.campaign.figures import Bar, share, values
-from sitl.campaign.manifest import Flight, code_digest
+from sitl.campaign.manifest import CampaignRun, code_digest
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import Row, RunsFile, make_row, pending
@@ -42,7 +42,7 @@ def kind_of(name: str) -> str:
     return "wind" if name.endswith("wind_8") else "line" if name.startswith("line") else "turn"
 
 
-def fly(flights: Sequence[Flight], folder: Path, jobs: int, console: Console) -> list[Row]:
+def fly(flights: Sequence[CampaignRun], folder: Path, jobs: int, console: Console) -> list[Row]:
     """Fly what has no row in the folder yet; returns the rows of the flights asked for."""
     version, runs = code_digest(), RunsFile(folder)
     with closing(runs):

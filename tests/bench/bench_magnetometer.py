@@ -38,7 +38,7 @@ from companion.config import ImuConfig
 from companion.sim.trial import Trial
 from sitl.devices.rack import SensorErrors
 from sitl.run.in_process import carried
-from sitl.run.sensor_quality import sensor_errors
+from sitl.run.sensor_setup import sensor_errors
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
 from sitl.scenario.scenario import Scenario, SensorSettings
 from tests.bench.streams import fly_stream, rerun, rms, settings_of
@@ -153,7 +153,7 @@ def flown(seeds: int, console: Console) -> dict[str, bool]:
         trial = Trial.load(SCENARIO, seed)
         with (
             tempfile.TemporaryDirectory() as folder,
-            mock.patch("sitl.run.simulation.sensor_errors", magnetometer_from_the_shop),
+            mock.patch("sitl.run.sensor_setup.sensor_errors", magnetometer_from_the_shop),
         ):
             done, truth = run_in_virtual_time(carried_about(trial.scenario, seed))
             path = Path(folder) / "magnetometer.yaml"

@@ -26,7 +26,7 @@ from rich.table import Table
 
 from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
 from companion.base.messages import Manner, Outcome, Phase
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.scenario.scenario import PassBounds, Scenario
 from sitl.world.score import judge
@@ -97,7 +97,7 @@ class Flight:
     def __init__(self, manner: Manner, case: Case, seed: int) -> None:
         self.world = World(_scenario(case), seed)
         generators = np.random.default_rng((seed, 77)).spawn(2)
-        self.autopilot = Autopilot(manner, self.world.airframe.body, generators[0], HOME)
+        self.autopilot = SimulatedAutopilot(manner, self.world.airframe.body, generators[0], HOME)
         self._rng = generators[1]
         self._endpoint = MavlinkEndpoint(self.autopilot)
         self._us = mavlink.MAVLink(None, srcSystem=255, srcComponent=191)
@@ -145,7 +145,7 @@ class Flight:
         noise = (spread * self._rng.standard_normal(3)).tolist()
         seen: Vector3 = (x + noise[0], y + noise[1], z + noise[2])
         frame = mavlink.MAV_FRAME_BODY_FRD
-        if self.autopilot.manner.name == "px4":  # it takes places in its own NED alone
+        if self.autopilot.profile.name == "px4":  # it takes places in its own NED alone
             estimate = self.autopilot.estimate
             seen = add(estimate.position_ned_m, quat_rotate(estimate.attitude, seen))
             frame = mavlink.MAV_FRAME_LOCAL_NED
@@ -195,7 +195,7 @@ def fly(manner: Manner, case: Case, seed: int) -> Landing:
 
 
 def _set_up(flight: Flight) -> None:
-    for name, (value, kind) in PARAMETERS[flight.autopilot.manner.name].items():
+    for name, (value, kind) in PARAMETERS[flight.autopilot.profile.name].items():
         flight.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
     flight.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1)
     for _ in flight.run(6.0):
@@ -203,11 +203,11 @@ def _set_up(flight: Flight) -> None:
 
 
 def _take_off(flight: Flight) -> None:
-    if flight.autopilot.manner.name == "ardupilot":
+    if flight.autopilot.profile.name == "ardupilot":
         flight.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 4)
     flight.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
     over_sea = flight.autopilot.geodetic(flight.autopilot.home_ned_m)[2]
-    base = 0.0 if flight.autopilot.manner.take_off_needs_guided else over_sea
+    base = 0.0 if flight.autopilot.profile.take_off_needs_guided else over_sea
     flight.command(mavlink.MAV_CMD_NAV_TAKEOFF, *(math.nan,) * 6, base + HEIGHT_M)
     for _ in flight.run(READY_S):
         pass
@@ -219,7 +219,7 @@ def _meet_pad(flight: Flight) -> float:
     for tick, now_s in enumerate(flight.run(LIMIT_S - LANDING_LIMIT_S)):
         if tick % 5 == 0:
             flight.follow_pad()
-        if tick == 20 and flight.autopilot.manner.name == "px4":
+        if tick == 20 and flight.autopilot.profile.name == "px4":
             flight.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 6)
         state, pad = flight.world.state, flight.world.pad_state
         away = subtract(state.position_ned_m, pad.position_ned_m)

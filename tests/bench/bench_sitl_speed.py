@@ -23,12 +23,12 @@ import cv2
 from rich.console import Console
 from rich.table import Table
 
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
 from sitl.mavlink.network import Network
 from sitl.run.simulation import PHYSICS_STEP_S, Simulation
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.contact import Contact
 from sitl.world.world import World
 from tests.bench.speed_flight import HIGH_M, Client, SpeedFlight, fly
@@ -42,9 +42,9 @@ REST: Final = "event loop, ticks, log"
 PARTS: Final[dict[str, tuple[tuple[type[Any], str], ...]]] = {
     "physics": ((World, "step"), (World, "motion"), (World, "truth")),
     "contact": ((Contact, "step"),),
-    "autopilot": ((Autopilot, "step"),),
+    "autopilot": ((SimulatedAutopilot, "step"),),
     "sensor chips": ((SensorRack, "step"),),
-    "autopilot's own sensors": ((OnboardSensors, "step"),),
+    "autopilot's own sensors": ((SimulatedAutopilotSensors, "step"),),
     "MAVLink": (*((Network, "receive"), (Network, "transmit")),),
     "rendering": ((CameraModel, "render"),),
     "client": ((Client, "write"), (Client, "stream")),

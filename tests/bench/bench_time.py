@@ -32,7 +32,7 @@ from companion.sense.vision.pipeline import Vision
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.camera.camera import CameraModel
 from sitl.devices.rack import SensorRack
 from sitl.mavlink.network import Network
@@ -41,7 +41,7 @@ from sitl.world.world import World
 REAL_TIME_FACTOR: Final = 3.0
 PARTS: Final[dict[str, dict[type[Any], tuple[str, ...]]]] = {
     "SITL: world": {World: ("step", "truth", "range_to_surface_m")},
-    "SITL: autopilot": {Autopilot: ("step",)},
+    "SITL: autopilot": {SimulatedAutopilot: ("step",)},
     "SITL: sensors and devices": {SensorRack: ("step",)},
     "SITL: rendering": {CameraModel: ("render",)},
     "SITL: MAVLink": {Network: ("receive", "transmit")},

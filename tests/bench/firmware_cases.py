@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import yaml
 
 from companion.base.messages import Manner
-from sitl.campaign.manifest import Flight, code_digest, scenario_digest
+from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
 from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario.scenario import Scenario
 
@@ -90,7 +90,7 @@ def write_flights(
     cases: tuple[FirmwareCase, ...],
     seeds: range,
     folder: Path,
-) -> Iterator[Flight]:
+) -> Iterator[CampaignRun]:
     """The flights of one firmware by one kind of setpoint; their scenarios are left in a folder."""
     code = code_digest()
     for case in cases:
@@ -100,6 +100,6 @@ def write_flights(
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         identity = f"{code}-{scenario_digest(str(path), None)}"
         for seed in seeds:
-            yield Flight(
+            yield CampaignRun(
                 scenario.name, str(path), seed, None, scenario.time_limit_s, identity, firmware=firmware
             )

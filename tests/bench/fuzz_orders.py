@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.commands import FORCE_MAGIC, HANDLERS
 from sitl.mavlink.framing import dialect
 
@@ -38,11 +38,11 @@ _ARM, _SET_MODE, _TAKE_OFF, _START = 400, 176, 22, 300
 class Orders:
     """One who orders about: `next` is the next message, in sequences that go on from call to call."""
 
-    def __init__(self, rng: Rng, autopilot: Autopilot) -> None:
+    def __init__(self, rng: Rng, autopilot: SimulatedAutopilot) -> None:
         self._rng = rng
         self._names = [name.encode() for name in autopilot.parameters]
-        self._modes = [mode.custom_mode for mode in autopilot.manner.modes]
-        self._is_px4 = autopilot.manner.name == "px4"
+        self._modes = [mode.custom_mode for mode in autopilot.profile.modes]
+        self._is_px4 = autopilot.profile.name == "px4"
         self._waiting: list[Message] = []
         self._kinds: tuple[Callable[[], Message], ...] = (
             *(self._command,) * 3, *(self._command_int,) * 3, self._home, self._reposition, self._target,

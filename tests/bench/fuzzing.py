@@ -22,7 +22,7 @@ from sitl.mavlink.framing import FrameReader, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import VEHICLE, Network, Port
 from sitl.mavlink.signing import Signing
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from tests.bench.fuzz_orders import Orders
 from tests.unit.sitl.autopilot_flight import HOME, Flight
 
@@ -292,7 +292,7 @@ class Fuzz:
         self.flight.take_off()
         self.flight.take_control()
         self.signing = Signing(manner, key)
-        sensors = OnboardSensors(
+        sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed), TICK_S, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=4
         )
         ground_station = GroundStation(np.random.default_rng(seed), 1.0, HOME, signing=self.signing)

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 import yaml
 
-from sitl.campaign.manifest import Flight, code_digest, scenario_digest
+from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
 from sitl.scenario.scenario import Scenario
 
 FASTEST_LINE_M_S: Final = 4.2
@@ -66,7 +66,7 @@ def peer_cases(seeds: int) -> tuple[Case, ...]:
     )
 
 
-def write_flights(case: Case, folder: Path) -> list[Flight]:
+def write_flights(case: Case, folder: Path) -> list[CampaignRun]:
     """Write each flight's scenario into a folder, for the command that repeats it; returns the flights."""
     flights, code = [], code_digest()
     for content, seed in case.flights:
@@ -74,7 +74,7 @@ def write_flights(case: Case, folder: Path) -> list[Flight]:
         path = folder / f"{scenario.name}.yaml"
         path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         identity = f"{code}-{scenario_digest(str(path), None)}"
-        flights.append(Flight(scenario.name, str(path), seed, None, scenario.time_limit_s, identity))
+        flights.append(CampaignRun(scenario.name, str(path), seed, None, scenario.time_limit_s, identity))
     return flights
 
 

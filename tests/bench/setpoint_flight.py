@@ -11,12 +11,12 @@ from typing import Final
 import numpy as np
 
 from companion.base.messages import Manner
-from sitl.autopilot import ESTIMATORS, Autopilot, EstimatorName
+from sitl.autopilot import ESTIMATORS, EstimatorName, SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.pad.paths import Meeting, StaticMotion
 from sitl.run.simulation import HOME, MAGNETIC_FIELD_NED_UT, PHYSICS_STEP_S
 from sitl.scenario.scenario import PadSettings, Scenario
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.world import World
 from tests.bench.autopilot_record import Record, Stamped, decoder, record_of
 
@@ -41,13 +41,13 @@ def fly(manner: Manner, recorded: Record, seed: int) -> Record:
     errors = ESTIMATORS[ESTIMATOR_OF[manner]]
     airframe = world.airframe
     rng = np.random.default_rng((seed, 20))
-    autopilot = Autopilot(manner, airframe.body, rng, HOME, errors, airframe.rates)
-    sensors = OnboardSensors(
+    autopilot = SimulatedAutopilot(manner, airframe.body, rng, HOME, errors, airframe.rates)
+    sensors = SimulatedAutopilotSensors(
         np.random.default_rng((seed, 21)),
         PHYSICS_STEP_S,
         home=HOME,
         field_ned_ut=MAGNETIC_FIELD_NED_UT,
-        imu_filter=autopilot.manner.imu_filter,
+        imu_filter=autopilot.profile.imu_filter,
     )
     endpoint = MavlinkEndpoint(autopilot, sensors)
     lead_s = -recorded.booted_s

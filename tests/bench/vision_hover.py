@@ -33,7 +33,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.config import VehicleConfig
-from sitl.autopilot import ESTIMATORS, Autopilot
+from sitl.autopilot import ESTIMATORS, SimulatedAutopilot
 from sitl.run.simulation import HOME, PHYSICS_STEP_S
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.inertial import ImuErrors
@@ -92,7 +92,9 @@ def flight(seed: int) -> Flight:
     scenario: Scenario = load_scenario("static").model_copy(update={"wind": WIND, "start_heading_deg": 0.0})
     world = World(scenario, seed)
     rng = np.random.default_rng((seed, 1))
-    autopilot = Autopilot("px4", world.airframe.body, rng, HOME, ESTIMATORS["typical"], world.airframe.rates)
+    autopilot = SimulatedAutopilot(
+        "px4", world.airframe.body, rng, HOME, ESTIMATORS["typical"], world.airframe.rates
+    )
     asked, samples = False, []
     while world.time_s < STEADY_S + FLOWN_S:
         if world.time_s >= ASKED_S and not asked:

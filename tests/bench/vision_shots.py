@@ -42,7 +42,7 @@ from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.estimate.estimator import READOUT_S
 from companion.pad import Marker, Pad, load_pad
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 from sitl.camera.textures import Texture
 from tests.bench.vision_hover import Moment
 
@@ -155,7 +155,7 @@ class Stage:
         self.pad = pad_of(side_cm)
         self._single = side_cm > 0.0
         self._rng = rng
-        settings = CameraSettings()
+        settings = ImagingSettings()
         noise = rng.spawn(1)[0]
         self._model = CameraModel(
             self.camera, vehicle(), self.pad, settings, noise, board=board, instants=INSTANTS, finer=finer

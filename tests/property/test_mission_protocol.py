@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mavlink
 
-from sitl.autopilot import MANNERS
+from sitl.autopilot import PROFILES
 from sitl.autopilot.flight.mission_items import MissionStore
 from sitl.mavlink.mission_protocol import MissionProtocol
 
@@ -52,7 +52,7 @@ STEPS = st.lists(st.tuples(MESSAGES, st.integers(0, 1), st.floats(0.0, 3.0)), ma
 @settings(max_examples=60, deadline=None)
 @given(manner=MANNER, steps=STEPS)
 def test_any_conversation_over_two_links_is_survived(manner: Any, steps: Steps) -> None:
-    store = MissionStore(MANNERS[manner].mission)
+    store = MissionStore(PROFILES[manner].mission)
     links = (MissionProtocol(store), MissionProtocol(store))
     us, now_s = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), 0.0
     for message, index, later_s in steps:
@@ -71,7 +71,7 @@ def test_any_conversation_over_two_links_is_survived(manner: Any, steps: Steps) 
 def test_an_upload_with_losses_ends_complete_or_is_given_up(
     manner: Any, count: int, lost: list[bool]
 ) -> None:
-    store = MissionStore(MANNERS[manner].mission)
+    store = MissionStore(PROFILES[manner].mission)
     link = MissionProtocol(store)
     us, now_s = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), 0.0
     drops = iter(lost)

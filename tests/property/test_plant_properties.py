@@ -15,7 +15,7 @@ from sitl.pad.paths import FigureEightMotion
 from sitl.scenario.scenario import load_airframe
 from sitl.vehicle.quadrotor import Four, Quadrotor, QuadrotorState
 from sitl.world.contact import Contact
-from sitl.world.ground import Board, thrust_ratio
+from sitl.world.ground import PadBoard, thrust_ratio
 
 DT = 0.0025
 X500 = load_airframe("x500")
@@ -106,7 +106,7 @@ def test_legs_never_give_back_more_than_they_took_and_come_to_rest(
     roll: float, pitch: float, yaw: float, down: float, north: float
 ) -> None:
     vehicle, inertia = Quadrotor(X500.body), X500.body.inertia_kg_m2
-    contact = Contact(X500.legs, X500.body.mass_kg, Board(0.5, 0.5), ())
+    contact = Contact(X500.legs, X500.body.mass_kg, PadBoard(0.5, 0.5), ())
     pad = PadTruth(0.0, (100.0, 0.0, -0.1), ZERO3, ZERO3, 0.0, 0.0)
     state = QuadrotorState((0.0, 0.0, -0.32), (north, 0.0, down), quat_from_euler(roll, pitch, yaw))
     started = energy(vehicle, state, inertia)

@@ -66,7 +66,7 @@ async def fly(scenario: Path, folder: Path) -> tuple[int, str, float]:
         if process.returncode is None:
             process.kill()
             await process.wait()
-        late_s = vehicle._latest_tick_s
+        late_s = vehicle._timer.latest_s
         flying.cancel()
         await asyncio.gather(flying, return_exceptions=True)
         link.close()

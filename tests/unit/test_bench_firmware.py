@@ -14,7 +14,7 @@ from rich.console import Console
 
 from companion.base.messages import Manner
 from companion.config import ConfigError
-from sitl.campaign.manifest import Flight
+from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.rows import Row
 from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario.scenario import Scenario, load_scenario
@@ -88,11 +88,11 @@ def flown(
     monkeypatch: pytest.MonkeyPatch,
     lateral_cm: float = 1.0,
     failing: frozenset[tuple[str, int]] = frozenset(),
-) -> list[Flight]:
+) -> list[CampaignRun]:
     """Make rows up instead of flying; returns the flights that are asked for, once they have been."""
-    asked: list[Flight] = []
+    asked: list[CampaignRun] = []
 
-    def fly(flights: Sequence[Flight], *_: object) -> list[Row]:
+    def fly(flights: Sequence[CampaignRun], *_: object) -> list[Row]:
         asked.extend(flights)
         return [
             row(f.scenario, f.seed, "crashed")

@@ -16,7 +16,7 @@ from companion.sim.flights import Request
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
 from sitl import cli as simulator
-from sitl.campaign.manifest import Flight, check_goes_on, make_plan
+from sitl.campaign.manifest import CampaignRun, check_goes_on, make_plan
 from sitl.campaign.worker import Worker
 from sitl.firmware.spec import FirmwareSpec, number_text
 from tests.unit.sitl.campaign_parts import flight
@@ -199,7 +199,7 @@ def test_nobodys_firmware_flies_somebody_elses_vehicle(px4: FirmwareSpec) -> Non
 # ---------------------------------------------------------------- campaigns
 
 
-def planned(firmware: FirmwareSpec | None) -> Flight:
+def planned(firmware: FirmwareSpec | None) -> CampaignRun:
     return next(make_plan(["static"], 3, 1, None, firmware).flights())
 
 

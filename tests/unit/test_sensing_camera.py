@@ -24,7 +24,7 @@ from companion.tools.check.samples import Samples
 from companion.tools.check.session import Outlets, PadCheck
 from companion.tools.check.steps import Say
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 from tests.unit.sense.camera_frames import ScriptedCamera
 
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
@@ -76,7 +76,7 @@ async def run(work: Callable[[], Awaitable[None]]) -> None:
 
 def over_the_pad(*, unplugged_from_s: float, until_s: float) -> KeptCamera:
     """A camera two metres over the pad that is unplugged for a while."""
-    model = CameraModel(CAMERA, VEHICLE, PAD, CameraSettings(), np.random.default_rng(5))
+    model = CameraModel(CAMERA, VEHICLE, PAD, ImagingSettings(), np.random.default_rng(5))
     still = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
     clock = Clock()
 

@@ -17,13 +17,13 @@ from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, wrap_angle
 from sitl.autopilot.control.position_control import OutputLimits, PositionControl
-from sitl.autopilot.control.rate_control import TwoPoles
+from sitl.autopilot.control.rate_control import SecondOrderLowPass
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.control.shaping import (
-    Limits,
-    LowPass,
+    FirstOrderLowPass,
     Path1,
     Path2,
+    ShapingLimits,
     Two,
     bounded,
     clamp,
@@ -31,8 +31,8 @@ from sitl.autopilot.control.shaping import (
     signed_root_law,
 )
 
-_SIDEWAYS: Final = Limits(2.5, 5.0)  # WPNAV_ACCEL, PSC_JERK_XY
-_VERTICAL: Final = Limits(1.0, 5.0)  # WPNAV_ACCEL_Z, PSC_JERK_Z
+_SIDEWAYS: Final = ShapingLimits(2.5, 5.0)  # WPNAV_ACCEL, PSC_JERK_XY
+_VERTICAL: Final = ShapingLimits(1.0, 5.0)  # WPNAV_ACCEL_Z, PSC_JERK_Z
 _OUTPUT: Final = OutputLimits(math.radians(30.0), (0.04, 1.0))  # ANGLE_MAX, MOT_SPIN_MIN
 # the nose follows the track above this share of the top speed (AC_PosControl)
 _TRACK_SHARE: Final = 0.05
@@ -45,8 +45,8 @@ class ArdupilotGains:
     The acceleration's gains are of the throttle: what that is worth depends on where the vehicle hovers.
     """
 
-    sideways: Limits = _SIDEWAYS
-    vertical: Limits = _VERTICAL
+    sideways: ShapingLimits = _SIDEWAYS
+    vertical: ShapingLimits = _VERTICAL
     position_p: float = 1.0  # PSC_POSXY_P
     velocity_p: float = 2.0  # PSC_VELXY_P
     velocity_i: float = 1.0  # PSC_VELXY_I
@@ -85,11 +85,17 @@ class ArdupilotControl(PositionControl):
         self._down_kind: _Kind | None = None
         self._integral: Two = (0.0, 0.0)
         self._commanded: Two = (0.0, 0.0)
-        self._error_x, self._error_y = LowPass(gains.velocity_hz), LowPass(gains.velocity_hz)
-        self._rate_x, self._rate_y = LowPass(gains.velocity_hz), LowPass(gains.velocity_hz)
-        self._climb_error = LowPass(gains.climb_hz)
-        self._throttle_error = LowPass(gains.throttle_hz)
-        self._felt = TwoPoles(gains.accelerometer_hz)
+        self._error_x, self._error_y = (
+            FirstOrderLowPass(gains.velocity_hz),
+            FirstOrderLowPass(gains.velocity_hz),
+        )
+        self._rate_x, self._rate_y = (
+            FirstOrderLowPass(gains.velocity_hz),
+            FirstOrderLowPass(gains.velocity_hz),
+        )
+        self._climb_error = FirstOrderLowPass(gains.climb_hz)
+        self._throttle_error = FirstOrderLowPass(gains.throttle_hz)
+        self._felt = SecondOrderLowPass(gains.accelerometer_hz)
         self._throttle_integral = 0.0
 
     def _let_go_sideways(self) -> None:

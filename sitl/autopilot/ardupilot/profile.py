@@ -10,30 +10,30 @@ import math
 
 from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
 from sitl.autopilot.ardupilot.control import ArdupilotControl
-from sitl.autopilot.ardupilot.lander import ardupilot_lander
 from sitl.autopilot.ardupilot.parameters import PARAMETERS
+from sitl.autopilot.ardupilot.precision_landing import precision_landing
 from sitl.autopilot.control.attitude_control import AttitudeGains, ReferenceLimits
 from sitl.autopilot.control.rate_control import RateFilters, ShareGains
-from sitl.autopilot.flight.mission_items import Command, MissionRules
+from sitl.autopilot.flight.mission_items import MissionCommand, MissionRules
 from sitl.autopilot.flight.modes import (
     ArmingCheck,
+    CommandResult,
     Failsafe,
+    FailsafeAction,
     Mode,
     ModeCheck,
-    Response,
-    Result,
     Severity,
-    StickLaw,
+    StickMode,
     Task,
 )
-from sitl.autopilot.flight.parameters import Setting
+from sitl.autopilot.flight.parameters import ParameterRef
 from sitl.autopilot.flight.profile import (
     FLAG_CUSTOM,
     FLAG_GUIDED,
     FLAG_MANUAL,
     FLAG_STABILIZE,
-    Manner,
-    Settings,
+    AutopilotProfile,
+    ParameterMap,
     Texts,
     aligned,
     landed_after_flight,
@@ -46,7 +46,7 @@ from sitl.autopilot.flight.profile import (
 _GUIDED = FLAG_CUSTOM | FLAG_GUIDED | FLAG_STABILIZE | FLAG_MANUAL
 _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
 
-ARDUPILOT = Manner(
+ARDUPILOT = AutopilotProfile(
     name="ardupilot",
     autopilot_id=3,
     custom_mode=lambda main, sub: main,
@@ -60,16 +60,16 @@ ARDUPILOT = Manner(
     landed_thrust_share=0.15,
     still_speed_m_s=1.0,
     modes=(
-        Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False, sticks=StickLaw.ANGLE_AND_THRUST),
-        Mode("ALT_HOLD", 2, _STICKS, Task.HOLD, sticks=StickLaw.ANGLE_AND_CLIMB),
+        Mode("STABILIZE", 0, _STICKS, Task.HOLD, in_flight=False, sticks=StickMode.ANGLE_AND_THRUST),
+        Mode("ALT_HOLD", 2, _STICKS, Task.HOLD, sticks=StickMode.ANGLE_AND_CLIMB),
         Mode("AUTO", 3, _GUIDED, Task.MISSION, armable=False),
         Mode("GUIDED", 4, _GUIDED, Task.HOLD, takes_setpoints=True, takes_positions=True),
-        Mode("LOITER", 5, _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY),
+        Mode("LOITER", 5, _STICKS, Task.HOLD, sticks=StickMode.VELOCITY),
         Mode("RTL", 6, _GUIDED, Task.RETURN, armable=False),
         Mode("LAND", 9, _GUIDED, Task.LAND, armable=False),
-        Mode("POSHOLD", 16, _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY),
+        Mode("POSHOLD", 16, _STICKS, Task.HOLD, sticks=StickMode.VELOCITY),
         Mode("BRAKE", 17, _STICKS, Task.HOLD, armable=False),
-        Mode("SMART_RTL", 21, _GUIDED, Task.RETURN, armable=False, offered=False),
+        Mode("SMART_RTL", 21, _GUIDED, Task.RETURN, armable=False, available=False),
     ),
     boot_mode="STABILIZE",
     after_disarm_mode="",
@@ -86,35 +86,35 @@ ARDUPILOT = Manner(
     take_off_needs_guided=True,
     thrust_is_climb_rate=True,
     thrust_is_upward=True,
-    forward_is_low=True,
+    pitch_channel_reversed=True,
     turns_by_command=True,
-    refused_mode=Result.FAILED,
-    refused_selection=Result.FAILED,
-    refused_arming=Result.FAILED,
-    refused_disarming=Result.FAILED,
+    refused_mode=CommandResult.FAILED,
+    refused_selection=CommandResult.FAILED,
+    refused_arming=CommandResult.FAILED,
+    refused_disarming=CommandResult.FAILED,
     refused_disarming_text="",
-    unsupported_request=Result.FAILED,
-    settings=Settings(
-        setpoint_timeout=Setting("GUID_TIMEOUT"),
-        cruise_speed=Setting("WPNAV_SPEED", 0.01),
-        top_speed=Setting("WPNAV_SPEED", 0.01),
-        climb_speed=Setting("WPNAV_SPEED_UP", 0.01),
-        descent_speed=Setting("WPNAV_SPEED_DN", 0.01),
-        take_off_speed=Setting("WPNAV_SPEED_UP", 0.01),
-        landing_speed=Setting("LAND_SPEED_HIGH", 0.01),
-        final_landing_speed=Setting("LAND_SPEED", 0.01),
-        final_landing_height=Setting("LAND_ALT_LOW", 0.01),
-        return_height=Setting("RTL_ALT", 0.01),
-        acceptance_radius=Setting("WPNAV_RADIUS", 0.01),
-        radio_timeout=Setting("RC_OVERRIDE_TIME"),
-        stick_speed=Setting("LOIT_SPEED", 0.01),
-        stick_climb=Setting("PILOT_SPEED_UP", 0.01),
-        stick_descent=Setting("PILOT_SPEED_DN", 0.01),
-        stick_tilt=Setting("ANGLE_MAX", math.pi / 18000.0),
-        stick_yaw_rate=Setting("PILOT_Y_RATE", math.pi / 180.0),
-        radio_watched=Setting("FS_THR_ENABLE"),
-        own_ground_station=Setting("SYSID_MYGCS"),
-        guided_options=Setting("GUID_OPTIONS"),
+    unsupported_request=CommandResult.FAILED,
+    parameter_map=ParameterMap(
+        setpoint_timeout=ParameterRef("GUID_TIMEOUT"),
+        cruise_speed=ParameterRef("WPNAV_SPEED", 0.01),
+        top_speed=ParameterRef("WPNAV_SPEED", 0.01),
+        climb_speed=ParameterRef("WPNAV_SPEED_UP", 0.01),
+        descent_speed=ParameterRef("WPNAV_SPEED_DN", 0.01),
+        take_off_speed=ParameterRef("WPNAV_SPEED_UP", 0.01),
+        landing_speed=ParameterRef("LAND_SPEED_HIGH", 0.01),
+        final_landing_speed=ParameterRef("LAND_SPEED", 0.01),
+        final_landing_height=ParameterRef("LAND_ALT_LOW", 0.01),
+        return_height=ParameterRef("RTL_ALT", 0.01),
+        acceptance_radius=ParameterRef("WPNAV_RADIUS", 0.01),
+        rc_timeout=ParameterRef("RC_OVERRIDE_TIME"),
+        stick_speed=ParameterRef("LOIT_SPEED", 0.01),
+        stick_climb=ParameterRef("PILOT_SPEED_UP", 0.01),
+        stick_descent=ParameterRef("PILOT_SPEED_DN", 0.01),
+        stick_tilt=ParameterRef("ANGLE_MAX", math.pi / 18000.0),
+        stick_yaw_rate=ParameterRef("PILOT_Y_RATE", math.pi / 180.0),
+        rc_loss_enabled=ParameterRef("FS_THR_ENABLE"),
+        gcs_system_id=ParameterRef("SYSID_MYGCS"),
+        guided_options=ParameterRef("GUID_OPTIONS"),
     ),
     texts=Texts(
         boot=("ArduPilot Ready", "AHRS: DCM active"),
@@ -127,7 +127,7 @@ ARDUPILOT = Manner(
         no_such_mode="No such mode {number}",
     ),
     mode_checks=(
-        ModeCheck(lambda mode, _now: not mode.offered, "Mode change to {mode} failed: init failed"),
+        ModeCheck(lambda mode, _now: not mode.available, "Mode change to {mode} failed: init failed"),
         ModeCheck(mission_missing, "Mode change to {mode} failed: init failed"),
         ModeCheck(
             lambda mode, now: (
@@ -148,37 +148,42 @@ ARDUPILOT = Manner(
             "landed in LAND",
             lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
             0.05,  # the mission hears of its landing first
-            Response.DISARM,
+            FailsafeAction.DISARM,
             Severity.INFO,
             "Disarming motors",
         ),
         Failsafe(
             "radio lost",
-            lambda now: now.radio_lost and not now.landed,
+            lambda now: now.rc_lost and not now.landed,
             0.5,
-            Response.LEAVE_MODE,
+            FailsafeAction.LEAVE_MODE,
             Severity.WARNING,
             "Radio Failsafe - RTL",
             mode="RTL",
-            over=lambda now: now.radio,
+            over=lambda now: now.rc_available,
         ),
         Failsafe(
-            "on the ground", lambda now: now.landed, 10.0, Response.DISARM, Severity.INFO, "Disarming motors"
+            "on the ground",
+            lambda now: now.landed,
+            10.0,
+            FailsafeAction.DISARM,
+            Severity.INFO,
+            "Disarming motors",
         ),
         Failsafe(
             "crashed",
             lambda now: not now.landed and now.tilt_rad > math.radians(45.0),
             2.0,
-            Response.DISARM,
+            FailsafeAction.DISARM,
             Severity.CRITICAL,
             "Crash: Disarming: AngErr=45>30",
         ),
     ),
     parameters=PARAMETERS,
     mission=MissionRules(
-        flown=frozenset(Command),
+        flown=frozenset(MissionCommand),
         # change of altitude, servo, relay, ROI, mounts, camera, gimbal: taken whether or not there is one
-        unheeded=frozenset({113, 181, 182, 183, 184, 195, 197, 201, 202, 203, 205, 206, 211, 222, 223})
+        without_effect=frozenset({113, 181, 182, 183, 184, 195, 197, 201, 202, 203, 205, 206, 211, 222, 223})
         | frozenset({1000, 2000, 2500, 2501}),
         max_items=724,
         retry_s=1.0,
@@ -188,9 +193,9 @@ ARDUPILOT = Manner(
         writes_in_place=True,
         restarts=True,
         partial_lists=True,
-        own_take_off=False,
+        takes_off_before_mission=False,
         waits_for_start=True,
-        heeds_heading=False,
+        uses_yaw_parameter=False,
         rewinds_on_disarm=True,
         received_text="Flight plan received",
         timeout_text="Mission upload timeout",
@@ -199,8 +204,8 @@ ARDUPILOT = Manner(
         reached_text="Reached command #{number}",
         finished_text="",
     ),
-    lander=ardupilot_lander,
-    lands_precisely=frozenset({Task.LAND, Task.PRECISION_LAND}),
+    precision_landing=precision_landing,
+    precision_landing_tasks=frozenset({Task.LAND, Task.PRECISION_LAND}),
     position_control=ArdupilotControl,
     attitude_gains=AttitudeGains(
         tilt_p=4.5,  # ATC_ANG_RLL_P, ATC_ANG_PIT_P

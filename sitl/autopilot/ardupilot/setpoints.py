@@ -18,10 +18,10 @@ from sitl.autopilot.control.setpoints import (
     OVER_TERRAIN,
     STOP,
     AttitudeSetpoint,
-    Frame,
     GlobalFrame,
     Ignore,
     IgnoreAttitude,
+    LocalFrame,
     MotionSetpoint,
     Refusal,
     StreamedAttitude,
@@ -30,7 +30,7 @@ from sitl.autopilot.control.setpoints import (
     unit_attitude,
 )
 
-_BODY: Final = (Frame.BODY_NED, Frame.BODY_OFFSET_NED)
+_BODY: Final = (LocalFrame.BODY_NED, LocalFrame.BODY_OFFSET_NED)
 _RATES: Final = IgnoreAttitude.ROLL_RATE | IgnoreAttitude.PITCH_RATE | IgnoreAttitude.YAW_RATE
 _CLIMB_M_S: Final = 2.5  # WPNAV_SPEED_UP
 _HOLDS_HEIGHT: Final = 0.5  # the thrust field as a climb rate
@@ -45,15 +45,15 @@ def read_motion(
     velocity = None if mask & (Ignore.VX | Ignore.VY | Ignore.VZ) else fields.velocity_m_s
     acceleration = None if mask & (Ignore.AX | Ignore.AY | Ignore.AZ) else fields.acceleration_m_s2
     given = [vector for vector in (position, velocity, acceleration) if vector is not None]
-    lonely = position is not None and velocity is None and acceleration is not None
+    incomplete = position is not None and velocity is None and acceleration is not None
     force = bool(mask & Ignore.FORCE) and acceleration is not None
-    if not given or lonely or force or not all(map(is_finite, given)) or not _known(fields, position):
+    if not given or incomplete or force or not all(map(is_finite, given)) or not _known(fields, position):
         return STOP
     if position is not None and fields.is_global and fields.frame in OVER_TERRAIN:
         return STOP if velocity is not None else Refusal()  # it has no terrain's heights
     body = not fields.is_global and fields.frame in _BODY
     turn = heading_rad if body else 0.0
-    if position is not None and not fields.is_global and fields.frame != Frame.LOCAL_NED:
+    if position is not None and not fields.is_global and fields.frame != LocalFrame.LOCAL_NED:
         position = add(rotate_yaw(position, turn), here_ned_m)
     yaw = nan if mask & Ignore.YAW or not isfinite(fields.yaw_rad) else fields.yaw_rad + turn
     rate = fields.yaw_rate_rad_s
@@ -72,7 +72,7 @@ def _known(fields: StreamedMotion, position: Vector3 | None) -> bool:
     """Does it know the frame? A global one matters for a place alone."""
     if fields.is_global:
         return position is None or fields.frame in set(GlobalFrame)
-    return fields.frame in set(Frame)
+    return fields.frame in set(LocalFrame)
 
 
 def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | MotionSetpoint | Refusal:

@@ -12,14 +12,14 @@ import math
 from companion.base.geometry import IDENTITY, ZERO3, Quaternion, add, yaw_from_quat
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.attitude_control import AttitudeControl, AttitudeReference, turn_about_down
-from sitl.autopilot.control.estimator import Estimator
+from sitl.autopilot.control.estimator import SimulatedEstimator
 from sitl.autopilot.control.landed import LandedDetector
-from sitl.autopilot.control.mixer import Mixer, Motors
+from sitl.autopilot.control.mixer import MotorMixer, Motors
 from sitl.autopilot.control.position_control import lean_cosine
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.control.shaping import low_pass
-from sitl.autopilot.flight.profile import Manner
+from sitl.autopilot.flight.profile import AutopilotProfile
 
 STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
 _IDLE = 0.04
@@ -37,16 +37,16 @@ _DESCENDING_M_S = 0.05
 class Cascade:
     """Controllers of one airframe with one manner's gains, and the landed detector."""
 
-    def __init__(self, manner: Manner, airframe: Airframe, rates: RateGains | None = None) -> None:
+    def __init__(self, profile: AutopilotProfile, airframe: Airframe, rates: RateGains | None = None) -> None:
         self._hover = hover_thrust(airframe)
-        gains = manner.attitude_gains
-        self._position = manner.position_control(self._hover)
-        self._thrust_is_upward = manner.thrust_is_upward
-        self._throttle_hz = manner.throttle_hz
+        gains = profile.attitude_gains
+        self._position = profile.position_control(self._hover)
+        self._thrust_is_upward = profile.thrust_is_upward
+        self._throttle_hz = profile.throttle_hz
         self._attitude = AttitudeControl(airframe.inertia_kg_m2, gains, rates or gains.shares.rates(airframe))
         self._reference = None if gains.reference is None else AttitudeReference(gains.reference)
-        self._mixer = Mixer(airframe, _IDLE)
-        self._detector = LandedDetector(manner.landed_time_s, manner.landed_thrust_share)
+        self._mixer = MotorMixer(airframe, _IDLE)
+        self._detector = LandedDetector(profile.landed_time_s, profile.landed_thrust_share)
         self._spool = 0.0
         self._share = 1.0
         self._feed_rate = ZERO3
@@ -64,7 +64,7 @@ class Cascade:
         """Off the ground and spooled up."""
         return not self._detector.landed and self._spool >= 1.0
 
-    def settle(self, estimate: Estimator) -> None:
+    def settle(self, estimate: SimulatedEstimator) -> None:
         """Idle: empty the integrals and take the present heading as the one to keep."""
         self._position.reset(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
         self._attitude.reset()
@@ -75,7 +75,7 @@ class Cascade:
         if self._reference is not None:
             self._reference.reset(self.attitude_setpoint)
 
-    def disarm(self, estimate: Estimator) -> None:
+    def disarm(self, estimate: SimulatedEstimator) -> None:
         """Motors off: wherever that is, the next flight starts from the ground."""
         self._detector = LandedDetector(self._detector.landed_time_s, self._detector.low_thrust_share)
         self.settle(estimate)
@@ -84,7 +84,7 @@ class Cascade:
         """Leave the ground: the motors spool up over the next second."""
         self._detector.lift_off()
 
-    def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: Estimator) -> bool:
+    def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: SimulatedEstimator) -> bool:
         """Does a setpoint ask for a climb, as from the ground?"""
         if isinstance(setpoint, AttitudeSetpoint):
             return setpoint.thrust > 1.02 * self._hover
@@ -97,7 +97,7 @@ class Cascade:
     def outer(
         self,
         setpoint: MotionSetpoint | AttitudeSetpoint,
-        estimate: Estimator,
+        estimate: SimulatedEstimator,
         thrust_is_climb_rate: bool,
         still_speed_m_s: float,
         dt_s: float,
@@ -112,9 +112,9 @@ class Cascade:
         if frozen:
             self.thrust = min(self.thrust, self._spool)
         else:
-            self._feel_ground(descending, estimate, still_speed_m_s, dt_s)
+            self._detect_ground(descending, estimate, still_speed_m_s, dt_s)
 
-    def step(self, estimate: Estimator, dt_s: float) -> Motors:
+    def step(self, estimate: SimulatedEstimator, dt_s: float) -> Motors:
         """Motor commands 0..1 of an armed vehicle."""
         if self._detector.landed:
             return _IDLING
@@ -133,7 +133,7 @@ class Cascade:
         return self._mixer.mix(self.thrust, torque)
 
     def _follow_motion(
-        self, setpoint: MotionSetpoint, estimate: Estimator, dt_s: float, frozen: bool
+        self, setpoint: MotionSetpoint, estimate: SimulatedEstimator, dt_s: float, frozen: bool
     ) -> bool:
         """Fly a motion; returns whether it is a descent."""
         law = self._position
@@ -155,7 +155,7 @@ class Cascade:
     def _follow_attitude(
         self,
         setpoint: AttitudeSetpoint,
-        estimate: Estimator,
+        estimate: SimulatedEstimator,
         thrust_is_climb_rate: bool,
         dt_s: float,
         frozen: bool,
@@ -185,7 +185,7 @@ class Cascade:
         self._throttle_up(estimate, dt_s)
         return climb < -_DESCENDING_M_S
 
-    def _throttle_up(self, estimate: Estimator, dt_s: float) -> None:
+    def _throttle_up(self, estimate: SimulatedEstimator, dt_s: float) -> None:
         """Take over the height law's thrust: as it is, or raised by the lean that is flown and filtered."""
         law = self._position
         if self._throttle_hz is None:
@@ -194,13 +194,15 @@ class Cascade:
         wanted = min(1.0, max(0.0, law.upward / lean_cosine(estimate.attitude)))
         self.thrust = self._throttle = low_pass(self._throttle, wanted, self._throttle_hz, dt_s)
 
-    def _leave_rates(self, estimate: Estimator) -> None:
+    def _leave_rates(self, estimate: SimulatedEstimator) -> None:
         """From body rates back to attitudes: the reference starts where the vehicle leans by then."""
         if self._rates_alone and self._reference is not None:
             self._reference.reset(estimate.attitude)
         self._rates_alone = False
 
-    def _feel_ground(self, descending: bool, estimate: Estimator, still_speed: float, dt_s: float) -> None:
+    def _detect_ground(
+        self, descending: bool, estimate: SimulatedEstimator, still_speed: float, dt_s: float
+    ) -> None:
         speed = estimate.velocity_ned_m_s[2]
         self._detector.update(descending, self.thrust / self._hover, speed, still_speed, dt_s)
         change = -_TAKE_BACK_PER_S if self._detector.contact else _TAKE_BACK_PER_S

@@ -94,7 +94,7 @@ class TrueMotion(Protocol):
     def rate_body_rad_s(self) -> Vector3: ...
 
 
-class Estimator:
+class SimulatedEstimator:
     """Attitude at every step, position and velocity at the outer loop's pace."""
 
     def __init__(self, errors: EstimatorErrors, rng: np.random.Generator) -> None:

@@ -13,7 +13,7 @@ from sitl.autopilot.control.airframe import Airframe
 Motors = tuple[float, float, float, float]
 
 
-class Mixer:
+class MotorMixer:
     """`mix` for one airframe, in motor commands 0..1."""
 
     def __init__(self, airframe: Airframe, idle: float) -> None:

@@ -88,7 +88,7 @@ class RateControl:
 
     def __init__(self, inertia_kg_m2: Vector3, gains: RateGains, filters: RateFilters) -> None:
         self._inertia, self._gains, self._filters = inertia_kg_m2, gains, filters
-        self._gyro = TwoPoles(filters.gyro_hz)
+        self._gyro = SecondOrderLowPass(filters.gyro_hz)
         self._dt_s = 0.0
         self.reset()
 
@@ -144,7 +144,7 @@ class RateControl:
         self._yaw_torque_share = _share(filters.yaw_torque_hz, dt_s)
 
 
-class TwoPoles:
+class SecondOrderLowPass:
     """Butterworth's low-pass of second order on a vector, by the bilinear transform; starts at rest."""
 
     def __init__(self, cutoff_hz: float) -> None:

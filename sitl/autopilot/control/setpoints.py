@@ -59,7 +59,7 @@ class Refusal:
     text: str = ""
 
 
-class Frame(IntEnum):
+class LocalFrame(IntEnum):
     """MAV_FRAME of SET_POSITION_TARGET_LOCAL_NED."""
 
     LOCAL_NED = 1

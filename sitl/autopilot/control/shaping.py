@@ -15,7 +15,7 @@ Two = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class ShapingLimits:
     """Bounds of a shaped path: acceleration (m/s²) and jerk (m/s³)."""
 
     acceleration: float
@@ -87,7 +87,7 @@ class Path2:
     slower_m_s: Two = (0.0, 0.0)
 
     def to_place(
-        self, place: Two, velocity: Two, acceleration: Two, top: float, by: Limits, dt: float
+        self, place: Two, velocity: Two, acceleration: Two, top: float, by: ShapingLimits, dt: float
     ) -> None:
         """One step towards a place that itself moves at a velocity and acceleration."""
         ex, ey = place[0] - self.position[0], place[1] - self.position[1]
@@ -98,7 +98,7 @@ class Path2:
             vx, vy = ex * speed / distance, ey * speed / distance
         self.to_velocity((vx + velocity[0], vy + velocity[1]), acceleration, by, dt)
 
-    def to_velocity(self, velocity: Two, acceleration: Two, by: Limits, dt: float) -> None:
+    def to_velocity(self, velocity: Two, acceleration: Two, by: ShapingLimits, dt: float) -> None:
         """One step towards a velocity, on top of an acceleration."""
         ex, ey = velocity[0] - self.velocity[0], velocity[1] - self.velocity[1]
         error = math.hypot(ex, ey)
@@ -108,7 +108,7 @@ class Path2:
             ax, ay = bounded(ex * size / error, ey * size / error, by.acceleration)
         self.to_acceleration((ax + acceleration[0], ay + acceleration[1]), by, dt)
 
-    def to_acceleration(self, acceleration: Two, by: Limits, dt: float) -> None:
+    def to_acceleration(self, acceleration: Two, by: ShapingLimits, dt: float) -> None:
         """One step towards an acceleration, and on along the path."""
         ax, ay = self.acceleration = approach(*self.acceleration, acceleration, by.jerk * dt)
         (px, py), (vx, vy), limit = self.position, self.velocity, self.limit
@@ -133,18 +133,18 @@ class Path1:
     slower_m_s: float = 0.0
 
     def to_place(
-        self, place: float, velocity: float, acceleration: float, top: Two, by: Limits, dt: float
+        self, place: float, velocity: float, acceleration: float, top: Two, by: ShapingLimits, dt: float
     ) -> None:
         """One step towards a place; `top` are the greatest speeds against and along the axis."""
         wish = signed_root_law(place - self.position, by.position_gain, by.braking, dt)
         self.to_velocity(min(max(wish, -top[0]), top[1]) + velocity, acceleration, by, dt)
 
-    def to_velocity(self, velocity: float, acceleration: float, by: Limits, dt: float) -> None:
+    def to_velocity(self, velocity: float, acceleration: float, by: ShapingLimits, dt: float) -> None:
         """One step towards a velocity, on top of an acceleration."""
         wish = signed_root_law(velocity - self.velocity, by.velocity_gain, by.jerk, dt)
         self.to_acceleration(clamp(wish, by.acceleration) + acceleration, by, dt)
 
-    def to_acceleration(self, acceleration: float, by: Limits, dt: float) -> None:
+    def to_acceleration(self, acceleration: float, by: ShapingLimits, dt: float) -> None:
         """One step towards an acceleration, and on along the path."""
         self.acceleration += clamp(acceleration - self.acceleration, by.jerk * dt)
         limit = self.limit
@@ -161,7 +161,7 @@ def low_pass(value: float, to: float, cutoff_hz: float, dt_s: float) -> float:
     return value + dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz)) * (to - value)
 
 
-class LowPass:
+class FirstOrderLowPass:
     """A first-order filter that starts from its first value."""
 
     def __init__(self, cutoff_hz: float) -> None:

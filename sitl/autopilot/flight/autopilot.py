@@ -18,169 +18,169 @@ from sitl.autopilot.control.setpoints import (
     StreamedMotion,
 )
 from sitl.autopilot.flight.flight import FlightLoop
-from sitl.autopilot.flight.landing_target import Sight
+from sitl.autopilot.flight.landing_target import LandingTarget
 from sitl.autopilot.flight.mission import heading_from_condition
-from sitl.autopilot.flight.modes import Result, Severity, Task
+from sitl.autopilot.flight.modes import CommandResult, Severity, Task
 from sitl.autopilot.flight.sticks import Sticks
 
 _LEAST_TAKE_OFF_M = 0.5
 _MOST_ALTITUDE_M = 30_000.0
 
 
-class Autopilot(FlightLoop):
+class SimulatedAutopilot(FlightLoop):
     """The flight loop, and what may be asked of it."""
 
     # ------------------------------------------------------------ commands
 
-    def arm(self, force: bool = False) -> Result:
+    def arm(self, force: bool = False) -> CommandResult:
         """Arm; refused with a text before alignment, when leaning, or in a mode that lands."""
         return self._commander.arm(force)
 
-    def disarm(self, force: bool = False) -> Result:
+    def disarm(self, force: bool = False) -> CommandResult:
         """Disarm; refused in flight unless forced."""
         return self._commander.disarm(force)
 
-    def set_mode(self, custom_mode: int) -> Result:
+    def set_mode(self, custom_mode: int) -> CommandResult:
         """Change to the mode of that custom_mode."""
-        return self._change_mode(self.manner.mode_by_number(custom_mode), custom_mode)
+        return self._change_mode(self.profile.mode_by_number(custom_mode), custom_mode)
 
-    def take_off(self, altitude_m: float) -> Result:
+    def take_off(self, altitude_m: float) -> CommandResult:
         """NAV_TAKEOFF.
 
         PX4 takes an altitude above sea level, NaN or too low a one meaning MIS_TAKEOFF_ALT; ArduPilot
         takes one over home, in GUIDED, armed, from the ground.
         """
-        if self.manner.take_off_needs_guided:
-            if self.mode != self.manner.take_off_mode or not self.armed or not self._cascade.landed:
-                return Result.FAILED
+        if self.profile.take_off_needs_guided:
+            if self.mode != self.profile.take_off_mode or not self.armed or not self._cascade.landed:
+                return CommandResult.FAILED
             if not _LEAST_TAKE_OFF_M <= altitude_m <= _MOST_ALTITUDE_M:
-                return Result.FAILED
+                return CommandResult.FAILED
             self._navigator.climb_to_m = altitude_m
             self._commander.begin(Task.TAKE_OFF)
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         if not self._cascade.landed:
-            return self.set_mode_named(self.manner.hold_mode)
+            return self.set_mode_named(self.profile.hold_mode)
         height = altitude_m - self.geodetic(self._navigator.home_ned_m)[2]
-        if self.manner.settings.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
-            height = self.parameters.si(self.manner.settings.take_off_height)
-            self._commander.say(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
+        if self.profile.parameter_map.take_off_height and not _LEAST_TAKE_OFF_M <= height <= _MOST_ALTITUDE_M:
+            height = self.parameters.si(self.profile.parameter_map.take_off_height)
+            self._commander.send_text(Severity.INFO, f"Using default takeoff altitude: {height:.2f} m")
         self._navigator.climb_to_m = height
-        return self.set_mode_named(self.manner.take_off_mode)
+        return self.set_mode_named(self.profile.take_off_mode)
 
     def go_to(
         self, place: Vector3, over_home: bool, yaw_rad: float = nan, speed_m_s: float | None = None
-    ) -> Result:
+    ) -> CommandResult:
         """DO_REPOSITION: fly to latitude, longitude and altitude (over home, or above sea level), and hold.
 
         NaN keeps the present latitude and longitude, or altitude; a yaw that is no number the heading.
         """
         if not self.armed or self._cascade.landed or not _is_place(place):
-            return Result.DENIED
-        result = self.set_mode_named(self.manner.after_take_off_mode)
-        if result is Result.ACCEPTED:
+            return CommandResult.DENIED
+        result = self.set_mode_named(self.profile.after_take_off_mode)
+        if result is CommandResult.ACCEPTED:
             self._navigator.target_ned_m = self._local(place, over_home)
             self._navigator.target_yaw_rad = yaw_rad if isfinite(yaw_rad) else nan
             self._navigator.target_speed_m_s = speed_m_s
             self._commander.begin(Task.GO_TO)
         return result
 
-    def land_precisely(self) -> Result:
+    def precision_land(self) -> CommandResult:
         """Land on the target of LANDING_TARGET, where there is a mode of its own for it."""
-        mode = next((mode for mode in self.manner.modes if mode.task is Task.PRECISION_LAND), None)
-        return Result.UNSUPPORTED if mode is None else self._change_mode(mode)
+        mode = next((mode for mode in self.profile.modes if mode.task is Task.PRECISION_LAND), None)
+        return CommandResult.UNSUPPORTED if mode is None else self._change_mode(mode)
 
-    def change_speed(self, kind: int, speed_m_s: float) -> Result:
+    def change_speed(self, kind: int, speed_m_s: float) -> CommandResult:
         """DO_CHANGE_SPEED."""
         if not self._navigator.speeds.change(kind, speed_m_s):
-            return Result.DENIED
+            return CommandResult.DENIED
         if self.task is Task.GO_TO and kind in (0, 1) and speed_m_s > 0.0:
             self._navigator.target_speed_m_s = speed_m_s
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def turn_to(self, parameters: tuple[float, ...]) -> Result:
+    def turn_to(self, parameters: tuple[float, ...]) -> CommandResult:
         """CONDITION_YAW while it holds a place or flies to one; parameters 1 to 4 of the command."""
         heading = heading_from_condition(parameters, yaw_from_quat(self.estimate.attitude))
         if heading is None or not self.armed or self.task not in (Task.HOLD, Task.GO_TO):
-            return Result.FAILED
+            return CommandResult.FAILED
         self._navigator.target_yaw_rad = self._navigator.held_yaw_rad = heading
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def set_home(self, place: Vector3 | None, over_home: bool = False) -> Result:
+    def set_home(self, place: Vector3 | None, over_home: bool = False) -> CommandResult:
         """DO_SET_HOME to a place (deg, deg, m), None: to where the vehicle is; denied when too far away."""
         if not self.aligned:
-            return Result.FAILED
+            return CommandResult.FAILED
         home = self.estimate.position_ned_m if place is None else self._local(place, over_home)
-        return Result.ACCEPTED if self._navigator.fix_home(home) else Result.DENIED
+        return CommandResult.ACCEPTED if self._navigator.fix_home(home) else CommandResult.DENIED
 
-    def terminate(self) -> Result:
+    def terminate(self) -> CommandResult:
         """Flight termination: motors off."""
         self._commander.terminate()
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def reboot(self) -> Result:
+    def reboot(self) -> CommandResult:
         """Start anew on the ground, as after power-up; parameters and mission stay. Refused while armed."""
         if self.armed:
-            return self.manner.refused_arming
+            return self.profile.refused_arming
         self._boot()
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Tell the ground something."""
-        self._commander.say(severity, text)
+        self._commander.send_text(severity, text)
 
     # ------------------------------------------------------------ missions
 
-    def start_mission(self, first: int = -1) -> Result:
+    def start_mission(self, first: int = -1) -> CommandResult:
         """MISSION_START; PX4 arms for it, ArduPilot has to be armed."""
         if not self.mission.flyable or (first >= 0 and not self.mission.select(first)):
-            self._commander.say(Severity.CRITICAL, self.manner.texts.no_mission)
-            return self.manner.refused_mode
-        mode = next(mode for mode in self.manner.modes if mode.task is Task.MISSION)
-        waits = self.manner.mission.waits_for_start
+            self._commander.send_text(Severity.CRITICAL, self.profile.texts.no_mission)
+            return self.profile.refused_mode
+        mode = next(mode for mode in self.profile.modes if mode.task is Task.MISSION)
+        waits = self.profile.mission.waits_for_start
         if waits and not self.armed:
-            return Result.FAILED
+            return CommandResult.FAILED
         result = self._change_mode(mode)
-        if result is Result.ACCEPTED and not waits:
+        if result is CommandResult.ACCEPTED and not waits:
             result = self.arm()
-        if result is Result.ACCEPTED:
+        if result is CommandResult.ACCEPTED:
             self._runner.started = True
         return result
 
-    def select_mission_item(self, number: int) -> Result:
+    def select_mission_item(self, number: int) -> CommandResult:
         """DO_SET_MISSION_CURRENT."""
-        return Result.ACCEPTED if self.mission.select(number) else self.manner.refused_selection
+        return CommandResult.ACCEPTED if self.mission.select(number) else self.profile.refused_selection
 
-    def land_by_mission(self) -> Result:
+    def land_by_mission(self) -> CommandResult:
         """DO_LAND_START: go on from the mission's item of that name."""
         number = self.mission.landing_start()
-        return Result.FAILED if number is None else self.start_mission(number)
+        return CommandResult.FAILED if number is None else self.start_mission(number)
 
-    def pause(self, paused: bool) -> Result:
+    def pause(self, paused: bool) -> CommandResult:
         """DO_PAUSE_CONTINUE: hold within a mission, and go on with it."""
         if self.task is not Task.MISSION:
-            return Result.DENIED
+            return CommandResult.DENIED
         self._runner.paused = paused
-        return Result.ACCEPTED
+        return CommandResult.ACCEPTED
 
     # ------------------------------------------------------------ sticks and targets
 
-    def override_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
+    def override_rc_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
         """RC_CHANNELS_OVERRIDE (microseconds, 0 releases, None leaves), from a system that may."""
-        if self._may_fly_by_hand(sender_system):
-            self.radio.override(values, now_s)
+        if self._may_control_manually(sender_system):
+            self.rc_input.override(values, now_s)
 
-    def take_sticks(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
+    def set_manual_control(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
         """MANUAL_CONTROL, from a system that may."""
-        if self._may_fly_by_hand(sender_system):
-            self.radio.manual(sticks, now_s)
+        if self._may_control_manually(sender_system):
+            self.rc_input.manual(sticks, now_s)
 
-    def see_target(self, sight: Sight) -> None:
+    def handle_landing_target(self, target: LandingTarget) -> None:
         """LANDING_TARGET."""
-        if self._lander is not None:
-            self._lander.see(sight)
+        if self._precision_landing is not None:
+            self._precision_landing.update_target(target)
 
-    def _may_fly_by_hand(self, sender_system: int) -> bool:
-        own = self.manner.settings.own_ground_station
+    def _may_control_manually(self, sender_system: int) -> bool:
+        own = self.profile.parameter_map.gcs_system_id
         return own is None or sender_system == int(self.parameters.si(own))
 
     # ------------------------------------------------------------ streamed setpoints
@@ -189,9 +189,9 @@ class Autopilot(FlightLoop):
         """SET_POSITION_TARGET_LOCAL_NED: obeyed, answered by a text, or passed over, as the manner has it."""
         estimate = self.estimate
         heading = yaw_from_quat(estimate.attitude)
-        wish = self.manner.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
+        wish = self.profile.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
         if isinstance(wish, MotionSetpoint):
-            top_speed = self.parameters.si(self.manner.settings.top_speed)
+            top_speed = self.parameters.si(self.profile.parameter_map.top_speed)
             wish = dataclasses.replace(wish, horizontal_speed_m_s=top_speed)
         self._take(wish, now_s)
 
@@ -202,11 +202,11 @@ class Autopilot(FlightLoop):
 
     def stream_attitude(self, fields: StreamedAttitude, now_s: float) -> None:
         """SET_ATTITUDE_TARGET."""
-        self._take(self.manner.read_attitude(fields), now_s)
+        self._take(self.profile.read_attitude(fields), now_s)
 
     def _take(self, wish: MotionSetpoint | AttitudeSetpoint | Refusal, now_s: float) -> None:
         if isinstance(wish, Refusal):
-            self._commander.say(Severity.CRITICAL, wish.text)
+            self._commander.send_text(Severity.CRITICAL, wish.text)
         else:
             self.stream(wish, now_s)
 

@@ -1,6 +1,6 @@
 """Arming, modes and failsafes: decides what may be flown, never how.
 
-Everything that differs between autopilots comes from the `Manner`'s tables.
+Everything that differs between autopilots comes from the `AutopilotProfile`'s tables.
 """
 
 from __future__ import annotations
@@ -8,8 +8,16 @@ from __future__ import annotations
 from collections import deque
 from math import inf
 
-from sitl.autopilot.flight.modes import Failsafe, Mode, Response, Result, Severity, Situation, Task
-from sitl.autopilot.flight.profile import Manner
+from sitl.autopilot.flight.modes import (
+    CommandResult,
+    Failsafe,
+    FailsafeAction,
+    Mode,
+    Severity,
+    Task,
+    VehicleStatus,
+)
+from sitl.autopilot.flight.profile import AutopilotProfile
 
 Text = tuple[Severity, str]
 _ENDS_WITH_FLIGHT = (Task.LAND, Task.PRECISION_LAND, Task.RETURN, Task.TAKE_OFF)
@@ -22,61 +30,61 @@ class Commander:
     motors were stopped, for whoever looks too seldom to see each.
     """
 
-    def __init__(self, manner: Manner) -> None:
-        self._manner = manner
-        self.situation = Situation()
+    def __init__(self, profile: AutopilotProfile) -> None:
+        self._profile = profile
+        self.situation = VehicleStatus()
         self.armed = False
         self.disarmings = 0
         self.in_failsafe = False
-        self.texts: deque[Text] = deque((Severity.INFO, text) for text in manner.texts.boot)
-        self.mode = manner.mode(manner.boot_mode)
+        self.texts: deque[Text] = deque((Severity.INFO, text) for text in profile.texts.boot)
+        self.mode = profile.mode(profile.boot_mode)
         self.task = self.mode.task
         self.subtask: Task | None = None
         self._left_mode: Mode | None = None
         self._left_by: Failsafe | None = None
-        self._held_s = [0.0] * len(manner.failsafes)
+        self._held_s = [0.0] * len(profile.failsafes)
 
     # ------------------------------------------------------------ commands
 
-    def arm(self, force: bool) -> Result:
+    def arm(self, force: bool) -> CommandResult:
         """Start the motors if every check passes; force skips the checks."""
         if self.armed:
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         self._refresh()
-        refusal = next((c.text for c in self._manner.arming_checks if not c.passes(self.situation)), None)
+        refusal = next((c.text for c in self._profile.arming_checks if not c.passes(self.situation)), None)
         if refusal is not None and not force:
-            self.say(Severity.CRITICAL, refusal)
-            return self._manner.refused_arming
+            self.send_text(Severity.CRITICAL, refusal)
+            return self._profile.refused_arming
         self.armed = True
         self.situation.has_flown = False
-        self.say(Severity.INFO, self._manner.texts.armed)
-        return Result.ACCEPTED
+        self.send_text(Severity.INFO, self._profile.texts.armed)
+        return CommandResult.ACCEPTED
 
-    def disarm(self, force: bool) -> Result:
+    def disarm(self, force: bool) -> CommandResult:
         """Stop the motors: on the ground, or anywhere by force."""
         if not self.armed:
-            return Result.ACCEPTED
+            return CommandResult.ACCEPTED
         if not self.situation.landed and not force:
-            self.say(Severity.CRITICAL, self._manner.refused_disarming_text)
-            return self._manner.refused_disarming
-        self._stop(Severity.INFO, self._manner.texts.disarmed)
-        return Result.ACCEPTED
+            self.send_text(Severity.CRITICAL, self._profile.refused_disarming_text)
+            return self._profile.refused_disarming
+        self._stop(Severity.INFO, self._profile.texts.disarmed)
+        return CommandResult.ACCEPTED
 
-    def change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+    def change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
         """Enter a mode with its own task; None is a number the autopilot does not know."""
         if mode is None:
-            self.say(Severity.WARNING, self._manner.texts.no_such_mode.format(number=number))
-            return self._manner.refused_mode
+            self.send_text(Severity.WARNING, self._profile.texts.no_such_mode.format(number=number))
+            return self._profile.refused_mode
         self._refresh()
-        refusal = next((c.text for c in self._manner.mode_checks if c.fails(mode, self.situation)), None)
+        refusal = next((c.text for c in self._profile.mode_checks if c.fails(mode, self.situation)), None)
         if refusal is not None:
-            self.say(Severity.CRITICAL, refusal.format(mode=mode.shown))
-            return self._manner.refused_mode
+            self.send_text(Severity.CRITICAL, refusal.format(mode=mode.display_name))
+            return self._profile.refused_mode
         self._forget_failsafe()
         self._enter(mode)
         if mode.task is Task.LAND and self.armed:
-            self.say(Severity.INFO, self._manner.texts.landing)
-        return Result.ACCEPTED
+            self.send_text(Severity.INFO, self._profile.texts.landing)
+        return CommandResult.ACCEPTED
 
     def begin(self, task: Task) -> None:
         """Another task within the present mode."""
@@ -90,9 +98,9 @@ class Commander:
     def terminate(self) -> None:
         """Stop the motors wherever that is."""
         if self.armed:
-            self._stop(Severity.CRITICAL, self._manner.texts.terminated or self._manner.texts.disarmed)
+            self._stop(Severity.CRITICAL, self._profile.texts.terminated or self._profile.texts.disarmed)
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Queue a text for the ground; an empty one is not worth sending."""
         if text:
             self.texts.append((severity, text))
@@ -111,7 +119,7 @@ class Commander:
                 self._forget_failsafe()
                 self._enter(mode)
             return
-        for index, failsafe in enumerate(self._manner.failsafes):
+        for index, failsafe in enumerate(self._profile.failsafes):
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0
@@ -129,14 +137,14 @@ class Commander:
         now.streaming = self.mode.task is Task.SETPOINT
 
     def _respond(self, failsafe: Failsafe) -> None:
-        if failsafe.response is Response.DISARM:
+        if failsafe.response is FailsafeAction.DISARM:
             self._stop(failsafe.severity, failsafe.text)
             return
-        self.say(failsafe.severity, failsafe.text)
+        self.send_text(failsafe.severity, failsafe.text)
         if failsafe.over is None:
             self._left_mode, self._left_by = self.mode, failsafe
         self.in_failsafe = True
-        self._enter(self._manner.mode(failsafe.mode))
+        self._enter(self._profile.mode(failsafe.mode))
         if failsafe.task is not None:
             self.begin(failsafe.task)
 
@@ -149,11 +157,11 @@ class Commander:
     def _stop(self, severity: Severity, text: str) -> None:
         self.armed = False
         self.disarmings += 1
-        self.say(severity, text)
+        self.send_text(severity, text)
         self._forget_failsafe()
         self._held_s = [0.0] * len(self._held_s)
-        if self._manner.after_disarm_mode and self.mode.task in _ENDS_WITH_FLIGHT:
-            self._enter(self._manner.mode(self._manner.after_disarm_mode))
+        if self._profile.after_disarm_mode and self.mode.task in _ENDS_WITH_FLIGHT:
+            self._enter(self._profile.mode(self._profile.after_disarm_mode))
         self.begin(self.mode.task)
 
     def _forget_failsafe(self) -> None:

@@ -14,9 +14,9 @@ from sitl.autopilot.control.estimator import TrueMotion
 from sitl.autopilot.control.mixer import Motors
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.flight_state import FlightState
-from sitl.autopilot.flight.landing_target import View
-from sitl.autopilot.flight.mission import Here
-from sitl.autopilot.flight.modes import Severity, StickLaw, Task
+from sitl.autopilot.flight.landing_target import VehicleEstimate
+from sitl.autopilot.flight.mission import MissionInputs
+from sitl.autopilot.flight.modes import Severity, StickMode, Task
 
 _EARLY_S = 1e-6
 _THRUST_OPTION = 8
@@ -41,16 +41,16 @@ class FlightLoop(FlightState):
             self.booted_s = now_s
         # a step that comes late is made up for by the next ones, a long silence is not
         self._outer_due_s = (
-            max(self._outer_due_s, now_s - self.manner.outer_period_s) + self.manner.outer_period_s
+            max(self._outer_due_s, now_s - self.profile.outer_period_s) + self.profile.outer_period_s
         )
         self._now_s = now_s
         estimate = self.estimate
-        estimate.update_position(truth, self.manner.outer_period_s)
+        estimate.update_position(truth, self.profile.outer_period_s)
         self._note_arming()  # by commands since the step before
         self._watch(now_s - self.booted_s, now_s - self._setpoint_s)
         self._note_arming()  # by a failsafe in this one
-        if self._lander is not None:
-            self._lander.watch(self._view(), self.manner.outer_period_s)
+        if self._precision_landing is not None:
+            self._precision_landing.watch(self._view(), self.profile.outer_period_s)
         if self._commander.armed:
             self._fly()
         elif not self._navigator.home_is_fixed:
@@ -70,24 +70,24 @@ class FlightLoop(FlightState):
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
         """Tell the commander how things stand."""
         now = self._commander.situation
-        now.home_set = up_s >= self.manner.home_s
-        if not now.aligned and up_s >= self.manner.alignment_s:
+        now.home_set = up_s >= self.profile.home_s
+        if not now.aligned and up_s >= self.profile.alignment_s:
             now.aligned = True
-            for text in self.manner.texts.aligned:
-                self._commander.say(Severity.INFO, text)
+            for text in self.profile.texts.aligned:
+                self._commander.send_text(Severity.INFO, text)
         now.landed = self._cascade.landed
         now.has_flown = now.has_flown or self._cascade.airborne
         now.tilt_rad = tilt_from_quat(self.estimate.attitude)
         now.setpoint_age_s = setpoint_age_s
-        now.setpoint_timeout_s = self.parameters.si(self.manner.settings.setpoint_timeout)
+        now.setpoint_timeout_s = self.parameters.si(self.profile.parameter_map.setpoint_timeout)
         self._watch_mission()
-        self._hand.watch(now, self.task, self._now_s)
+        self._manual_control.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up
-        self._commander.update(self.manner.outer_period_s)
+        self._commander.update(self.profile.outer_period_s)
 
     def _begin_task(self) -> None:
         """Another task than in the last step."""
-        self._last_task, self._lands_precisely = self.task, False
+        self._last_task, self._precision_landing_active = self.task, False
         if self.task is Task.MISSION:
             self._runner.enter()
 
@@ -95,24 +95,26 @@ class FlightLoop(FlightState):
         if self.task is not self._last_task:
             self._begin_task()
         setpoint = self.wanted = self._wanted()
-        cascade, texts = self._cascade, self.manner.texts
+        cascade, texts = self._cascade, self.profile.texts
         if cascade.landed:
-            by_setpoint = self.task is Task.SETPOINT and self.manner.takes_off_by_setpoint
-            may_lift = by_setpoint or self._hand.law or self._commander.flown is Task.TAKE_OFF
+            by_setpoint = self.task is Task.SETPOINT and self.profile.takes_off_by_setpoint
+            may_lift = (
+                by_setpoint or self._manual_control.stick_mode or self._commander.flown is Task.TAKE_OFF
+            )
             if not may_lift or not cascade.wants_up(setpoint, self.estimate):
                 return
             cascade.lift_off()
-            self._commander.say(Severity.INFO, texts.lifted)
+            self._commander.send_text(Severity.INFO, texts.lifted)
         cascade.outer(
             setpoint,
             self.estimate,
             self._thrust_is_climb_rate(),
             self._still_speed(),
-            self.manner.outer_period_s,
+            self.profile.outer_period_s,
         )
         if cascade.landed:
             self._navigator.let_go()
-            self._commander.say(Severity.INFO, texts.landed)
+            self._commander.send_text(Severity.INFO, texts.landed)
 
     def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
         """The setpoint of the task on hand; a task that is done hands over to the next."""
@@ -120,17 +122,17 @@ class FlightLoop(FlightState):
         if self.task is Task.SETPOINT and self._setpoint is not None:
             self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
             now = self._commander.situation
-            return self.manner.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
-        by_sticks = self._hand.setpoint(
-            self._commander.mode, heading, self._now_s, self.manner.outer_period_s
+            return self.profile.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
+        by_sticks = self._manual_control.setpoint(
+            self._commander.mode, heading, self._now_s, self.profile.outer_period_s
         )
         if by_sticks is not None:
             self._navigator.let_go()
             return by_sticks
         task = self.task
         if task is Task.MISSION:
-            here = Here(
-                self.estimate.position_ned_m, heading, self._cascade.landed, self.manner.outer_period_s
+            here = MissionInputs(
+                self.estimate.position_ned_m, heading, self._cascade.landed, self.profile.outer_period_s
             )
             wanted = self._runner.step(here)
             self._commander.subtask = wanted if isinstance(wanted, Task) else None
@@ -142,7 +144,7 @@ class FlightLoop(FlightState):
 
     def _by_task(self, task: Task) -> MotionSetpoint:
         """The setpoint of a task; one that is done hands over to the next."""
-        landing = self._by_lander(task)
+        landing = self._precision_landing_setpoint(task)
         if landing is not None:
             self._navigator.let_go()
             return landing
@@ -155,25 +157,25 @@ class FlightLoop(FlightState):
             self._runner.task_done(following)
             return setpoint
         if task is Task.TAKE_OFF:
-            self.set_mode_named(self.manner.after_take_off_mode)
+            self.set_mode_named(self.profile.after_take_off_mode)
         self._commander.begin(following)
         return setpoint
 
-    def _by_lander(self, task: Task) -> MotionSetpoint | None:
+    def _precision_landing_setpoint(self, task: Task) -> MotionSetpoint | None:
         """The autopilot's own precision landing, where it is asked for."""
-        lander = self._lander
-        if lander is None or task not in self.manner.lands_precisely:
-            self._lands_precisely = False
+        precision_landing = self._precision_landing
+        if precision_landing is None or task not in self.profile.precision_landing_tasks:
+            self._precision_landing_active = False
             return None
-        if not self._lands_precisely:
-            self._lands_precisely = True
-            lander.begin(required=self.task is not Task.MISSION or self._runner.precision_required)
-        return lander.fly(self._view(), self.manner.outer_period_s)
+        if not self._precision_landing_active:
+            self._precision_landing_active = True
+            precision_landing.begin(required=self.task is not Task.MISSION or self._runner.precision_required)
+        return precision_landing.fly(self._view(), self.profile.outer_period_s)
 
-    def _view(self) -> View:
+    def _view(self) -> VehicleEstimate:
         estimate = self.estimate
         position = estimate.position_ned_m
-        return View(
+        return VehicleEstimate(
             self._now_s,
             position,
             estimate.velocity_ned_m_s,
@@ -183,13 +185,13 @@ class FlightLoop(FlightState):
         )
 
     def _thrust_is_climb_rate(self) -> bool:
-        if self._hand.law is not None:
-            return self._hand.law is StickLaw.ANGLE_AND_CLIMB
-        options = self.manner.settings.guided_options
+        if self._manual_control.stick_mode is not None:
+            return self._manual_control.stick_mode is StickMode.ANGLE_AND_CLIMB
+        options = self.profile.parameter_map.guided_options
         if options is None:
-            return self.manner.thrust_is_climb_rate
+            return self.profile.thrust_is_climb_rate
         return not int(self.parameters.si(options)) & _THRUST_OPTION
 
     def _still_speed(self) -> float:
-        setting = self.manner.settings.still_speed
-        return self.manner.still_speed_m_s if setting is None else self.parameters.si(setting)
+        setting = self.profile.parameter_map.still_speed
+        return self.profile.still_speed_m_s if setting is None else self.parameters.si(setting)

@@ -17,25 +17,25 @@ from companion.base.geometry import (
     ned_from_geodetic,
 )
 from companion.base.messages import LandedState
-from companion.base.messages import Manner as MannerName
+from companion.base.messages import Manner as AutopilotName
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.cascade import Cascade
-from sitl.autopilot.control.estimator import Estimator, EstimatorErrors
+from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.commander import Commander, Text
-from sitl.autopilot.flight.hand import Hand
+from sitl.autopilot.flight.manual_control import ManualControl
 from sitl.autopilot.flight.mission import MissionRunner
-from sitl.autopilot.flight.mission_items import Command, ItemFrame, MissionItem, MissionStore
-from sitl.autopilot.flight.modes import Mode, Result, StickLaw, Task
+from sitl.autopilot.flight.mission_items import ItemFrame, MissionCommand, MissionItem, MissionStore
+from sitl.autopilot.flight.modes import CommandResult, Mode, StickMode, Task
 from sitl.autopilot.flight.navigator import Navigator
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import Manner
-from sitl.autopilot.flight.sticks import Radio
+from sitl.autopilot.flight.profile import AutopilotProfile
+from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
-MANNERS: dict[MannerName, Manner] = {"px4": PX4, "ardupilot": ARDUPILOT}
+PROFILES: dict[AutopilotName, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 class FlightState:
@@ -46,17 +46,17 @@ class FlightState:
 
     def __init__(
         self,
-        manner: MannerName,
+        profile: AutopilotName,
         airframe: Airframe,
         rng: np.random.Generator,
         home: Vector3,
         errors: EstimatorErrors | None = None,
         rates: RateGains | None = None,
     ) -> None:
-        self.manner = MANNERS[manner]
-        self.parameters = Parameters(self.manner.parameters)
-        self.estimate = Estimator(errors or EstimatorErrors(), rng)
-        self.mission = MissionStore(self.manner.mission, home=self._home_item)
+        self.profile = PROFILES[profile]
+        self.parameters = Parameters(self.profile.parameters)
+        self.estimate = SimulatedEstimator(errors or EstimatorErrors(), rng)
+        self.mission = MissionStore(self.profile.mission, home=self._home_item)
         self.boots = 0
         self._airframe, self._rates = airframe, rates
         self._origin = home
@@ -67,14 +67,14 @@ class FlightState:
         """Everything that does not outlive a reboot; the parameters and the mission do."""
         self.boots += 1
         self.booted_s: float | None = None
-        self._commander = Commander(self.manner)
-        self._navigator = Navigator(self.manner, self.parameters)
-        self._cascade = Cascade(self.manner, self._airframe, self._rates)
+        self._commander = Commander(self.profile)
+        self._navigator = Navigator(self.profile, self.parameters)
+        self._cascade = Cascade(self.profile, self._airframe, self._rates)
         self._runner = MissionRunner(
-            self.mission, self._navigator, self.parameters, self.manner.settings, self._local
+            self.mission, self._navigator, self.parameters, self.profile.parameter_map, self._local
         )
-        self._lander = self.manner.lander(self.parameters)
-        self._hand = Hand(self.manner, self.parameters, hover_thrust(self._airframe))
+        self._precision_landing = self.profile.precision_landing(self.parameters)
+        self._manual_control = ManualControl(self.profile, self.parameters, hover_thrust(self._airframe))
         self._outer_due_s = -inf
         self._now_s = -inf
         self._setpoint = None
@@ -83,7 +83,7 @@ class FlightState:
         self._arming_seen = (False, 0)  # armed, and disarmings so far
         self._mission_version = -1
         self._last_task: Task | None = None
-        self._lands_precisely = False
+        self._precision_landing_active = False
 
     # ------------------------------------------------------------ what it shows
 
@@ -122,7 +122,7 @@ class FlightState:
     def ready_to_arm(self) -> bool:
         """What SYS_STATUS reports as the pre-arm check: level, and a known position if the mode needs one."""
         now, mode = self._commander.situation, self._commander.mode
-        needs_position = mode.sticks in (None, StickLaw.VELOCITY)
+        needs_position = mode.sticks in (None, StickMode.VELOCITY)
         known = now.aligned if needs_position else now.home_set
         return known and (now.tilt_rad < math.radians(20.0) or not now.landed)
 
@@ -152,9 +152,9 @@ class FlightState:
         return self._cascade.attitude_setpoint
 
     @property
-    def radio(self) -> Radio:
+    def rc_input(self) -> RcInput:
         """The sticks, as far as somebody is at them."""
-        return self._hand.radio
+        return self._manual_control.rc_input
 
     @property
     def home_ned_m(self) -> Vector3:
@@ -167,7 +167,11 @@ class FlightState:
 
     def take_texts(self) -> list[Text]:
         """Severities and texts since the last call."""
-        speakers = [self.mission.texts] if self._lander is None else [self.mission.texts, self._lander.texts]
+        speakers = (
+            [self.mission.texts]
+            if self._precision_landing is None
+            else [self.mission.texts, self._precision_landing.texts]
+        )
         texts = list(self._commander.texts)
         self._commander.texts.clear()
         for speaker in speakers:
@@ -175,11 +179,11 @@ class FlightState:
             speaker.clear()
         return texts
 
-    def set_mode_named(self, name: str) -> Result:
+    def set_mode_named(self, name: str) -> CommandResult:
         """Change to a mode of the manner's own."""
-        return self._change_mode(self.manner.mode(name))
+        return self._change_mode(self.profile.mode(name))
 
-    def _change_mode(self, mode: Mode | None, number: int = 0) -> Result:
+    def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
         self._watch_mission()  # one that has come since the last step counts already
         return self._commander.change_mode(mode, number)
 
@@ -205,4 +209,6 @@ class FlightState:
         """Home as a mission's item 0."""
         latitude, longitude, altitude = self.geodetic(self.home_ned_m)
         parameters = (0.0, 0.0, 0.0, 0.0)
-        return MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL, parameters, latitude, longitude, altitude)
+        return MissionItem(
+            MissionCommand.WAYPOINT, ItemFrame.GLOBAL, parameters, latitude, longitude, altitude
+        )

@@ -15,7 +15,7 @@ from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.modes import Severity
 
 
-class SightFrame(IntEnum):
+class LandingTargetFrame(IntEnum):
     """MAV_FRAME of a target's position, as far as somebody takes it."""
 
     LOCAL_NED = 1
@@ -23,7 +23,7 @@ class SightFrame(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class LandingTarget:
     """One LANDING_TARGET: a position in `frame` (a MAV_FRAME), or None and the angles off the camera's axis.
 
     `angles_rad`: to the right, and backwards (angle_y = -forward); `distance_m` 0: unknown.
@@ -35,7 +35,7 @@ class Sight:
     distance_m: float
 
 
-class View(NamedTuple):
+class VehicleEstimate(NamedTuple):
     """The vehicle as its autopilot knows it at one outer step; height over home (m)."""
 
     now_s: float
@@ -46,16 +46,16 @@ class View(NamedTuple):
     landing_speed_m_s: float
 
 
-class Lander(Protocol):
+class PrecisionLanding(Protocol):
     """An autopilot's own precision landing."""
 
     texts: list[tuple[Severity, str]]
 
-    def see(self, sight: Sight) -> None:
+    def update_target(self, target: LandingTarget) -> None:
         """A LANDING_TARGET has come."""
         ...
 
-    def watch(self, view: View, dt_s: float) -> None:
+    def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
         """One outer step of whatever it keeps of the target, landing or not."""
         ...
 
@@ -63,7 +63,7 @@ class Lander(Protocol):
         """A landing begins; `required`: without a target it searches rather than lands anywhere."""
         ...
 
-    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+    def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """What to fly; None: land as without a target."""
         ...
 

@@ -15,8 +15,8 @@ from companion.base.geometry import Vector3, wrap_angle
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.mission_items import (
     NAVIGATION,
-    Command,
     ItemFrame,
+    MissionCommand,
     MissionItem,
     MissionStore,
     heading_rad,
@@ -24,10 +24,10 @@ from sitl.autopilot.flight.mission_items import (
 from sitl.autopilot.flight.modes import Severity, Task
 from sitl.autopilot.flight.navigator import Navigator
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import Settings
+from sitl.autopilot.flight.profile import ParameterMap
 
 _MOST_ITEMS_A_STEP = 100
-_FROM_THE_GROUND = (Command.TAKEOFF, Command.LAND, Command.RETURN_TO_LAUNCH)
+_FROM_THE_GROUND = (MissionCommand.TAKEOFF, MissionCommand.LAND, MissionCommand.RETURN_TO_LAUNCH)
 _NOWHERE_S = 1.0  # how long a jump back waits when nothing was flown since the last one
 _REQUIRED = 2  # PRECISION_LAND_MODE
 _HEIGHT_REACHED_M = 0.8
@@ -39,7 +39,7 @@ _CIRCLE_TOP_SPEED_M_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Here:
+class MissionInputs:
     """How things stand at one outer step."""
 
     position_ned_m: Vector3
@@ -64,7 +64,7 @@ class _Progress:
     jump_to: int | None = None
 
 
-Wanted = MotionSetpoint | Task
+MissionOutput = MotionSetpoint | Task
 
 
 class MissionRunner:
@@ -79,29 +79,29 @@ class MissionRunner:
         store: MissionStore,
         navigator: Navigator,
         parameters: Parameters,
-        settings: Settings,
+        parameter_map: ParameterMap,
         to_ned: Callable[[Vector3, bool], Vector3],
     ) -> None:
         self._store = store
         self._navigator = navigator
         self._parameters = parameters
-        self._settings = settings
+        self._parameter_map = parameter_map
         self._to_ned = to_ned
-        self._handlers: dict[int, Callable[[MissionItem, Here], Wanted | None]] = {
-            Command.WAYPOINT: self._waypoint,
-            Command.SPLINE_WAYPOINT: self._waypoint,
-            Command.LOITER_UNLIM: lambda item, here: self._stay(item, here, math.inf),
-            Command.LOITER_TIME: lambda item, here: self._stay(item, here, item.parameter(1)),
-            Command.LOITER_TURNS: self._turns,
-            Command.RETURN_TO_LAUNCH: self._return,
-            Command.LAND: self._land,
-            Command.TAKEOFF: self._take_off,
-            Command.DELAY: self._delay,
-            Command.CONDITION_DELAY: self._delay,
-            Command.CONDITION_YAW: self._turn,
-            Command.DO_JUMP: self._jump,
-            Command.DO_CHANGE_SPEED: self._change_speed,
-            Command.DO_SET_HOME: self._set_home,
+        self._handlers: dict[int, Callable[[MissionItem, MissionInputs], MissionOutput | None]] = {
+            MissionCommand.WAYPOINT: self._waypoint,
+            MissionCommand.SPLINE_WAYPOINT: self._waypoint,
+            MissionCommand.LOITER_UNLIM: lambda item, here: self._stay(item, here, math.inf),
+            MissionCommand.LOITER_TIME: lambda item, here: self._stay(item, here, item.parameter(1)),
+            MissionCommand.LOITER_TURNS: self._turns,
+            MissionCommand.RETURN_TO_LAUNCH: self._return,
+            MissionCommand.LAND: self._land,
+            MissionCommand.TAKEOFF: self._take_off,
+            MissionCommand.DELAY: self._delay,
+            MissionCommand.CONDITION_DELAY: self._delay,
+            MissionCommand.CONDITION_YAW: self._turn,
+            MissionCommand.DO_JUMP: self._jump,
+            MissionCommand.DO_CHANGE_SPEED: self._change_speed,
+            MissionCommand.DO_SET_HOME: self._set_home,
         }
         self.started = False
         self.paused = False
@@ -125,7 +125,7 @@ class MissionRunner:
             self._store.rewind()
         self._now = _Progress()
 
-    def step(self, here: Here) -> Wanted:
+    def step(self, here: MissionInputs) -> MissionOutput:
         """What to fly now."""
         store = self._store
         if store.version != self._version:
@@ -141,7 +141,7 @@ class MissionRunner:
             item = store.items[store.current]
             wanted = self._climb_first(item, here) or self._act(item, here)
             if wanted is not None:
-                self._flown_since_jump = self._flown_since_jump or item.command != Command.DO_JUMP
+                self._flown_since_jump = self._flown_since_jump or item.command != MissionCommand.DO_JUMP
                 return wanted
             self._complete()
         return Task.HOLD  # too many that have nothing to fly; more in the next step
@@ -157,58 +157,63 @@ class MissionRunner:
 
     # ------------------------------------------------------------ from item to item
 
-    def _act(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _act(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         """Fly an item; None: it is done. What has nothing to act upon here is done at once."""
-        if not self._now.announced and item.command != Command.DO_JUMP:
+        if not self._now.announced and item.command != MissionCommand.DO_JUMP:
             self._now.announced = True
             text = self._store.rules.item_text
-            self._store.say(Severity.INFO, text.format(number=self._store.current) if text else "")
+            self._store.send_text(Severity.INFO, text.format(number=self._store.current) if text else "")
         handler = self._handlers.get(item.command)
         return None if handler is None else handler(item, here)
 
     def _complete(self) -> None:
         store = self._store
-        if store.items[store.current].command != Command.DO_JUMP:  # neither autopilot tells of a jump
+        if store.items[store.current].command != MissionCommand.DO_JUMP:  # neither autopilot tells of a jump
             store.reach(store.current)
         store.current = store.current + 1 if self._now.jump_to is None else self._now.jump_to
         if store.current >= len(store):
             store.finished, store.current = True, max(0, len(store) - 1)
-            store.say(Severity.INFO, store.rules.finished_text)
+            store.send_text(Severity.INFO, store.rules.finished_text)
         self._now = _Progress()
 
-    def _finish(self, here: Here) -> Wanted:
+    def _finish(self, here: MissionInputs) -> MissionOutput:
         return Task.LAND if here.landed else Task.HOLD
 
-    def _climb_first(self, item: MissionItem, here: Here) -> Task | None:
+    def _climb_first(self, item: MissionItem, here: MissionInputs) -> Task | None:
         """An autopilot that takes off by itself does so before it flies anywhere."""
         if self._now.climbing_first:
             return Task.TAKE_OFF
         goes = item.command in NAVIGATION and item.command not in _FROM_THE_GROUND
-        if not (here.landed and goes and self._store.rules.own_take_off and self._settings.take_off_height):
+        if not (
+            here.landed
+            and goes
+            and self._store.rules.takes_off_before_mission
+            and self._parameter_map.take_off_height
+        ):
             return None
-        self._navigator.climb_to_m = self._parameters.si(self._settings.take_off_height)
+        self._navigator.climb_to_m = self._parameters.si(self._parameter_map.take_off_height)
         self._now.climbing_first = True
         return Task.TAKE_OFF
 
     # ------------------------------------------------------------ places
 
-    def _place(self, item: MissionItem, here: Here) -> Vector3:
+    def _place(self, item: MissionItem, here: MissionInputs) -> Vector3:
         """Where an item is, in the own NED; worked out once, when the item begins."""
         if self._now.target is None:
             place = (item.x, item.y) if item.has_place else (nan, nan)
             self._now.target = self._to_ned((*place, item.z), item.frame is ItemFrame.RELATIVE)
         return self._now.target
 
-    def _reached(self, target: Vector3, here: Here, radius_m: float) -> bool:
+    def _reached(self, target: Vector3, here: MissionInputs, radius_m: float) -> bool:
         if not self._now.arrived:
             (x, y, z), position = target, here.position_ned_m
             near = math.hypot(x - position[0], y - position[1]) < radius_m
             self._now.arrived = near and abs(z - position[2]) < _HEIGHT_REACHED_M
         return self._now.arrived
 
-    def _heading(self, item: MissionItem, target: Vector3, here: Here) -> float:
+    def _heading(self, item: MissionItem, target: Vector3, here: MissionInputs) -> float:
         """The item's own heading, or towards the place as long as it is far."""
-        asked = heading_rad(item.parameters[3]) if self._store.rules.heeds_heading else nan
+        asked = heading_rad(item.parameters[3]) if self._store.rules.uses_yaw_parameter else nan
         if not math.isnan(asked):
             return asked
         north, east = target[0] - here.position_ned_m[0], target[1] - here.position_ned_m[1]
@@ -216,26 +221,28 @@ class MissionRunner:
             return nan
         return math.atan2(east, north)
 
-    def _towards(self, item: MissionItem, target: Vector3, here: Here) -> MotionSetpoint:
+    def _towards(self, item: MissionItem, target: Vector3, here: MissionInputs) -> MotionSetpoint:
         return replace(
             self._navigator.towards(target, here.position_ned_m), yaw_rad=self._heading(item, target, here)
         )
 
-    def _waypoint(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _waypoint(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         return self._stay(item, here, item.parameter(1))
 
-    def _stay(self, item: MissionItem, here: Here, seconds: float) -> Wanted | None:
+    def _stay(self, item: MissionItem, here: MissionInputs, seconds: float) -> MissionOutput | None:
         """Fly to an item's place and stay there."""
         target = self._place(item, here)
-        own_radius = item.parameter(2) if item.command == Command.WAYPOINT else 0.0
-        radius = own_radius if own_radius > 0.0 else self._parameters.si(self._settings.acceptance_radius)
+        own_radius = item.parameter(2) if item.command == MissionCommand.WAYPOINT else 0.0
+        radius = (
+            own_radius if own_radius > 0.0 else self._parameters.si(self._parameter_map.acceptance_radius)
+        )
         if self._reached(target, here, radius):
             self._now.waited_s += here.dt_s
             if self._now.waited_s >= seconds:
                 return None
         return self._towards(item, target, here)
 
-    def _turns(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _turns(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         """Circle round a place: parameter 1 turns, parameter 3 the radius (negative: anticlockwise)."""
         x, y, z = centre = self._place(item, here)
         radius = abs(item.parameter(3)) or _CIRCLE_RADIUS_M
@@ -259,7 +266,7 @@ class MissionRunner:
             position, (-radius * rate * s, radius * rate * c, 0.0), yaw_rad=self._now.bearing + math.pi
         )
 
-    def _take_off(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _take_off(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         ground = self._navigator.home_ned_m[2]
         top = self._to_ned((nan, nan, item.z), item.frame is ItemFrame.RELATIVE)[2]
         begun, self._now.within = self._now.within, Task.TAKE_OFF
@@ -268,18 +275,18 @@ class MissionRunner:
         self._navigator.climb_to_m = ground - top
         return Task.TAKE_OFF
 
-    def _return(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _return(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         """Home and down; over home the navigator hands over to the landing."""
         return None if here.landed else self._now.within or Task.RETURN
 
-    def _land(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _land(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         if here.landed:
             return None
         if item.has_place and not self._now.arrived:
             x, y, _ = self._to_ned((item.x, item.y, nan), False)
             if self._now.target is None:
                 self._now.target = (x, y, here.position_ned_m[2])
-            radius = self._parameters.si(self._settings.acceptance_radius)
+            radius = self._parameters.si(self._parameter_map.acceptance_radius)
             if not self._reached(self._now.target, here, min(radius, 1.0)):
                 return self._towards(item, self._now.target, here)
         self.precision_required = item.whole(2) == _REQUIRED
@@ -287,11 +294,11 @@ class MissionRunner:
 
     # ------------------------------------------------------------ waiting, turning, doing
 
-    def _delay(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _delay(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         self._now.waited_s += here.dt_s
         return Task.HOLD if self._now.waited_s < item.parameter(1) else None
 
-    def _turn(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _turn(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         """CONDITION_YAW: parameter 1 degrees, 3 direction and 4 relative to the present heading."""
         if self._now.target is None:
             self._now.target = here.position_ned_m
@@ -301,7 +308,7 @@ class MissionRunner:
             return None
         return replace(self._navigator.towards(self._now.target, here.position_ned_m), yaw_rad=heading)
 
-    def _jump(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _jump(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         """Go on elsewhere; a loop with nothing to fly in it is gone round slowly, not within one step."""
         number, target, times = self._store.current, item.whole(1), item.whole(2)
         done = self._jumped.get(number, 0)
@@ -316,11 +323,11 @@ class MissionRunner:
         self._flown_since_jump = self._flown_since_jump and target > number
         return None
 
-    def _change_speed(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _change_speed(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         self._navigator.speeds.change(item.whole(1), item.parameter(2, -1.0))
         return None
 
-    def _set_home(self, item: MissionItem, here: Here) -> Wanted | None:
+    def _set_home(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
         if item.whole(1) == 1 or not item.has_place:
             self._navigator.fix_home(here.position_ned_m)
         else:

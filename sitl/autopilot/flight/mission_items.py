@@ -17,7 +17,7 @@ from math import isfinite, nan
 from sitl.autopilot.flight.modes import Severity
 
 
-class Command(IntEnum):
+class MissionCommand(IntEnum):
     """MAV_CMD of the items that somebody here flies, and of those that are read for their place."""
 
     WAYPOINT = 16
@@ -69,21 +69,27 @@ class ItemFrame(IntEnum):
 
 NAVIGATION: frozenset[int] = frozenset(
     {
-        Command.WAYPOINT,
-        Command.LOITER_UNLIM,
-        Command.LOITER_TURNS,
-        Command.LOITER_TIME,
-        Command.RETURN_TO_LAUNCH,
-        Command.LAND,
-        Command.TAKEOFF,
-        Command.SPLINE_WAYPOINT,
-        Command.DELAY,
+        MissionCommand.WAYPOINT,
+        MissionCommand.LOITER_UNLIM,
+        MissionCommand.LOITER_TURNS,
+        MissionCommand.LOITER_TIME,
+        MissionCommand.RETURN_TO_LAUNCH,
+        MissionCommand.LAND,
+        MissionCommand.TAKEOFF,
+        MissionCommand.SPLINE_WAYPOINT,
+        MissionCommand.DELAY,
     }
 )
 # their x and y are a latitude and a longitude, all others' plain numbers
 PLACES: frozenset[int] = frozenset(
-    (NAVIGATION - {Command.RETURN_TO_LAUNCH, Command.DELAY})
-    | {Command.DO_SET_HOME, Command.DO_LAND_START, 31, 195, 201}  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
+    (NAVIGATION - {MissionCommand.RETURN_TO_LAUNCH, MissionCommand.DELAY})
+    | {
+        MissionCommand.DO_SET_HOME,
+        MissionCommand.DO_LAND_START,
+        31,
+        195,
+        201,
+    }  # LOITER_TO_ALT, DO_SET_ROI(_LOCATION)
 )
 
 
@@ -118,16 +124,17 @@ class MissionItem:
 class MissionRules:
     """One autopilot's habits with missions.
 
-    `unheeded` are items it takes that find nothing here to act upon (cameras, gimbals, servos).
+    `without_effect` are items it takes that find nothing here to act upon (cameras, gimbals, servos).
     `home_first`: item 0 is home whatever is sent for it. `writes_in_place`: an upload overwrites the list
     item by item, else the old one stands until the new one is complete. `restarts`: a second MISSION_COUNT of
-    the same client begins anew at any time, else only before the first item. `own_take_off`: on the ground it
-    climbs to its take-off height before a first item that is none. `waits_for_start`: armed on the ground it
-    waits for MISSION_START or a raised throttle. `heeds_heading`: parameter 4 of a waypoint is a heading.
+    the same client begins anew at any time, else only before the first item. `takes_off_before_mission`: on
+    the ground it climbs to its take-off height before a first item that is none. `waits_for_start`: armed on
+    the ground it waits for MISSION_START or a raised throttle. `uses_yaw_parameter`: parameter 4 of a
+    waypoint is a heading.
     """
 
     flown: frozenset[int]
-    unheeded: frozenset[int]
+    without_effect: frozenset[int]
     max_items: int
     retry_s: float
     timeout_s: float
@@ -136,9 +143,9 @@ class MissionRules:
     writes_in_place: bool
     restarts: bool
     partial_lists: bool
-    own_take_off: bool
+    takes_off_before_mission: bool
     waits_for_start: bool
-    heeds_heading: bool
+    uses_yaw_parameter: bool
     rewinds_on_disarm: bool
     received_text: str
     timeout_text: str
@@ -154,12 +161,12 @@ class MissionRules:
 
     def check(self, item: MissionItem, frame: int) -> MissionResult:
         """May an item with that MAV_FRAME be uploaded?"""
-        if item.command not in self.flown and item.command not in self.unheeded:
+        if item.command not in self.flown and item.command not in self.without_effect:
             return MissionResult.UNSUPPORTED
         if item_frame(frame) is None:
             return MissionResult.UNSUPPORTED_FRAME
         if item.command not in PLACES:
-            jump = item.command == Command.DO_JUMP
+            jump = item.command == MissionCommand.DO_JUMP
             return MissionResult.INVALID_PARAM1 if jump and item.whole(1, -1) < 0 else MissionResult.ACCEPTED
         coordinates = zip((item.x, item.y, item.z), _MOST, _OUT_OF_PLACE, strict=True)
         wrong = (result for value, most, result in coordinates if not abs(value) <= most)
@@ -196,7 +203,7 @@ class MissionStore:
     texts: list[tuple[Severity, str]] = field(default_factory=list)
     uploader: object | None = None
     uploader_heard_s: float = -math.inf
-    home: Callable[[], MissionItem] = lambda: MissionItem(Command.WAYPOINT, ItemFrame.GLOBAL)
+    home: Callable[[], MissionItem] = lambda: MissionItem(MissionCommand.WAYPOINT, ItemFrame.GLOBAL)
 
     def __len__(self) -> int:
         return len(self.items)
@@ -232,7 +239,7 @@ class MissionStore:
         self._renewed()
         if not self.rules.writes_in_place:
             self.current = 0
-        self.say(Severity.INFO, self.rules.received_text)
+        self.send_text(Severity.INFO, self.rules.received_text)
 
     def clear(self) -> None:
         """Forget the mission."""
@@ -242,7 +249,7 @@ class MissionStore:
     def select(self, number: int) -> bool:
         """Make an item the current one; False (and a text) when there is none of that number."""
         if not 0 <= number < len(self.items):
-            self.say(Severity.CRITICAL, self.rules.unknown_current_text)
+            self.send_text(Severity.CRITICAL, self.rules.unknown_current_text)
             return False
         self.current, self.finished = number, False
         self.version += 1
@@ -256,11 +263,11 @@ class MissionStore:
         """An item is done: tell everyone."""
         self.reached.append(number)
         self.reached_total += 1
-        self.say(
+        self.send_text(
             Severity.INFO, self.rules.reached_text.format(number=number) if self.rules.reached_text else ""
         )
 
-    def say(self, severity: Severity, text: str) -> None:
+    def send_text(self, severity: Severity, text: str) -> None:
         """Queue a text for the ground; an empty one is not worth sending."""
         if text:
             self.texts.append((severity, text))
@@ -268,13 +275,15 @@ class MissionStore:
     def landing_start(self) -> int | None:
         """Number of the item DO_LAND_START, None without."""
         commands = [item.command for item in self.items]
-        return commands.index(Command.DO_LAND_START) if Command.DO_LAND_START in commands else None
+        return (
+            commands.index(MissionCommand.DO_LAND_START) if MissionCommand.DO_LAND_START in commands else None
+        )
 
     def starts_with_take_off(self) -> bool:
         """The first item that is flown is a take-off."""
         flown = (item for item in self.items[self.rules.first :] if item.command in NAVIGATION)
         first = next(flown, None)
-        return first is not None and first.command == Command.TAKEOFF
+        return first is not None and first.command == MissionCommand.TAKEOFF
 
     def _renewed(self) -> None:
         self.finished = False

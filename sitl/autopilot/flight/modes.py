@@ -1,7 +1,7 @@
 """Modes, arming checks and failsafes as data: what the tables of `manners` are made of.
 
 A mode is what the autopilot announces; a task is what it flies. Some modes allow one task only, ArduPilot's
-GUIDED allows several. A check or failsafe is a predicate on the `Situation`.
+GUIDED allows several. A check or failsafe is a predicate on the `VehicleStatus`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Task(Enum):
     PRECISION_LAND = "precision land"
 
 
-class StickLaw(Enum):
+class StickMode(Enum):
     """What the sticks mean: velocities, leaning angles and a climb rate, or leaning angles and thrust."""
 
     VELOCITY = "velocity"
@@ -34,7 +34,7 @@ class StickLaw(Enum):
     ANGLE_AND_THRUST = "angle and thrust"
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
@@ -58,7 +58,7 @@ class Mode:
     """One flight mode: HEARTBEAT's custom_mode, base_mode without the armed bit, and what it may do.
 
     `title` is its name in texts. A mode with `sticks` is flown by them once there are any, and holds until
-    then. One that is not `offered` is known and always refused.
+    then. One that is not `available` is known and always refused.
     """
 
     name: str
@@ -69,27 +69,27 @@ class Mode:
     takes_positions: bool = False
     armable: bool = True
     in_flight: bool = True
-    sticks: StickLaw | None = None
+    sticks: StickMode | None = None
     title: str = ""
-    offered: bool = True
+    available: bool = True
 
     @property
-    def shown(self) -> str:
+    def display_name(self) -> str:
         """The mode's name in texts."""
         return self.title or self.name
 
 
 @dataclass(slots=True)
-class Situation:
+class VehicleStatus:
     """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one.
 
-    `radio`: somebody's sticks are heard; `radio_lost`: they were, and no longer are. `mission_ready`: there
-    is one to fly, `mission_climbs`: and it begins with a take-off.
+    `rc_available`: somebody's sticks are heard; `rc_lost`: they were, and no longer are. `mission_ready`:
+    there is one to fly, `mission_climbs`: and it begins with a take-off.
     """
 
     armed: bool = False
-    radio: bool = False
-    radio_lost: bool = False
+    rc_available: bool = False
+    rc_lost: bool = False
     throttle_up: bool = False
     mission_ready: bool = False
     mission_climbs: bool = False
@@ -105,7 +105,7 @@ class Situation:
     streaming: bool = False
 
 
-Condition = Callable[[Situation], bool]
+Condition = Callable[[VehicleStatus], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +120,11 @@ class ArmingCheck:
 class ModeCheck:
     """A mode is refused with `text` (which may name the `{mode}`) when it `fails`."""
 
-    fails: Callable[[Mode, Situation], bool]
+    fails: Callable[[Mode, VehicleStatus], bool]
     text: str
 
 
-class Response(Enum):
+class FailsafeAction(Enum):
     """What a failsafe does."""
 
     DISARM = "disarm"
@@ -143,7 +143,7 @@ class Failsafe:
     name: str
     condition: Condition
     after_s: float
-    response: Response
+    response: FailsafeAction
     severity: Severity
     text: str
     mode: str = ""

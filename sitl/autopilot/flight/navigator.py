@@ -12,7 +12,7 @@ from companion.base.geometry import ZERO3, Vector3
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.autopilot.flight.modes import Task
 from sitl.autopilot.flight.parameters import Parameters
-from sitl.autopilot.flight.profile import Manner
+from sitl.autopilot.flight.profile import AutopilotProfile
 
 _HEIGHT_REACHED_M = 0.2
 _HOME_REACHED_M = 0.8
@@ -25,13 +25,17 @@ _SLOWEST_M_S = 0.5
 _FARTHEST_HOME_M = 30_000.0  # above or below the origin of the local frame
 
 
-class Speeds:
+class SpeedSetpoints:
     """Horizontal, climb and descent speed (m/s): the parameters', until DO_CHANGE_SPEED says otherwise."""
 
-    def __init__(self, manner: Manner, parameters: Parameters) -> None:
-        settings = manner.settings
+    def __init__(self, profile: AutopilotProfile, parameters: Parameters) -> None:
+        parameter_map = profile.parameter_map
         self._parameters = parameters
-        self._settings = (settings.cruise_speed, settings.climb_speed, settings.descent_speed)
+        self._parameter_map = (
+            parameter_map.cruise_speed,
+            parameter_map.climb_speed,
+            parameter_map.descent_speed,
+        )
         self._changed: list[float | None] = [None, None, None]
 
     def forget(self) -> None:
@@ -64,18 +68,18 @@ class Speeds:
 
     def _value(self, index: int) -> float:
         changed = self._changed[index]
-        return self._parameters.si(self._settings[index]) if changed is None else changed
+        return self._parameters.si(self._parameter_map[index]) if changed is None else changed
 
 
 class Navigator:
     """Targets of the tasks, and the setpoint of each outer step."""
 
-    def __init__(self, manner: Manner, parameters: Parameters) -> None:
-        self._settings = manner.settings
+    def __init__(self, profile: AutopilotProfile, parameters: Parameters) -> None:
+        self._parameter_map = profile.parameter_map
         self._parameters = parameters
         self._held: Vector3 | None = None
         self._task = Task.HOLD
-        self.speeds = Speeds(manner, parameters)
+        self.speeds = SpeedSetpoints(profile, parameters)
         self.home_ned_m = ZERO3
         self.home_is_fixed = False
         self.climb_to_m = 0.0
@@ -117,10 +121,10 @@ class Navigator:
     def landing_speed(self, position: Vector3) -> float:
         """How fast to sink (m/s) at a place, by its height over home."""
         height = self.home_ned_m[2] - position[2]
-        final = self._parameters.si(self._settings.final_landing_speed)
-        if height < self._parameters.si(self._settings.final_landing_height):
+        final = self._parameters.si(self._parameter_map.final_landing_speed)
+        if height < self._parameters.si(self._parameter_map.final_landing_height):
             return final
-        return max(self._parameters.si(self._settings.landing_speed) or self.speeds.descent, final)
+        return max(self._parameters.si(self._parameter_map.landing_speed) or self.speeds.descent, final)
 
     def step(self, task: Task, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
         """The setpoint for a task, and the task to go on with when this one is done."""
@@ -151,7 +155,7 @@ class Navigator:
             self._held = position
         north, east, _ = self._held
         down = self.home_ned_m[2] - self.climb_to_m
-        climb = self._parameters.si(self._settings.take_off_speed)
+        climb = self._parameters.si(self._parameter_map.take_off_speed)
         if abs(position[2] - down) < _HEIGHT_REACHED_M:
             self._held, self._task = (north, east, down), Task.HOLD
             return MotionSetpoint(position_ned_m=self._held, climb_speed_m_s=climb), Task.HOLD
@@ -171,13 +175,13 @@ class Navigator:
 
     def _descend(self) -> MotionSetpoint:
         """Level, without holding a place, down at the landing speed: nobody is at the sticks."""
-        speed = self._parameters.si(self._settings.landing_speed)
+        speed = self._parameters.si(self._parameter_map.landing_speed)
         return MotionSetpoint(velocity_ned_m_s=(nan, nan, speed), acceleration_ned_m_s2=(0.0, 0.0, nan))
 
     def _return(self, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
         north, east, ground = self.home_ned_m
         if self._held is None:
-            height = self._parameters.si(self._settings.return_height)
+            height = self._parameters.si(self._parameter_map.return_height)
             self._held = (position[0], position[1], min(position[2], ground - height))
         away = math.hypot(north - position[0], east - position[1])
         if away < _HOME_REACHED_M and math.hypot(velocity[0], velocity[1]) < _HOME_SPEED_M_S:

@@ -1,7 +1,7 @@
 """The simulated autopilot's parameter table: what a ground station lists, reads and sets.
 
 Small: all that says how to fly is read by the flight code, the rest says what the vehicle is. Values keep
-the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `Setting` carries the factor to SI.
+the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `ParameterRef` carries the factor to SI.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class ParameterRef:
     """A parameter as the flight code reads it: value times `scale` is in SI units."""
 
     name: str
@@ -72,7 +72,7 @@ class Parameters:
         """All defaults again."""
         self._values = {parameter.name: float(parameter.default) for parameter in self._table.values()}
 
-    def si(self, setting: Setting) -> float:
+    def si(self, setting: ParameterRef) -> float:
         """Value in SI units."""
         return self._values[setting.name] * setting.scale
 

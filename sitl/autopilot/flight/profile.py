@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.base.geometry import Quaternion, Vector3
-from companion.base.messages import Manner as MannerName
+from companion.base.messages import Manner as AutopilotName
 from sitl.autopilot.control.attitude_control import AttitudeGains
 from sitl.autopilot.control.position_control import PositionControl
 from sitl.autopilot.control.setpoints import (
@@ -20,10 +20,18 @@ from sitl.autopilot.control.setpoints import (
     StreamedAttitude,
     StreamedMotion,
 )
-from sitl.autopilot.flight.landing_target import Lander
+from sitl.autopilot.flight.landing_target import PrecisionLanding
 from sitl.autopilot.flight.mission_items import MissionRules
-from sitl.autopilot.flight.modes import ArmingCheck, Failsafe, Mode, ModeCheck, Result, Situation, Task
-from sitl.autopilot.flight.parameters import Parameter, Parameters, Setting
+from sitl.autopilot.flight.modes import (
+    ArmingCheck,
+    CommandResult,
+    Failsafe,
+    Mode,
+    ModeCheck,
+    Task,
+    VehicleStatus,
+)
+from sitl.autopilot.flight.parameters import Parameter, ParameterRef, Parameters
 
 AnySetpoint = MotionSetpoint | AttitudeSetpoint
 
@@ -32,37 +40,37 @@ FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class ParameterMap:
     """Which parameter holds what; None: the autopilot has none for it.
 
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
-    `radio_watched` at 0 lets a lost radio be; `radio_exceptions` are bits of modes that a lost radio does not
-    end: 1 mission, 2 hold, 4 external.
+    `rc_loss_enabled` at 0 lets a lost radio be; `rc_loss_exceptions` are bits of modes that a lost radio does
+    not end: 1 mission, 2 hold, 4 external.
     """
 
-    setpoint_timeout: Setting
-    cruise_speed: Setting
-    top_speed: Setting
-    climb_speed: Setting
-    descent_speed: Setting
-    take_off_speed: Setting
-    landing_speed: Setting
-    final_landing_speed: Setting
-    final_landing_height: Setting
-    return_height: Setting
-    acceptance_radius: Setting
-    radio_timeout: Setting
-    stick_speed: Setting
-    stick_climb: Setting
-    stick_descent: Setting
-    stick_tilt: Setting
-    stick_yaw_rate: Setting
-    radio_exceptions: Setting | None = None
-    radio_watched: Setting | None = None
-    own_ground_station: Setting | None = None
-    take_off_height: Setting | None = None
-    still_speed: Setting | None = None
-    guided_options: Setting | None = None
+    setpoint_timeout: ParameterRef
+    cruise_speed: ParameterRef
+    top_speed: ParameterRef
+    climb_speed: ParameterRef
+    descent_speed: ParameterRef
+    take_off_speed: ParameterRef
+    landing_speed: ParameterRef
+    final_landing_speed: ParameterRef
+    final_landing_height: ParameterRef
+    return_height: ParameterRef
+    acceptance_radius: ParameterRef
+    rc_timeout: ParameterRef
+    stick_speed: ParameterRef
+    stick_climb: ParameterRef
+    stick_descent: ParameterRef
+    stick_tilt: ParameterRef
+    stick_yaw_rate: ParameterRef
+    rc_loss_exceptions: ParameterRef | None = None
+    rc_loss_enabled: ParameterRef | None = None
+    gcs_system_id: ParameterRef | None = None
+    take_off_height: ParameterRef | None = None
+    still_speed: ParameterRef | None = None
+    guided_options: ParameterRef | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,25 +90,24 @@ class Texts:
 
 
 @dataclass(frozen=True, slots=True)
-class Manner:
+class AutopilotProfile:
     """One autopilot's habits.
 
-    `forward_is_low`: the RC channel of the pitch stick falls when it is pushed. `lander` makes the precision
-    landing, if the parameters ask for one at boot; it flies the tasks in `lands_precisely`.
-    `read_motion` (fields, own place, attitude, heading) and `read_attitude` say what a streamed message
-    means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it later; `position_control`
-    makes the control law for a hover thrust. On the ground the thrust falls under `landed_thrust_share` of
-    hover.
-    A thrust that comes with an attitude and `thrust_is_upward` is raised for the lean that is flown, as
-    ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a low-pass of `throttle_hz`.
-    The position controller runs every `outer_period_s`.
-    `imu_messages` are those that tell its IMU's samples, `imu_filter` is the low-pass before them, as the
-    register value that the simulated IMU knows. `home_s` after its start it has set home, and its checks pass
-    for a mode that needs no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the
-    bit of those checks stands in SYS_STATUS's health, and not in what is present and enabled.
+    `pitch_channel_reversed`: the RC channel of the pitch stick falls when it is pushed. `precision_landing`
+    makes the precision landing, if the parameters ask for one at boot; it flies the tasks in
+    `precision_landing_tasks`. `read_motion` (fields, own place, attitude, heading) and `read_attitude` say
+    what a streamed message means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it
+    later; `position_control` makes the control law for a hover thrust. On the ground the thrust falls under
+    `landed_thrust_share` of hover. A thrust that comes with an attitude and `thrust_is_upward` is raised for
+    the lean that is flown, as ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a
+    low-pass of `throttle_hz`. The position controller runs every `outer_period_s`. `imu_messages` are those
+    that tell its IMU's samples, `imu_filter` is the low-pass before them, as the register value that the
+    simulated IMU knows. `home_s` after its start it has set home, and its checks pass for a mode that needs
+    no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the bit of those checks
+    stands in SYS_STATUS's health, and not in what is present and enabled.
     """
 
-    name: MannerName
+    name: AutopilotName
     autopilot_id: int
     custom_mode: Callable[[int, int], int]
     flight_version: int
@@ -126,23 +133,23 @@ class Manner:
     take_off_needs_guided: bool
     thrust_is_climb_rate: bool
     thrust_is_upward: bool
-    forward_is_low: bool
+    pitch_channel_reversed: bool
     turns_by_command: bool
-    refused_arming: Result
-    refused_mode: Result
-    refused_selection: Result
-    refused_disarming: Result
+    refused_arming: CommandResult
+    refused_mode: CommandResult
+    refused_selection: CommandResult
+    refused_disarming: CommandResult
     refused_disarming_text: str
-    unsupported_request: Result
-    settings: Settings
+    unsupported_request: CommandResult
+    parameter_map: ParameterMap
     texts: Texts
     mode_checks: tuple[ModeCheck, ...]
     arming_checks: tuple[ArmingCheck, ...]
     failsafes: tuple[Failsafe, ...]
     parameters: tuple[Parameter, ...]
     mission: MissionRules
-    lander: Callable[[Parameters], Lander | None]
-    lands_precisely: frozenset[Task]
+    precision_landing: Callable[[Parameters], PrecisionLanding | None]
+    precision_landing_tasks: frozenset[Task]
     position_control: Callable[[float], PositionControl]
     attitude_gains: AttitudeGains
     throttle_hz: float | None
@@ -168,46 +175,46 @@ class Manner:
         return next((mode for mode in self.modes if mode.custom_mode == custom_mode), None)
 
 
-def landed_after_flight(now: Situation) -> bool:
+def landed_after_flight(now: VehicleStatus) -> bool:
     """On the ground again."""
     return now.landed and now.has_flown
 
 
-def never_flown(now: Situation) -> bool:
+def never_flown(now: VehicleStatus) -> bool:
     """Armed, but not flown yet."""
     return now.landed and not now.has_flown
 
 
-def level(now: Situation) -> bool:
+def level(now: VehicleStatus) -> bool:
     """Leans by less than 20 degrees."""
     return now.tilt_rad < math.radians(20.0)
 
 
-def aligned(now: Situation) -> bool:
+def aligned(now: VehicleStatus) -> bool:
     """The estimator knows attitude and position."""
     return now.aligned
 
 
-def mode_armable(now: Situation) -> bool:
+def mode_armable(now: VehicleStatus) -> bool:
     """The present mode allows arming."""
     return now.armable
 
 
-def mission_missing(mode: Mode, now: Situation) -> bool:
+def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
     """A mission is to be flown, and there is none."""
     return mode.task is Task.MISSION and not now.mission_ready
 
 
-def not_from_flight(mode: Mode, now: Situation) -> bool:
+def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
     """Flown by hand alone, in flight, and nobody is at the sticks."""
-    return not mode.in_flight and now.armed and not now.landed and not now.radio
+    return not mode.in_flight and now.armed and not now.landed and not now.rc_available
 
 
-def radio_lost(now: Situation) -> bool:
+def rc_lost(now: VehicleStatus) -> bool:
     """Somebody was at the sticks, and no longer is."""
-    return now.radio_lost
+    return now.rc_lost
 
 
-def setpoints_stopped(now: Situation) -> bool:
+def setpoints_stopped(now: VehicleStatus) -> bool:
     """In a mode that lives on streamed setpoints, and none comes."""
     return now.streaming and now.setpoint_age_s > now.setpoint_timeout_s

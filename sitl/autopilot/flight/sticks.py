@@ -14,7 +14,7 @@ from math import inf, nan
 
 from companion.base.geometry import Vector3, quat_from_euler, rotate_yaw, wrap_angle
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
-from sitl.autopilot.flight.modes import StickLaw
+from sitl.autopilot.flight.modes import StickMode
 
 CHANNELS = 18
 _MIDDLE_US, _SPAN_US = 1500, 500
@@ -49,11 +49,11 @@ class StickScales:
     hover: float
 
 
-class Radio:
+class RcInput:
     """What was last heard of the sticks, and when."""
 
-    def __init__(self, forward_is_low: bool) -> None:
-        self._pitch_sign = -1.0 if forward_is_low else 1.0
+    def __init__(self, pitch_channel_reversed: bool) -> None:
+        self._pitch_sign = -1.0 if pitch_channel_reversed else 1.0
         self._heard_s = -inf
         self._channels = [0] * CHANNELS
         self._sticks: Sticks | None = None
@@ -89,7 +89,7 @@ class Radio:
         return self._sticks is not None and now_s - self._heard_s > timeout_s
 
 
-class StickPilot:
+class StickMapper:
     """Turns sticks into setpoints; remembers the heading that is kept while the yaw stick rests."""
 
     def __init__(self) -> None:
@@ -100,12 +100,12 @@ class StickPilot:
         self._heading_rad = nan
 
     def setpoint(
-        self, law: StickLaw, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
+        self, stick_mode: StickMode, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
     ) -> MotionSetpoint | AttitudeSetpoint | None:
         """What the sticks ask for; None when they rest in the middle of a law that then holds its place."""
         yaw_rate = scales.yaw_rate_rad_s * _outside_band(sticks.yaw)
-        if law is not StickLaw.VELOCITY:
-            return self._lean(law, sticks, scales, heading_rad, yaw_rate, dt_s)
+        if stick_mode is not StickMode.VELOCITY:
+            return self._lean(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
         forward, right = _outside_band(sticks.pitch), _outside_band(sticks.roll)
         climb = _outside_band(sticks.throttle)
         if not (forward or right or climb or yaw_rate):
@@ -120,7 +120,7 @@ class StickPilot:
 
     def _lean(
         self,
-        law: StickLaw,
+        stick_mode: StickMode,
         sticks: Sticks,
         scales: StickScales,
         heading_rad: float,
@@ -132,8 +132,8 @@ class StickPilot:
         attitude = quat_from_euler(
             scales.tilt_rad * sticks.roll, -scales.tilt_rad * sticks.pitch, self._heading_rad
         )
-        up = _outside_band(sticks.throttle) if law is StickLaw.ANGLE_AND_CLIMB else sticks.throttle
-        if law is StickLaw.ANGLE_AND_CLIMB:
+        up = _outside_band(sticks.throttle) if stick_mode is StickMode.ANGLE_AND_CLIMB else sticks.throttle
+        if stick_mode is StickMode.ANGLE_AND_CLIMB:
             thrust = 0.5 + 0.5 * up
         else:
             thrust = scales.hover * (1.0 + up) + max(up, 0.0) * (1.0 - 2.0 * scales.hover)

@@ -16,7 +16,7 @@ from typing import Final
 from companion.base.geometry import GRAVITY_M_S2, Vector3
 from sitl.autopilot.control.position_control import OutputLimits, PositionControl
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.control.shaping import LowPass, Two, approach, root_law
+from sitl.autopilot.control.shaping import FirstOrderLowPass, Two, approach, root_law
 
 # MPC_TILTMAX_AIR, MPC_THR_MIN and MPC_THR_MAX
 _OUTPUT: Final = OutputLimits(math.radians(45.0), (0.12, 1.0))
@@ -50,7 +50,7 @@ class Px4Control(PositionControl):
     def _forget(self, velocity: Vector3) -> None:
         self._integral: Two = (0.0, 0.0)
         self._climb_integral = 0.0
-        self._rate_x, self._rate_y = (LowPass(self._gains.derivative_hz) for _ in range(2))
+        self._rate_x, self._rate_y = (FirstOrderLowPass(self._gains.derivative_hz) for _ in range(2))
         self._last = velocity
 
     def _let_go_sideways(self) -> None:

@@ -11,27 +11,27 @@ import math
 
 from sitl.autopilot.control.attitude_control import AttitudeGains
 from sitl.autopilot.control.rate_control import RateFilters, ShareGains
-from sitl.autopilot.flight.mission_items import Command, MissionRules
+from sitl.autopilot.flight.mission_items import MissionCommand, MissionRules
 from sitl.autopilot.flight.modes import (
     ArmingCheck,
+    CommandResult,
     Failsafe,
+    FailsafeAction,
     Mode,
     ModeCheck,
-    Response,
-    Result,
     Severity,
-    StickLaw,
+    StickMode,
     Task,
 )
-from sitl.autopilot.flight.parameters import Setting
+from sitl.autopilot.flight.parameters import ParameterRef
 from sitl.autopilot.flight.profile import (
     FLAG_AUTO,
     FLAG_CUSTOM,
     FLAG_GUIDED,
     FLAG_MANUAL,
     FLAG_STABILIZE,
-    Manner,
-    Settings,
+    AutopilotProfile,
+    ParameterMap,
     Texts,
     aligned,
     landed_after_flight,
@@ -40,13 +40,13 @@ from sitl.autopilot.flight.profile import (
     mode_armable,
     never_flown,
     not_from_flight,
-    radio_lost,
+    rc_lost,
     setpoints_stopped,
 )
 from sitl.autopilot.px4 import setpoints as px4_setpoints
 from sitl.autopilot.px4.control import Px4Control
-from sitl.autopilot.px4.lander import PX4Lander
 from sitl.autopilot.px4.parameters import PARAMETERS
+from sitl.autopilot.px4.precision_landing import Px4PrecisionLanding
 
 _AUTO = FLAG_CUSTOM | FLAG_AUTO | FLAG_GUIDED | FLAG_STABILIZE
 _STICKS = FLAG_CUSTOM | FLAG_STABILIZE | FLAG_MANUAL
@@ -57,7 +57,7 @@ def _number(main: int, sub: int = 0) -> int:
     return main << 16 | sub << 24
 
 
-PX4 = Manner(
+PX4 = AutopilotProfile(
     name="px4",
     autopilot_id=12,
     custom_mode=_number,
@@ -78,11 +78,11 @@ PX4 = Manner(
             FLAG_CUSTOM | FLAG_MANUAL,
             Task.HOLD,
             in_flight=False,
-            sticks=StickLaw.ANGLE_AND_THRUST,
+            sticks=StickMode.ANGLE_AND_THRUST,
             title="Manual",
         ),
-        Mode("ALTCTL", _number(2), _STICKS, Task.HOLD, sticks=StickLaw.ANGLE_AND_CLIMB, title="Altitude"),
-        Mode("POSCTL", _number(3), _STICKS, Task.HOLD, sticks=StickLaw.VELOCITY, title="Position"),
+        Mode("ALTCTL", _number(2), _STICKS, Task.HOLD, sticks=StickMode.ANGLE_AND_CLIMB, title="Altitude"),
+        Mode("POSCTL", _number(3), _STICKS, Task.HOLD, sticks=StickMode.VELOCITY, title="Position"),
         Mode("AUTO_TAKEOFF", _number(4, 2), _AUTO, Task.TAKE_OFF, takes_positions=True, title="Takeoff"),
         Mode("AUTO_LOITER", _number(4, 3), _AUTO, Task.HOLD, takes_positions=True, title="Hold"),
         Mode("AUTO_MISSION", _number(4, 4), _AUTO, Task.MISSION, title="Mission"),
@@ -96,7 +96,7 @@ PX4 = Manner(
             armable=False,
             title="Precision Landing",
         ),
-        Mode("ACRO", _number(5), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, title="Acro", offered=False),
+        Mode("ACRO", _number(5), FLAG_CUSTOM | FLAG_MANUAL, Task.HOLD, title="Acro", available=False),
         Mode(
             "OFFBOARD",
             _number(6),
@@ -111,7 +111,7 @@ PX4 = Manner(
             _STICKS,
             Task.HOLD,
             in_flight=False,
-            sticks=StickLaw.ANGLE_AND_THRUST,
+            sticks=StickMode.ANGLE_AND_THRUST,
             title="Stabilized",
         ),
     ),
@@ -130,35 +130,35 @@ PX4 = Manner(
     take_off_needs_guided=False,
     thrust_is_climb_rate=False,
     thrust_is_upward=False,
-    forward_is_low=False,
+    pitch_channel_reversed=False,
     turns_by_command=False,
-    refused_mode=Result.TEMPORARILY_REJECTED,
-    refused_selection=Result.DENIED,
-    refused_arming=Result.TEMPORARILY_REJECTED,
-    refused_disarming=Result.TEMPORARILY_REJECTED,
+    refused_mode=CommandResult.TEMPORARILY_REJECTED,
+    refused_selection=CommandResult.DENIED,
+    refused_arming=CommandResult.TEMPORARILY_REJECTED,
+    refused_disarming=CommandResult.TEMPORARILY_REJECTED,
     refused_disarming_text="Disarming denied: not landed",
-    unsupported_request=Result.UNSUPPORTED,
-    settings=Settings(
-        setpoint_timeout=Setting("COM_OF_LOSS_T"),
-        cruise_speed=Setting("MPC_XY_CRUISE"),
-        top_speed=Setting("MPC_XY_VEL_MAX"),
-        climb_speed=Setting("MPC_Z_V_AUTO_UP"),
-        descent_speed=Setting("MPC_Z_V_AUTO_DN"),
-        take_off_speed=Setting("MPC_TKO_SPEED"),
-        landing_speed=Setting("MPC_LAND_SPEED"),
-        final_landing_speed=Setting("MPC_LAND_CRWL"),
-        final_landing_height=Setting("MPC_LAND_ALT3"),
-        return_height=Setting("RTL_RETURN_ALT"),
-        acceptance_radius=Setting("NAV_ACC_RAD"),
-        radio_timeout=Setting("COM_RC_LOSS_T"),
-        stick_speed=Setting("MPC_VEL_MANUAL"),
-        stick_climb=Setting("MPC_Z_VEL_MAX_UP"),
-        stick_descent=Setting("MPC_Z_VEL_MAX_DN"),
-        stick_tilt=Setting("MPC_MAN_TILT_MAX", math.pi / 180.0),
-        stick_yaw_rate=Setting("MPC_MAN_Y_MAX", math.pi / 180.0),
-        radio_exceptions=Setting("COM_RCL_EXCEPT"),
-        still_speed=Setting("LNDMC_Z_VEL_MAX"),
-        take_off_height=Setting("MIS_TAKEOFF_ALT"),
+    unsupported_request=CommandResult.UNSUPPORTED,
+    parameter_map=ParameterMap(
+        setpoint_timeout=ParameterRef("COM_OF_LOSS_T"),
+        cruise_speed=ParameterRef("MPC_XY_CRUISE"),
+        top_speed=ParameterRef("MPC_XY_VEL_MAX"),
+        climb_speed=ParameterRef("MPC_Z_V_AUTO_UP"),
+        descent_speed=ParameterRef("MPC_Z_V_AUTO_DN"),
+        take_off_speed=ParameterRef("MPC_TKO_SPEED"),
+        landing_speed=ParameterRef("MPC_LAND_SPEED"),
+        final_landing_speed=ParameterRef("MPC_LAND_CRWL"),
+        final_landing_height=ParameterRef("MPC_LAND_ALT3"),
+        return_height=ParameterRef("RTL_RETURN_ALT"),
+        acceptance_radius=ParameterRef("NAV_ACC_RAD"),
+        rc_timeout=ParameterRef("COM_RC_LOSS_T"),
+        stick_speed=ParameterRef("MPC_VEL_MANUAL"),
+        stick_climb=ParameterRef("MPC_Z_VEL_MAX_UP"),
+        stick_descent=ParameterRef("MPC_Z_VEL_MAX_DN"),
+        stick_tilt=ParameterRef("MPC_MAN_TILT_MAX", math.pi / 180.0),
+        stick_yaw_rate=ParameterRef("MPC_MAN_Y_MAX", math.pi / 180.0),
+        rc_loss_exceptions=ParameterRef("COM_RCL_EXCEPT"),
+        still_speed=ParameterRef("LNDMC_Z_VEL_MAX"),
+        take_off_height=ParameterRef("MIS_TAKEOFF_ALT"),
     ),
     texts=Texts(
         boot=(),
@@ -174,7 +174,7 @@ PX4 = Manner(
     mode_checks=tuple(
         ModeCheck(fails, "Switching to mode '{mode}' is currently not available")
         for fails in (
-            lambda mode, _now: not mode.offered,
+            lambda mode, _now: not mode.available,
             mission_missing,
             not_from_flight,
             lambda mode, now: (
@@ -193,7 +193,7 @@ PX4 = Manner(
             "offboard lost",
             setpoints_stopped,
             0.0,
-            Response.LEAVE_MODE,
+            FailsafeAction.LEAVE_MODE,
             Severity.CRITICAL,
             "Failsafe activated: No offboard control signal, switching to Position",
             mode="POSCTL",
@@ -201,20 +201,22 @@ PX4 = Manner(
         ),
         Failsafe(
             "radio lost",
-            radio_lost,
+            rc_lost,
             5.0,  # COM_FAIL_ACT_T
-            Response.LEAVE_MODE,
+            FailsafeAction.LEAVE_MODE,
             Severity.CRITICAL,
             "Failsafe activated: Manual control lost, switching to Return",
             mode="AUTO_RTL",
-            over=lambda now: now.radio,
+            over=lambda now: now.rc_available,
         ),
-        Failsafe("landed", landed_after_flight, 2.0, Response.DISARM, Severity.INFO, "Disarmed by landing"),
+        Failsafe(
+            "landed", landed_after_flight, 2.0, FailsafeAction.DISARM, Severity.INFO, "Disarmed by landing"
+        ),
         Failsafe(
             "not taken off",
             never_flown,
             10.0,
-            Response.DISARM,
+            FailsafeAction.DISARM,
             Severity.INFO,
             "Disarmed by auto preflight disarming",
         ),
@@ -223,21 +225,23 @@ PX4 = Manner(
     mission=MissionRules(
         flown=frozenset(
             {
-                Command.WAYPOINT,
-                Command.LOITER_UNLIM,
-                Command.LOITER_TIME,
-                Command.RETURN_TO_LAUNCH,
-                Command.LAND,
-                Command.TAKEOFF,
-                Command.DELAY,
-                Command.DO_JUMP,
-                Command.DO_CHANGE_SPEED,
-                Command.DO_SET_HOME,
-                Command.DO_LAND_START,
+                MissionCommand.WAYPOINT,
+                MissionCommand.LOITER_UNLIM,
+                MissionCommand.LOITER_TIME,
+                MissionCommand.RETURN_TO_LAUNCH,
+                MissionCommand.LAND,
+                MissionCommand.TAKEOFF,
+                MissionCommand.DELAY,
+                MissionCommand.DO_JUMP,
+                MissionCommand.DO_CHANGE_SPEED,
+                MissionCommand.DO_SET_HOME,
+                MissionCommand.DO_LAND_START,
             }
         ),
         # servo, ROI, mounts, camera, gimbal: PX4 takes them whether or not there is one
-        unheeded=frozenset({183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001})
+        without_effect=frozenset(
+            {183, 187, 195, 197, 201, 204, 205, 206, 214, 530, 531, 532, 1000, 2000, 2001}
+        )
         | frozenset({2500, 2501}),
         max_items=2000,
         retry_s=0.25,
@@ -247,9 +251,9 @@ PX4 = Manner(
         writes_in_place=False,
         restarts=False,
         partial_lists=False,
-        own_take_off=True,
+        takes_off_before_mission=True,
         waits_for_start=False,
-        heeds_heading=True,
+        uses_yaw_parameter=True,
         rewinds_on_disarm=False,
         received_text="",
         timeout_text="Operation timeout",
@@ -258,8 +262,8 @@ PX4 = Manner(
         reached_text="",
         finished_text="Mission finished, loitering",
     ),
-    lander=PX4Lander,
-    lands_precisely=frozenset({Task.PRECISION_LAND}),
+    precision_landing=Px4PrecisionLanding,
+    precision_landing_tasks=frozenset({Task.PRECISION_LAND}),
     position_control=Px4Control,
     attitude_gains=AttitudeGains(
         # MC_ROLLRATE_P, _I, _D, MC_RR_INT_LIM, MC_YAWRATE_P, _I, _D, MC_YR_INT_LIM; the pseudo-inverse of a

@@ -15,10 +15,10 @@ from sitl.autopilot.control.setpoints import (
     NOT_GIVEN,
     STOP,
     AttitudeSetpoint,
-    Frame,
     GlobalFrame,
     Ignore,
     IgnoreAttitude,
+    LocalFrame,
     MotionSetpoint,
     Refusal,
     StreamedAttitude,
@@ -37,7 +37,7 @@ def read_motion(
     fields: StreamedMotion, here_ned_m: Vector3, attitude: Quaternion, heading_rad: float
 ) -> MotionSetpoint | Refusal:
     """The setpoint that a message stands for, or why it is none; `here_ned_m` does not matter to PX4."""
-    read = _global if fields.is_global else _local if fields.frame == Frame.LOCAL_NED else _body
+    read = _global if fields.is_global else _local if fields.frame == LocalFrame.LOCAL_NED else _body
     vectors = read(fields, attitude, heading_rad)
     if isinstance(vectors, Refusal):
         return vectors
@@ -93,7 +93,7 @@ def _local(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> 
 
 def _body(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | Refusal:
     """Velocity turns with the heading, acceleration with the whole attitude; positions are not taken."""
-    if fields.frame != Frame.BODY_NED:
+    if fields.frame != LocalFrame.BODY_NED:
         return Refusal(f"{_LOCAL} coordinate frame {fields.frame} unsupported")
     velocity, acceleration = fields.velocity_m_s, fields.acceleration_m_s2
     velocity = NOT_GIVEN if fields.mask & _VELOCITY else rotate_yaw(velocity, heading_rad)

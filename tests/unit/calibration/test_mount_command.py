@@ -40,7 +40,7 @@ from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
 from companion.sense.camera.source import at_exposure
 from companion.sense.vision.pipeline import body_from_camera
-from sitl.camera.camera import body_from_camera as simulated_body_from_camera
+from sitl.camera.mounting import body_from_camera as simulated_body_from_camera
 from tests.unit.calibration.mount_world import Held, record_sway, scenario_of
 
 MOUNT_DEG = (2.0, -3.0, 1.5)

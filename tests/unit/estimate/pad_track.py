@@ -20,7 +20,7 @@ from companion.base.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.pad_filter import HeightFix, PadFix
 from sitl.pad.driven_paths import RandomTurnsMotion
-from sitl.pad.motion import Motion, build_pad_motion
+from sitl.pad.motion import PadMotionSettings, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,
@@ -30,7 +30,7 @@ from sitl.pad.paths import (
 )
 
 # the scenarios' motions, and a driver that the models do not fit
-MOTIONS: Final[dict[str, Motion]] = {
+MOTIONS: Final[dict[str, PadMotionSettings]] = {
     "static": StaticMotion(kind="static"),
     "line": LineMotion(kind="line", speed_m_s=1.0),
     "circle": CircleMotion(kind="circle", speed_m_s=1.5, radius_m=5.0),

@@ -14,7 +14,7 @@ from companion.base.messages import Action, ActionKind, ActionResult, Setpoint
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.session import Session
-from sitl.autopilot import NO_ERRORS, Autopilot
+from sitl.autopilot import NO_ERRORS, SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot_flight import HOME, Flight, Frame450, SimpleVehicle
 
@@ -36,7 +36,7 @@ def hovering() -> Flight:
     mass_kg = flight.vehicle.airframe.mass_kg
     strong = Frame450(max_thrust_n=mass_kg * GRAVITY_M_S2 / (4.0 * HOVER_THRUST))
     flight.vehicle = SimpleVehicle(strong)
-    flight.autopilot = Autopilot("ardupilot", strong, np.random.default_rng(1), HOME, NO_ERRORS)
+    flight.autopilot = SimulatedAutopilot("ardupilot", strong, np.random.default_rng(1), HOME, NO_ERRORS)
     flight.take_off(4.0)
     return flight
 

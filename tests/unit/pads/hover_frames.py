@@ -13,7 +13,7 @@ from companion.pad import Pad
 from companion.sense.vision.pipeline import Vision
 from companion.tools.pads.coverage import HOVER, Spread
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 
 BOARD = (0.0, 0.0, -0.1)
 
@@ -25,7 +25,7 @@ class Hover:
         self._camera = load_model(CameraConfig, find_file("cameras", camera_name))
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", "x500"))
         self._rng, self._spread = np.random.default_rng(seed), spread
-        self._model = CameraModel(self._camera, self._vehicle, pad, CameraSettings(), self._rng)
+        self._model = CameraModel(self._camera, self._vehicle, pad, ImagingSettings(), self._rng)
         self._vision = Vision(pad, self._camera, self._vehicle, VisionConfig())
 
     def recall(self, height_m: float, frames: int) -> float:

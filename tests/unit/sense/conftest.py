@@ -20,7 +20,7 @@ from companion.base.messages import Frame
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import Pad, load_pad
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 
 # the vehicle's position (from the pad's surface, NED) and attitude, the pad's heading -> frame, truth
 TakePicture = Callable[..., tuple[Frame, Vector3, Quaternion]]
@@ -65,7 +65,7 @@ def take_picture(pad: Pad, camera: CameraConfig, vehicle: VehicleConfig) -> Take
             return ScenePose((x, y, z - 0.3), attitude, (0.0, 0.0, -0.3), heading_rad)
 
         if mounted not in models:
-            models[mounted] = CameraModel(camera, mounted, pad, CameraSettings(), np.random.default_rng(4))
+            models[mounted] = CameraModel(camera, mounted, pad, ImagingSettings(), np.random.default_rng(4))
         image = models[mounted].render(0.0, scene)
         to_body = quat_conjugate(attitude)
         x, y, z = (p + v * at_s for p, v in zip(position_m, velocity_m_s, strict=True))

@@ -19,7 +19,7 @@ from companion.sense.gps.neo6m import Neo6m
 from companion.sense.serial_port import SerialPort
 from sitl.devices.neo6m import Neo6mDevice
 from sitl.devices.ports import AppEnd, MemoryPort, PtyPort
-from sitl.devices.uart import as_heard
+from sitl.devices.uart import as_received
 from sitl.sensors.sensors import NO_GPS_ERRORS, GpsSensor
 
 HOME: Vector3 = (47.0, 8.0, 400.0)
@@ -235,7 +235,7 @@ def test_what_is_asked_for_fits_the_line(baud: int, rate: int) -> None:
 
 @pytest.mark.parametrize("baud", RATES)
 def test_at_one_rate_everything_is_heard_as_it_was_sent(baud: int) -> None:
-    assert as_heard(bytes(range(256)), baud, baud) == bytes(range(256))
+    assert as_received(bytes(range(256)), baud, baud) == bytes(range(256))
 
 
 @pytest.mark.parametrize("sent", RATES)
@@ -243,7 +243,7 @@ def test_at_one_rate_everything_is_heard_as_it_was_sent(baud: int) -> None:
 def test_at_different_rates_nothing_is(sent: int, heard: int) -> None:
     text = b"$GPRMC,191418.00,V,,,,,,,040712,,,N*79\r\n"
     if sent != heard:
-        assert b"$GPRMC" not in as_heard(text, sent, heard)
+        assert b"$GPRMC" not in as_received(text, sent, heard)
 
 
 @pytest.mark.parametrize(
@@ -256,4 +256,4 @@ def test_at_different_rates_nothing_is(sent: int, heard: int) -> None:
     ],
 )
 def test_garbage_is_the_waveform_seen_at_the_wrong_rate(sent: int, heard: int, expected: str) -> None:
-    assert as_heard(b"\x55", sent, heard) == bytes.fromhex(expected)
+    assert as_received(b"\x55", sent, heard) == bytes.fromhex(expected)

@@ -19,7 +19,7 @@ from companion.sense.vision.pipeline import Vision
 from companion.sense.vision.pose import estimate_pose
 from companion.sense.vision.print_check import PrintCheck
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings, DirtSettings
+from sitl.camera.exposure import DirtSettings, ImagingSettings
 from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
 from sitl.camera.sensor_chip import ExposureSettings
 
@@ -34,7 +34,7 @@ class Studio:
     """The pad under a camera of these settings."""
 
     def __init__(
-        self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, settings: CameraSettings
+        self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, settings: ImagingSettings
     ) -> None:
         self._model = CameraModel(camera, vehicle, pad, settings, np.random.default_rng(11))
 
@@ -50,10 +50,10 @@ class Studio:
         return Frame(0.0, 0.03, 1, self._model.render(0.0, scene)), (-c * x - s * y, s * x - c * y, -z)
 
 
-def lit(lux: float = 2500.0, *, gain: float = 1.0, **light: object) -> CameraSettings:
+def lit(lux: float = 2500.0, *, gain: float = 1.0, **light: object) -> ImagingSettings:
     """A fixed exposure that is right at 2500 lux."""
     exposure = ExposureSettings(automatic=False, gain=gain)
-    return CameraSettings(
+    return ImagingSettings(
         light=LightSettings.model_validate({"illuminance_lux": lux, **light}), exposure=exposure
     )
 
@@ -82,8 +82,8 @@ BORNE = {
     "over-exposed": lit(gain=2.5),
     "under-exposed": lit(500.0),
     "noise of dusk": lit(100.0, gain=16.0),
-    "dirt on the lens": CameraSettings(dirt=DirtSettings(blobs=30, largest_share=0.12, opacity=0.9)),
-    "out of focus": CameraSettings(lens_blur_px=1.2),
+    "dirt on the lens": ImagingSettings(dirt=DirtSettings(blobs=30, largest_share=0.12, opacity=0.9)),
+    "out of focus": ImagingSettings(lens_blur_px=1.2),
 }
 
 
@@ -101,9 +101,9 @@ def test_the_pad_is_seen_rightly_in_bad_light(
     assert seen == len(heights)
 
 
-@pytest.mark.parametrize("settings", [lit(15.0), lit(gain=40.0), CameraSettings(lens_blur_px=5.0)])
+@pytest.mark.parametrize("settings", [lit(15.0), lit(gain=40.0), ImagingSettings(lens_blur_px=5.0)])
 def test_a_picture_that_shows_next_to_nothing_gives_no_false_pose(
-    vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, settings: CameraSettings
+    vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, settings: ImagingSettings
 ) -> None:
     studio = Studio(pad, camera, vehicle, settings)
     for height_m in (0.3, 2.0, 8.0):
@@ -116,7 +116,7 @@ def test_a_picture_that_shows_next_to_nothing_gives_no_false_pose(
 def test_motion_blur_is_borne(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, height_m: float
 ) -> None:
-    studio = Studio(pad, camera, vehicle, CameraSettings())
+    studio = Studio(pad, camera, vehicle, ImagingSettings())
     frame, truth = studio.shoot((0.0, 0.0, -height_m - 0.08), (1.0, 0.6, 0.3))
     sighting = vision.step(frame, expected(truth)).sighting
     assert sighting is not None
@@ -127,7 +127,7 @@ def test_motion_blur_is_borne(
 def test_markers_that_the_frame_cuts_do_not_bend_the_pose(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, away: tuple[float, float]
 ) -> None:
-    studio = Studio(pad, camera, vehicle, CameraSettings())
+    studio = Studio(pad, camera, vehicle, ImagingSettings())
     frame, truth = studio.shoot((*away, -3.2))
     result = vision.step(frame, expected(truth))
     assert result.sighting is not None
@@ -144,7 +144,7 @@ def corners_in(frame: Frame, pad: Pad) -> dict[int, FloatArray]:
 def test_dirt_on_a_marker_costs_that_marker_and_not_the_pose(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
-    frame, truth = Studio(pad, camera, vehicle, CameraSettings()).shoot((0.0, 0.0, -4.0))
+    frame, truth = Studio(pad, camera, vehicle, ImagingSettings()).shoot((0.0, 0.0, -4.0))
     corners = corners_in(frame, pad)
     for marker, corner, radius in ((0, 0, 3), (1, 2, 6), (2, 1, 14)):
         dirty = frame.image.copy()
@@ -165,7 +165,7 @@ def forged(image_side: int, number: int) -> FloatArray:
 def test_foreign_markers_and_squares_beside_the_pad_change_nothing(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
-    frame, truth = Studio(pad, camera, vehicle, CameraSettings()).shoot((0.0, 0.0, -5.0))
+    frame, truth = Studio(pad, camera, vehicle, ImagingSettings()).shoot((0.0, 0.0, -5.0))
     plain = vision.step(frame, expected(truth)).sighting
     crowded = frame.image.copy()
     for k, (row, column) in enumerate(((20, 30), (380, 40), (30, 520), (390, 530), (200, 20))):
@@ -183,7 +183,7 @@ def test_foreign_markers_and_squares_beside_the_pad_change_nothing(
 def test_one_code_of_the_pad_by_itself_is_not_the_pad(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, number: int
 ) -> None:
-    frame, _ = Studio(pad, camera, vehicle, CameraSettings()).shoot((30.0, 12.0, -4.0))
+    frame, _ = Studio(pad, camera, vehicle, ImagingSettings()).shoot((30.0, 12.0, -4.0))
     mark = forged(40, number)
     image = frame.image.copy()
     image[200 : 200 + mark.shape[0], 300 : 300 + mark.shape[1]] = mark
@@ -196,7 +196,7 @@ def test_one_code_of_the_pad_by_itself_is_not_the_pad(
 def test_one_marker_is_believed_where_the_print_about_it_is_the_pads(
     pad: Pad, camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
-    frame, _ = Studio(pad, camera, vehicle, CameraSettings()).shoot((0.0, 0.0, -5.0))
+    frame, _ = Studio(pad, camera, vehicle, ImagingSettings()).shoot((0.0, 0.0, -5.0))
     lens, config = Lens(camera), VisionConfig()
     found = PadDetector(pad, config).detect(frame.image, SearchPass(0, 0, 640, 480, 1, ("F",)))
     check = PrintCheck(pad, lens)
@@ -212,7 +212,7 @@ def test_a_descent_hands_over_between_groups_without_a_jump(
     vision: Vision, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig
 ) -> None:
     """From 9 m to 0.1 m in steps of 4 %: the error changes by no more than the covariances admit."""
-    studio = Studio(pad, camera, vehicle, CameraSettings())
+    studio = Studio(pad, camera, vehicle, ImagingSettings())
     before: tuple[str, FloatArray, FloatArray] | None = None
     changes = []
     for height_m in np.geomspace(9.0, 0.1, 110):

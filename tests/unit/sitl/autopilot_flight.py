@@ -24,10 +24,10 @@ from companion.base.messages import LandedState, Manner, Truth
 from sitl.autopilot import (
     NO_ERRORS,
     AttitudeSetpoint,
-    Autopilot,
+    CommandResult,
     EstimatorErrors,
     MotionSetpoint,
-    Result,
+    SimulatedAutopilot,
 )
 from sitl.autopilot.control.rate_control import RateGains
 
@@ -141,7 +141,7 @@ class Flight:
         airframe = Frame450()
         self.vehicle = SimpleVehicle(airframe, heading_rad)
         # tuned to it: by the autopilots' defaults the yaw of a vehicle without any drag hardly settles
-        self.autopilot = Autopilot(
+        self.autopilot = SimulatedAutopilot(
             manner, airframe, np.random.default_rng(seed), HOME, errors, rates=RateGains()
         )
         self.texts: list[str] = []
@@ -172,20 +172,20 @@ class Flight:
         """From boot to a hover under external control (OFFBOARD or GUIDED)."""
         self.run(6.0)
         autopilot = self.autopilot
-        if autopilot.manner.name == "px4":
-            assert autopilot.arm() is Result.ACCEPTED
-            assert autopilot.take_off(HOME[2] + 0.18 + height_m) is Result.ACCEPTED
+        if autopilot.profile.name == "px4":
+            assert autopilot.arm() is CommandResult.ACCEPTED
+            assert autopilot.take_off(HOME[2] + 0.18 + height_m) is CommandResult.ACCEPTED
         else:
-            assert autopilot.set_mode(4) is Result.ACCEPTED
-            assert autopilot.arm() is Result.ACCEPTED
-            assert autopilot.take_off(height_m) is Result.ACCEPTED
+            assert autopilot.set_mode(4) is CommandResult.ACCEPTED
+            assert autopilot.arm() is CommandResult.ACCEPTED
+            assert autopilot.take_off(height_m) is CommandResult.ACCEPTED
         self.run(4.0 + height_m / 1.5)
 
     def take_control(self) -> None:
         """Stream "stand still" and enter OFFBOARD (GUIDED already is)."""
         self.run(0.2, STAND_STILL)
-        if self.autopilot.manner.name == "px4":
-            assert self.autopilot.set_mode(PX4_OFFBOARD) is Result.ACCEPTED
+        if self.autopilot.profile.name == "px4":
+            assert self.autopilot.set_mode(PX4_OFFBOARD) is CommandResult.ACCEPTED
         self.run(2.0, STAND_STILL)
 
 

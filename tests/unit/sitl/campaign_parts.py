@@ -7,14 +7,14 @@ from typing import Any
 
 import yaml
 
-from sitl.campaign.manifest import Flight
+from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.rows import Row
 
 
-def flight(seed: int, scenario: str = "static", **changes: Any) -> Flight:
+def flight(seed: int, scenario: str = "static", **changes: Any) -> CampaignRun:
     """A run that is to be flown."""
     values = {"source": scenario, "config": None, "time_limit_s": 60.0, "identity": "code-files"}
-    return Flight(scenario=scenario, seed=seed, **{**values, **changes})
+    return CampaignRun(scenario=scenario, seed=seed, **{**values, **changes})
 
 
 def row(scenario: str = "static", seed: int = 0, outcome: str = "landed", **values: Any) -> Row:

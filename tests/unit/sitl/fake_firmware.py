@@ -21,8 +21,8 @@ from sitl.firmware.base import Firmware, Moment, Setup
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.start import start_firmware
 from sitl.mavlink.framing import FrameReader, dialect
-from sitl.scenario.scenario import Airframe
-from sitl.sensors.autopilot_sensors import Field, Fix, Inertial, OnboardSensors
+from sitl.scenario.scenario import AirframeConfig
+from sitl.sensors.autopilot_sensors import Field, Fix, ImuReading, SimulatedAutopilotSensors
 from sitl.sensors.sensors import GpsReading
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 
@@ -114,13 +114,13 @@ def running(program: Fake, setup: Setup | None = None) -> Iterator[Firmware]:
 
 
 def setup_of(spec: FirmwareSpec, **changes: Any) -> Setup:
-    airframe = load_model(Airframe, find_file("airframes", "x500"))
+    airframe = load_model(AirframeConfig, find_file("airframes", "x500"))
     setup = Setup(airframe, HOME, 0.12, dict(spec.parameters))
     return setup._replace(**changes)
 
 
-def sensors_at_rest(seed: int = 1) -> OnboardSensors:
-    return OnboardSensors(
+def sensors_at_rest(seed: int = 1) -> SimulatedAutopilotSensors:
+    return SimulatedAutopilotSensors(
         np.random.default_rng(seed), STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=1
     )
 
@@ -129,7 +129,7 @@ def moment(clock_s: float, state: QuadrotorState | None = None, **sensed: Any) -
     """A time with made-up sensors; `sensed` may have force, rate, field and fix."""
     sensors = sensors_at_rest()
     force, rate = sensed.get("force", (0.0, 0.0, -9.8)), sensed.get("rate", (0.0, 0.0, 0.0))
-    sensors.imu = Inertial(clock_s, force, rate)
+    sensors.imu = ImuReading(clock_s, force, rate)
     sensors.mag = Field(sensed.get("mag_s", clock_s), sensed.get("field", FIELD_NED_UT))
     sensors.gps = sensed.get("fix")
     return Moment(clock_s, sensors, state or resting_state((0.0, 0.0, 0.0), 0.0))

@@ -21,8 +21,8 @@ from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
 from sitl.faults.faulty_link import LinkSettings, LinkWay
-from sitl.faults.injection import Breakable, FaultSchedule
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.faults.injection import FaultSchedule, FaultTargets
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.actuators import Motors
 from sitl.vehicle.quadrotor import QuadrotorState
 
@@ -53,8 +53,8 @@ def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
     async def world(rack: SensorRack, clock: Clock) -> None:
         rng = np.random.default_rng(0)
         ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
-        onboard = OnboardSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
-        schedule = FaultSchedule(faults, Breakable(rack, onboard, FrameLine(rng), Motors(), *ways))
+        onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
+        schedule = FaultSchedule(faults, FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways))
         for k in range(round(seconds / STEP_S)):
             schedule.step(k * STEP_S)
             attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)

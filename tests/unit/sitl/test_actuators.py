@@ -23,7 +23,7 @@ def test_one_is_weak_or_all_are_and_mended_they_are_sound() -> None:
     assert motors.given((0.2, 0.4, 0.6, 0.8)) == pytest.approx((0.2, 0.34, 0.6, 0.8))
     motors.weaken(None, 0.5)
     assert motors.given((0.2, 0.4, 0.6, 0.8)) == pytest.approx((0.1, 0.17, 0.3, 0.4))
-    motors.mend()
+    motors.clear_faults()
     assert motors.given(HOVER) is HOVER
 
 

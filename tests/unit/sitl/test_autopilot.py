@@ -15,10 +15,10 @@ from companion.base.geometry import (
 )
 from companion.base.messages import LandedState, Manner
 from sitl.autopilot import (
+    CommandResult,
     EstimatorErrors,
-    Frame,
+    LocalFrame,
     MotionSetpoint,
-    Result,
     StreamedMotion,
 )
 from tests.unit.sitl.autopilot_flight import (
@@ -44,13 +44,13 @@ def test_it_refuses_to_arm_before_its_estimator_is_aligned(manner: Manner) -> No
     flight = Flight(manner)
     flight.run(1.0)
     assert not ready(flight)
-    assert flight.autopilot.arm() in (Result.TEMPORARILY_REJECTED, Result.FAILED)
+    assert flight.autopilot.arm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
     assert not flight.autopilot.armed
     flight.run(0.1)
     assert any(text.startswith(("Arming denied", "Arm: Need Position")) for text in flight.texts)
     flight.run(5.0)
     assert ready(flight)
-    assert flight.autopilot.arm() is Result.ACCEPTED
+    assert flight.autopilot.arm() is CommandResult.ACCEPTED
 
 
 @BOTH
@@ -80,7 +80,7 @@ def test_px4_takes_its_own_height_when_none_is_given() -> None:
     flight.run(4.0)
     flight.autopilot.parameters.set("MIS_TAKEOFF_ALT", 4.0)
     flight.autopilot.arm()
-    assert flight.autopilot.take_off(nan) is Result.ACCEPTED
+    assert flight.autopilot.take_off(nan) is CommandResult.ACCEPTED
     flight.run(8.0)
     assert flight.vehicle.height_m == pytest.approx(4.0, abs=0.2)
 
@@ -88,13 +88,13 @@ def test_px4_takes_its_own_height_when_none_is_given() -> None:
 def test_ardupilot_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
     flight = Flight("ardupilot")
     flight.run(6.0)
-    assert flight.autopilot.take_off(5.0) is Result.FAILED
+    assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
     flight.autopilot.arm()
-    assert flight.autopilot.take_off(5.0) is Result.FAILED
+    assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
     flight.autopilot.set_mode(4)
-    assert flight.autopilot.take_off(5.0) is Result.ACCEPTED
+    assert flight.autopilot.take_off(5.0) is CommandResult.ACCEPTED
     flight.run(8.0)
-    assert flight.autopilot.take_off(5.0) is Result.FAILED
+    assert flight.autopilot.take_off(5.0) is CommandResult.FAILED
 
 
 @BOTH
@@ -112,9 +112,9 @@ def test_armed_but_not_flown_it_disarms_by_itself(manner: Manner) -> None:
 def test_disarming_in_flight_needs_force(manner: Manner) -> None:
     flight = Flight(manner)
     flight.take_off()
-    assert flight.autopilot.disarm() in (Result.TEMPORARILY_REJECTED, Result.FAILED)
+    assert flight.autopilot.disarm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
     assert flight.autopilot.armed
-    assert flight.autopilot.disarm(force=True) is Result.ACCEPTED
+    assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
     assert not flight.autopilot.armed
 
 
@@ -133,9 +133,9 @@ def test_it_takes_off_in_any_heading_and_keeps_it(manner: Manner) -> None:
 def test_px4_enters_offboard_only_on_fresh_setpoints() -> None:
     flight = Flight("px4")
     flight.take_off()
-    assert flight.autopilot.set_mode(PX4_OFFBOARD) is Result.TEMPORARILY_REJECTED
+    assert flight.autopilot.set_mode(PX4_OFFBOARD) is CommandResult.TEMPORARILY_REJECTED
     flight.run(0.1, STAND_STILL)
-    assert flight.autopilot.set_mode(PX4_OFFBOARD) is Result.ACCEPTED
+    assert flight.autopilot.set_mode(PX4_OFFBOARD) is CommandResult.ACCEPTED
     flight.run(0.1)
     assert "Switching to mode 'Offboard' is currently not available" in flight.texts
 
@@ -159,7 +159,7 @@ def test_px4_leaves_offboard_when_setpoints_stop_and_comes_back_with_them() -> N
 def test_a_mode_command_ends_the_failsafe_for_good() -> None:
     flight = in_the_air("px4")
     flight.run(1.5)
-    assert flight.autopilot.set_mode_named("AUTO_LOITER") is Result.ACCEPTED
+    assert flight.autopilot.set_mode_named("AUTO_LOITER") is CommandResult.ACCEPTED
     flight.run(1.0, STAND_STILL)
     assert flight.autopilot.mode == "AUTO_LOITER"
 
@@ -208,7 +208,7 @@ def test_px4_takes_off_on_an_upward_setpoint_in_offboard() -> None:
 
 def test_px4_does_not_take_offset_frames_and_says_so() -> None:
     flight = in_the_air("px4")
-    fields = StreamedMotion(Frame.BODY_OFFSET_NED, 0b110111000111, ZERO, (1.0, 0.0, 0.0), ZERO, 0.0, 0.0)
+    fields = StreamedMotion(LocalFrame.BODY_OFFSET_NED, 0b110111000111, ZERO, (1.0, 0.0, 0.0), ZERO, 0.0, 0.0)
     flight.autopilot.stream_fields(fields, flight.now_s)
     flight.run(1.5)
     assert any("frame 9 unsupported" in text for text in flight.texts)
@@ -220,7 +220,7 @@ def test_going_to_a_place_ends_there_in_the_heading_asked_for(manner: Manner) ->
     flight = Flight(manner)
     flight.take_off()
     target = flight.autopilot.geodetic((12.0, -7.0, -9.18))
-    assert flight.autopilot.go_to(target, over_home=False, yaw_rad=1.0) is Result.ACCEPTED
+    assert flight.autopilot.go_to(target, over_home=False, yaw_rad=1.0) is CommandResult.ACCEPTED
     flight.run(12.0)
     assert math.dist(flight.vehicle.position, (12.0, -7.0, -9.18)) < 0.3
     assert yaw_from_quat(flight.vehicle.attitude) == pytest.approx(1.0, abs=0.03)
@@ -230,7 +230,7 @@ def test_going_to_a_place_ends_there_in_the_heading_asked_for(manner: Manner) ->
 def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
     flight = Flight(manner)
     flight.take_off(5.0)
-    assert flight.autopilot.set_mode_named(flight.autopilot.manner.land_mode) is Result.ACCEPTED
+    assert flight.autopilot.set_mode_named(flight.autopilot.profile.land_mode) is CommandResult.ACCEPTED
     # PX4 crawls below MPC_LAND_ALT3, ArduPilot keeps LAND_SPEED from LAND_ALT_LOW (10 m) down
     first, last = (0.7, 0.3) if manner == "px4" else (0.5, 0.5)
     flight.run(2.0)
@@ -246,7 +246,7 @@ def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
 def test_returning_comes_home_and_lands(manner: Manner) -> None:
     flight = in_the_air(manner)
     flight.run(6.0, velocity(2.0, 1.0))
-    flight.autopilot.set_mode_named(flight.autopilot.manner.return_mode)
+    flight.autopilot.set_mode_named(flight.autopilot.profile.return_mode)
     flight.run(50.0)
     assert not flight.autopilot.armed
     assert math.hypot(*flight.vehicle.position[:2]) < 1.0
@@ -257,7 +257,7 @@ def test_px4_does_not_arm_in_offboard_without_setpoints() -> None:
     flight.run(4.0, STAND_STILL)
     flight.autopilot.set_mode(PX4_OFFBOARD)
     flight.run(2.0)
-    assert flight.autopilot.arm() is Result.TEMPORARILY_REJECTED
+    assert flight.autopilot.arm() is CommandResult.TEMPORARILY_REJECTED
 
 
 def test_ardupilot_disarms_a_vehicle_that_has_turned_over() -> None:
@@ -294,7 +294,7 @@ def test_a_landing_by_setpoints_is_noticed_and_then_disarming_is_allowed(manner:
     assert landed_state(flight) is not LandedState.ON_GROUND  # as in the recordings: 2 s, and 6 s and more
     flight.run(1.5 if manner == "ardupilot" else 4.5, velocity(0.0, 0.0, 0.3))
     assert landed_state(flight) is LandedState.ON_GROUND
-    assert flight.autopilot.disarm() is Result.ACCEPTED
+    assert flight.autopilot.disarm() is CommandResult.ACCEPTED
 
 
 @BOTH

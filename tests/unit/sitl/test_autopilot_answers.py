@@ -21,7 +21,7 @@ from companion.base.messages import Manner
 from sitl.autopilot import (
     AttitudeSetpoint,
     EstimatorErrors,
-    Frame,
+    LocalFrame,
     MotionSetpoint,
     StreamedMotion,
     Task,
@@ -127,7 +127,7 @@ def test_body_frame_velocities_follow_the_nose(heading_deg: float) -> None:
     flight.take_off(3.0)
     flight.take_control()
     for _ in range(120):
-        fields = StreamedMotion(Frame.BODY_NED, 0b110111000111, ZERO, (1.0, 0.5, 0.0), ZERO, 0.0, 0.0)
+        fields = StreamedMotion(LocalFrame.BODY_NED, 0b110111000111, ZERO, (1.0, 0.5, 0.0), ZERO, 0.0, 0.0)
         flight.autopilot.stream_fields(fields, flight.now_s)
         flight.run(1.0 / 30.0)
     forward, right, _ = rotate_yaw(flight.vehicle.velocity, -heading)
@@ -244,7 +244,7 @@ def test_held_places_are_held_in_the_attitude_that_wind_asks_for() -> None:
 def test_a_far_position_is_approached_no_faster_than_the_top_speed() -> None:
     flight = in_the_air("px4")
     flight.autopilot.parameters.set("MPC_XY_VEL_MAX", 2.0)
-    fields = StreamedMotion(Frame.LOCAL_NED, 0b110111111000, (50.0, 0.0, -6.18), ZERO, ZERO, 0.0, 0.0)
+    fields = StreamedMotion(LocalFrame.LOCAL_NED, 0b110111111000, (50.0, 0.0, -6.18), ZERO, ZERO, 0.0, 0.0)
     for _ in range(120):
         flight.autopilot.stream_fields(fields, flight.now_s)
         flight.run(1.0 / 30.0)

@@ -11,9 +11,9 @@ import pytest
 
 from companion.base.geometry import IDENTITY, ZERO3
 from companion.base.messages import LandedState, Manner
-from sitl.autopilot import MANNERS, NO_ERRORS, AttitudeSetpoint, MotionSetpoint, Result
+from sitl.autopilot import NO_ERRORS, PROFILES, AttitudeSetpoint, CommandResult, MotionSetpoint
 from sitl.autopilot.control.cascade import Cascade
-from sitl.autopilot.control.estimator import Estimator
+from sitl.autopilot.control.estimator import SimulatedEstimator
 from tests.unit.sitl.autopilot_flight import STAND_STILL, Flight, Frame450, in_the_air, landed_state, velocity
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
@@ -35,7 +35,7 @@ def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(manner: Ma
 
 
 def test_ardupilots_lean_goes_on_at_its_limit_and_is_told() -> None:
-    control: Any = MANNERS["ardupilot"].position_control(HOVER)
+    control: Any = PROFILES["ardupilot"].position_control(HOVER)
     told = []
     for _ in range(300):  # held back by whatever it is
         control.step(ZERO3, ZERO3, ZERO3, velocity(10.0), STEP_S)
@@ -49,7 +49,7 @@ def test_ardupilots_lean_goes_on_at_its_limit_and_is_told() -> None:
 def test_a_climb_raises_the_thrust_as_soon_however_long_it_stood_pressed_down(
     manner: Manner, pressed_s: float
 ) -> None:
-    control = MANNERS[manner].position_control(HOVER)
+    control = PROFILES[manner].position_control(HOVER)
 
     def hold(wanted: MotionSetpoint) -> None:
         control.step(ZERO3, ZERO3, ZERO3, dataclasses.replace(wanted, streamed=True), STEP_S)
@@ -84,8 +84,8 @@ def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than
 ) -> None:
     thrusts = []
     for wanted in (AttitudeSetpoint(IDENTITY, 0.6), MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, -0.5))):
-        estimate = Estimator(NO_ERRORS, np.random.default_rng(1))
-        cascade = Cascade(MANNERS[manner], Frame450())
+        estimate = SimulatedEstimator(NO_ERRORS, np.random.default_rng(1))
+        cascade = Cascade(PROFILES[manner], Frame450())
         cascade.lift_off()
         while not cascade.airborne:
             cascade.outer(wanted, estimate, True, 0.25, STEP_S)
@@ -97,8 +97,8 @@ def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than
 @BOTH
 def test_disarmed_and_armed_again_within_one_step_it_starts_from_the_ground(manner: Manner) -> None:
     flight: Flight = in_the_air(manner)
-    assert flight.autopilot.disarm(force=True) is Result.ACCEPTED
-    assert flight.autopilot.arm(force=True) is Result.ACCEPTED
+    assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
+    assert flight.autopilot.arm(force=True) is CommandResult.ACCEPTED
     flight.run(0.2, STAND_STILL)
     assert flight.autopilot.armed
     assert landed_state(flight) is LandedState.ON_GROUND

@@ -12,19 +12,19 @@ import pytest
 
 from companion.base.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate, yaw_from_quat
 from companion.base.messages import Manner, Truth
-from sitl.autopilot import MANNERS, EstimatorErrors, Task
+from sitl.autopilot import PROFILES, EstimatorErrors, Task
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.attitude_control import (
     AttitudeControl,
     AttitudeReference,
     turn_about_down,
 )
-from sitl.autopilot.control.estimator import Estimator
+from sitl.autopilot.control.estimator import SimulatedEstimator
 from sitl.autopilot.control.landed import LandedDetector
-from sitl.autopilot.control.mixer import Mixer
+from sitl.autopilot.control.mixer import MotorMixer
 from sitl.autopilot.control.rate_control import RateFilters, RateGains
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.parameters import Parameter, Parameters, Setting
+from sitl.autopilot.flight.parameters import Parameter, ParameterRef, Parameters
 from sitl.autopilot.px4.control import Px4Control
 from sitl.autopilot.px4.profile import PX4
 from tests.unit.sitl.autopilot_flight import Frame450
@@ -46,24 +46,24 @@ def produced(motors: tuple[float, float, float, float]) -> tuple[float, Vector3]
 
 
 def test_motors_make_the_thrust_and_torques_asked_for() -> None:
-    thrust, torque = produced(Mixer(Frame450(), 0.04).mix(0.5, (0.3, -0.2, 0.05)))
+    thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.5, (0.3, -0.2, 0.05)))
     assert thrust == pytest.approx(0.5)
     assert torque == pytest.approx((0.3, -0.2, 0.05))
 
 
 def test_commands_stay_within_the_motors_range_whatever_is_asked() -> None:
-    mixer = Mixer(Frame450(), 0.04)
+    mixer = MotorMixer(Frame450(), 0.04)
     for thrust, *torque in itertools.product((0.0, 0.1, 0.5, 0.9, 1.0), *[(-9.0, -0.5, 0.0, 0.5, 9.0)] * 3):
         motors = mixer.mix(thrust, (torque[0], torque[1], torque[2]))
         assert all(0.04 - 1e-12 <= motor <= 1.0 + 1e-12 for motor in motors)
 
 
 def test_roll_and_pitch_outrank_thrust_and_thrust_outranks_yaw() -> None:
-    thrust, torque = produced(Mixer(Frame450(), 0.04).mix(0.95, (1.5, 0.0, 0.3)))
+    thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.95, (1.5, 0.0, 0.3)))
     assert torque[0] == pytest.approx(1.5)
     assert thrust < 0.95
     assert abs(torque[2]) < 0.05
-    thrust, torque = produced(Mixer(Frame450(), 0.04).mix(0.5, (0.0, 0.0, 5.0)))
+    thrust, torque = produced(MotorMixer(Frame450(), 0.04).mix(0.5, (0.0, 0.0, 5.0)))
     assert thrust == pytest.approx(0.5)
     assert torque[2] > 0.0
 
@@ -189,7 +189,9 @@ def test_its_errors_have_the_sizes_they_should() -> None:
     truth = Truth(0.0, ZERO3, ZERO3, (1.0, 0.0, 0.0, 0.0), ZERO3, ZERO3, 0.0)
     wanders, speeds = [], []
     for seed in range(40):
-        estimator = Estimator(EstimatorErrors(position_offset_std_m=0.0), np.random.default_rng(seed))
+        estimator = SimulatedEstimator(
+            EstimatorErrors(position_offset_std_m=0.0), np.random.default_rng(seed)
+        )
         for _ in range(600):
             estimator.update_position(truth, 0.1)
         wanders.append(estimator.position_ned_m[0])
@@ -201,7 +203,7 @@ def test_its_errors_have_the_sizes_they_should() -> None:
 def test_parameters_keep_their_bounds_and_integers() -> None:
     parameters = Parameters([Parameter("SPEED_CM", 500.0, 20.0, 2000.0), Parameter("BITS", 0, 0, 255, True)])
     assert parameters.set("SPEED_CM", 150.0)
-    assert parameters.si(Setting("SPEED_CM", 0.01)) == pytest.approx(1.5)
+    assert parameters.si(ParameterRef("SPEED_CM", 0.01)) == pytest.approx(1.5)
     assert parameters.set("BITS", 7.6)
     assert parameters["BITS"] == 8.0
     for name, value in (("SPEED_CM", 19.9), ("SPEED_CM", 2000.1), ("SPEED_CM", nan), ("OTHER", 1.0)):
@@ -211,7 +213,7 @@ def test_parameters_keep_their_bounds_and_integers() -> None:
 
 @pytest.mark.parametrize("manner", ["px4", "ardupilot"])
 def test_every_name_in_a_manners_table_leads_somewhere(manner: Manner) -> None:
-    table = MANNERS[manner]
+    table = PROFILES[manner]
     names = [table.boot_mode, table.take_off_mode, table.after_take_off_mode, table.hold_mode]
     names += [table.land_mode, table.return_mode]
     names += [failsafe.mode for failsafe in table.failsafes if failsafe.mode]
@@ -220,7 +222,7 @@ def test_every_name_in_a_manners_table_leads_somewhere(manner: Manner) -> None:
     assert len({mode.custom_mode for mode in table.modes}) == len(table.modes)
     known = {parameter.name for parameter in table.parameters}
     assert all(len(name) <= 16 for name in known)
-    settings = table.settings
+    settings = table.parameter_map
     for setting in (settings.setpoint_timeout, settings.cruise_speed, settings.top_speed):
         assert setting.name in known
     for setting in (settings.landing_speed, settings.return_height):

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from companion.config import ConfigError
-from sitl.campaign.manifest import Flight, make_plan
+from sitl.campaign.manifest import CampaignRun, make_plan
 from sitl.campaign.worker import Worker
 from tests.unit.sitl.campaign_parts import flight
 from tests.unit.sitl.fake_flights import COMMAND, DIES, IS_REFUSED
@@ -32,7 +32,7 @@ def scheduler() -> Iterator[str]:
         yield made.scheduler_address
 
 
-def flights(first_seed: int, runs: int) -> list[Flight]:
+def flights(first_seed: int, runs: int) -> list[CampaignRun]:
     return list(make_plan(["static"], first_seed, runs, None).flights())
 
 

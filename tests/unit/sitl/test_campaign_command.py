@@ -18,12 +18,12 @@ from rich.console import Console
 from companion.config import CONFIG_FOLDER, ConfigError
 from sitl.campaign import SCENARIOS, command
 from sitl.campaign.command import INTERRUPTED, Options, run_campaign
-from sitl.campaign.manifest import Flight
+from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
-from sitl.campaign.worker import Flown, Worker
+from sitl.campaign.worker import RunResult, Worker
 from sitl.cli import main
 from tests.unit.sitl.campaign_parts import row, scenario_file
 from tests.unit.sitl.fake_flights import COMMAND, DIES, HANGS, IS_REFUSED, MISSES
@@ -40,12 +40,12 @@ def options(
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[Flight]:
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[CampaignRun]:
     """Stand-ins fly and nothing is drawn, which takes seconds; what was asked for is kept."""
     monkeypatch.setattr("sitl.campaign.plots.write_plots", lambda *_: [])
-    flights: list[Flight] = []
+    flights: list[CampaignRun] = []
 
-    def fly(wanted: Sequence[Flight], jobs: int) -> Iterator[Flown]:
+    def fly(wanted: Sequence[CampaignRun], jobs: int) -> Iterator[RunResult]:
         flights.extend(wanted)
         return fly_locally(wanted, jobs, partial(Worker, COMMAND))
 
@@ -67,7 +67,7 @@ def seeds(folder: Path) -> list[int]:
 
 
 def test_a_campaign_leaves_rows_tables_and_plots(
-    tmp_path: Path, asked: list[Flight], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, asked: list[CampaignRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sitl.campaign.plots.write_plots", write_plots)
     folder = tmp_path / "new" / "deep"
@@ -79,7 +79,9 @@ def test_a_campaign_leaves_rows_tables_and_plots(
     assert "100 % (51.0 to 100.0)" in (folder / "summary.txt").read_text()
 
 
-def test_the_same_command_again_flies_nothing_and_tells_the_same(tmp_path: Path, asked: list[Flight]) -> None:
+def test_the_same_command_again_flies_nothing_and_tells_the_same(
+    tmp_path: Path, asked: list[CampaignRun]
+) -> None:
     first = run(options(tmp_path))[1]
     asked.clear()
     code, again = run(options(tmp_path))
@@ -87,7 +89,7 @@ def test_the_same_command_again_flies_nothing_and_tells_the_same(tmp_path: Path,
     assert again.partition("How the runs ended")[2] == first.partition("How the runs ended")[2]
 
 
-def test_more_seeds_and_scenarios_fly_only_the_new_ones(tmp_path: Path, asked: list[Flight]) -> None:
+def test_more_seeds_and_scenarios_fly_only_the_new_ones(tmp_path: Path, asked: list[CampaignRun]) -> None:
     run(options(tmp_path))
     asked.clear()
     assert run(options(tmp_path, "static", "line", runs=3))[0] == 0
@@ -99,7 +101,7 @@ def test_more_seeds_and_scenarios_fly_only_the_new_ones(tmp_path: Path, asked: l
     }
 
 
-def test_a_row_that_is_deleted_is_flown_again(tmp_path: Path, asked: list[Flight]) -> None:
+def test_a_row_that_is_deleted_is_flown_again(tmp_path: Path, asked: list[CampaignRun]) -> None:
     run(options(tmp_path, runs=3))
     lines = (tmp_path / CSV_NAME).read_text().splitlines(keepends=True)
     (tmp_path / CSV_NAME).write_text("".join(line for line in lines if not line.startswith("static,1,")))
@@ -109,7 +111,7 @@ def test_a_row_that_is_deleted_is_flown_again(tmp_path: Path, asked: list[Flight
 
 
 def test_without_a_folder_nothing_is_kept(
-    tmp_path: Path, asked: list[Flight], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, asked: list[CampaignRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
@@ -121,7 +123,7 @@ def test_without_a_folder_nothing_is_kept(
 # ---------------------------------------------------------------- runs that fail
 
 
-def test_a_run_that_fails_has_a_row_and_the_status_says_so(tmp_path: Path, asked: list[Flight]) -> None:
+def test_a_run_that_fails_has_a_row_and_the_status_says_so(tmp_path: Path, asked: list[CampaignRun]) -> None:
     code, text = run(options(tmp_path, first_seed=DIES - 1))
     assert code == 1
     failed = next(each for each in read_rows(tmp_path / CSV_NAME) if each.seed == DIES)
@@ -129,20 +131,24 @@ def test_a_run_that_fails_has_a_row_and_the_status_says_so(tmp_path: Path, asked
     assert f"companion --sitl --fast --scenario static --seed {DIES}" in text
 
 
-def test_a_run_that_misses_is_no_failure_but_breaks_the_bars(tmp_path: Path, asked: list[Flight]) -> None:
+def test_a_run_that_misses_is_no_failure_but_breaks_the_bars(
+    tmp_path: Path, asked: list[CampaignRun]
+) -> None:
     assert run(options(tmp_path, first_seed=MISSES, runs=1))[0] == 0
     code, text = run(options(tmp_path, first_seed=MISSES, runs=1, bars=True))
     assert code == 1
     assert text.splitlines()[-1].startswith("bars: landed 0 of 1 FAILS, ")
 
 
-def test_bars_that_hold_end_in_0(tmp_path: Path, asked: list[Flight]) -> None:
+def test_bars_that_hold_end_in_0(tmp_path: Path, asked: list[CampaignRun]) -> None:
     code, text = run(options(tmp_path, runs=5, bars=True))
     assert code == 0
     assert "FAILS" not in text.splitlines()[-1]
 
 
-def test_a_refusal_of_the_apps_ends_it_with_what_is_flown_kept(tmp_path: Path, asked: list[Flight]) -> None:
+def test_a_refusal_of_the_apps_ends_it_with_what_is_flown_kept(
+    tmp_path: Path, asked: list[CampaignRun]
+) -> None:
     chosen = options(tmp_path, first_seed=IS_REFUSED, runs=1)
     with pytest.raises(ConfigError, match=r"a\.yaml: no"):
         run(chosen)
@@ -198,12 +204,12 @@ def test_killed_it_has_lost_nothing_and_goes_on(tmp_path: Path, monkeypatch: pyt
     assert seeds(tmp_path) == expected
     with (tmp_path / CSV_NAME).open("a") as stream:
         stream.write(f"static,{HANGS},lan")
-    flown: list[Flight] = []
+    flown: list[CampaignRun] = []
 
-    def fly(wanted: Sequence[Flight], _jobs: int) -> Iterator[Flown]:
+    def fly(wanted: Sequence[CampaignRun], _jobs: int) -> Iterator[RunResult]:
         flown.extend(wanted)
         for each in wanted:
-            yield Flown(each, 1.0, error="not flown")
+            yield RunResult(each, 1.0, error="not flown")
 
     monkeypatch.setattr(command, "fly_locally", fly)
     monkeypatch.setattr("sitl.campaign.plots.write_plots", lambda *_: [])
@@ -244,7 +250,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
 
 
 def test_another_campaigns_folder_is_refused(
-    tmp_path: Path, asked: list[Flight], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, asked: list[CampaignRun], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run(options(tmp_path))
     before = (tmp_path / CSV_NAME).read_bytes()
@@ -255,7 +261,7 @@ def test_another_campaigns_folder_is_refused(
 
 @pytest.mark.parametrize("wrong", ["static,0,", "elsewhere,0,"])
 def test_rows_that_come_twice_or_from_elsewhere_are_refused(
-    wrong: str, tmp_path: Path, asked: list[Flight], capsys: pytest.CaptureFixture[str]
+    wrong: str, tmp_path: Path, asked: list[CampaignRun], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run(options(tmp_path))
     path = tmp_path / CSV_NAME
@@ -267,7 +273,7 @@ def test_rows_that_come_twice_or_from_elsewhere_are_refused(
 
 
 def test_a_folder_that_another_writes_keeps_its_manifest(
-    tmp_path: Path, asked: list[Flight], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, asked: list[CampaignRun], capsys: pytest.CaptureFixture[str]
 ) -> None:
     run(options(tmp_path))
     before = (tmp_path / "campaign.json").read_bytes()

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from sitl.campaign.figures import Spread, bars, share, spread, worst
+from sitl.campaign.figures import Percentiles, bars, share, spread, worst
 from sitl.campaign.manifest import make_plan
 from sitl.campaign.plots import draw_outcomes, draw_share, draw_touchdowns, looks_of_all, write_plots
 from sitl.campaign.rows import Row
@@ -39,7 +39,7 @@ def test_all_landed_is_no_certainty() -> None:
 
 def test_spread_is_over_sizes_of_what_was_measured() -> None:
     rows = [row(seed=k, vertical_speed_m_s=(-1) ** k * 0.01 * k) for k in range(101)] + [row(seed=101)]
-    assert spread(rows, "vertical_speed_m_s") == Spread(pytest.approx(0.5), pytest.approx(0.95), 1.0)  # type: ignore[arg-type]
+    assert spread(rows, "vertical_speed_m_s") == Percentiles(pytest.approx(0.5), pytest.approx(0.95), 1.0)  # type: ignore[arg-type]
     assert spread([row()], "vertical_speed_m_s") is None
 
 

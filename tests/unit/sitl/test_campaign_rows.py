@@ -24,7 +24,7 @@ from sitl.campaign.rows import (
     read_rows,
     write_parquet,
 )
-from sitl.campaign.worker import Flown
+from sitl.campaign.worker import RunResult
 from tests.unit.sitl.campaign_parts import flight, row
 from tests.unit.sitl.fake_flights import result
 
@@ -52,7 +52,7 @@ def test_every_column_is_documented() -> None:
 
 
 def test_a_landing_fills_its_row() -> None:
-    flown = Flown(flight(40), 9.876, result(40, "static", "landed"), "", [0.01, -0.02])
+    flown = RunResult(flight(40), 9.876, result(40, "static", "landed"), "", [0.01, -0.02])
     made = make_row(flown, VERSION)
     assert made.landed
     assert (made.touchdown_lateral_m, made.touchdown_along_m, made.touchdown_across_m) == (0.04, 0.01, -0.02)
@@ -63,12 +63,12 @@ def test_a_landing_fills_its_row() -> None:
 
 def test_a_run_that_never_came_down_has_no_touchdown() -> None:
     ended = {**result(1, "static", "timeout"), "touchdown": None}
-    made = make_row(Flown(flight(1), 9.0, ended, "never touched down"), VERSION)
+    made = make_row(RunResult(flight(1), 9.0, ended, "never touched down"), VERSION)
     assert (made.outcome, made.reason, made.touchdown_lateral_m) == ("timeout", "never touched down", None)
 
 
 def test_a_failed_run_has_its_last_words_on_one_line() -> None:
-    made = make_row(Flown(flight(1), 9.0, error="killed by SIGKILL:\n  no memory\n"), VERSION)
+    made = make_row(RunResult(flight(1), 9.0, error="killed by SIGKILL:\n  no memory\n"), VERSION)
     assert (made.outcome, made.error, made.total_s) == ("failed", "killed by SIGKILL: no memory", None)
 
 

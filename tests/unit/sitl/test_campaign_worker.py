@@ -11,7 +11,7 @@ import pytest
 
 from companion.config import ConfigError
 from sitl.campaign.pool import fly_locally
-from sitl.campaign.worker import Flown, Worker
+from sitl.campaign.worker import RunResult, Worker
 from tests.unit.sitl.campaign_parts import flight
 from tests.unit.sitl.fake_flights import COMMAND, DIES, FAULTS, HANGS, IS_REFUSED, LEAVES, WAITS
 
@@ -23,7 +23,7 @@ def worker() -> Iterator[Worker]:
     made.close()
 
 
-def process_of(flown: Flown) -> int:
+def process_of(flown: RunResult) -> int:
     assert flown.result is not None, flown.error
     return int(flown.result["events"][0]["text"])
 

@@ -21,7 +21,7 @@ from companion.config import CameraConfig, ImuConfig, VehicleConfig, find_file, 
 from companion.pad import Marker, Pad, load_pad
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 from sitl.devices.rack import SensorErrors, SensorRack
 from sitl.sensors.inertial import ImuErrors
 from sitl.sensors.sensors import NO_GPS_ERRORS, NO_RANGE_ERRORS, MagErrors
@@ -30,7 +30,7 @@ from sitl.vehicle.quadrotor import QuadrotorState
 CAMERA = load_model(CameraConfig, find_file("cameras", "sitl_640x480"))
 VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
 PAD = load_pad("moving_1300")
-SHARP = CameraSettings(
+SHARP = ImagingSettings(
     exposure_s=0.0, readout_s=0.0, noise_grey=0.0, lens_blur_px=0.5, aperture_m=0.0, vignette=0.0
 )
 HALF = math.sqrt(0.5)

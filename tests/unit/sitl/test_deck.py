@@ -22,7 +22,7 @@ from sitl.pad.paths import LineMotion, StaticMotion
 from sitl.pad.sea import DeckMotion, DeckSettings
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.ground import Board, lean_over
+from sitl.world.ground import PadBoard, tilt_from_normal
 from sitl.world.world import World
 
 DT = 0.0025
@@ -113,13 +113,15 @@ def test_a_place_on_the_deck_goes_where_its_turning_takes_it() -> None:
     rates = {"roll_rate_rad_s": 0.2, "pitch_rate_rad_s": -0.15}
     pad = leaning(6.0, 4.0, **rates)._replace(heading_rate_rad_s=0.1)
     h, local = 1e-6, (0.5, -0.3, 0.0)
-    before, after = (np.add(pad.soon(t).position_ned_m, pad.soon(t).axes().to_ned(local)) for t in (-h, h))
+    before, after = (
+        np.add(pad.extrapolated(t).position_ned_m, pad.extrapolated(t).axes().to_ned(local)) for t in (-h, h)
+    )
     place = vector(np.add(pad.position_ned_m, pad.axes().to_ned(local)))
     assert pad.velocity_at_ned_m_s(place) == pytest.approx(vector((after - before) / (2 * h)), abs=1e-6)
 
 
 def test_what_lies_under_a_point_is_the_sloping_surface() -> None:
-    board, pad = Board(0.65, 0.65), leaning(0.0, 10.0, heading_deg=0.0)
+    board, pad = PadBoard(0.65, 0.65), leaning(0.0, 10.0, heading_deg=0.0)
     # bow up: forward is higher, by the slope
     assert board.surface_down_m(pad, 4.4, 5.0) == pytest.approx(-1.0 - 0.4 * math.tan(math.radians(10.0)))
     assert board.surface_down_m(pad, 3.6, 5.0) == pytest.approx(-1.0 + 0.4 * math.tan(math.radians(10.0)))
@@ -132,9 +134,9 @@ def test_what_lies_under_a_point_is_the_sloping_surface() -> None:
 def test_lean_is_counted_from_the_decks_normal() -> None:
     pad = leaning(7.0, -4.0)
     along = quat_from_euler(pad.roll_rad, pad.pitch_rad, pad.heading_rad)
-    assert lean_over(pad, along) == pytest.approx(0.0, abs=1e-6)
+    assert tilt_from_normal(pad, along) == pytest.approx(0.0, abs=1e-6)
     level = quat_from_euler(0.0, 0.0, 1.0)
-    assert lean_over(pad, level) == pytest.approx(tilt_from_quat(along))
+    assert tilt_from_normal(pad, level) == pytest.approx(tilt_from_quat(along))
 
 
 # ---------------------------------------------------------------- the world
@@ -169,7 +171,7 @@ def test_a_vehicle_on_a_rocking_deck_leans_and_goes_with_it() -> None:
         world.step((0.0, 0.0, 0.0, 0.0), DT)
         if k % 40 == 0 and k > 400:
             leans.append(tilt_from_quat(world.state.attitude))
-            assert lean_over(world.pad_state, world.state.attitude) < math.radians(0.5)
+            assert tilt_from_normal(world.pad_state, world.state.attitude) < math.radians(0.5)
             away = subtract(world.state.position_ned_m, world.pad_state.position_ned_m)
             local = world.pad_state.axes().from_ned(away)
             assert local == pytest.approx((0.0, 0.0, -STAND), abs=0.02)
@@ -207,7 +209,7 @@ def test_touchdown_is_scored_along_the_decks_normal() -> None:
         world.step((0.0, 0.0, 0.0, 0.0), DT)
     assert world.touchdown.on_pad
     # it fell along with the deck's lean of then; the deck has turned on a little since
-    now_deg = math.degrees(lean_over(world.pad_state, world.state.attitude))
+    now_deg = math.degrees(tilt_from_normal(world.pad_state, world.state.attitude))
     assert world.touchdown.tilt_deg == pytest.approx(now_deg, abs=0.3)
     assert world.touchdown.tilt_deg < 0.8 * lean_deg
 
@@ -228,4 +230,4 @@ def test_the_ultrasonic_hears_the_deck_along_its_normal() -> None:
 def test_a_static_pad_without_a_sea_is_level() -> None:
     pad = build_pad_motion(StaticMotion(kind="static"), 0.3, "along", np.random.default_rng(0)).at(3.0)
     assert pad.axes().down == (0.0, 0.0, 1.0)
-    assert lean_over(pad, quat_from_euler(0.0, 0.0, 2.0)) == pytest.approx(0.0, abs=1e-6)
+    assert tilt_from_normal(pad, quat_from_euler(0.0, 0.0, 2.0)) == pytest.approx(0.0, abs=1e-6)

@@ -31,7 +31,7 @@ from companion.pad import load_pad
 from companion.sense.range.ultrasonic import Ultrasonic
 from companion.sense.serial_port import SerialPort
 from sitl.camera import camera as lens
-from sitl.camera.exposure import CameraSettings
+from sitl.camera.exposure import ImagingSettings
 from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
 from sitl.devices.ports import PtyPort
@@ -147,7 +147,7 @@ async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> 
 def model() -> lens.CameraModel:
     camera = load_model(CameraConfig, find_file("cameras", SCENARIO.camera.config))
     vehicle = load_model(VehicleConfig, find_file("vehicles", SCENARIO.airframe))
-    settings = CameraSettings(
+    settings = ImagingSettings(
         exposure_s=SCENARIO.camera.exposure_s, readout_s=SCENARIO.camera.readout_s, noise_grey=0.0
     )
     return lens.CameraModel(camera, vehicle, load_pad(SCENARIO.pad.name), settings, np.random.default_rng(0))

@@ -133,7 +133,7 @@ def test_every_tenth_frame_comes_a_quarter_of_a_second_late() -> None:
     line = FrameLine(np.random.default_rng(0))
     line.late_s, line.late_every = 0.25, 10
     assert [line.delay_s(k) for k in range(12)] == [0.25, *[0.0] * 9, 0.25, 0.0]
-    line.mend()
+    line.clear_faults()
     assert line.delay_s(20) == 0.0
 
 
@@ -294,7 +294,7 @@ def test_frames_are_lost_in_bursts_of_the_length_asked_for() -> None:
     bursts = int((lost[1:] & ~lost[:-1]).sum())
     assert lost.sum() / bursts == pytest.approx(5.0, rel=0.1)
     line.lost_share = 1.0
-    line.mend()
+    line.clear_faults()
     assert line.lost_share == 0.2  # its own
 
 
@@ -304,7 +304,7 @@ def test_a_stuck_camera_shows_the_last_picture_and_a_garbled_one_is_whole_down_t
     assert line.carried(first) is first
     line.stuck = True
     assert line.carried(second) is first
-    line.mend()
+    line.clear_faults()
     assert line.carried(second) is second
     line.garbled_share = 1.0
     garbled = line.carried(second)

@@ -24,7 +24,7 @@ from sitl.firmware.process import Datagrams, FirmwareError, Process
 from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.mavlink.ground_station import GroundStation
 from sitl.scenario.scenario import load_scenario
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import Four
 from sitl.world.world import World
 from tests.unit.sitl.fake_firmware import HOME, STEP_S, Fake, fake, runs, sensors_at_rest, soon
@@ -39,7 +39,7 @@ def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start, "MOST_BOOT_S", 3.0)
 
 
-def vehicle(program: Fake, sensors: OnboardSensors | None = None) -> FirmwareVehicle:
+def vehicle(program: Fake, sensors: SimulatedAutopilotSensors | None = None) -> FirmwareVehicle:
     return FirmwareVehicle(
         program.spec,
         World(load_scenario("static"), 0),
@@ -53,12 +53,12 @@ def vehicle(program: Fake, sensors: OnboardSensors | None = None) -> FirmwareVeh
 
 
 @contextmanager
-def booted(program: Fake, sensors: OnboardSensors | None = None) -> Iterator[FirmwareVehicle]:
+def booted(program: Fake, sensors: SimulatedAutopilotSensors | None = None) -> Iterator[FirmwareVehicle]:
     with closing(vehicle(program, sensors)) as flies:
         yield flies
 
 
-def fly(flies: FirmwareVehicle, steps: int, sensors: OnboardSensors | None = None) -> list[Four]:
+def fly(flies: FirmwareVehicle, steps: int, sensors: SimulatedAutopilotSensors | None = None) -> list[Four]:
     """The motors of so many steps from the world's time 0 on; the world stands still."""
     motors, state = [], flies._world.state
     for count in range(steps):

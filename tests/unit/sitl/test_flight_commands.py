@@ -99,7 +99,7 @@ def test_arming_takes_0_and_1_alone(manner: Manner) -> None:
 @BOTH
 def test_modes_that_land_are_not_armed_in(manner: Manner) -> None:
     station = Station(manner)
-    station.flight.autopilot.set_mode_named(station.flight.autopilot.manner.land_mode)
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.land_mode)
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) in (REJECTED, FAILED)
 
 

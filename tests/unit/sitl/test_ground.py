@@ -10,7 +10,7 @@ from companion.base.geometry import ZERO3, Vector3, quat_from_euler
 from companion.pad import load_pad
 from sitl.pad.motion import PadTruth
 from sitl.vehicle.quadrotor import QuadrotorState
-from sitl.world.ground import Board, rotor_ratios, thrust_ratio
+from sitl.world.ground import PadBoard, rotor_ratios, thrust_ratio
 
 R = 0.127
 ROTORS = ((0.25, 0.0, -0.05), (0.0, 0.25, -0.05), (-0.25, 0.0, -0.05), (0.0, -0.25, -0.05))
@@ -39,7 +39,7 @@ def test_thrust_grows_steadily_towards_the_ground() -> None:
 
 
 def test_only_rotors_over_the_board_feel_it() -> None:
-    board = Board(0.5, 0.5)
+    board = PadBoard(0.5, 0.5)
     # the front rotor's hub is over the rear edge of a high board, the others over the ground
     state = QuadrotorState((-0.6, 0.0, -1.2))
     ratios = rotor_ratios(state, ROTORS, R, board, pad_at())
@@ -49,18 +49,18 @@ def test_only_rotors_over_the_board_feel_it() -> None:
 
 def test_a_tilted_vehicle_has_its_low_rotor_deeper_in_ground_effect() -> None:
     state = QuadrotorState((0.0, 0.0, -0.4), attitude=quat_from_euler(0.2, 0.0, 1.0))
-    ratios = rotor_ratios(state, ROTORS, R, Board(0.5, 0.5), pad_at((50.0, 0.0, -0.1)))
+    ratios = rotor_ratios(state, ROTORS, R, PadBoard(0.5, 0.5), pad_at((50.0, 0.0, -0.1)))
     assert ratios[1] > ratios[0] == pytest.approx(ratios[2])
     assert ratios[0] > ratios[3]
 
 
 def test_high_up_there_is_none() -> None:
-    assert rotor_ratios(QuadrotorState((0.0, 0.0, -5.0)), ROTORS, R, Board(1, 1), pad_at()) == (1, 1, 1, 1)
+    assert rotor_ratios(QuadrotorState((0.0, 0.0, -5.0)), ROTORS, R, PadBoard(1, 1), pad_at()) == (1, 1, 1, 1)
 
 
 @pytest.mark.parametrize("heading_deg", [0, 90, 180, 270])
 def test_the_board_turns_with_the_heading(heading_deg: int) -> None:
-    board, heading = Board(2.0, 0.5), math.radians(heading_deg)
+    board, heading = PadBoard(2.0, 0.5), math.radians(heading_deg)
     pad = pad_at((3.0, 4.0, -0.2), heading)
     ahead = (3.0 + 1.5 * math.cos(heading), 4.0 + 1.5 * math.sin(heading))
     aside = (3.0 - 1.5 * math.sin(heading), 4.0 + 1.5 * math.cos(heading))
@@ -71,10 +71,10 @@ def test_the_board_turns_with_the_heading(heading_deg: int) -> None:
 
 
 def test_the_distance_to_the_board_is_to_its_nearest_point() -> None:
-    board, pad = Board(0.5, 0.5), pad_at()
+    board, pad = PadBoard(0.5, 0.5), pad_at()
     assert board.distance_m(pad, (0.2, 0.1, -3.0)) == pytest.approx((0.0, 2.0))
     assert board.distance_m(pad, (0.8, 0.9, -3.0)) == pytest.approx((0.5, 2.0))
 
 
 def test_the_board_has_the_pads_size() -> None:
-    assert Board.of(load_pad("moving_1300")) == Board(0.65, 0.65)
+    assert PadBoard.of(load_pad("moving_1300")) == PadBoard(0.65, 0.65)

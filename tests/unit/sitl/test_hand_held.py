@@ -50,7 +50,7 @@ from sitl.run.in_process import InProcess, carried
 from sitl.run.scene_camera import CameraTruth
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.sensors.flaws import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
+from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
 from sitl.vehicle.hand_paths import FACES, HAND_MOTIONS, HandMotion
 from sitl.world.hand_held import HandHeldWorld
 

@@ -14,11 +14,11 @@ from companion.base.geometry import matrix_from_quat, quat_from_euler
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import load_pad
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings, DirtSettings
+from sitl.camera.exposure import DirtSettings, ImagingSettings
 from sitl.camera.light import GlareSettings, LightSettings, ShadowSettings
 from sitl.camera.sensor_chip import (
+    AutoExposure,
     ExposureSettings,
-    Metering,
     levelled,
     noise_std_grey,
     response,
@@ -35,21 +35,21 @@ Image = NDArray[np.uint8]
 Scene = Callable[[float], ScenePose]
 
 
-def settings(**values: object) -> CameraSettings:
-    return CameraSettings.model_validate({"exposure_s": 0.003, "noise_grey": 0.0, **FLAT, **values})
+def settings(**values: object) -> ImagingSettings:
+    return ImagingSettings.model_validate({"exposure_s": 0.003, "noise_grey": 0.0, **FLAT, **values})
 
 
 def still(height_m: float = 2.0, **pad: float) -> Scene:
     return lambda _: ScenePose((0.0, 0.0, -height_m), LEVEL, DECK, 0.0, **pad)
 
 
-def pictures(chosen: CameraSettings, scene: Scene, count: int = 1, seed: int = 0) -> list[Image]:
+def pictures(chosen: ImagingSettings, scene: Scene, count: int = 1, seed: int = 0) -> list[Image]:
     cv2.setNumThreads(1)
     model = CameraModel(CAMERA, VEHICLE, PAD, chosen, np.random.default_rng(seed))
     return [model.render(k / 30.0, scene) for k in range(count)]
 
 
-def picture(chosen: CameraSettings, scene: Scene, count: int = 1) -> Image:
+def picture(chosen: ImagingSettings, scene: Scene, count: int = 1) -> Image:
     """The last of so many."""
     return pictures(chosen, scene, count)[-1]
 
@@ -62,19 +62,19 @@ def picture(chosen: CameraSettings, scene: Scene, count: int = 1) -> Image:
     [(100_000.0, 0.0001, 1.0), (3333.3, 0.003, 1.0), (250.0, 0.01, 4.0), (1.0, 0.01, 16.0)],
 )
 def test_less_light_takes_a_longer_exposure_and_then_gain(lux: float, exposure_s: float, gain: float) -> None:
-    metering = Metering(ExposureSettings(), 0.003, lux)
+    metering = AutoExposure(ExposureSettings(), 0.003, lux)
     assert metering.now.exposure_s == pytest.approx(exposure_s, rel=0.01)
     assert metering.now.gain == pytest.approx(gain, rel=0.01)
 
 
 def test_an_automatic_exposure_comes_to_the_right_mean_and_a_fixed_one_stays() -> None:
-    def look(metering: Metering) -> float:
+    def look(metering: AutoExposure) -> float:
         for _ in range(60):
             metering.look(np.full((48, 64), min(255.0, 40.0 * metering.brightness), np.uint8))
         return 40.0 * metering.brightness
 
-    assert look(Metering(ExposureSettings(), 0.003, 1000.0)) == pytest.approx(112.0, abs=4.0)
-    fixed = Metering(ExposureSettings(automatic=False, gain=2.0), 0.003, 1000.0)
+    assert look(AutoExposure(ExposureSettings(), 0.003, 1000.0)) == pytest.approx(112.0, abs=4.0)
+    fixed = AutoExposure(ExposureSettings(automatic=False, gain=2.0), 0.003, 1000.0)
     assert look(fixed) == pytest.approx(40.0 * 1000.0 * 0.003 * 2.0 / 10.0)
 
 

@@ -43,7 +43,7 @@ class Host:
         self._changed.set()
         return cast("Port", port)
 
-    def hear(self, port: Any, data: bytes) -> None:
+    def receive(self, port: Any, data: bytes) -> None:
         self.heard.append(data)
         self._changed.set()
 

@@ -312,7 +312,7 @@ def test_a_mission_can_be_left_and_gone_on_with(manner: Manner) -> None:
     assert station.command(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1) == 0
     station.run(3.0)
     assert station.flight.vehicle.position[0] > held[0] + 3.0
-    station.flight.autopilot.set_mode_named(station.flight.autopilot.manner.hold_mode)
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
     station.run(4.0)
     current = station.flight.autopilot.mission.current
     assert station.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == 0

@@ -16,7 +16,7 @@ from sitl.mavlink.framing import FrameReader, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.signing import Signing
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.quadrotor import resting_state
 from tests.bench.fuzzing import Fuzz
 from tests.unit.sitl.autopilot_flight import HOME, Flight
@@ -53,7 +53,7 @@ class Desk:
 
     def __init__(self, manner: Manner = "px4") -> None:
         self.flight = Flight(manner)
-        self.sensors = OnboardSensors(
+        self.sensors = SimulatedAutopilotSensors(
             np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
         )
         signing = Signing(manner)

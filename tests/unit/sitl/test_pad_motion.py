@@ -10,7 +10,7 @@ import pytest
 
 from companion.base.geometry import wrap_angle
 from sitl.pad.driven_paths import RandomTurnsMotion, WaypointsMotion
-from sitl.pad.motion import Motion, PadMotion, build_pad_motion
+from sitl.pad.motion import PadMotion, PadMotionSettings, build_pad_motion
 from sitl.pad.paths import (
     CircleMotion,
     FigureEightMotion,
@@ -22,7 +22,7 @@ from sitl.pad.paths import (
 )
 
 BLOCK = ((8.0, -9.0), (8.0, 7.0), (20.0, 7.0), (20.0, -9.0))
-MOTIONS: dict[str, Motion] = {
+MOTIONS: dict[str, PadMotionSettings] = {
     "static": StaticMotion(kind="static"),
     "line": LineMotion(kind="line", speed_m_s=1.0),
     "circle": CircleMotion(kind="circle", speed_m_s=1.5, radius_m=5.0),
@@ -45,7 +45,9 @@ CONSTANT_SPEED = {
 MET = [name for name in MOTIONS if name != "waypoints"]
 
 
-def built(motion: Motion, seed: int = 0, heading: Heading = "along", height: float = 1.0) -> PadMotion:
+def built(
+    motion: PadMotionSettings, seed: int = 0, heading: Heading = "along", height: float = 1.0
+) -> PadMotion:
     return build_pad_motion(motion, height, heading, np.random.default_rng(seed))
 
 

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.messages import Manner
-from sitl.autopilot import MANNERS
+from sitl.autopilot import PROFILES
 from tests.unit.sitl.mission_desk import Station
 
 BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
@@ -43,11 +43,11 @@ def test_a_list_is_complete_in_order_and_paced(manner: Manner) -> None:
 
 
 def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
-    for manner in MANNERS.values():
+    for manner in PROFILES.values():
         names = [parameter.name for parameter in manner.parameters]
         assert len(names) > 100
         assert len(set(names)) == len(names)
-    names = [parameter.name for parameter in MANNERS["px4"].parameters]
+    names = [parameter.name for parameter in PROFILES["px4"].parameters]
     assert names == sorted(names)
 
 
@@ -118,11 +118,11 @@ def test_values_and_mission_outlive_a_reboot_which_is_one(manner: Manner) -> Non
     station = Station(manner)
     name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
     store(station, name.encode(), 7.5, REAL32)
-    station.flight.autopilot.set_mode_named(station.flight.autopilot.manner.hold_mode)
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
     assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == 0
     station.run(0.5)
     assert not station.flight.autopilot.aligned
-    assert station.flight.autopilot.mode == station.flight.autopilot.manner.boot_mode
+    assert station.flight.autopilot.mode == station.flight.autopilot.profile.boot_mode
     assert station.flight.autopilot.parameters[name] == 7.5
     assert station.flight.autopilot.arm() != 0
     station.run(6.0)

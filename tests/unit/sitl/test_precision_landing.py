@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from companion.base.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
 from companion.base.messages import Manner
 from sitl.autopilot.flight.landing_target import AxisFilter, direction_from_angles
-from sitl.autopilot.px4.lander import PX4Lander, Stage
+from sitl.autopilot.px4.precision_landing import PrecLandState, Px4PrecisionLanding
 from tests.unit.sitl.mission_desk import Station
 
 BODY_FRD, LOCAL_NED = mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_FRAME_LOCAL_NED
@@ -132,10 +132,10 @@ def test_ardupilot_waits_for_a_lost_target_seeks_it_and_lands_in_the_end() -> No
     assert not landing.flight.autopilot.armed
 
 
-def stage(landing: Landing) -> Stage:
-    lander = landing.flight.autopilot._lander
-    assert isinstance(lander, PX4Lander)
-    return lander.stage
+def stage(landing: Landing) -> PrecLandState:
+    precision_landing = landing.flight.autopilot._precision_landing
+    assert isinstance(precision_landing, Px4PrecisionLanding)
+    return precision_landing.state
 
 
 def test_px4_searches_higher_up_and_then_lands() -> None:
@@ -144,10 +144,10 @@ def test_px4_searches_higher_up_and_then_lands() -> None:
     landing.begin()
     landing.down(3.5)
     assert landing.flight.vehicle.height_m > 5.0
-    assert stage(landing) is Stage.SEARCH
+    assert stage(landing) is PrecLandState.SEARCH
     landing.visible = True
     landing.down(1.0)
-    assert stage(landing) is Stage.APPROACH
+    assert stage(landing) is PrecLandState.APPROACH
     landing.visible = False
     landing.down(60.0)
     assert not landing.flight.autopilot.armed

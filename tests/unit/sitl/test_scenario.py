@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from companion.config import CONFIG_FOLDER, ConfigError, load_config, validate
-from sitl.scenario.scenario import Airframe, Scenario, load_airframe, load_scenario
+from sitl.scenario.scenario import AirframeConfig, Scenario, load_airframe, load_scenario
 from sitl.world.world import World
 
 SHIPPED = sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
@@ -57,7 +57,7 @@ def test_the_airframe_is_the_agreed_one() -> None:
     assert airframe.body.mass_kg == 1.5
     assert airframe.body.hover_share() == pytest.approx(0.5, abs=0.005)
     assert airframe.legs.standing_height_m() == 0.18
-    assert isinstance(airframe, Airframe)
+    assert isinstance(airframe, AirframeConfig)
 
 
 def written(tmp_path: Path, **values: Any) -> Path:

@@ -10,9 +10,9 @@ import pytest
 
 from companion.base.messages import Outcome, Phase
 from sitl.scenario.scenario import PassBounds
-from sitl.world.score import Touchdown, TouchdownResult, Verdict, judge
+from sitl.world.score import TouchdownResult, TouchdownState, Verdict, judge
 
-GOOD = Touchdown(
+GOOD = TouchdownState(
     time_s=40.0,
     lateral_error_m=0.04,
     vertical_speed_m_s=0.3,
@@ -26,7 +26,7 @@ GOOD = Touchdown(
 )
 
 
-def judged(touchdown: Touchdown | None = GOOD, **values: Any) -> Verdict:
+def judged(touchdown: TouchdownState | None = GOOD, **values: Any) -> Verdict:
     flight = {"crashed": False, "at_rest_on_pad": True, "disarmed": True, "final_phase": Phase.LANDED}
     return judge(touchdown, PassBounds(), **{**flight, **values})
 
@@ -72,7 +72,7 @@ def test_each_bound_holds_up_to_itself_and_no_further(field: str, bound: float) 
     ],
 )
 def test_each_ending_has_its_outcome_and_a_reason(
-    touchdown: Touchdown | None, values: dict[str, Any], outcome: Outcome
+    touchdown: TouchdownState | None, values: dict[str, Any], outcome: Outcome
 ) -> None:
     verdict = judged(touchdown, **values)
     assert verdict.outcome is outcome

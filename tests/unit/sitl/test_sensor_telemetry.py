@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
 from companion.base.messages import Manner
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
-from sitl.sensors.autopilot_sensors import OnboardSensors
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.inertial import NO_IMU_ERRORS
 from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
@@ -29,19 +29,19 @@ class Vehicle:
     """An autopilot on its feet with sensors in a state of our choice."""
 
     def __init__(self, manner: Manner, seed: int = 1, flawless: bool = True) -> None:
-        self.autopilot: Autopilot = Flight(manner).autopilot
+        self.autopilot: SimulatedAutopilot = Flight(manner).autopilot
         errors: dict[str, Any] = {
             "imu_errors": NO_IMU_ERRORS,
             "mag_errors": NO_MAG_ERRORS,
             "gps_errors": NO_GPS_ERRORS,
             "range_errors": NO_RANGE_ERRORS,
         }
-        self.sensors = OnboardSensors(
+        self.sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed),
             DT_S,
             home=HOME,
             field_ned_ut=FIELD_UT,
-            imu_filter=self.autopilot.manner.imu_filter,
+            imu_filter=self.autopilot.profile.imu_filter,
             antenna_body_m=(0.0, 0.0, 0.0),
             **(errors if flawless else {}),
         )
@@ -189,7 +189,7 @@ def test_the_same_seed_gives_the_same_samples_whoever_else_draws() -> None:
 
 @pytest.mark.parametrize("latency_s", [0.12, 0.2, 0.5])
 def test_however_late_its_fixes_come_none_is_lost(latency_s: float) -> None:
-    sensors = OnboardSensors(
+    sensors = SimulatedAutopilotSensors(
         np.random.default_rng(1),
         DT_S,
         home=HOME,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, ned_from_geodetic
-from sitl.sensors.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuSensor, LowPass
+from sitl.sensors.inertial import ACCEL_FILTER, GYRO_FILTER, NO_IMU_ERRORS, ImuErrors, ImuLowPass, ImuSensor
 from sitl.sensors.sensors import (
     NO_GPS_ERRORS,
     NO_MAG_ERRORS,
@@ -81,20 +81,20 @@ def test_the_filter_delays_a_ramp_by_the_data_sheets_time(
     dlpf: int, table: dict[int, tuple[float, float]]
 ) -> None:
     bandwidth_hz, delay_s = table[dlpf]
-    filter_ = LowPass(bandwidth_hz, delay_s, DT_S)
+    filter_ = ImuLowPass(bandwidth_hz, delay_s, DT_S)
     for k in range(2000):
         out = filter_.step(k * DT_S, 0.0, 0.0)
     assert 1999 * DT_S - out[0] == pytest.approx(delay_s, abs=0.0018)
 
 
 def test_the_filter_passes_the_corner_frequency_at_minus_three_decibels() -> None:
-    filter_ = LowPass(41.0, 0.0, DT_S)
+    filter_ = ImuLowPass(41.0, 0.0, DT_S)
     wave = [filter_.step(math.sin(math.tau * 41.0 * k * DT_S), 0.0, 0.0)[0] for k in range(4000)]
     assert np.std(wave[1000:]) * math.sqrt(2.0) == pytest.approx(math.sqrt(0.5), rel=0.02)
 
 
 def test_a_settled_filter_starts_without_a_step() -> None:
-    filter_ = LowPass(41.0, 0.0059, DT_S)
+    filter_ = ImuLowPass(41.0, 0.0059, DT_S)
     filter_.settle((1.0, -2.0, 3.0))
     for _ in range(50):
         assert filter_.step(1.0, -2.0, 3.0) == pytest.approx((1.0, -2.0, 3.0))

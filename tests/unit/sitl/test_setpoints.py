@@ -13,10 +13,10 @@ from sitl.autopilot.ardupilot import setpoints as ardupilot_setpoints
 from sitl.autopilot.control.setpoints import (
     STOP,
     AttitudeSetpoint,
-    Frame,
     GlobalFrame,
     Ignore,
     IgnoreAttitude,
+    LocalFrame,
     MotionSetpoint,
     Refusal,
     StreamedAttitude,
@@ -51,7 +51,7 @@ def same(a: Vector3, b: Vector3) -> bool:
 
 def px4_expects(mask: int) -> MotionSetpoint | Refusal:
     """PX4's rule in other words: each axis with its own kinds, north's as east's."""
-    message = fields(Frame.LOCAL_NED, mask)
+    message = fields(LocalFrame.LOCAL_NED, mask)
     kinds = [[not mask >> (3 * kind + axis) & 1 for kind in range(3)] for axis in range(3)]
     if mask & Ignore.FORCE and any(axis[2] for axis in kinds):
         return Refusal("SET_POSITION_TARGET_LOCAL_NED force not supported")
@@ -85,7 +85,7 @@ def agree(read: MotionSetpoint | Refusal, expected: MotionSetpoint | Refusal) ->
 
 
 def test_px4_obeys_or_refuses_each_of_the_4096_masks_as_it_should() -> None:
-    wrong = [mask for mask in MASKS if not agree(px4(fields(Frame.LOCAL_NED, mask)), px4_expects(mask))]
+    wrong = [mask for mask in MASKS if not agree(px4(fields(LocalFrame.LOCAL_NED, mask)), px4_expects(mask))]
     assert wrong == []
 
 
@@ -101,7 +101,7 @@ def test_px4s_body_frame_takes_velocity_and_acceleration_whole_and_no_place(head
     c, s = math.cos(heading), math.sin(heading)
     for mask in MASKS:
         velocity, acceleration = not mask & VELOCITY, not mask & ACCELERATION
-        read = px4(fields(Frame.BODY_NED, mask), heading)
+        read = px4(fields(LocalFrame.BODY_NED, mask), heading)
         if mask & Ignore.FORCE and acceleration:
             assert read == Refusal("SET_POSITION_TARGET_LOCAL_NED force not supported")
         elif not velocity and not acceleration:
@@ -115,7 +115,9 @@ def test_px4s_body_frame_takes_velocity_and_acceleration_whole_and_no_place(head
 
 def test_px4s_body_acceleration_turns_with_the_whole_attitude() -> None:
     lean = quat_from_euler(0.0, math.radians(30.0), 0.0)
-    message = StreamedMotion(Frame.BODY_NED, POSITION | VELOCITY, ZERO3, ZERO3, (1.0, 0.0, 0.0), 0.0, 0.0)
+    message = StreamedMotion(
+        LocalFrame.BODY_NED, POSITION | VELOCITY, ZERO3, ZERO3, (1.0, 0.0, 0.0), 0.0, 0.0
+    )
     read = px4_setpoints.read_motion(message, HERE, lean, 0.0)
     assert isinstance(read, MotionSetpoint)
     assert read.acceleration_ned_m_s2 == pytest.approx((math.cos(math.radians(30.0)), 0.0, -0.5))
@@ -141,8 +143,8 @@ def test_px4_takes_a_global_place_whole_and_above_sea_or_home_alone(frame: int) 
 # ---------------------------------------------------------------- ArduPilot
 
 
-@pytest.mark.parametrize("frame", list(Frame))
-def test_ardupilot_obeys_or_stops_at_each_of_the_4096_masks_as_it_should(frame: Frame) -> None:
+@pytest.mark.parametrize("frame", list(LocalFrame))
+def test_ardupilot_obeys_or_stops_at_each_of_the_4096_masks_as_it_should(frame: LocalFrame) -> None:
     for mask in MASKS:
         place, velocity, acceleration = (not mask & part for part in (POSITION, VELOCITY, ACCELERATION))
         read = ardupilot(fields(frame, mask))
@@ -166,11 +168,11 @@ def test_ardupilot_stops_at_frames_it_does_not_know(frame: int) -> None:
 def test_ardupilots_frames_turn_and_shift_as_they_should(heading_deg: float) -> None:
     heading = math.radians(heading_deg)
     c, s = math.cos(heading), math.sin(heading)
-    offset = ardupilot(fields(Frame.LOCAL_OFFSET_NED, 0), heading)
+    offset = ardupilot(fields(LocalFrame.LOCAL_OFFSET_NED, 0), heading)
     assert isinstance(offset, MotionSetpoint)
     assert offset.position_ned_m == pytest.approx((11.0, 22.0, -8.0))
     assert offset.velocity_ned_m_s == (0.5, 0.0, 0.1)
-    for frame in (Frame.BODY_NED, Frame.BODY_OFFSET_NED):
+    for frame in (LocalFrame.BODY_NED, LocalFrame.BODY_OFFSET_NED):
         body = ardupilot(fields(frame, 0), heading)
         assert isinstance(body, MotionSetpoint)
         assert body.position_ned_m == pytest.approx((10.0 + c - 2 * s, 20.0 + s + 2 * c, -8.0))

@@ -6,9 +6,16 @@ import math
 
 import pytest
 
-from sitl.autopilot.control.shaping import Limits, LowPass, Path1, Path2, root_law, signed_root_law
+from sitl.autopilot.control.shaping import (
+    FirstOrderLowPass,
+    Path1,
+    Path2,
+    ShapingLimits,
+    root_law,
+    signed_root_law,
+)
 
-LIMITS = Limits(acceleration=2.5, jerk=5.0)
+LIMITS = ShapingLimits(acceleration=2.5, jerk=5.0)
 DT_S = 0.01
 
 
@@ -92,7 +99,7 @@ def test_a_vehicle_that_has_caught_up_moves_the_path_on_at_the_limit_too() -> No
 
 
 def test_a_low_pass_starts_from_its_first_value_and_lags_by_its_cutoff() -> None:
-    low = LowPass(1.0 / (2.0 * math.pi))  # a time constant of 1 s
+    low = FirstOrderLowPass(1.0 / (2.0 * math.pi))  # a time constant of 1 s
     assert low.step(3.0, DT_S) == 3.0
     for _ in range(100):
         low.step(4.0, DT_S)

@@ -21,10 +21,10 @@ from companion.base.geometry import (
 from companion.config import CameraConfig, VehicleConfig, find_file, load_model
 from companion.pad import Marker, Pad, load_pad
 from sitl.camera.camera import CameraModel, ScenePose
-from sitl.camera.exposure import CameraSettings, motion_blur
+from sitl.camera.exposure import ImagingSettings, motion_blur
 from sitl.camera.textures import pad_texture
 
-SHARP = CameraSettings(
+SHARP = ImagingSettings(
     exposure_s=0.0, readout_s=0.0, noise_grey=0.0, lens_blur_px=0.5, aperture_m=0.0, vignette=0.0
 )
 PAD = load_pad("moving_1300")
@@ -39,7 +39,7 @@ DECK = (0.0, 0.0, -0.3)
 Scene = Callable[[float], ScenePose]
 
 
-def model(settings: CameraSettings, pad: Pad = PAD, seed: int = 0) -> CameraModel:
+def model(settings: ImagingSettings, pad: Pad = PAD, seed: int = 0) -> CameraModel:
     cv2.setNumThreads(1)
     return CameraModel(CAMERA, VEHICLE, pad, settings, np.random.default_rng(seed))
 
@@ -178,7 +178,7 @@ def test_what_is_ahead_is_up_in_the_image_and_right_is_right(
 
 def test_the_same_seed_gives_the_same_picture_and_another_seed_another_noise() -> None:
     scene = still((0.0, 0.0, -3.0))
-    settings = CameraSettings()
+    settings = ImagingSettings()
     first, second, other = (model(settings, seed=s).render(0.0, scene) for s in (1, 1, 2))
     assert np.array_equal(first, second)
     assert not np.array_equal(first, other)

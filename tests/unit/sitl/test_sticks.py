@@ -106,9 +106,9 @@ def test_sticks_that_fall_silent_bring_it_home_once(manner: Manner) -> None:
     assert station.flight.autopilot.mode == RETURN_MODE[manner]
     assert any("Manual control lost" in t or "Radio Failsafe" in t for t in station.texts)
     # a mode chosen after that is the pilot's own business
-    station.flight.autopilot.set_mode_named(station.flight.autopilot.manner.hold_mode)
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
     station.run(8.0)
-    assert station.flight.autopilot.mode == station.flight.autopilot.manner.hold_mode
+    assert station.flight.autopilot.mode == station.flight.autopilot.profile.hold_mode
 
 
 @BOTH
@@ -131,7 +131,7 @@ def test_exceptions_keep_a_mode_without_sticks() -> None:
 
 
 def heard(station: Station) -> bool:
-    return station.flight.autopilot.radio.channels is not None
+    return station.flight.autopilot.rc_input.channels is not None
 
 
 def test_ardupilot_heeds_its_own_ground_station_alone_and_does_not_arm_with_the_throttle_up() -> None:

@@ -13,7 +13,7 @@ from companion.base.messages import Manner
 from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, command_long
 from companion.link.session import Session
-from sitl.autopilot import Autopilot
+from sitl.autopilot import SimulatedAutopilot
 from sitl.external import pose as external_pose
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.truth_telemetry import HIL_STATE, SIM_STATE, TruthMessages
@@ -32,7 +32,7 @@ STATE = QuadrotorState(
 def endpoint(manner: Manner, *, serving: bool) -> MavlinkEndpoint:
     world = World(Scenario(name="t", description="t", autopilot=manner), 0)
     world.place(STATE)
-    autopilot = Autopilot(manner, world.airframe.body, np.random.default_rng(0), HOME)
+    autopilot = SimulatedAutopilot(manner, world.airframe.body, np.random.default_rng(0), HOME)
     return MavlinkEndpoint(autopilot, truth=TruthMessages(autopilot, world, HOME) if serving else None)
 
 

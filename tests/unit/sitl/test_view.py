@@ -20,7 +20,7 @@ from companion.base.mjpeg import MjpegServer
 from companion.config import CONFIG_FOLDER, ConfigError
 from sitl.camera.frame_server import FrameServer
 from sitl.cli import main
-from sitl.run.view import Statistics, Wishes, annotated, view
+from sitl.run.view import Statistics, ViewOptions, annotated, view
 
 GREY = np.full((120, 160), 90, np.uint8)
 RATE_HZ = 100.0
@@ -52,7 +52,7 @@ async def camera(where: Path | int) -> AsyncIterator[str]:
 @pytest.mark.parametrize("kind", ["unix", "tcp"])
 async def test_every_nth_frame_becomes_a_file(kind: str, tmp_path: Path) -> None:
     async with camera(tmp_path / "camera" if kind == "unix" else 0) as address:
-        statistics = await view(address, Wishes(tmp_path / "pictures", every=3, frames=4))
+        statistics = await view(address, ViewOptions(tmp_path / "pictures", every=3, frames=4))
     files = sorted(path.name for path in (tmp_path / "pictures").iterdir())
     assert files[0] == "frame-00000000.png"
     assert len(files) == 4
@@ -70,7 +70,7 @@ async def test_every_nth_frame_becomes_a_file(kind: str, tmp_path: Path) -> None
 async def test_a_video_has_the_frames_and_their_rate(tmp_path: Path) -> None:
     path = tmp_path / "flight.mp4"
     async with camera(tmp_path / "camera") as address:
-        statistics = await view(address, Wishes(path, frames=40))
+        statistics = await view(address, ViewOptions(path, frames=40))
     video = cv2.VideoCapture(str(path))
     count = 0
     while video.read()[0]:
@@ -99,7 +99,7 @@ async def test_terminated_it_leaves_a_video_that_plays(tmp_path: Path) -> None:
 async def test_another_kind_of_file_is_refused_and_nothing_made(name: str, tmp_path: Path) -> None:
     async with camera(tmp_path / "camera") as address:
         with pytest.raises(ConfigError, match=r"expected FILE\.mp4, or a folder"):
-            await view(address, Wishes(tmp_path / name, frames=1))
+            await view(address, ViewOptions(tmp_path / name, frames=1))
     assert not (tmp_path / name).exists()
 
 
@@ -138,7 +138,7 @@ async def test_what_is_served_is_watched_as_it_comes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async with camera(tmp_path / "camera") as address:
-        await view(address, Wishes(frames=3, serve_port=0))
+        await view(address, ViewOptions(frames=3, serve_port=0))
     assert capsys.readouterr().out.startswith("http://127.0.0.1:")
 
 
@@ -147,7 +147,7 @@ async def test_a_server_that_goes_ends_it_with_what_there_is(
 ) -> None:
     server = FrameServer(tmp_path / "camera")
     await server.start()
-    watching = asyncio.create_task(view(server.address, Wishes()))
+    watching = asyncio.create_task(view(server.address, ViewOptions()))
     while server.client_count == 0:  # noqa: ASYNC110 - it has no event for it
         await asyncio.sleep(0.01)
     server.deliver(Frame(Clock().now_s(), 0.0, 0, GREY))
@@ -165,7 +165,7 @@ async def test_what_is_no_frame_is_an_error(tmp_path: Path) -> None:
 
     server = await asyncio.start_unix_server(talk, tmp_path / "camera")
     with pytest.raises(ConfigError, match="does not send frames: not a frame"):
-        await view(f"socket:{tmp_path / 'camera'}", Wishes())
+        await view(f"socket:{tmp_path / 'camera'}", ViewOptions())
     server.close()
 
 
@@ -192,7 +192,7 @@ async def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     async with camera(tmp_path / "camera") as address:
         for record in (tmp_path / "file" / "folder", tmp_path / "missing" / "film.mp4"):
             with pytest.raises(ConfigError, match=f"--record {record}: .*expected a"):
-                await view(address, Wishes(record))
+                await view(address, ViewOptions(record))
 
 
 def test_statistics_bear_a_server_that_starts_anew_and_frames_without_times() -> None:

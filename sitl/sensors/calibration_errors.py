@@ -27,14 +27,16 @@ SOFT_IRON: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
-class Flaws:
+class CalibrationErrors:
     """measured = matrix (3, 3) @ true + offset (3,)."""
 
     matrix: FloatArray
     offset: FloatArray
 
     @classmethod
-    def of(cls, flawed_rows: list[float], sensor_from_body: FloatArray, offset: FloatArray) -> Flaws:
+    def of(
+        cls, flawed_rows: list[float], sensor_from_body: FloatArray, offset: FloatArray
+    ) -> CalibrationErrors:
         """From the nine numbers, row by row, that take the truth in body axes to the sensor's."""
         return cls(np.reshape(flawed_rows, (3, 3)) @ sensor_from_body.T, np.array(offset, dtype=float))
 
@@ -51,32 +53,32 @@ class BoardTruth:
     little (`ImuErrors`) about these.
     """
 
-    accelerometer: Flaws
-    gyroscope: Flaws
-    magnetometer: Flaws
+    accelerometer: CalibrationErrors
+    gyroscope: CalibrationErrors
+    magnetometer: CalibrationErrors
     sensor_from_body: FloatArray
 
 
-def uncalibrated_accelerometer(rng: np.random.Generator) -> Flaws:
+def uncalibrated_accelerometer(rng: np.random.Generator) -> CalibrationErrors:
     """One from the shop."""
-    return _from_the_shop(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
+    return _uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
 
 
-def uncalibrated_gyroscope(rng: np.random.Generator) -> Flaws:
+def uncalibrated_gyroscope(rng: np.random.Generator) -> CalibrationErrors:
     """One from the shop."""
-    return _from_the_shop(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
+    return _uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
 
 
-def _from_the_shop(rng: np.random.Generator, scale: float, offset: float) -> Flaws:
+def _uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> CalibrationErrors:
     flaw = CROSS_AXIS * rng.uniform(-1.0, 1.0, (3, 3))
     np.fill_diagonal(flaw, scale * rng.uniform(-1.0, 1.0, 3))
-    return Flaws(np.eye(3) + flaw, offset * rng.uniform(-1.0, 1.0, 3))
+    return CalibrationErrors(np.eye(3) + flaw, offset * rng.uniform(-1.0, 1.0, 3))
 
 
-def uncalibrated_magnetometer(rng: np.random.Generator) -> Flaws:
+def uncalibrated_magnetometer(rng: np.random.Generator) -> CalibrationErrors:
     """One among iron: its principal gains are 0.7 to 1.3 along any three directions."""
     directions, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     gains = 1.0 + SOFT_IRON * rng.uniform(-1.0, 1.0, 3)
     way = rng.standard_normal(3)
     hard_iron = float(rng.uniform(*HARD_IRON_UT)) * way / np.linalg.norm(way)
-    return Flaws(np.asarray(directions @ np.diag(gains) @ directions.T), hard_iron)
+    return CalibrationErrors(np.asarray(directions @ np.diag(gains) @ directions.T), hard_iron)

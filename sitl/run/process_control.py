@@ -19,7 +19,7 @@ from companion.config import ConfigError
 from sitl.run.report import SimulationReport, write_report
 
 
-class Judged(Protocol):
+class FlightRun(Protocol):
     """A simulation that runs until it is cancelled, and judges the flight as it stands."""
 
     async def run(self) -> None:
@@ -31,8 +31,8 @@ class Judged(Protocol):
         ...
 
 
-async def fly_until_told(
-    simulation: Judged, report_path: Path, ending: Coroutine[Any, Any, Phase | None]
+async def run_until_finished(
+    simulation: FlightRun, report_path: Path, ending: Coroutine[Any, Any, Phase | None]
 ) -> None:
     """Run a simulation until `ending` returns; with a phase the flight is judged, and the report's path said.
 
@@ -50,7 +50,7 @@ async def fly_until_told(
     await asyncio.wait([flying])
     if phase is not None:
         write_report(simulation.report(phase), report_path)
-        say({"report": str(report_path)})
+        print_json({"report": str(report_path)})
 
 
 async def final_phase() -> Phase | None:
@@ -76,7 +76,7 @@ async def final_phase() -> Phase | None:
     return Phase(phase) if word == "finish" and phase in set(Phase) else None
 
 
-def say(message: dict[str, Any]) -> None:
+def print_json(message: dict[str, Any]) -> None:
     """Put one line of JSON on standard output."""
     print(json.dumps(message), flush=True)
 

@@ -16,7 +16,13 @@ from math import inf, nan
 
 from companion.base.geometry import Vector3, norm, quat_rotate, scale
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.autopilot.flight.landing_target import AxisFilter, Sight, SightFrame, View, direction_from_angles
+from sitl.autopilot.flight.landing_target import (
+    AxisFilter,
+    LandingTarget,
+    LandingTargetFrame,
+    VehicleEstimate,
+    direction_from_angles,
+)
 from sitl.autopilot.flight.modes import Severity
 from sitl.autopilot.flight.parameters import Parameters
 
@@ -36,7 +42,7 @@ _BACK_WITHIN_M = 0.5
 _VERY_STRICT, _NOT_STRICT = 2, 0
 
 
-class ArduPilotLander:
+class ArdupilotPrecisionLanding:
     """One boot's precision landing."""
 
     def __init__(self, parameters: Parameters) -> None:
@@ -50,19 +56,19 @@ class ArduPilotLander:
         self._most_retries = int(parameters["PLND_RET_MAX"])
         self._timeout_s = parameters["PLND_TIMEOUT"]
         self._lowest_retry_m = parameters["PLND_ALT_MIN"]
-        self._pending: Sight | None = None
-        self._views: deque[View] = deque()
-        self._then: View | None = None
+        self._pending: LandingTarget | None = None
+        self._estimates: deque[VehicleEstimate] = deque()
+        self._then: VehicleEstimate | None = None
         self._axes: tuple[AxisFilter, AxisFilter] | None = None
         self._rejected = 0
         self._below_m = 0.0
         self._seen_s = -inf
-        self._told_frame = False
+        self._frame_reported = False
         self.begin(required=False)
 
-    def see(self, sight: Sight) -> None:
+    def update_target(self, target: LandingTarget) -> None:
         """Keep the newest; it is fused at the next step."""
-        self._pending = sight
+        self._pending = target
 
     def begin(self, *, required: bool) -> None:
         """A landing begins."""
@@ -73,15 +79,17 @@ class ArduPilotLander:
 
     # ------------------------------------------------------------ the target
 
-    def watch(self, view: View, dt_s: float) -> None:
+    def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
         """Predict, and fuse what has come; all of it at the time of PLND_LAG ago."""
-        self._views.append(view)
-        before, then = self._then, self._views[0]
-        while len(self._views) > 1 and self._views[1].now_s <= view.now_s - self._lag_s + _EARLY_S:
-            self._views.popleft()
-            then = self._views[0]
+        self._estimates.append(estimate)
+        before, then = self._then, self._estimates[0]
+        while (
+            len(self._estimates) > 1 and self._estimates[1].now_s <= estimate.now_s - self._lag_s + _EARLY_S
+        ):
+            self._estimates.popleft()
+            then = self._estimates[0]
         self._then = then
-        if view.now_s - self._seen_s > _FRESH_S:
+        if estimate.now_s - self._seen_s > _FRESH_S:
             self._axes = None
         if self._axes is not None and before is not None:
             noise = self._noise_m_s2 * self._noise_m_s2 * _LOOP_S * dt_s
@@ -89,19 +97,19 @@ class ArduPilotLander:
                 change = then.velocity_ned_m_s[index] - before.velocity_ned_m_s[index]
                 axis.predict(then.now_s - before.now_s, change, noise)
         if self._pending is not None:
-            sight, self._pending = self._pending, None
-            self._fuse(sight, view, then)
+            target, self._pending = self._pending, None
+            self._fuse(target, estimate, then)
 
-    def _fuse(self, sight: Sight, view: View, then: View) -> None:
-        body = self._vector(sight, then.height_m)
+    def _fuse(self, target: LandingTarget, estimate: VehicleEstimate, then: VehicleEstimate) -> None:
+        body = self._vector(target, then.height_m)
         if body is None:
             return
         away = quat_rotate(then.attitude, body)
         if away[2] <= 0.0:
             return
         variance = (away[2] * 0.01 + 0.02) ** 2
-        self._below_m, self._seen_s = away[2], view.now_s
-        self._last_seen_at = view.position_ned_m
+        self._below_m, self._seen_s = away[2], estimate.now_s
+        self._last_seen_at = estimate.position_ned_m
         if self._axes is None or self._raw:
             (north, east, _), (vn, ve, _) = away, then.velocity_ned_m_s
             self._axes = (
@@ -118,47 +126,49 @@ class ArduPilotLander:
         for axis, measured in pairs:
             axis.fuse(measured, variance)
 
-    def _now(self, axes: tuple[AxisFilter, AxisFilter], view: View, dt_s: float) -> tuple[Vector3, Vector3]:
+    def _now(
+        self, axes: tuple[AxisFilter, AxisFilter], estimate: VehicleEstimate, dt_s: float
+    ) -> tuple[Vector3, Vector3]:
         """Where the target is by now in the own NED, and how fast, from the state of PLND_LAG ago."""
-        then = self._views[0]
+        then = self._estimates[0]
         place, speed = [], []
         for index, axis in enumerate(axes):
-            own = sum(later.velocity_ned_m_s[index] for later in list(self._views)[1:]) * dt_s
+            own = sum(later.velocity_ned_m_s[index] for later in list(self._estimates)[1:]) * dt_s
             speed.append(axis.velocity_m_s + then.velocity_ned_m_s[index])
-            moved = speed[index] * (view.now_s - then.now_s)
-            place.append(view.position_ned_m[index] + axis.position_m + moved - own)
+            moved = speed[index] * (estimate.now_s - then.now_s)
+            place.append(estimate.position_ned_m[index] + axis.position_m + moved - own)
         return (place[0], place[1], nan), (speed[0], speed[1], nan)
 
-    def _vector(self, sight: Sight, height_m: float) -> Vector3 | None:
+    def _vector(self, target: LandingTarget, height_m: float) -> Vector3 | None:
         """The target from the vehicle in body axes (m)."""
-        if sight.position_m is None:
-            unit = direction_from_angles(sight.angles_rad)
-        elif sight.frame != SightFrame.BODY_FRD:
-            if not self._told_frame:
+        if target.position_m is None:
+            unit = direction_from_angles(target.angles_rad)
+        elif target.frame != LandingTargetFrame.BODY_FRD:
+            if not self._frame_reported:
                 self.texts.append((Severity.INFO, "Plnd: Frame not supported"))
-            self._told_frame = True
+            self._frame_reported = True
             return None
         else:
-            length = norm(sight.position_m)
-            unit = scale(sight.position_m, 1.0 / length) if length > 0.01 else None
+            length = norm(target.position_m)
+            unit = scale(target.position_m, 1.0 / length) if length > 0.01 else None
         if unit is None or unit[2] <= 0.0:
             return None
-        distance = sight.distance_m if sight.distance_m > 0.0 else max(height_m, 0.0) / unit[2]
+        distance = target.distance_m if target.distance_m > 0.0 else max(height_m, 0.0) / unit[2]
         return scale(unit, distance)
 
     # ------------------------------------------------------------ the landing
 
-    def fly(self, view: View, dt_s: float) -> MotionSetpoint | None:
+    def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
         """Down over the target; a lost one is waited for, sought, and in the end given up."""
-        if self._axes is None or view.now_s - self._seen_s > _FRESH_S:
-            return self._without(view)
+        if self._axes is None or estimate.now_s - self._seen_s > _FRESH_S:
+            return self._without(estimate)
         if not self._found:
             self.texts.append((Severity.INFO, "PrecLand: Target Found"))
         self._found, self._retrying = True, False
-        (north, east, _), velocity = self._now(self._axes, view, dt_s)
+        (north, east, _), velocity = self._now(self._axes, estimate, dt_s)
         speed = velocity[:2] if self._moves and not self._raw else (0.0, 0.0)
-        error = math.hypot(north - view.position_ned_m[0], east - view.position_ned_m[1])
-        return MotionSetpoint((north, east, nan), (*speed, self._sink(error, view.landing_speed_m_s)))
+        error = math.hypot(north - estimate.position_ned_m[0], east - estimate.position_ned_m[1])
+        return MotionSetpoint((north, east, nan), (*speed, self._sink(error, estimate.landing_speed_m_s)))
 
     def _sink(self, error_m: float, landing_speed_m_s: float) -> float:
         if error_m > self._furthest_m > 0.0:
@@ -169,31 +179,34 @@ class ArduPilotLander:
         half = 0.5 * landing_speed_m_s
         return max(_SLOWEST_M_S, half - error_m * half / _ACCEPTABLE_M)
 
-    def _without(self, view: View) -> MotionSetpoint | None:
-        lost = self._found and view.height_m > self._lowest_retry_m
+    def _without(self, estimate: VehicleEstimate) -> MotionSetpoint | None:
+        lost = self._found and estimate.height_m > self._lowest_retry_m
         if not self._found or not lost or self._strict == _NOT_STRICT:
-            return self._give_up(view) if self._strict == _VERY_STRICT else None
-        waiting = view.now_s - self._seen_s < _FRESH_S + self._timeout_s
+            return self._give_up(estimate) if self._strict == _VERY_STRICT else None
+        waiting = estimate.now_s - self._seen_s < _FRESH_S + self._timeout_s
         if waiting or self._last_seen_at is None:
             return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
         if not self._retrying:
             if self._retries >= self._most_retries:
-                return self._give_up(view)
+                return self._give_up(estimate)
             self._retries += 1
             self._retrying = True
             self.texts.append((Severity.INFO, "PrecLand: Retrying"))
-        if math.dist(self._last_seen_at, view.position_ned_m) < _BACK_WITHIN_M:
-            self._retrying, self._seen_s = False, view.now_s - _FRESH_S  # there, and nothing: wait once more
+        if math.dist(self._last_seen_at, estimate.position_ned_m) < _BACK_WITHIN_M:
+            self._retrying, self._seen_s = (
+                False,
+                estimate.now_s - _FRESH_S,
+            )  # there, and nothing: wait once more
         return MotionSetpoint(self._last_seen_at)
 
-    def _give_up(self, view: View) -> MotionSetpoint | None:
+    def _give_up(self, estimate: VehicleEstimate) -> MotionSetpoint | None:
         """Land where it is, or hover when told to be very strict."""
         if self._strict == _VERY_STRICT:
             return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
         return None
 
 
-def ardupilot_lander(parameters: Parameters) -> ArduPilotLander | None:
+def precision_landing(parameters: Parameters) -> ArdupilotPrecisionLanding | None:
     """The precision landing that the parameters ask for at boot, None without."""
     enabled = parameters["PLND_ENABLED"] >= 1.0 and int(parameters["PLND_TYPE"]) == _MAVLINK_TYPE
-    return ArduPilotLander(parameters) if enabled else None
+    return ArdupilotPrecisionLanding(parameters) if enabled else None

@@ -1,0 +1,99 @@
+"""The MAVLink line between the vehicle and its clients, with the scenario's loss, delay and reordering."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from companion.base.geometry import Vector3
+from sitl.faults.faulty_link import LinkSettings, LinkWay
+from sitl.mavlink.network import Write
+from sitl.run.tick_timer import TickTimer
+
+
+class ByteLink(Protocol):
+    """The vehicle's end of a MAVLink line."""
+
+    async def read(self) -> bytes:
+        """Wait for at least one byte."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Send without waiting."""
+        ...
+
+
+class VehicleNetwork(Protocol):
+    """The vehicle's MAVLink links: each client has a port, whose type is the network's own."""
+
+    def connect(self, write: Write, *, datagrams: bool) -> Any:
+        """Open a port."""
+        ...
+
+    def disconnect(self, port: Any) -> None:
+        """Close it."""
+        ...
+
+    def receive(self, port: Any, data: bytes, now_s: float) -> None:
+        """Take what a client sent."""
+        ...
+
+    def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
+        """Send all that is due."""
+        ...
+
+
+class MavlinkLine:
+    """Both directions of the line. `network` is set before the first client connects."""
+
+    network: VehicleNetwork
+
+    def __init__(self, settings: LinkSettings, rng: np.random.Generator, timer: TickTimer) -> None:
+        to_app_rng, to_vehicle_rng = rng.spawn(2)
+        self.to_app = LinkWay(settings, to_app_rng)
+        self.to_vehicle = LinkWay(settings, to_vehicle_rng)
+        self._timer = timer
+
+    def connect(self, write: Write, *, datagrams: bool) -> Any:
+        """Connect a client. `write` takes whole frames and must not wait."""
+
+        def send(frames: Sequence[bytes]) -> None:
+            self._carry(self.to_app, lambda: write(frames))
+
+        return self.network.connect(send, datagrams=datagrams)
+
+    def disconnect(self, port: Any) -> None:
+        """Disconnect a client."""
+        self.network.disconnect(port)
+
+    def receive(self, port: Any, data: bytes) -> None:
+        """Take bytes that a client has just sent."""
+
+        def deliver() -> None:
+            self.network.receive(port, data, self._timer.elapsed_s)
+
+        self._carry(self.to_vehicle, deliver)
+
+    async def serve(self, link: ByteLink) -> None:
+        """Serve a client in this process until cancelled."""
+
+        def write(frames: Sequence[bytes]) -> None:
+            link.write(b"".join(frames))
+
+        port = self.connect(write, datagrams=False)
+        while True:
+            self.receive(port, await link.read())
+
+    def _carry(self, way: LinkWay, deliver: Callable[[], None]) -> None:
+        """Deliver a datagram when it arrives, if it does."""
+        now_s = self._timer.now_s
+        arrival_s = way.arrival_s(now_s)
+        if arrival_s is None:
+            return
+        if arrival_s <= now_s:
+            deliver()
+        else:
+            asyncio.get_running_loop().call_at(arrival_s, deliver)
