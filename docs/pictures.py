@@ -39,7 +39,7 @@ from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_fil
 from companion.pad import load_pad
 from companion.sense.vision.aruco import PadDetector
 from companion.sense.vision.lens import Lens
-from companion.sense.vision.pose import PadPose, estimate_pose
+from companion.sense.vision.pose import PoseFit, estimate_pose
 from companion.sense.vision.search import SearchPlanner
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
@@ -169,7 +169,7 @@ class Viewer:
         position = (aside - mount[0], aside - mount[1], -0.3 - height_m - mount[2])
         return ScenePose(position, self._attitude, (0.0, 0.0, -0.3), math.radians(25.0))
 
-    def _pose(self, image: NDArray[np.uint8], scene: ScenePose) -> PadPose | None:
+    def _pose(self, image: NDArray[np.uint8], scene: ScenePose) -> PoseFit | None:
         """The pose by the first look that gives one; the pad is expected to within 5 cm, as in flight."""
         world_from_camera = quat_multiply(scene.vehicle_attitude, BODY_FROM_DOWNWARD_CAMERA)
         camera_from_world = matrix_from_quat(quat_conjugate(world_from_camera))

@@ -21,7 +21,7 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.pipeline import body_from_camera, sighting_of
-from companion.sense.vision.pose import PadPose, estimate_pose
+from companion.sense.vision.pose import PoseFit, estimate_pose
 from companion.sense.vision.search import SearchPlanner
 
 # how far the pad may have moved since the last sighting, of its distance
@@ -42,7 +42,7 @@ class GravityFreeEye:
         self._detector = PadDetector(pad, config, self._lens)
         self._rotation = matrix_from_quat(body_from_camera(vehicle))
         self._mount = np.array(vehicle.camera_position_body_m)
-        self._last: PadPose | None = None
+        self._last: PoseFit | None = None
 
     def look(self, frame: Frame) -> PadSighting | None:
         """Find the pad.

@@ -19,11 +19,6 @@ class Slot(Generic[T]):
         self._value: T | None = None
         self._arrived = asyncio.Event()
 
-    @property
-    def latest(self) -> T | None:
-        """The newest value, or None before the first."""
-        return self._value
-
     def put(self, value: T) -> None:
         """Replace the value and wake who waits."""
         self._value = value

@@ -24,13 +24,14 @@ from companion.base.messages import (
     Setpoint,
     VehicleState,
 )
+from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.limits import LimitsGate
 from companion.control.mpc.mpc import Solution
 from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
-from companion.control.pad_prediction import PadPath, predict_pad, resting_path
+from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
 from companion.control.response.fitting import fitted, hover_thrust
-from companion.control.response.flight_model import Motion, advance, flown_kind, lags, velocity_gains
+from companion.control.response.flight_model import advance, flown_kind, lags, velocity_gains
 from companion.control.response.plant import Plant
 from companion.control.setpoints import (
     Heading,
@@ -57,14 +58,14 @@ FAILURES_TO_STOP = 10
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """Where the tracker begins: the motion when the next command takes effect, and the path of its origin.
+    """Where the tracker begins: the motion when the next command takes effect, and its frame's origin.
 
     `times_s` (N+1,) are the horizon's, of the app's clock.
     """
 
     times_s: FloatArray
     motion: Motion
-    path: PadPath
+    prediction: PadPrediction
 
 
 class Controller:
@@ -198,7 +199,7 @@ class Controller:
             reference = stop_reference(now_s, vehicle.position_ned_m, reference.heading_rad)
         start = self._start(vehicle, pad if reference.origin == "pad" else None, now_s)
         target = within_reach(
-            make_target(reference, start.times_s, start.path),
+            make_target(reference, start.times_s, start.prediction),
             start.motion.position_m,
             self._config.horizontal_reach_m,
             self._config.vertical_reach_m,
@@ -215,7 +216,7 @@ class Controller:
         boost = self._boost(start.motion, solution)
         setpoint, limited = self._gate.apply(boosted(setpoint, boost), now_s)
         self._plant.remember(boosted(setpoint, 1.0 / boost))
-        predicted = solution.states[:, :3] - start.path.displacement_m[1:]
+        predicted = solution.states[:, :3] - start.prediction.displacement_m[1:]
         return setpoint, ControlReport(
             now_s,
             solution.solved,
@@ -240,14 +241,15 @@ class Controller:
         times_s: FloatArray = effect_s + self._nodes_s
         acceleration = self._plant.acceleration_ned_m_s2
         if pad is None:
-            from_s, path = vehicle.time_s, resting_path(len(times_s))
+            from_s, prediction = vehicle.time_s, origin_at_rest(len(times_s))
             motion = Motion(vehicle.position_ned_m, vehicle.velocity_ned_m_s, acceleration)
         else:
-            from_s, path = pad.time_s, predict_pad(pad, times_s, self._config.pad_acceleration_decay_s)
+            from_s, prediction = pad.time_s, predict_pad(pad, times_s, self._config.pad_acceleration_decay_s)
+            # the frame begins where the pad was estimated: the vehicle is at minus its relative position
             velocity = subtract(pad.velocity_ned_m_s, pad.relative_velocity_ned_m_s)
             motion = Motion(scale(pad.relative_position_ned_m, -1.0), velocity, acceleration)
         from_s = max(from_s, now_s - LONGEST_PREDICTION_S)
-        return _Start(times_s, self._plant.carry(motion, from_s, effect_s), path)
+        return _Start(times_s, self._plant.carry(motion, from_s, effect_s), prediction)
 
     def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()

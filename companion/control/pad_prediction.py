@@ -24,8 +24,8 @@ MAXIMUM_TURN_RATE_RAD_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class PadPath:
-    """Displacement (n, 3), velocity (n, 3) and acceleration (n, 3) of the pad at n times, NED."""
+class PadPrediction:
+    """The pad at n times, NED: displacement since the estimate, velocity, acceleration, each (n, 3)."""
 
     displacement_m: FloatArray
     velocity_m_s: FloatArray
@@ -43,8 +43,8 @@ def turn_rate(velocity_m_s: Vector3, acceleration_m_s2: Vector3) -> float | None
     return omega if MINIMUM_TURN_RATE_RAD_S < abs(omega) < MAXIMUM_TURN_RATE_RAD_S else None
 
 
-def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPath:
-    """The pad's path at `times_s` (n,) of the app's clock, counted from where it was estimated."""
+def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPrediction:
+    """The pad at `times_s` (n,) of the app's clock, counted from where it was estimated."""
     t = times_s - pad.time_s
     velocity, acceleration = pad.velocity_ned_m_s, pad.acceleration_ned_m_s2
     displacement, speed, change = _decaying(velocity, acceleration, t, decay_s)
@@ -55,13 +55,13 @@ def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPath:
             (displacement, speed, change), _turning(v, a, t, omega, decay_s), strict=True
         ):
             columns[:, 0], columns[:, 1] = plane.real, plane.imag
-    return PadPath(displacement, speed, change)
+    return PadPrediction(displacement, speed, change)
 
 
-def resting_path(count: int) -> PadPath:
-    """The path of an origin that does not move."""
+def origin_at_rest(count: int) -> PadPrediction:
+    """The same for an origin that does not move."""
     zero = np.zeros((count, 3))
-    return PadPath(zero, zero, zero)
+    return PadPrediction(zero, zero, zero)
 
 
 def _decaying(

@@ -18,13 +18,14 @@ from dataclasses import dataclass, replace
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
 from companion.base.messages import Manner, PadState, Setpoint
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.attitude import (
     attitude_from_acceleration,
     force_from_acceleration,
     thrust_from_acceleration,
 )
-from companion.control.response.flight_model import Motion, advance
+from companion.control.response.flight_model import advance
 
 
 @dataclass(frozen=True, slots=True)

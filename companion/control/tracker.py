@@ -11,11 +11,11 @@ from collections.abc import Callable
 from typing import Protocol
 
 from companion.base.geometry import Vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.baselines.pid_tracker import PidTracker
 from companion.control.baselines.riccati_tracker import RiccatiTracker
 from companion.control.mpc.mpc import Mpc, Solution, Target
-from companion.control.response.flight_model import Motion
 
 
 class Tracker(Protocol):

@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -45,8 +43,14 @@ from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import CameraDelay
-from companion.estimate.pad.pad_filter import HeightFix, PadEstimate, PadFilter, PadFix, PadInput, PadSnapshot
-from companion.estimate.vehicle import freezing
+from companion.estimate.pad.pad_filter import (
+    CombinedEstimate,
+    HeightMeasurement,
+    PadFilter,
+    PadInput,
+    PadMeasurement,
+    PadSnapshot,
+)
 from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstimator
 
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
@@ -70,13 +74,6 @@ class Estimator:
     ) -> None:
         self._config = config
         self._range_position_body_m = vehicle.range_position_body_m
-        settings = {
-            "estimate": config.model_dump(mode="json"),
-            "range_position_body_m": list(vehicle.range_position_body_m),
-            "antenna_position_body_m": list(antenna_position_body_m),
-            "board_half_width_m": board_half_width_m,
-        }
-        self._settings = MappingProxyType(settings)
         self._motion = MotionHistory(config.pad.forget_s + 1.0)
         self._vehicle = VehicleEstimator(config, antenna_position_body_m, self._motion)
         self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
@@ -141,8 +138,8 @@ class Estimator:
         # under the axis, and doubt it by the difference
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
-        fix = HeightFix(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
-        return self._count("range", self._timeline.add(sample.time_s, fix))
+        measurement = HeightMeasurement(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)
+        return self._count("range", self._timeline.add(sample.time_s, measurement))
 
     def add_sighting(self, sighting: PadSighting) -> bool:
         """Take one sighting, fused at its exposure, if need be once the IMU has come as far.
@@ -168,17 +165,12 @@ class Estimator:
         time_s = self._exposed_s(sighting)
         attitude = self._motion.attitude(time_s)
         assert attitude is not None
-        fix = self._fix(replace(sighting, time_s=time_s), attitude)
-        taken = self._timeline.add(time_s, fix)
+        measurement = self._in_ned(replace(sighting, time_s=time_s), attitude)
+        taken = self._timeline.add(time_s, measurement)
         if taken:
-            variance_m2 = float(np.trace(fix.covariance_ned_m2)) / 3.0
+            variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
             self._camera_delay.take(time_s, sighting.pad_position_body_m, variance_m2)
         return self._count("sighting", taken)
-
-    @property
-    def camera_delay_s(self) -> float:
-        """How much later (s) than its stamp a frame is exposed, by the IMU's clock, as learnt in flight."""
-        return self._camera_delay.delay_s
 
     # ------------------------------------------------------------ outputs
 
@@ -219,14 +211,6 @@ class Estimator:
         """
         return self._vehicle.covariance()
 
-    def pad_covariance(self, time_s: float) -> FloatArray | None:
-        """Covariance (6, 6) of `pad` at a time; None when there is no pad.
-
-        Order: relative position (m), relative velocity (m/s), NED; the attitude's share is in.
-        """
-        estimate = self._pad_at(time_s)
-        return None if estimate is None else self._covariance(estimate)
-
     def pad_prior(self, time_s: float) -> PadPrior | None:
         """What to expect in a frame exposed at time_s; None before the alignment."""
         at_s = time_s + self._camera_delay.delay_s
@@ -258,42 +242,15 @@ class Estimator:
         counts.update({f"{kind}_gate": count for kind, count in self._vehicle.gates.items()})
         return counts
 
-    # ------------------------------------------------------------ freezing
-
-    def freeze(self) -> dict[str, Any]:
-        """All that the stage knows, as plain data that JSON keeps exactly; in flight about 4 MB of text."""
-        return freezing.freeze(self, self._settings, self._vehicle.start)
-
-    @classmethod
-    def resume(
-        cls,
-        state: dict[str, Any],
-        config: EstimateConfig,
-        vehicle: VehicleConfig,
-        antenna_position_body_m: Vector3,
-        board_half_width_m: float,
-    ) -> Estimator:
-        """An estimator that goes on, to the bit, where `freeze` was asked; late measurements included.
-
-        Raises:
-            ValueError: the state is damaged, of another version, or of other settings.
-        """
-        estimator = cls(config, vehicle, antenna_position_body_m, board_half_width_m)
-        start = freezing.opened(state, estimator._settings)
-        if start is not None:
-            estimator._vehicle.begin(start)
-        freezing.fill(estimator, state["parts"])
-        return estimator
-
     # ------------------------------------------------------------ the pad
 
-    def _pad_at(self, time_s: float) -> PadEstimate | None:
+    def _pad_at(self, time_s: float) -> CombinedEstimate | None:
         snapshot = self._timeline.as_of(time_s)
         if snapshot is None or time_s - snapshot.seen_time_s > self._config.pad.forget_s:
             return None
         return self._pad.predicted(snapshot, time_s)
 
-    def _fix(self, sighting: PadSighting, attitude: Quaternion) -> PadFix:
+    def _in_ned(self, sighting: PadSighting, attitude: Quaternion) -> PadMeasurement:
         """A sighting in NED. Of the attitude's error only the fast part is noise from frame to frame.
 
         The slow part is a constant offset that shrinks with the distance: to treat it as noise would slow the
@@ -310,7 +267,7 @@ class Estimator:
         slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
         slow = max(slow, 0.0)
         turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
-        return PadFix(
+        return PadMeasurement(
             position_ned_m=position,
             covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
             heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
@@ -319,7 +276,7 @@ class Estimator:
             slow_variance_m2=slow,
         )
 
-    def _covariance(self, estimate: PadEstimate) -> FloatArray:
+    def _covariance(self, estimate: CombinedEstimate) -> FloatArray:
         rotation = self._vehicle.rotation_covariance()
         return estimate.covariance(
             np.zeros((3, 3)) if rotation is None else rotation, self._config.pad.attitude_wander_rad_s

@@ -1,4 +1,4 @@
-"""The pad's own position over MAVLink: FOLLOW_TARGET <-> PadBeacon. Pure.
+"""The pad's own position over MAVLink: FOLLOW_TARGET to PadBeacon. Pure.
 
 Metres, not centimetres; velocity in NED, m/s. Whoever sends it leads the vehicle, so what cannot be is
 refused here, and whose word counts is the session's business.
@@ -9,25 +9,15 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from companion.base.geometry import IDENTITY, ZERO3, norm, vector3
+from companion.base.geometry import ZERO3, norm, vector3
 from companion.base.messages import PadBeacon
-from companion.link.codec import Message, mavlink
+from companion.link.codec import Message
 
 _HAS_POSITION: Final = 0b01
 _HAS_VELOCITY: Final = 0b10
 _UNKNOWN_STD_M: Final = 5.0
 _POLE_E7: Final = 900_000_000
 _DATE_LINE_E7: Final = 1_800_000_000
-
-
-def follow_target(beacon: PadBeacon) -> Message:
-    """FOLLOW_TARGET of a pad's own GPS, as the ground station sends it, stamped with its own time."""
-    return mavlink.MAVLink_follow_target_message(
-        int(beacon.time_s * 1000.0), _HAS_POSITION | _HAS_VELOCITY,
-        round(beacon.latitude_deg * 1e7), round(beacon.longitude_deg * 1e7), beacon.altitude_m,
-        list(beacon.velocity_ned_m_s), list(ZERO3), list(IDENTITY), list(ZERO3),
-        [beacon.position_std_m, beacon.position_std_m, beacon.position_std_m], 0,
-    )  # fmt: skip
 
 
 def pad_beacon(message: Message, time_s: float, maximum_speed_m_s: float) -> PadBeacon | None:

@@ -21,6 +21,7 @@ from companion.base.messages import (
     Phase,
     VehicleState,
 )
+from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.approach import Landing, Unseen
 from companion.plan.landing.ground_contact import Ground
@@ -34,7 +35,6 @@ from companion.plan.mission.table import BY_THE_PAD, Event
 from companion.plan.obstacles.surroundings import Say, Surroundings
 from companion.plan.search.search import Search
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6
@@ -370,7 +370,7 @@ class Flight:
         if self._guide.origin == "local" and inputs.vehicle is not None:
             self._keep_near(vehicle_motion(inputs.vehicle, now_s), now_s)
         elif sight is not None and sight.age_s <= self._config.landing.pause_unseen_s:
-            self._keep_near(sight.motion, now_s)
+            self._keep_near(sight.vehicle_from_pad, now_s)
 
     def _keep_near(self, actual: Motion, now_s: float) -> None:
         distance_m = self._guide.keep_near(actual, now_s)
@@ -380,4 +380,4 @@ class Flight:
     def turn(self, now_s: float) -> None:
         """Slew the heading to the pad's over the pad, if so wished."""
         sight = self._pad.sight if self._phase in BY_THE_PAD and self._config.mission.align_heading else None
-        self._guide.turn(None if sight is None else sight.pad_heading_rad, now_s)
+        self._guide.turn(None if sight is None else sight.heading_rad, now_s)

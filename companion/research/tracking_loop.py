@@ -30,9 +30,10 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig, find_file, load_model
 from companion.control.controller import Controller
-from companion.plan.trajectory.min_jerk import Motion, Trajectory, plan
+from companion.plan.trajectory.min_jerk import Trajectory, plan
 from sitl.autopilot import SimulatedAutopilot
 from sitl.autopilot.control.setpoints import MotionSetpoint
 from sitl.run.simulation import HOME, PHYSICS_STEP_S

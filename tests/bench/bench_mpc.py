@@ -24,10 +24,11 @@ from rich.console import Console
 from rich.table import Table
 
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.mpc.mpc import SETTINGS, Cone, Mpc, Problem, Target
 from companion.control.mpc.target import within_reach
-from companion.control.response.flight_model import Motion, advance
+from companion.control.response.flight_model import advance
 
 LAGS_S: Final = (0.11, 0.11, 0.04)
 STEP_P99_MS: Final = 5.0

@@ -21,11 +21,11 @@ from rich.table import Table
 
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
+from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 
 CYCLE_S: Final = 1.0 / 30.0
 RADIUS_M: Final = 0.4

@@ -11,7 +11,7 @@ from typing import Any
 
 from companion.base.clock import wall_clock_s
 from companion.config import CompanionConfig
-from companion.estimate.pad.pad_filter import PadFilter, PadFix
+from companion.estimate.pad.pad_filter import PadFilter, PadMeasurement
 from companion.estimate.vehicle.ekf import ImuStep, VehicleEkf
 from tests.bench.streams import INPUTS, Stream, feed, new_estimator
 
@@ -60,7 +60,7 @@ def _ekf_kind(item: Any) -> str:
 
 
 def _pad_kind(item: Any) -> str:
-    return f"pad filter: predict + {'sighting' if isinstance(item, PadFix) else 'echo'}"
+    return f"pad filter: predict + {'sighting' if isinstance(item, PadMeasurement) else 'echo'}"
 
 
 @contextmanager

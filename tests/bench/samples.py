@@ -86,7 +86,8 @@ def ask(estimator: Estimator, now_s: float) -> Answer | None:
     vehicle, covariance = estimator.vehicle(now_s), estimator.vehicle_covariance()
     if vehicle is None or covariance is None:
         return None
-    return Answer(vehicle, covariance, estimator.pad(now_s), estimator.pad_covariance(now_s))
+    pad = estimator.pad(now_s)
+    return Answer(vehicle, covariance, pad, None if pad is None else np.array(pad.covariance))
 
 
 def samples_of(answers: Sequence[Answer], truth: Sequence[Truth], airborne_s: tuple[float, float]) -> Samples:

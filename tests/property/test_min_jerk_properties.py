@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from companion.plan.trajectory.min_jerk import Motion, plan, quintic
+from companion.base.motion import Motion
+from companion.plan.trajectory.min_jerk import plan, quintic
 
 place = st.floats(-50.0, 50.0)
 speed = st.floats(-5.0, 5.0)

@@ -16,9 +16,10 @@ import math
 import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig, PidGains
 from companion.control.mpc.mpc import Solution, Target
-from companion.control.response.flight_model import Motion, advance
+from companion.control.response.flight_model import advance
 
 
 class PidTracker:

@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.baselines.riccati import Weights, solve_tracking
 from companion.control.mpc.mpc import Solution, Target, needed_inputs
 from companion.control.mpc.qp import axis_costs, step_matrices
-from companion.control.response.flight_model import Motion
 
 
 class RiccatiTracker:

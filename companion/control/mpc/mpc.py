@@ -21,6 +21,7 @@ import osqp
 from scipy.sparse import csc_matrix
 
 from companion.base.geometry import FloatArray, Vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.mpc.free_optimum import FreeOptimum
 from companion.control.mpc.input_bounds import (
@@ -39,7 +40,6 @@ from companion.control.mpc.qp import (
     cost_matrix,
     step_matrices,
 )
-from companion.control.response.flight_model import Motion
 
 ACCEPTED_RESIDUAL = 1e-2
 # measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by

@@ -2,7 +2,7 @@
 pad's own motion added where the reference rides on the pad.
 
 Frames: in, the reference's (pad's or EKF's origin); out, NED axes that do not accelerate, with the origin
-where the pad was when its path begins. SI units.
+where the pad was estimated. SI units.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
 from companion.base.messages import LevelOff, Reference
 from companion.control.mpc.mpc import Cone, Target
-from companion.control.pad_prediction import PadPath
+from companion.control.pad_prediction import PadPrediction
 
 HEADING_RATE_SMOOTHING_S = 0.4
 
@@ -58,21 +58,21 @@ def within_reach(
     return replace(target, position_m=target.position_m - shift)
 
 
-def make_target(reference: Reference, times_s: FloatArray, path: PadPath) -> Target:
-    """The target at `times_s` (N+1,): the reference on top of the path of its origin."""
+def make_target(reference: Reference, times_s: FloatArray, origin: PadPrediction) -> Target:
+    """The target at `times_s` (N+1,): the reference on top of how its origin moves."""
     position, velocity, acceleration = sample(reference, times_s)
-    position += path.displacement_m
+    position += origin.displacement_m
     floor = cone = None
     if reference.origin == "pad" and reference.minimum_height_m is not None:
-        floor = path.displacement_m[:, 2] - reference.minimum_height_m
+        floor = origin.displacement_m[:, 2] - reference.minimum_height_m
         position[:, 2] = np.minimum(position[:, 2], floor)
     if reference.origin == "pad" and reference.cone is not None:
-        apex = path.displacement_m - np.array([0.0, 0.0, reference.cone.apex_height_m])
+        apex = origin.displacement_m - np.array([0.0, 0.0, reference.cone.apex_height_m])
         cone = Cone(reference.cone.slope, reference.cone.radius_m, apex)
     return Target(
         position,
-        velocity + path.velocity_m_s,
-        acceleration + path.acceleration_m_s2,
+        velocity + origin.velocity_m_s,
+        acceleration + origin.acceleration_m_s2,
         floor,
         cone,
         lean_m_s2=None if reference.level_off is None else _lean(reference.level_off, times_s),

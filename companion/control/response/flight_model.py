@@ -9,26 +9,17 @@ turn or accelerate, NED axes; SI units. Discretised exactly under a zero-order h
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3
 from companion.base.messages import Manner
+from companion.base.motion import Motion
 from companion.config import AxisResponse, ControlConfig, Kind, VehicleConfig
 
 AxisState = tuple[float, float, float]
 SHORTEST_LAG_S: Final = 0.01
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Position (m), velocity (m/s) and flown acceleration (m/s2) of the vehicle, NED axes."""
-
-    position_m: Vector3
-    velocity_m_s: Vector3
-    acceleration_m_s2: Vector3
 
 
 def advance_axis(state: AxisState, input_m_s2: float, duration_s: float, tau_s: float) -> AxisState:

@@ -10,7 +10,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from companion.base.geometry import ZERO3, Vector3, add, scale, subtract
-from companion.control.response.flight_model import Motion, advance
+from companion.base.motion import Motion
+from companion.control.response.flight_model import advance
 
 REMEMBERED = 64
 

@@ -10,10 +10,11 @@ from typing import Final
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
 from companion.base.messages import Manner, Setpoint, VehicleState
+from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
 from companion.control.response.fitting import loop_rad_s
-from companion.control.response.flight_model import Motion, velocity_gains
+from companion.control.response.flight_model import velocity_gains
 from companion.control.response.history import Command, CommandHistory
 
 # how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`

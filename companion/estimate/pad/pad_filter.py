@@ -29,9 +29,15 @@ from companion.estimate.pad.pad_models import (
     course_turn,
     vertical_names,
 )
-from companion.estimate.pad.pad_types import HeightFix, PadEstimate, PadFix, PadInput, PadSnapshot
+from companion.estimate.pad.pad_types import (
+    CombinedEstimate,
+    HeightMeasurement,
+    PadInput,
+    PadMeasurement,
+    PadSnapshot,
+)
 
-__all__ = ["HeightFix", "PadEstimate", "PadFilter", "PadFix", "PadInput", "PadSnapshot"]
+__all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "PadMeasurement", "PadSnapshot"]
 
 _EYE3: Final = np.eye(3)
 # where the banks' states stand in (position, velocity, acceleration) of all three axes
@@ -88,14 +94,14 @@ class PadFilter:
         """Predict to time_s and take the input in."""
         if self.started:
             self._predict(time_s)
-        if isinstance(item, HeightFix):
+        if isinstance(item, HeightMeasurement):
             self._take_height(item)
         else:
             self._take_sighting(time_s, item)
 
     # ------------------------------------------------------------ prediction
 
-    def predicted(self, snapshot: PadSnapshot, time_s: float) -> PadEstimate | None:
+    def predicted(self, snapshot: PadSnapshot, time_s: float) -> CombinedEstimate | None:
         """The state at a time not before the snapshot's; None when there is no pad in the snapshot.
 
         Unseen, models go their own ways and are blended at the end: how they differ is part of the doubt.
@@ -109,7 +115,7 @@ class PadFilter:
         heading = snapshot.heading.after(time_s - snapshot.time_s, density)
         x, P = _joined(horizontal, vertical)
         probabilities = (*snapshot.horizontal.probabilities, *snapshot.vertical.probabilities)
-        return PadEstimate(
+        return CombinedEstimate(
             x=x,
             P=P,
             heading_rad=wrap_angle(heading.heading_rad),
@@ -143,56 +149,56 @@ class PadFilter:
 
     # ------------------------------------------------------------ measurements
 
-    def _take_sighting(self, time_s: float, fix: PadFix) -> None:
-        R = self._config.sighting_noise_scale**2 * fix.covariance_ned_m2
+    def _take_sighting(self, time_s: float, sample: PadMeasurement) -> None:
+        R = self._config.sighting_noise_scale**2 * sample.covariance_ned_m2
         R = R + self._config.sighting_noise_floor_m**2 * _EYE3
         if not self.started or time_s - self.seen_time_s > self._config.forget_s:
             # of a pad that is forgotten nothing is expected, and the vehicle's way since then is, too
-            self._start(time_s, fix, R)
-        elif self._passes_sighting(fix, R):
-            z = np.array(fix.position_ned_m)
+            self._start(time_s, sample, R)
+        elif self._passes_sighting(sample, R):
+            z = np.array(sample.position_ned_m)
             self._horizontal.update(z[:2], R[:2, :2])
             self._vertical.update(z[2:], R[2:, 2:])
-            self._take_heading(fix)
-            self._turn = self._turned(fix)
-            self._slow_share = fix.slow_share
+            self._take_heading(sample)
+            self._turn = self._turned(sample)
+            self._slow_share = sample.slow_share
             self.seen_time_s = time_s
         elif self.gates["sighting"].shut_out(time_s, self._config.patience_s):
-            self._start(time_s, fix, R)
+            self._start(time_s, sample, R)
 
-    def _take_heading(self, fix: PadFix) -> None:
-        innovation = wrap_angle(fix.heading_rad - self._heading.heading_rad)
-        noise = fix.heading_std_rad**2 + math.radians(self._config.heading_noise_deg) ** 2
+    def _take_heading(self, sample: PadMeasurement) -> None:
+        innovation = wrap_angle(sample.heading_rad - self._heading.heading_rad)
+        noise = sample.heading_std_rad**2 + math.radians(self._config.heading_noise_deg) ** 2
         passed = innovation * innovation <= CHI_SQUARE_999[1] * (self._heading.heading_variance + noise)
         self._record("heading", passed)
         if passed:
             self._heading = self._heading.corrected(innovation, noise)
         elif self.gates["heading"].shut_out(self.time_s, self._config.patience_s):
-            self._start_heading(fix)
+            self._start_heading(sample)
 
-    def _take_height(self, fix: HeightFix) -> None:
+    def _take_height(self, sample: HeightMeasurement) -> None:
         """Height of the sensor over the board = relative position's z - the sensor's own offset."""
-        if not self.started or not self._over_the_board(fix):
+        if not self.started or not self._over_the_board(sample):
             return
-        z = fix.height_m + fix.sensor_offset_ned_m[2]
+        z = sample.height_m + sample.sensor_offset_ned_m[2]
         expected, variance = _expected_height(self._vertical.state)
-        passed = (z - expected) ** 2 <= CHI_SQUARE_999[1] * (variance + fix.noise_m**2)
+        passed = (z - expected) ** 2 <= CHI_SQUARE_999[1] * (variance + sample.noise_m**2)
         self._record("range", passed)
         if passed:
-            self._vertical.update(np.array([z]), np.array([[fix.noise_m**2]]))
+            self._vertical.update(np.array([z]), np.array([[sample.noise_m**2]]))
 
-    def _over_the_board(self, fix: HeightFix) -> bool:
+    def _over_the_board(self, sample: HeightMeasurement) -> bool:
         north, east, north_variance, _, east_variance = _expected_place(self._horizontal.state)
-        offset = math.hypot(north - fix.sensor_offset_ned_m[0], east - fix.sensor_offset_ned_m[1])
+        offset = math.hypot(north - sample.sensor_offset_ned_m[0], east - sample.sensor_offset_ned_m[1])
         spread = math.sqrt(north_variance + east_variance)
         low = _expected_height(self._vertical.state)[0] < self._config.range_maximum_height_m
         return low and offset + spread < self._half_width_m
 
-    def _passes_sighting(self, fix: PadFix, R: FloatArray) -> bool:
+    def _passes_sighting(self, sample: PadMeasurement, R: FloatArray) -> bool:
         north, east, a, b, d = _expected_place(self._horizontal.state)
         down, f = _expected_height(self._vertical.state)
         (ra, rb, rc), (_, rd, re), (_, _, rf) = R.tolist()
-        x, y, z = fix.position_ned_m
+        x, y, z = sample.position_ned_m
         S = (a + ra, b + rb, rc, d + rd, re, f + rf)
         distance = _normalised_squared((x - north, y - east, z - down), S)
         passed = distance <= CHI_SQUARE_999[3]
@@ -202,21 +208,21 @@ class PadFilter:
     def _record(self, kind: str, passed: bool) -> None:
         self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
 
-    def _turned(self, fix: PadFix) -> Turn:
+    def _turned(self, sample: PadMeasurement) -> Turn:
         means, covariances, probabilities = self._horizontal.state
         vn, ve, an, ae = (probabilities @ means[:, 2:6]).tolist()
         spreads = covariances[:, 4, 4] + covariances[:, 5, 5] + (means[:, 4:6] ** 2).sum(axis=1)
         variance = 0.5 * (float(probabilities @ spreads) - an * an - ae * ae)
-        north, east, _ = fix.vehicle_velocity_ned_m_s
+        north, east, _ = sample.vehicle_velocity_ned_m_s
         rate, rate_variance = self._heading.rate_rad_s, self._heading.rate_variance
         return course_turn((vn + north, ve + east), (an, ae), variance, rate, rate_variance)
 
     # ------------------------------------------------------------ starting
 
-    def _start(self, time_s: float, fix: PadFix, R: FloatArray) -> None:
+    def _start(self, time_s: float, sample: PadMeasurement, R: FloatArray) -> None:
         """From one sighting: the pad may stand still or drive at a few m/s, the vehicle's speed is known."""
-        vn, ve, vd = fix.vehicle_velocity_ned_m_s
-        north, east, down = fix.position_ned_m
+        vn, ve, vd = sample.vehicle_velocity_ned_m_s
+        north, east, down = sample.position_ned_m
         across = np.zeros((len(HORIZONTAL), 8, 8))
         across[:, :2, :2] = R[:2, :2]
         across[:, [2, 3], [2, 3]] = self._config.first_speed_std_m_s**2
@@ -228,15 +234,15 @@ class PadFilter:
         up[:, 1, 1] = self._config.first_climb_std_m_s**2
         up[:, 2, 2], up[:, 3, 3] = self._climb.acceleration_variance, self._climb.jerk_variance
         self._vertical.start(np.array([down, -vd, 0.0, 0.0]), up)
-        self._turn, self._slow_share = Turn(), fix.slow_share
+        self._turn, self._slow_share = Turn(), sample.slow_share
         self.time_s = self.seen_time_s = time_s
         self.started = True
-        self._start_heading(fix)
+        self._start_heading(sample)
         self._record("sighting", True)
 
-    def _start_heading(self, fix: PadFix) -> None:
-        variance = fix.heading_std_rad**2 + math.radians(1.0) ** 2
-        self._heading = HeadingState(fix.heading_rad, 0.0, variance, 0.0, 0.5**2)
+    def _start_heading(self, sample: PadMeasurement) -> None:
+        variance = sample.heading_std_rad**2 + math.radians(1.0) ** 2
+        self._heading = HeadingState(sample.heading_rad, 0.0, variance, 0.0, 0.5**2)
         self._record("heading", True)
 
 

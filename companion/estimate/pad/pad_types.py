@@ -1,7 +1,6 @@
 """What goes into the pad filter, what it stands at, and what it says: plain data.
 
-NED, SI units. A snapshot is never written to again, and goes to plain data and back without loss
-(`freezing.plain`), through JSON too: a filter resumed from it goes on as if it had never stopped.
+NED, SI units. A snapshot is never written to again.
 """
 
 from __future__ import annotations
@@ -22,8 +21,9 @@ _EYE3: Final = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
-class PadFix:
-    """A sighting in NED at its exposure; covariance (3, 3) in m², the attitude's fast share included.
+class PadMeasurement:
+    """A sighting turned to NED: pad minus vehicle at the exposure. Covariance (3, 3) in m², the attitude's
+    fast share included.
 
     `slow_variance_m2` (each axis) is what all sightings of a while have in common, the calibration's error
     say: it is no noise to be averaged, and is not part of the covariance.
@@ -44,7 +44,7 @@ class PadFix:
 
 
 @dataclass(frozen=True, slots=True)
-class HeightFix:
+class HeightMeasurement:
     """Height (m) of the range sensor over what lies under it, and the sensor's offset in NED axes (m)."""
 
     height_m: float
@@ -52,7 +52,7 @@ class HeightFix:
     noise_m: float
 
 
-PadInput = PadFix | HeightFix
+PadInput = PadMeasurement | HeightMeasurement
 
 
 class PadSnapshot(NamedTuple):
@@ -69,8 +69,10 @@ class PadSnapshot(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class PadEstimate:
-    """The filter's state at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s).
+class CombinedEstimate:
+    """The models' estimates combined at a time: x (9,) and P (9, 9), heading (rad), its rate (rad/s).
+
+    x is relative position and relative velocity (pad minus vehicle) and the pad's acceleration, NED.
 
     P is the filter's own; `covariance` adds what all of its measurements have in common. `slow_share` is the
     calibration's error as a share of the distance, `models` the probability of each model of motion by name.

@@ -111,12 +111,6 @@ def euler_jacobian(q: Quaternion) -> FloatArray:
     )
 
 
-def left_matrix(q: Quaternion) -> FloatArray:
-    """L(q), (4, 4), with q * p = L(q) p."""
-    w, x, y, z = q
-    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-
-
 def right_matrix(q: Quaternion) -> FloatArray:
     """M(q), (4, 4), with p * q = M(q) p."""
     w, x, y, z = q

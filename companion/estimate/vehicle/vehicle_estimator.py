@@ -81,7 +81,6 @@ class VehicleEstimator:
         self.motion = motion
         self._detector = StillnessDetector(config.alignment)
         self._aligner = StaticAligner(config.alignment)
-        self.start: InitialState | None = None
         self._orientation: Orientation | None = None
         self._ekf: VehicleEkf | None = None
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
@@ -293,7 +292,7 @@ class VehicleEstimator:
             heading_std_rad=math.radians(4.0 if found.still else 40.0),
             gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
         )
-        self.begin(start)
+        self._begin(start)
         self._attitude = attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
@@ -302,7 +301,7 @@ class VehicleEstimator:
     def _start_over(self) -> None:
         self._detector = StillnessDetector(self._config.alignment)
         self._aligner = StaticAligner(self._config.alignment)
-        self.start = self._orientation = self._ekf = self._timeline = self._last_raw = None
+        self._orientation = self._ekf = self._timeline = self._last_raw = None
         self._strapdown, self._fields, self._span_s = Strapdown(), _Mean(), None
         self._second_gyro, self._shaking, self._anchor = SecondGyro(), Shaking(), Anchor()
 
@@ -311,9 +310,8 @@ class VehicleEstimator:
         """Whether there is an attitude, from an alignment that still holds."""
         return self._ekf is not None
 
-    def begin(self, start: InitialState) -> None:
+    def _begin(self, start: InitialState) -> None:
         """Make what there is only after the alignment."""
-        self.start = start
         self._orientation = new_orientation(self._config, start.attitude)
         self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
         self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)

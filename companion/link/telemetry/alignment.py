@@ -47,7 +47,7 @@ class HeadingAlignment:
         self._ours: deque[_Stamped] = deque(maxlen=64)
         self._waiting: deque[_Stamped] = deque(maxlen=16)
         self._newest_autopilot_s = -math.inf
-        self._offset_rad = 0.0
+        self.offset_rad = 0.0  # the autopilot's heading minus ours, in (-pi, pi]
         self._samples = 0
         self._sample_time_s = -math.inf
         self._strays: list[float] = []
@@ -56,11 +56,6 @@ class HeadingAlignment:
     def ready(self) -> bool:
         """Whether there has been a pair of attitudes to compare; before it nothing is turned."""
         return self._samples > 0
-
-    @property
-    def offset_rad(self) -> float:
-        """The autopilot's heading minus ours, in (-pi, pi]."""
-        return self._offset_rad
 
     def update(
         self,
@@ -87,7 +82,7 @@ class HeadingAlignment:
 
     def rotate(self, setpoint: Setpoint) -> Setpoint:
         """The setpoint in the autopilot's heading: velocity, acceleration, heading, attitude are turned."""
-        turn = self._offset_rad
+        turn = self.offset_rad
         attitude = setpoint.attitude
         if attitude is not None:
             attitude = quat_multiply(quat_from_euler(0.0, 0.0, turn), attitude)
@@ -109,7 +104,7 @@ class HeadingAlignment:
         return None
 
     def _take(self, time_s: float, difference_rad: float) -> None:
-        error = wrap_angle(difference_rad - self._offset_rad)
+        error = wrap_angle(difference_rad - self.offset_rad)
         if self._samples and abs(error) > self._settings.jump_rad:
             self._take_stray(time_s, error)
             return
@@ -118,7 +113,7 @@ class HeadingAlignment:
         # an average at first, so that it is right at once; then a low-pass
         low_pass = -math.expm1(-max(time_s - self._sample_time_s, 0.0) / self._settings.time_constant_s)
         gain = max(low_pass if self._samples > 1 else 1.0, 1.0 / self._samples)
-        self._offset_rad = wrap_angle(self._offset_rad + min(gain, 1.0) * error)
+        self.offset_rad = wrap_angle(self.offset_rad + min(gain, 1.0) * error)
         self._sample_time_s = time_s
 
     def _take_stray(self, time_s: float, error: float) -> None:
@@ -130,7 +125,7 @@ class HeadingAlignment:
             return
         first = self._strays[0]
         mean = first + sum(wrap_angle(stray - first) for stray in self._strays) / len(self._strays)
-        self._offset_rad = wrap_angle(self._offset_rad + mean)
+        self.offset_rad = wrap_angle(self.offset_rad + mean)
         self._samples = len(self._strays)
         self._sample_time_s = time_s
         self._strays.clear()

@@ -25,7 +25,6 @@ class TimeSync:
     def __init__(self) -> None:
         self._asked_ns: deque[int] = deque(maxlen=_KEPT)
         self._filter: ClockFilter | None = None
-        self._trips_s: deque[float] = deque(maxlen=_KEPT)
         self._newest: Trip | None = None
         self._answers = 0
 
@@ -38,11 +37,6 @@ class TimeSync:
     def offset_s(self) -> float | None:
         """The autopilot's clock minus ours at the newest answer; None before the first."""
         return None if self._filter is None else self._filter.line.offset_s
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """The shortest round trip among the last ones."""
-        return min(self._trips_s, default=None)
 
     @property
     def settled(self) -> bool:
@@ -63,20 +57,17 @@ class TimeSync:
         trip = Trip(ts1_ns / _NS, max(now_s, ts1_ns / _NS), tc1_ns / _NS)
         if self._is_another_clock(trip):
             self._filter, self._answers = None, 0
-            self._trips_s.clear()
         if self._filter is None:
             self._filter = ClockFilter(trip)
         else:
             self._filter.add(trip)
         self._newest = trip
-        self._trips_s.append(trip.length_s)
         self._answers += 1
         return True
 
     def forget(self) -> None:
         """The autopilot was lost: its clock may start anew."""
         self._filter = self._newest = None
-        self._trips_s.clear()
         self._asked_ns.clear()
         self._answers = 0
 

@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.base.messages import DescentCone
+from companion.base.messages import DescentCone, PadState
+from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
-from companion.plan.landing.relative_state import PadKnowledge, Sight
+from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.landing.touchdown import Finding
 from companion.plan.mission.table import Event
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 
 _CENTRED_MARGIN_M = 0.7
 _CENTRED_SPEED_M_S = 0.6
@@ -71,7 +71,7 @@ class Landing:
             return Event.CENTRED, f"{sight.height_m:.1f} m above the pad"
         return None
 
-    def _slope_m(self, sight: Sight, now_s: float) -> float:
+    def _slope_m(self, sight: PadState, now_s: float) -> float:
         """The height to fly at: on the slope, never above the present one unless the goal is."""
         x, y, z = self._guide.at(now_s).position_m
         aside_m = max(math.hypot(x, y), sight.lateral_m)
@@ -106,7 +106,9 @@ class Landing:
         c = self._config
         return DescentCone(c.cone_slope, c.cone_floor_m, self._leg_m)
 
-    def _by_sight(self, pad: PadKnowledge, sight: Sight, goal_m: float, unseen: Unseen, now_s: float) -> bool:
+    def _by_sight(
+        self, pad: PadKnowledge, sight: PadState, goal_m: float, unseen: Unseen, now_s: float
+    ) -> bool:
         """Whether the pad is in view; if not, the vehicle flies on level over its predicted place.
 
         A climb to goal_m over the pad that was under way is ended, at the height as it was last seen.
@@ -133,11 +135,11 @@ class Landing:
     def _go(self, height_m: float, now_s: float) -> None:
         self._guide.fly_to(Motion((0.0, 0.0, -height_m)), now_s)
 
-    def _inside(self, sight: Sight, share: float = 1.0) -> bool:
+    def _inside(self, sight: PadState, share: float = 1.0) -> bool:
         above_m = max(0.0, sight.height_m - self._leg_m)
         return sight.lateral_m <= share * max(self._config.cone_floor_m, self._config.cone_slope * above_m)
 
-    def _lost(self, sight: Sight | None) -> Finding:
+    def _lost(self, sight: PadState | None) -> Finding:
         if sight is None:
             return Event.PAD_LOST, "nothing is known of the pad"
         return Event.PAD_LOST, f"not seen for {sight.age_s:.1f} s"

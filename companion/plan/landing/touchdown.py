@@ -15,12 +15,11 @@ import math
 from dataclasses import dataclass
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, level_acceleration, norm, tilt_from_quat
-from companion.base.messages import LandedState, LevelOff, RangeSample, VehicleState
+from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
+from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
-from companion.plan.landing.relative_state import Sight
 from companion.plan.mission.table import Event
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 
 _HEIGHT_TOLERANCE_M = 0.10
 _SINK_TOLERANCE_M_S = 0.15
@@ -79,22 +78,22 @@ class Held:
         return now_s - self._since_s
 
 
-def gentle(sight: Sight, config: TouchdownConfig) -> bool:
+def gentle(sight: PadState, config: TouchdownConfig) -> bool:
     """Whether the pad accelerates little enough for a soft contact."""
-    a = sight.pad_acceleration_ned_m_s2
+    a = sight.acceleration_ned_m_s2
     return (
         math.hypot(a[0], a[1]) <= config.gentle_horizontal_m_s2 and abs(a[2]) <= config.gentle_vertical_m_s2
     )
 
 
-def aligned(sight: Sight, wait_height_m: float, slack: float, config: TouchdownConfig) -> bool:
+def aligned(sight: PadState, wait_height_m: float, slack: float, config: TouchdownConfig) -> bool:
     """Whether the vehicle stands over the pad's centre closely and quietly enough to commit."""
     return (
         sight.age_s <= _FRESH_S
         and sight.lateral_m <= config.lateral_m * slack
         and sight.lateral_speed_m_s <= config.lateral_speed_m_s * slack
         and abs(sight.height_m - wait_height_m) <= _HEIGHT_TOLERANCE_M * slack
-        and abs(sight.velocity_m_s[2]) <= _SINK_TOLERANCE_M_S * slack
+        and abs(sight.sink_m_s) <= _SINK_TOLERANCE_M_S * slack
     )
 
 
@@ -114,7 +113,7 @@ class ContactSigns:
 
 
 def contact_signs(
-    sight: Sight | None,
+    sight: PadState | None,
     reference: Motion,
     echo: RangeSample | None,
     landed: LandedState,
@@ -124,7 +123,7 @@ def contact_signs(
     vehicle: VehicleConfig,
     lean_rad: float = 0.0,
 ) -> ContactSigns:
-    """Read the signs; `reference` is vehicle minus pad, as `sight` is.
+    """Read the signs; `reference` counts from the pad, `sight` is relative to the vehicle.
 
     The lowest foot counts: one that holds a leaning vehicle up is dragged over the pad by what that vehicle
     does to come back over the middle.
@@ -136,8 +135,8 @@ def contact_signs(
     stalled = (
         sight is not None
         and reference.velocity_m_s[2] >= 0.5 * config.contact_speed_m_s
-        and reference.position_m[2] - sight.position_m[2] >= _STALLED_BELOW_M
-        and abs(sight.velocity_m_s[2]) <= _STALLED_M_S
+        and reference.position_m[2] + sight.height_m >= _STALLED_BELOW_M
+        and abs(sight.sink_m_s) <= _STALLED_M_S
     )
     short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
     return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
@@ -190,7 +189,7 @@ class Touchdown:
         """Whether the feet stand on the pad."""
         return self.contact_s is not None
 
-    def still_down(self, sight: Sight | None, echo: RangeSample | None, now_s: float) -> bool:
+    def still_down(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> bool:
         """Whether a fresh sight or echo shows the feet on the pad now."""
         feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
         seen = sight is not None and sight.age_s <= _FRESH_S and sight.height_m <= feet_m
@@ -232,7 +231,7 @@ class Touchdown:
         return LevelOff(from_s, from_s + _LEVEL_FOR_S, math.radians(self._config.contact_tilt_deg))
 
     def step(
-        self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
+        self, sight: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float
     ) -> Finding:
         """Move on by one cycle; returns what happened, with words for it."""
         if self.on_pad:
@@ -241,7 +240,7 @@ class Touchdown:
             return self._sink(sight, echo, landed, now_s)
         return self._wait(sight, now_s)
 
-    def _wait(self, sight: Sight | None, now_s: float) -> Finding:
+    def _wait(self, sight: PadState | None, now_s: float) -> Finding:
         c = self._config
         waited_s = now_s - self._since_s
         self._guide.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
@@ -279,7 +278,7 @@ class Touchdown:
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / c.contact_speed_m_s
 
     def _sink(
-        self, sight: Sight | None, echo: RangeSample | None, landed: LandedState, now_s: float
+        self, sight: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float
     ) -> Finding:
         c, v = self._config, self._vehicle
         assert self._contact_due_s is not None
@@ -311,12 +310,12 @@ class Touchdown:
         high = sight.height_m > v.leg_height_m + 2.0 * c.contact_margin_m
         self._give_way(sight if high else None, now_s)
         self._expect_contact(sight, now_s)
-        fast = sight.age_s <= _FRESH_S and sight.velocity_m_s[2] > c.fastest_contact_m_s
+        fast = sight.age_s <= _FRESH_S and sight.sink_m_s > c.fastest_contact_m_s
         sinks_fast = self._too_fast.for_s(fast, now_s) >= _TOO_FAST_S
         above_m = sight.height_m - v.leg_height_m
         wrong = "sinking too fast" if sinks_fast else self._off_the_mark(sight, now_s)
         lean_rad = max(self._tilt_rad, math.radians(c.contact_tilt_deg))
-        room_m = _stopping_m(sight.velocity_m_s[2], lean_rad, v.foot_reach_m)
+        room_m = _stopping_m(sight.sink_m_s, lean_rad, v.foot_reach_m)
         if wrong and above_m > max(c.break_off_above_m, room_m):
             self._break_off(wrong, now_s)
         elif high and sight.age_s <= _FRESH_S and sight.lateral_m > c.escape_lateral_m * self._slack:
@@ -332,7 +331,7 @@ class Touchdown:
         self._contact_due_s = self._level_due_s = self._level_from_s = None
         self._settled, self._too_fast, self._far_aside = Held(), Held(), Held()
 
-    def _off_the_mark(self, sight: Sight, now_s: float) -> str:
+    def _off_the_mark(self, sight: PadState, now_s: float) -> str:
         """Why this will not be a landing on the mark; "" while it may be."""
         if self._lean_m_s2_now() > _TOO_MUCH_LEAN * self._most_lean_m_s2(now_s):
             return "leaning too far"
@@ -341,9 +340,9 @@ class Touchdown:
             return f"{100.0 * sight.lateral_m:.0f} cm aside at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
 
-    def _aside(self, sight: Sight, now_s: float) -> bool:
+    def _aside(self, sight: PadState, now_s: float) -> bool:
         """Whether it is too far aside to start down or go on, or will be."""
-        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
+        (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
         soon_m = math.hypot(x + _DRIFT_S * vx, y + _DRIFT_S * vy)
         farthest_m = self._farthest_aside_m(now_s)
         return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
@@ -371,26 +370,26 @@ class Touchdown:
         """By how much more lean and drift are borne by and by, because they will not get less."""
         return 1.0 + _BORNE_PER_TIME * max(0.0, self._impatience(now_s) - _PATIENT_TIMES)
 
-    def _expect_contact(self, sight: Sight, now_s: float) -> None:
+    def _expect_contact(self, sight: PadState, now_s: float) -> None:
         """When the feet will touch, by the height as seen and the speed as planned."""
         if self._level_from_s is not None or sight.age_s > _FRESH_S:
             return
         left_m = max(0.0, sight.height_m - self._vehicle.leg_height_m - _FOOT_DROP_M)
-        self._level_due_s = now_s + left_m / max(self._config.contact_speed_m_s, sight.velocity_m_s[2])
+        self._level_due_s = now_s + left_m / max(self._config.contact_speed_m_s, sight.sink_m_s)
         if now_s >= self._level_due_s - _LEVEL_BEFORE_S:
             self._level_from_s = now_s
 
-    def _give_way(self, sight: Sight | None, now_s: float) -> None:
+    def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height drift to the vehicle's; not near the pad, where it may stand."""
         share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
         self._sunk_s = now_s
         if sight is not None and sight.age_s <= _FRESH_S:
-            self._guide.shift_down(share * (sight.position_m[2] - self._guide.at(now_s).position_m[2]))
+            self._guide.shift_down(share * (-sight.height_m - self._guide.at(now_s).position_m[2]))
 
     def _stay_down(self, now_s: float) -> None:
         self._guide.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)
 
-    def _stand(self, sight: Sight | None, now_s: float) -> Finding:
+    def _stand(self, sight: PadState | None, now_s: float) -> Finding:
         """Standing; unless the pad is seen to be well below after all."""
         self._stay_down(now_s)
         away = (
@@ -399,6 +398,6 @@ class Touchdown:
             and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         )
         if sight is not None and self._away.for_s(away, now_s) >= _AWAY_S:
-            self._guide.start("pad", sight.motion, now_s)
+            self._guide.start("pad", sight.vehicle_from_pad, now_s)
             return Event.MISALIGNED, "off the pad again"
         return None

@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale, subtract
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.obstacles import (
     Obstacle,
@@ -31,7 +32,7 @@ from companion.plan.obstacles.obstacles import (
 )
 from companion.plan.trajectory.course import Course, Way, halting, paced
 from companion.plan.trajectory.frames import STILL, away, led, seen
-from companion.plan.trajectory.min_jerk import Motion, Trajectory, brake, carried
+from companion.plan.trajectory.min_jerk import Trajectory, brake, carried
 
 # Corners are passed this much farther out first, so that a smooth curve has room to swing.
 _SPARES_M: Final = (0.5, 0.25, 0.05)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from companion.base.geometry import ZERO3, Vector3, ned_from_geodetic, wrap_angle
 from companion.base.messages import PadBeacon
+from companion.base.motion import Motion
 from companion.config import SearchConfig
-from companion.plan.trajectory.min_jerk import Motion
 
 # Slower than this a pad has no course to speak of; turning faster than that is noise, or turning back.
 _COURSE_M_S = 0.3

@@ -10,13 +10,13 @@ import math
 from dataclasses import dataclass
 
 from companion.base.geometry import Vector3
-from companion.base.messages import PadBeacon
+from companion.base.messages import PadBeacon, PadState
+from companion.base.motion import Motion
 from companion.config import SearchConfig
-from companion.plan.landing.relative_state import PadKnowledge, Sight
+from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.landing.touchdown import Held
 from companion.plan.search.pad_locator import Lead, Whereabouts
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 
 # The reference counts as at a corner when this close: the next one is taken up without a halt.
 _CORNER_M = 1.0
@@ -128,9 +128,9 @@ class Search:
         late = now_s - self._begun_s >= _ANY_SIGHT_AFTER_S
         return steady and pad.sight is not None and (long or late or self._stays_in_view(pad.sight))
 
-    def _stays_in_view(self, sight: Sight) -> bool:
+    def _stays_in_view(self, sight: PadState) -> bool:
         c = self._config
-        (x, y, _), (vx, vy, _) = sight.position_m, sight.velocity_m_s
+        (x, y, _), (vx, vy, _) = sight.relative_position_ned_m, sight.relative_velocity_ned_m_s
         stop_s = math.hypot(vx, vy) / (2.0 * c.stopping_m_s2)
         overshoot_m = math.hypot(x + stop_s * vx, y + stop_s * vy)
         return sight.velocity_std_m_s <= c.velocity_std_m_s and overshoot_m <= c.view_slope * sight.height_m

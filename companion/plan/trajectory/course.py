@@ -22,8 +22,9 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, add, norm, scale
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig
-from companion.plan.trajectory.min_jerk import Motion, Trajectory, carried, plan
+from companion.plan.trajectory.min_jerk import Trajectory, carried, plan
 
 _MOST_STRETCHES: Final = 8
 # So near to the limits is near enough: behind a target that runs, the last few per cent take for ever.

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import ZERO3, FloatArray, add, scale
-from companion.plan.trajectory.min_jerk import Motion
+from companion.base.motion import Motion
 
 STILL: Final = Motion(ZERO3)
 # Slower than this a pad has no course to speak of; turning faster than that is noise.

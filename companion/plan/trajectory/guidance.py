@@ -18,11 +18,12 @@ from typing import Literal
 
 from companion.base.geometry import Vector3, add, dot, norm, scale, subtract, wrap_angle
 from companion.base.messages import DescentCone, LevelOff, Reference
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.course import Course, Way
 from companion.plan.trajectory.frames import STILL
-from companion.plan.trajectory.min_jerk import Motion, Trajectory, brake, carried, plan
+from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan
 
 Origin = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]

@@ -1,4 +1,4 @@
-"""Minimum-jerk trajectories: one quintic an axis (eqs. 20-30) and the jerk at its start (eq. 34).
+"""Minimum-jerk trajectories: one quintic an axis (eqs. 20-30).
 
 Frame-free: whatever frame the boundary states are in (pad-relative NED or the EKF's NED) the
 trajectory is in. Metres and seconds; tau = (t - t0) / T runs from 0 to 1.
@@ -17,18 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, FloatArray, Vector3
+from companion.base.geometry import FloatArray
+from companion.base.motion import Motion
 
 Coefficients = tuple[float, float, float, float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Position (m), velocity (m/s) and acceleration (m/s²) of a point at one time, in one frame."""
-
-    position_m: Vector3
-    velocity_m_s: Vector3 = ZERO3
-    acceleration_m_s2: Vector3 = ZERO3
 
 
 def quintic(
@@ -53,12 +45,6 @@ def quintic(
         -15.0 * delta + t * (8.0 * v0 + 7.0 * vf) + t2 * (1.5 * a0 - af),
         6.0 * delta - t * (3.0 * v0 + 3.0 * vf) - t2 * (0.5 * a0 - 0.5 * af),
     )
-
-
-def jerk_at_start(delta_m: float, velocity_m_s: float, acceleration_m_s2: float, duration_s: float) -> float:
-    """Jerk (m/s³) at t0 of the trajectory that comes to rest delta away (eq. 34)."""
-    t = duration_s
-    return 60.0 / t**3 * delta_m - 36.0 / t**2 * velocity_m_s - 9.0 / t * acceleration_m_s2
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import Vector3, add, norm
+from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.plan.landing.touchdown import Finding
 from companion.plan.mission.table import Event
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 
 # The reference passes through a point exactly: this near to it, it has.
 _PASSED_M: Final = 0.5

@@ -15,13 +15,14 @@ from typing import Final, Protocol
 import numpy as np
 
 from companion.base.geometry import FloatArray
+from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.research.fig14.reference import Reference
 from companion.research.fig14.world import SURFACE_HEIGHT_M, World
 from companion.research.model.full_mpc import FullMpc, FullMpcConfig, RiccatiTracker, Surroundings
 from companion.research.model.nominal import NO_PUSH
 from companion.research.model.nominal import Reference as Rows
-from companion.research.model.pid import CascadedPid, PidGains, PidTarget
+from companion.research.model.pid import CascadedPid, PidGains
 from companion.research.model.quadrotor import QuadrotorModel, flipped
 
 PERIOD_S: Final = 0.02
@@ -62,7 +63,7 @@ class PidPilot:
     def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
         """U (4,)."""
         now = self._reference.at(time_s)
-        target = PidTarget(flipped(now.position_m), flipped(now.velocity_m_s), flipped(now.acceleration_m_s2))
+        target = Motion(flipped(now.position_m), flipped(now.velocity_m_s), flipped(now.acceleration_m_s2))
         return self._pid.step(state, target, 0.0, PERIOD_S)
 
 

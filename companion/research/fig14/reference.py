@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import FloatArray, Vector3, add, dot, norm, scale, subtract
+from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
 from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
 from companion.plan.trajectory.course import Course, through
-from companion.plan.trajectory.min_jerk import Motion
 from companion.research.fig14.world import FLOWN_S, START_NED_M, SURFACE_HEIGHT_M, World, draw_world
 
 ITERATION_S: Final = 0.1

@@ -1,7 +1,7 @@
 """Cascaded PID: what the MPC is compared with, and the app's `controller: pid`.
 
 From outside inwards: position P gives a velocity, velocity PI an acceleration (`PositionPid`); that gives
-thrust and lean, attitude P gives rates, rate PID torques (`AttitudePid`, in the paper's axes and U1..U4).
+thrust and tilt, attitude P gives rates, rate PID torques (`AttitudePid`, in the paper's axes and U1..U4).
 Position, velocity and acceleration of the reference are fed forward, as autopilots do; of where the reference
 will be later it knows nothing.
 
@@ -12,17 +12,17 @@ come from `python -m companion.research.tune_pid`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from pydantic import Field
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, wrap_angle
+from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
+from companion.base.motion import Motion
 from companion.config import StrictModel, find_file, load_model
 from companion.research.model.quadrotor import ANGLES, POSITION, RATES, VELOCITY, QuadrotorModel
 
-FULLEST_TILT_COSINE = 0.2  # thrust is not raised for a lean beyond
+FULLEST_TILT_COSINE = 0.2  # thrust is not raised for a tilt beyond
 
 
 class AxisGains(StrictModel):
@@ -63,36 +63,24 @@ def load_gains(name: str | Path) -> PidGains:
     return load_model(PidGains, find_file("control", name))
 
 
-@dataclass(frozen=True, slots=True)
-class PidTarget:
-    """What to track now: position (m), velocity (m/s) and acceleration (m/s²)."""
-
-    position_m: Vector3
-    velocity_m_s: Vector3 = ZERO3
-    acceleration_m_s2: Vector3 = ZERO3
-
-
 class PositionPid:
-    """Position and velocity to a commanded acceleration; keeps the integral (m/s²), which the wind fills."""
+    """Position and velocity to a commanded acceleration; keeps the integral, which the wind fills.
+
+    `integral_m_s2` is the part of the command that stands against what lasts.
+    """
 
     def __init__(self, horizontal: AxisGains, vertical: AxisGains, largest_integral_m_s2: float) -> None:
         self._gains = (horizontal, horizontal, vertical)
         self._largest = largest_integral_m_s2
-        self._integral = [0.0, 0.0, 0.0]
+        self.integral_m_s2 = [0.0, 0.0, 0.0]
         self._held = (0, 0, 0)
-
-    @property
-    def integral_m_s2(self) -> Vector3:
-        """The part of the command that stands against what lasts."""
-        x, y, z = self._integral
-        return (x, y, z)
 
     def reset(self) -> None:
         """Forget the integral."""
-        self._integral = [0.0, 0.0, 0.0]
+        self.integral_m_s2 = [0.0, 0.0, 0.0]
         self._held = (0, 0, 0)
 
-    def step(self, position_m: Vector3, velocity_m_s: Vector3, target: PidTarget, period_s: float) -> Vector3:
+    def step(self, position_m: Vector3, velocity_m_s: Vector3, target: Motion, period_s: float) -> Vector3:
         """The acceleration to command (m/s²), before anybody's limits; `clipped` takes back what they cut."""
         command = [0.0, 0.0, 0.0]
         for axis, gains in enumerate(self._gains):
@@ -101,10 +89,10 @@ class PositionPid:
             error_m_s = wanted_m_s - velocity_m_s[axis]
             growth = gains.integral_1_s2 * error_m_s * period_s
             if growth * self._held[axis] <= 0.0:
-                grown = self._integral[axis] + growth
-                self._integral[axis] = min(max(grown, -self._largest), self._largest)
+                grown = self.integral_m_s2[axis] + growth
+                self.integral_m_s2[axis] = min(max(grown, -self._largest), self._largest)
             command[axis] = (
-                target.acceleration_m_s2[axis] + gains.velocity_1_s * error_m_s + self._integral[axis]
+                target.acceleration_m_s2[axis] + gains.velocity_1_s * error_m_s + self.integral_m_s2[axis]
             )
         return (command[0], command[1], command[2])
 
@@ -124,7 +112,7 @@ class AttitudePid:
         self._filter_s = gains.derivative_filter_s
         self._model = model
         self._steepest = math.tan(largest_tilt_rad)
-        self._integral = [0.0, 0.0, 0.0]
+        self.integral_m_s2 = [0.0, 0.0, 0.0]
         self._before: list[float] | None = None
         self._slope = [0.0, 0.0, 0.0]
 
@@ -160,10 +148,10 @@ class AttitudePid:
         for axis, gains in enumerate(self._gains):
             error_rad = wrap_angle(wanted[axis] - angles[axis])
             error_rad_s = gains.attitude_1_s * error_rad - rates[axis]
-            grown = self._integral[axis] + gains.integral_1_s2 * error_rad_s * period_s
-            self._integral[axis] = min(max(grown, -self._largest), self._largest)
+            grown = self.integral_m_s2[axis] + gains.integral_1_s2 * error_rad_s * period_s
+            self.integral_m_s2[axis] = min(max(grown, -self._largest), self._largest)
             self._slope[axis] += share * ((rates[axis] - before[axis]) / period_s - self._slope[axis])
-            turning = gains.rate_1_s * error_rad_s + self._integral[axis]
+            turning = gains.rate_1_s * error_rad_s + self.integral_m_s2[axis]
             turning -= gains.derivative * self._slope[axis]
             torques[axis] = float(self._model.inertia_kg_m2[axis]) * turning
         self._before = rates
@@ -177,7 +165,7 @@ class CascadedPid:
         self._outer = PositionPid(gains.horizontal, gains.vertical, gains.largest_integral_m_s2)
         self._inner = AttitudePid(gains, model, largest_tilt_rad)
 
-    def step(self, state: FloatArray, target: PidTarget, heading_rad: float, period_s: float) -> FloatArray:
+    def step(self, state: FloatArray, target: Motion, heading_rad: float, period_s: float) -> FloatArray:
         """U (4,) from a state (12,) and a target in the paper's axes."""
         px, py, pz = state[POSITION].tolist()
         vx, vy, vz = state[VELOCITY].tolist()

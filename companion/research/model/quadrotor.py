@@ -27,7 +27,6 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     euler_from_quat,
-    quat_from_euler,
 )
 from companion.config import ConfigError, ModelConfig, VehicleConfig, find_file, load_model
 
@@ -66,18 +65,6 @@ def state_from_ned(
     state[POSITION], state[VELOCITY] = position, velocity
     state[ANGLES], state[RATES] = (phi, theta, psi), rates
     return state
-
-
-def ned_from_state(state: FloatArray) -> tuple[Vector3, Vector3, Quaternion, Vector3]:
-    """Position, velocity (NED), attitude and body rate (FRD) of a state (12,)."""
-    x, vx, y, vy, z, vz, phi, phi_rate, theta, theta_rate, psi, psi_rate = state.tolist()
-    rate = (
-        phi_rate - math.sin(theta) * psi_rate,
-        theta_rate * math.cos(phi) + psi_rate * math.sin(phi) * math.cos(theta),
-        -theta_rate * math.sin(phi) + psi_rate * math.cos(phi) * math.cos(theta),
-    )
-    attitude = quat_from_euler(*flipped((phi, theta, psi)))
-    return flipped((x, y, z)), flipped((vx, vy, vz)), attitude, flipped(rate)
 
 
 class QuadrotorModel:

@@ -24,7 +24,7 @@ from companion.base.messages import MarkerGroup
 from companion.config import VisionConfig
 from companion.sense.vision.aruco import GROUPS, Detection
 from companion.sense.vision.lens import Lens
-from companion.sense.vision.pose import PadPose
+from companion.sense.vision.pose import PoseFit
 
 # eq. 1
 EXTRACTION: Final = 0.3
@@ -36,7 +36,7 @@ SINGLE_SHARE: Final = 0.01
 SINGLE_TURN_RAD: Final = math.radians(5.0)
 
 
-def paper_pose(found: list[Detection], lens: Lens, config: VisionConfig) -> PadPose | None:
+def paper_pose(found: list[Detection], lens: Lens, config: VisionConfig) -> PoseFit | None:
     """The mean of the chosen group's poses after extraction.
 
     Args:
@@ -58,7 +58,7 @@ def paper_pose(found: list[Detection], lens: Lens, config: VisionConfig) -> PadP
     position = positions[kept].mean(axis=0)
     errors_px = _reprojection_px(used, rotation, position, lens)
     common = (config.scale_error * float(np.linalg.norm(position))) ** 2
-    return PadPose(
+    return PoseFit(
         position_camera_m=position,
         camera_from_pad=rotation,
         covariance=_covariance(positions[kept], common),

@@ -32,7 +32,7 @@ from companion.pad import Pad
 from companion.sense.vision.aruco import GROUPS, Detection, PadDetector, SearchPass
 from companion.sense.vision.lens import Lens
 from companion.sense.vision.paper_pose import paper_pose
-from companion.sense.vision.pose import PadPose, estimate_pose
+from companion.sense.vision.pose import PoseFit, estimate_pose
 from companion.sense.vision.print_check import PrintCheck
 from companion.sense.vision.search import SearchPlanner
 
@@ -101,7 +101,7 @@ class Vision:
 
     def _pose(
         self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float, rate: Vector3
-    ) -> PadPose | None:
+    ) -> PoseFit | None:
         """The pose as the settings have it; one marker alone is believed when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
@@ -133,7 +133,7 @@ class Vision:
 
 
 def sighting_of(
-    frame: Frame, pose: PadPose, camera: CameraConfig, body_from_camera: FloatArray, mount_m: FloatArray
+    frame: Frame, pose: PoseFit, camera: CameraConfig, body_from_camera: FloatArray, mount_m: FloatArray
 ) -> PadSighting:
     """A pose in body axes, at the time at which the rows that show the markers were exposed.
 

@@ -65,9 +65,10 @@ MAXIMUM_LEAN_SIGMA: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class PadPose:
-    """The pad in camera axes; `covariance` is 6x6: position (m), small rotation about camera axes (rad).
+class PoseFit:
+    """The pad's pose as fitted, in camera axes: the pad's centre seen from the camera, and the rotation.
 
+    `covariance` is 6x6: position (m), small rotation about camera axes (rad).
     `common_variance_m2`, of each axis of the position, is the part of it that all frames share. The pose
     holds when `row_px` is exposed.
     """
@@ -124,7 +125,7 @@ def estimate_pose(
     down_camera: Vector3 | None,
     climb_m_s: float = 0.0,
     rate_camera_rad_s: Vector3 = ZERO3,
-) -> PadPose | None:
+) -> PoseFit | None:
     """Fit one pose to all corners, dropping the worst marker while some disagree.
 
     Args:
@@ -193,7 +194,7 @@ def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig
 
 def _accept(
     problem: _Problem, fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig
-) -> PadPose:
+) -> PoseFit:
     """The pose with its covariance: the corners' noise as observed, and what they do not tell.
 
     The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
@@ -207,7 +208,7 @@ def _accept(
     covariance[:3, :3] += np.eye(3) * (common + unseen)
     row_px = float(np.mean([d.corners_px[:, 1].mean() for d in used]))
     rms_px = float(np.sqrt((errors_px**2).mean()))
-    return PadPose(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)
+    return PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)
 
 
 def _leans(problem: _Problem, fit: _Fit) -> bool:

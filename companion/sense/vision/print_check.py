@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from companion.base.geometry import FloatArray
 from companion.pad import DICTIONARIES, Marker, Pad
 from companion.sense.vision.lens import Lens
-from companion.sense.vision.pose import PadPose
+from companion.sense.vision.pose import PoseFit
 
 # correlation of brightness and print over a marker's cells
 LIKENESS: Final = 0.5
@@ -33,7 +33,7 @@ class PrintCheck:
         self._lens = lens
         self._prints = {marker: _cells(marker) for marker in pad.markers}
 
-    def bears_out(self, image: NDArray[np.uint8], pose: PadPose) -> bool:
+    def bears_out(self, image: NDArray[np.uint8], pose: PoseFit) -> bool:
         """Whether another marker is where the pose has it, or none is to be seen there."""
         used = {detection.marker for detection in pose.used}
         others = [marker for marker in self._prints if marker not in used]
@@ -42,7 +42,7 @@ class PrintCheck:
         ]
         return not likenesses or max(likenesses) >= LIKENESS
 
-    def _likeness(self, image: NDArray[np.uint8], pose: PadPose, marker: Marker) -> float | None:
+    def _likeness(self, image: NDArray[np.uint8], pose: PoseFit, marker: Marker) -> float | None:
         """Correlation of a marker's print with the image; None where it is cut off or too small."""
         points, white = self._prints[marker]
         pixels, _ = self._lens.project(points @ pose.camera_from_pad.T + pose.position_camera_m)

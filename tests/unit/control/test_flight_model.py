@@ -5,15 +5,9 @@ import pytest
 from scipy.linalg import expm
 
 from companion.base.messages import Manner
+from companion.base.motion import Motion
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
-from companion.control.response.flight_model import (
-    Motion,
-    advance,
-    advance_axis,
-    discretise,
-    lags,
-    velocity_gains,
-)
+from companion.control.response.flight_model import advance, advance_axis, discretise, lags, velocity_gains
 from tests.unit.control.control_plants import vehicle_config
 
 TAU_S = 0.18

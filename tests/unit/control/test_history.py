@@ -2,7 +2,8 @@
 
 import pytest
 
-from companion.control.response.flight_model import Motion, advance
+from companion.base.motion import Motion
+from companion.control.response.flight_model import advance
 from companion.control.response.history import Command, CommandHistory
 
 LAGS_S = (0.18, 0.18, 0.05)

@@ -7,11 +7,11 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import LevelOff, Reference
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.mpc.mpc import Mpc, Target
 from companion.control.mpc.target import make_target
-from companion.control.pad_prediction import resting_path
-from companion.control.response.flight_model import Motion
+from companion.control.pad_prediction import origin_at_rest
 
 CONFIG = ControlConfig()
 N, DT = CONFIG.horizon_steps, CONFIG.step_s
@@ -44,7 +44,7 @@ def test_the_reference_tells_the_steps_within_the_time() -> None:
     reference = Reference(
         5.0, "pad", 0.1, still, still, still, 0.0, level_off=LevelOff(5.3, 5.6, math.radians(6.0))
     )
-    target = make_target(reference, 5.0 + 0.1 * np.arange(11, dtype=np.float64), resting_path(11))
+    target = make_target(reference, 5.0 + 0.1 * np.arange(11, dtype=np.float64), origin_at_rest(11))
     assert target.lean_m_s2 is not None
     level = np.flatnonzero(np.isfinite(target.lean_m_s2)).tolist()
     assert level == [3, 4, 5]

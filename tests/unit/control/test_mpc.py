@@ -10,6 +10,7 @@ import osqp
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.mpc.input_bounds import input_rows
 from companion.control.mpc.mpc import Cone, Mpc, Target, needed_inputs
@@ -22,7 +23,7 @@ from companion.control.mpc.qp import (
     step_matrices,
 )
 from companion.control.mpc.target import within_reach
-from companion.control.response.flight_model import Motion, advance, discretise
+from companion.control.response.flight_model import advance, discretise
 
 TAU_S = 0.11
 LAGS_S = (TAU_S, TAU_S, 0.04)

@@ -7,7 +7,7 @@ import pytest
 
 from companion.base.geometry import Vector3, rotate_yaw
 from companion.base.messages import PadState
-from companion.control.pad_prediction import predict_pad, resting_path, turn_rate
+from companion.control.pad_prediction import origin_at_rest, predict_pad, turn_rate
 from tests.unit.control.control_plants import PadMotion, circle, line, still
 
 TIMES_S = np.linspace(0.0, 2.0, 21)
@@ -61,6 +61,6 @@ def test_rows_are_consistent_derivatives_and_unturned_acceleration_dies_away(vel
 
 
 def test_an_origin_at_rest_stays() -> None:
-    path = resting_path(5)
+    path = origin_at_rest(5)
     assert path.displacement_m.shape == path.velocity_m_s.shape == path.acceleration_m_s2.shape == (5, 3)
     assert not path.displacement_m.any()

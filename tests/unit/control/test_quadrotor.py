@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, FloatArray, quat_from_euler, quat_integrate, quat_rotate
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    FloatArray,
+    Quaternion,
+    Vector3,
+    quat_from_euler,
+    quat_integrate,
+    quat_rotate,
+)
 from companion.config import ConfigError, find_file
 from companion.research.model.quadrotor import (
     ANGLES,
@@ -15,8 +24,8 @@ from companion.research.model.quadrotor import (
     RATES,
     VELOCITY,
     QuadrotorModel,
+    flipped,
     load_quadrotor,
-    ned_from_state,
     state_from_ned,
     structure,
 )
@@ -24,6 +33,18 @@ from sitl.scenario.scenario import load_airframe
 from sitl.vehicle.quadrotor import Quadrotor, QuadrotorState
 
 SHIPPED = ("x500", "sih", "arducopter_sitl")
+
+
+def ned_from_state(state: FloatArray) -> tuple[Vector3, Vector3, Quaternion, Vector3]:
+    """Position, velocity (NED), attitude and body rate (FRD) of a state (12,)."""
+    x, vx, y, vy, z, vz, phi, phi_rate, theta, theta_rate, psi, psi_rate = state.tolist()
+    rate = (
+        phi_rate - math.sin(theta) * psi_rate,
+        theta_rate * math.cos(phi) + psi_rate * math.sin(phi) * math.cos(theta),
+        -theta_rate * math.sin(phi) + psi_rate * math.cos(phi) * math.cos(theta),
+    )
+    attitude = quat_from_euler(*flipped((phi, theta, psi)))
+    return flipped((x, y, z)), flipped((vx, vy, vz)), attitude, flipped(rate)
 
 
 def x500(layout: str = "plus") -> QuadrotorModel:

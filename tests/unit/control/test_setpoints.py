@@ -6,9 +6,10 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, quat_rotate
 from companion.base.messages import Manner, Setpoint, VehicleState
+from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
-from companion.control.response.flight_model import Motion, velocity_gains
+from companion.control.response.flight_model import velocity_gains
 from companion.control.response.plant import Plant
 from companion.control.setpoints import (
     Heading,

@@ -9,7 +9,7 @@ import pytest
 from companion.base.geometry import FloatArray
 from companion.base.messages import DescentCone, Reference
 from companion.control.mpc.target import HeadingReference, make_target, sample, stop_reference, within_reach
-from companion.control.pad_prediction import PadPath, resting_path
+from companion.control.pad_prediction import PadPrediction, origin_at_rest
 
 ROWS_S: FloatArray = 5.0 + 0.1 * np.arange(6, dtype=np.float64)
 
@@ -48,7 +48,7 @@ def test_beyond_its_end_the_reference_goes_straight_on_and_before_its_start_it_w
 
 
 def test_a_single_row_is_a_place_to_stay() -> None:
-    target = make_target(stop_reference(0.0, (1.0, 2.0, -3.0), 0.0), np.arange(3.0), resting_path(3))
+    target = make_target(stop_reference(0.0, (1.0, 2.0, -3.0), 0.0), np.arange(3.0), origin_at_rest(3))
     np.testing.assert_allclose(target.position_m, [(1.0, 2.0, -3.0)] * 3)
     assert not target.velocity_m_s.any()
     assert target.floor_down_m is None
@@ -56,8 +56,8 @@ def test_a_single_row_is_a_place_to_stay() -> None:
 
 def test_the_pads_motion_and_the_floor_over_it_are_added() -> None:
     times = ROWS_S
-    path = PadPath(np.full((6, 3), 2.0), np.full((6, 3), 0.5), np.full((6, 3), 0.1))
-    bare = make_target(_parabola(), times, resting_path(6))
+    path = PadPrediction(np.full((6, 3), 2.0), np.full((6, 3), 0.5), np.full((6, 3), 0.1))
+    bare = make_target(_parabola(), times, origin_at_rest(6))
     target = make_target(_parabola(minimum_height_m=-0.5), times, path)
     np.testing.assert_allclose(target.position_m, bare.position_m + 2.0)
     np.testing.assert_allclose(target.velocity_m_s, bare.velocity_m_s + 0.5)
@@ -68,7 +68,7 @@ def test_the_pads_motion_and_the_floor_over_it_are_added() -> None:
 
 def test_a_local_reference_knows_no_floor_over_the_pad() -> None:
     reference = _parabola(origin="local", minimum_height_m=0.3)
-    assert make_target(reference, ROWS_S[:3], resting_path(3)).floor_down_m is None
+    assert make_target(reference, ROWS_S[:3], origin_at_rest(3)).floor_down_m is None
 
 
 @pytest.mark.parametrize("wanted_deg", [170.0, -170.0])
@@ -98,7 +98,7 @@ def test_heading_stays_when_the_wish_is_no_number() -> None:
 
 def test_a_far_reference_is_drawn_within_reach_as_a_whole_and_keeps_its_floor() -> None:
     times = ROWS_S
-    target = make_target(_parabola(minimum_height_m=0.3), times, resting_path(6))
+    target = make_target(_parabola(minimum_height_m=0.3), times, origin_at_rest(6))
     near = within_reach(target, (-30.0, 40.0, 5.0), 2.0, 0.7)
     np.testing.assert_allclose(near.position_m[0], [-30.0 + 1.2, 40.0 - 1.6, 5.0 - 0.7])
     np.testing.assert_allclose(np.diff(near.position_m, axis=0), np.diff(target.position_m, axis=0))
@@ -106,7 +106,7 @@ def test_a_far_reference_is_drawn_within_reach_as_a_whole_and_keeps_its_floor() 
 
 
 def test_a_near_reference_is_left_alone() -> None:
-    target = make_target(_parabola(), ROWS_S, resting_path(6))
+    target = make_target(_parabola(), ROWS_S, origin_at_rest(6))
     assert within_reach(target, (1.9, 0.0, 0.69), 2.0, 0.7) is target
     assert within_reach(target, (0.0, 0.0, 0.0), 2.0, 0.7) is target
 
@@ -115,13 +115,13 @@ def test_a_reference_below_the_floor_is_lifted_to_it() -> None:
     reference = Reference(
         0.0, "pad", 1.0, np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), 0.0, minimum_height_m=0.5
     )
-    assert make_target(reference, np.arange(3.0), resting_path(3)).position_m[:, 2].tolist() == [-0.5] * 3
+    assert make_target(reference, np.arange(3.0), origin_at_rest(3)).position_m[:, 2].tolist() == [-0.5] * 3
 
 
 def test_a_cone_stands_on_the_pad_as_it_moves() -> None:
     times: FloatArray = 0.1 * np.arange(6, dtype=np.float64)
     up = np.stack([times, 0.0 * times, -0.3 * times], axis=1)
-    path = PadPath(up, np.zeros((6, 3)), np.zeros((6, 3)))
+    path = PadPrediction(up, np.zeros((6, 3)), np.zeros((6, 3)))
     cone = DescentCone(slope=0.2, radius_m=0.1, apex_height_m=0.18)
     target = make_target(replace(_parabola(), cone=cone), times, path)
     assert target.cone is not None

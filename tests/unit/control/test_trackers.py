@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import ZERO3, Vector3
+from companion.base.motion import Motion
 from companion.config import ControlConfig, LimitsConfig, PidConfig, PidGains
 from companion.control.baselines.pid_tracker import PidTracker
 from companion.control.baselines.riccati_tracker import RiccatiTracker
 from companion.control.mpc.mpc import Mpc, Target, needed_inputs
-from companion.control.response.flight_model import Motion
 from companion.control.tracker import Tracker, make_tracker
 from tests.unit.control.control_plants import (
     Loop,

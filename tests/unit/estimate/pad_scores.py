@@ -12,7 +12,7 @@ from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
 from companion.estimate.gating import Gate, Timeline
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import HeightFix, PadEstimate, PadFilter
+from companion.estimate.pad.pad_filter import CombinedEstimate, HeightMeasurement, PadFilter
 from tests.unit.estimate.pad_track import IMU_HZ, Track, lever
 from tests.unit.estimate.single_model_filter import SingleModelFilter
 
@@ -119,7 +119,7 @@ def with_spikes(
         before = judged.gates.get("range", Gate()).accepted
         timeline.add(time_s, fix)
         taken = judged.gates.get("range", Gate()).accepted - before
-        if isinstance(fix, HeightFix):
+        if isinstance(fix, HeightMeasurement):
             wrong = abs(error_m) > false_m
             false, false_taken = false + wrong, false_taken + wrong * taken
             true, true_taken = true + (not wrong), true_taken + (not wrong) * taken
@@ -155,7 +155,7 @@ def _error(track: Track, estimate: Any, time_s: float) -> FloatArray:
 
 
 def _nees(track: Track, estimate: Any, error: FloatArray) -> float:
-    if isinstance(estimate, PadEstimate):
+    if isinstance(estimate, CombinedEstimate):
         P = estimate.covariance(track.attitude_covariance, WANDER_RAD_S)
     else:
         swings = np.vstack((lever(estimate.x[:3]), lever(estimate.x[3:6])))

@@ -18,7 +18,7 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, IDENTITY, FloatArray, vector3
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import HeightFix, PadFix
+from companion.estimate.pad.pad_filter import HeightMeasurement, PadMeasurement
 from sitl.pad.driven_paths import RandomTurnsMotion
 from sitl.pad.motion import PadMotionSettings, build_pad_motion
 from sitl.pad.paths import (
@@ -59,12 +59,12 @@ def lever(position: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Sight:
+class LateSighting:
     """A sighting, and when it arrives."""
 
     arrival_s: float
     time_s: float
-    fix: PadFix
+    fix: PadMeasurement
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Echo:
     """An echo, and by how much it is wrong."""
 
     time_s: float
-    fix: HeightFix
+    fix: HeightMeasurement
     error_m: float
 
 
@@ -162,7 +162,7 @@ class Track:
         return history
 
     @cached_property
-    def sights(self) -> list[Sight]:
+    def sights(self) -> list[LateSighting]:
         """The sightings, in the order of their arrival."""
         rng = np.random.default_rng([self.seed, 5])
         calibration = CALIBRATION_ERROR * rng.normal(size=3)
@@ -175,7 +175,7 @@ class Track:
             row = round((k / FRAME_HZ + 0.01) * IMU_HZ)
             time_s = float(self.times_s[row])
             fix = self._fix(row, lasting, jitter, calibration, float(turn[0]), speed)
-            made.append(Sight(time_s + LATENCY_S, time_s, fix))
+            made.append(LateSighting(time_s + LATENCY_S, time_s, fix))
         return made
 
     def echoes(self, spike_share: float) -> list[Echo]:
@@ -188,7 +188,9 @@ class Track:
             if height < 2.0:
                 heard = wild if spiked else height + 0.02 * noise
                 time_s = float(self.times_s[row])
-                made.append(Echo(time_s, HeightFix(heard, (0.0, 0.0, SENSOR_BELOW_M), 0.03), heard - height))
+                made.append(
+                    Echo(time_s, HeightMeasurement(heard, (0.0, 0.0, SENSOR_BELOW_M), 0.03), heard - height)
+                )
         return made
 
     def _fix(
@@ -199,7 +201,7 @@ class Track:
         calibration: FloatArray,
         turn: float,
         speed: FloatArray,
-    ) -> PadFix:
+    ) -> PadMeasurement:
         place = self.relative[0][row]
         distance = float(np.linalg.norm(place))
         # corners of half a pixel: across the ray in proportion to the distance, along it to its square
@@ -211,7 +213,7 @@ class Track:
         seen = place + lever(place) @ rotation + np.linalg.cholesky(variance) @ noise + calibration * distance
         swing = JITTER_RAD**2 * (lever(place) @ lever(place).T)
         vehicle = self.pad[1][row] - self.relative[1][row] + VEHICLE_VELOCITY_STD_M_S * 0.3 * speed
-        return PadFix(
+        return PadMeasurement(
             position_ned_m=vector3(seen),
             covariance_ned_m2=variance + swing,
             heading_rad=float(self.pad[3][row] + self.attitude_error[row][2]) + 0.005 * turn,

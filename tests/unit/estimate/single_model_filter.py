@@ -13,7 +13,7 @@ from filterpy.kalman import KalmanFilter
 
 from companion.base.geometry import FloatArray
 from companion.estimate.motion import MotionHistory
-from companion.estimate.pad.pad_filter import PadFix
+from companion.estimate.pad.pad_filter import PadMeasurement
 
 JERK_M_S3_RTHZ = 1.0
 TIME_CONSTANTS_S = (1.5, 1.5, 1.0)
@@ -56,7 +56,7 @@ class SingleModelFilter:
         if x is not None:
             self._filter.x = x
 
-    def apply(self, time_s: float, fix: PadFix) -> None:
+    def apply(self, time_s: float, fix: PadMeasurement) -> None:
         R = NOISE_SCALE**2 * (fix.covariance_ned_m2 + fix.slow_variance_m2 * np.eye(3))
         R = R + NOISE_FLOOR_M**2 * np.eye(3)
         if self._time_s == -math.inf:
@@ -73,7 +73,7 @@ class SingleModelFilter:
         F, Q, u = self._step(snapshot.time_s, time_s)
         return Estimate((F @ snapshot.x + u)[:, 0], F @ snapshot.P @ F.T + Q)
 
-    def _start(self, fix: PadFix, R: FloatArray) -> None:
+    def _start(self, fix: PadMeasurement, R: FloatArray) -> None:
         x, P = np.zeros((9, 1)), np.zeros((9, 9))
         x[:3, 0], x[3:6, 0] = fix.position_ned_m, np.negative(fix.vehicle_velocity_ned_m_s)
         P[:3, :3], P[3:6, 3:6] = R, np.diag(np.square(FIRST_STD))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -19,12 +18,10 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     rotation_vector_from_quat,
     tilt_from_quat,
-    vector3,
     yaw_from_quat,
 )
 from companion.config import OrientationConfig
 from companion.estimate.ahrs.complementary import OrientationFilter, blend, shortest_turn
-from companion.estimate.vehicle.freezing import fill, held
 
 FIELD = (20.9, 0.6, 42.9)
 DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)
@@ -117,22 +114,3 @@ def test_field_of_wrong_size_or_dip_is_not_trusted(disturbed: tuple[float, float
     assert estimate.attitude == before
     estimate.update_mag(quat_rotate_inverse(before, FIELD), 0.02)
     assert estimate.mag_trusted
-
-
-def test_resumed_filter_goes_on_exactly() -> None:
-    rng = np.random.default_rng(3)
-    one = new_filter()
-    two = new_filter(quat_from_euler(1.0, 1.0, 1.0))
-    for k in range(200):
-        rate, force = vector3(0.1 * rng.normal(size=3)), vector3(rng.normal(size=3) + DOWN_FORCE)
-        field = vector3(rng.normal(size=3) + FIELD)
-        one.update_imu(rate, force, 0.005)
-        one.update_mag(field, 0.005)
-        if k == 100:
-            fill(two, json.loads(json.dumps(held(one))))
-        elif k > 100:
-            two.update_imu(rate, force, 0.005)
-            two.update_mag(field, 0.005)
-    assert two.update_imu((0.1, 0.2, 0.3), DOWN_FORCE, 0.005) == one.update_imu(
-        (0.1, 0.2, 0.3), DOWN_FORCE, 0.005
-    )

@@ -1,8 +1,7 @@
-"""The 31-state EKF: updates, gates, consistency of its covariance, freezing and resuming."""
+"""The 31-state EKF: updates, gates, consistency of its covariance."""
 
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
@@ -28,7 +27,6 @@ from companion.config import EkfConfig
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf import GpsStep, ImuStep, VehicleEkf
 from companion.estimate.vehicle.ekf_start import InitialState
-from companion.estimate.vehicle.freezing import fill, held
 
 FIELD = (20.9, 0.6, 42.9)
 ANTENNA = (0.1, 0.05, -0.05)
@@ -186,20 +184,6 @@ def test_sign_of_the_measured_quaternion_does_not_matter() -> None:
     one.apply(0.01, ImuStep((0, 0, 0), DOWN_FORCE, 2, None, q))
     two.apply(0.01, ImuStep((0, 0, 0), DOWN_FORCE, 2, None, (-q[0], -q[1], -q[2], -q[3])))
     assert np.array_equal(one.x, two.x)
-
-
-def test_resumed_filter_goes_on_exactly() -> None:
-    one = new_ekf()
-    busy(one, 1, 200)
-    frozen = json.loads(json.dumps(held(one)))
-    two = new_ekf()
-    fill(two, frozen)
-    busy(one, 200, 300)
-    busy(two, 200, 300)
-    assert np.array_equal(one.x, two.x)
-    assert np.array_equal(one.P, two.P)
-    assert one.gates == two.gates
-    assert held(one) == held(two)
 
 
 def test_snapshot_does_not_change_while_the_filter_goes_on() -> None:

@@ -11,6 +11,7 @@ import pytest
 from companion.base.geometry import (
     GRAVITY_M_S2,
     FloatArray,
+    Quaternion,
     matrix_from_quat,
     quat_from_euler,
     quat_from_rotation_vector,
@@ -29,6 +30,12 @@ MODELS: dict[str, Measurement] = {
     "gps_velocity": lambda x: model.gps_velocity_model(x, ANTENNA),
     "attitude": model.attitude_model,
 }
+
+
+def left_matrix(q: Quaternion) -> FloatArray:
+    """L(q), (4, 4), with q * p = L(q) p."""
+    w, x, y, z = q
+    return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
 
 
 def some_state(seed: int) -> FloatArray:
@@ -65,7 +72,7 @@ def test_transition_jacobian_matches_differences(seed: int, dt_s: float) -> None
     numeric = differences(lambda s: model.transition(s, u, dt_s, 1.0)[0], x)
     # along the quaternion's length, which stays 1, there is nothing to compare
     tangent = np.zeros((m, m - 1))
-    tangent[:4, :3] = model.left_matrix(model.quaternion_of(x))[:, 1:]
+    tangent[:4, :3] = left_matrix(model.quaternion_of(x))[:, 1:]
     tangent[4:, 3:] = np.eye(m - 4)
     A = model.transition(x, u, dt_s, 1.0)[1]
     assert A @ tangent == pytest.approx(numeric[:n, :m] @ tangent, abs=2e-6)
@@ -102,7 +109,7 @@ def test_field_seen_by_the_body_turns_with_it(yaw_deg: int) -> None:
 
 def test_quaternion_products_as_matrices() -> None:
     p, q = quat_from_euler(0.1, 0.2, 0.3), quat_from_euler(-0.5, 0.4, 2.0)
-    assert model.left_matrix(p) @ q == pytest.approx(quat_multiply(p, q))
+    assert left_matrix(p) @ q == pytest.approx(quat_multiply(p, q))
     assert model.right_matrix(q) @ p == pytest.approx(quat_multiply(p, q))
 
 

@@ -12,11 +12,11 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
-from companion.link.beacon import follow_target
 from companion.link.codec import Codec, mavlink
 from companion.link.session import Session
 from companion.link.transport import Transport, memory_pair
 from tests.unit.link.fake_autopilot import FakeAutopilot
+from tests.unit.link.ground_beacon import follow_target
 
 Answer = Callable[[bytes, float], bytes]
 MODES: dict[Manner, dict[ActionKind, str]] = {

@@ -10,8 +10,9 @@ import pytest
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadBeacon, Setpoint
 from companion.link import codec
-from companion.link.beacon import follow_target, pad_beacon
+from companion.link.beacon import pad_beacon
 from companion.link.codec import Codec, mavlink
+from tests.unit.link.ground_beacon import follow_target
 
 
 def attitudes(sender: Codec, count: int) -> list[bytes]:

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import Vector3, add, norm, scale, subtract
+from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, _graph, clearance_m
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion, plan
+from companion.plan.trajectory.min_jerk import plan
 
 CYCLE_S = 1.0 / 30.0
 RADIUS_M = 0.4

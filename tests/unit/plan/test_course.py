@@ -3,9 +3,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig
 from companion.plan.trajectory.course import Course, halting, paced, through
-from companion.plan.trajectory.min_jerk import Motion, Trajectory, carried, plan
+from companion.plan.trajectory.min_jerk import Trajectory, carried, plan
 
 START = Motion((0.0, 1.0, -5.0), (1.0, -0.5, 0.2), (0.3, 0.1, -0.2))
 FINAL = Motion((9.0, 4.0, -3.0), (0.0, 1.0, 0.0), (0.1, 0.0, 0.0))

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import norm, subtract
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.course import Way, paced
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 
 CYCLE_S = 1.0 / 30.0
 CONFIG = GuidanceConfig()

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from companion.plan.trajectory.min_jerk import Motion, Trajectory, brake, jerk_at_start, plan, quintic
+from companion.base.motion import Motion
+from companion.plan.trajectory.min_jerk import Trajectory, brake, plan, quintic
 
 START = Motion((1.0, -2.0, -7.0), (0.8, -0.3, 0.5), (0.2, 0.1, -0.4))
 FINAL = Motion((4.0, 1.0, -3.0), (-0.5, 0.4, 0.2), (0.1, -0.2, 0.3))
@@ -51,7 +52,8 @@ def test_jerk_at_the_start_is_equation_34() -> None:
     trajectory = plan(START, rest, 0.0, 3.0)
     h = 1e-6
     slope = (trajectory.at(h).acceleration_m_s2[0] - START.acceleration_m_s2[0]) / h
-    expected = jerk_at_start(3.0, START.velocity_m_s[0], START.acceleration_m_s2[0], 3.0)
+    v, a, t = START.velocity_m_s[0], START.acceleration_m_s2[0], 3.0
+    expected = 60.0 / t**3 * 3.0 - 36.0 / t**2 * v - 9.0 / t * a
     assert slope == pytest.approx(expected, rel=1e-4)
 
 

@@ -6,12 +6,12 @@ import pytest
 
 from companion.base.geometry import geodetic_from_ned
 from companion.base.messages import PadBeacon
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig, SearchConfig
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.search.pad_locator import Lead, Whereabouts, turn_rate
 from companion.plan.search.search import Search, square_spiral
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 from tests.unit.plan.plan_harness import World, still
 
 ORIGIN = (47.0, 8.0, 400.0)

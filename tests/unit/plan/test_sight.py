@@ -1,7 +1,7 @@
 import pytest
 
 from companion.base.messages import PadState
-from companion.plan.landing.relative_state import PadKnowledge, Sightings, look, pad_motion
+from companion.plan.landing.relative_state import PadKnowledge, Sightings, pad_motion, predicted
 from tests.unit.plan.plan_harness import ORIGIN_NED_M, World, still
 
 
@@ -20,31 +20,33 @@ def pad(time_s: float = 10.0, seen_s: float = 9.9) -> PadState:
     )
 
 
-def test_a_sight_is_the_vehicle_from_the_pad_led_to_now() -> None:
-    sight = look(pad(), 10.1)
+def test_the_prediction_is_the_pad_relative_to_the_vehicle_now() -> None:
+    sight = predicted(pad(), 10.1)
     assert sight is not None
-    assert sight.position_m == pytest.approx((-1.05, 2.0, -4.9))
-    assert sight.velocity_m_s == (-0.5, 0.0, 1.0)
+    assert sight.relative_position_ned_m == pytest.approx((1.05, -2.0, 4.9))
+    assert sight.vehicle_from_pad.position_m == pytest.approx((-1.05, 2.0, -4.9))
+    assert sight.vehicle_from_pad.velocity_m_s == (-0.5, 0.0, 1.0)
+    assert sight.sink_m_s == 1.0
     assert sight.height_m == pytest.approx(4.9)
     assert sight.lateral_m == pytest.approx((1.05**2 + 4.0) ** 0.5)
     assert sight.lateral_speed_m_s == pytest.approx(0.5)
-    assert sight.pad_heading_rad == pytest.approx(0.21)
+    assert sight.heading_rad == pytest.approx(0.21)
     assert sight.age_s == pytest.approx(0.2)
 
 
-def test_a_filter_that_stopped_is_not_led_on_but_ages() -> None:
-    sight = look(pad(), 20.0)
+def test_a_filter_that_stopped_is_not_predicted_on_but_ages() -> None:
+    sight = predicted(pad(), 20.0)
     assert sight is not None
-    assert sight.position_m[0] == pytest.approx(-1.15)
+    assert sight.relative_position_ned_m[0] == pytest.approx(1.15)
     assert sight.age_s == pytest.approx(10.1)
-    assert look(None, 20.0) is None
+    assert predicted(None, 20.0) is None
 
 
 def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
     w = World(still(10.6, 0.8))
     w.position = (9.0, 1.0, -6.0)
     w._sense()
-    vehicle, sight = w.inputs().vehicle, look(w.inputs().pad, 0.0)
+    vehicle, sight = w.inputs().vehicle, predicted(w.inputs().pad, 0.0)
     assert vehicle is not None
     assert sight is not None
     place = pad_motion(vehicle, sight, 0.0).position_m
@@ -56,7 +58,7 @@ def test_steady_means_so_many_sightings_within_a_window() -> None:
     s = Sightings(3, 0.5)
     for t in (1.0, 1.1):
         s.note(pad(t, t))
-        s.note(pad(t + 0.03, t))  # the same sighting, led on
+        s.note(pad(t + 0.03, t))  # the same sighting, predicted on
     assert not s.steady(1.1)
     s.note(pad(1.2, 1.2))
     assert s.steady(1.2)

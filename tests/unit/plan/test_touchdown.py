@@ -2,14 +2,13 @@ import math
 
 import pytest
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler
-from companion.base.messages import LandedState, RangeSample
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
+from companion.base.messages import LandedState, PadState, RangeSample
+from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
-from companion.plan.landing.relative_state import Sight
 from companion.plan.landing.touchdown import Held, Touchdown, aligned, contact_signs, gentle
 from companion.plan.mission.table import Event
 from companion.plan.trajectory.guidance import Guide
-from companion.plan.trajectory.min_jerk import Motion
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()
@@ -24,8 +23,10 @@ def sight(
     velocity: Vector3 = ZERO3,
     pad_acceleration: Vector3 = ZERO3,
     age: float = 0.0,
-) -> Sight:
-    return Sight((aside, 0.0, -height), velocity, ZERO3, pad_acceleration, 0.0, age)
+) -> PadState:
+    """The pad under a vehicle that is so far aside and high, and moves over it at `velocity`."""
+    relative = ((-aside, 0.0, height), scale(velocity, -1.0))
+    return PadState(0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0, seen_time_s=-age)
 
 
 def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Touchdown:
@@ -36,7 +37,7 @@ def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Touchdown:
     return touchdown
 
 
-def wait(touchdown: Touchdown, seen: Sight, until_s: float) -> tuple[float, Event | None]:
+def wait(touchdown: Touchdown, seen: PadState, until_s: float) -> tuple[float, Event | None]:
     """Step until it commits or finds something; the time and what."""
     k = 0
     while k * CYCLE_S < until_s:
@@ -58,7 +59,7 @@ def wait(touchdown: Touchdown, seen: Sight, until_s: float) -> tuple[float, Even
         (sight(age=0.3), sight(age=0.31)),
     ],
 )
-def test_aligned_on_both_sides_of_each_bound(good: Sight, bad: Sight) -> None:
+def test_aligned_on_both_sides_of_each_bound(good: PadState, bad: PadState) -> None:
     assert aligned(good, WAIT_M, 1.0, CONFIG)
     assert not aligned(bad, WAIT_M, 1.0, CONFIG)
 
@@ -160,7 +161,7 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
     ],
 )
 def test_each_sign_of_contact_on_both_sides_of_its_bound(
-    seen: Sight | None, echo: float | None, landed: LandedState, names: set[str]
+    seen: PadState | None, echo: float | None, landed: LandedState, names: set[str]
 ) -> None:
     sample = None if echo is None else RangeSample(9.9, echo)
     signs = contact_signs(seen, SINKING, sample, landed, 10.0, config=CONFIG, vehicle=VEHICLE)

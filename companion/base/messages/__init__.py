@@ -1,0 +1,85 @@
+"""What crosses a border between stages: frozen dataclasses in SI units.
+
+`time_s` is when the thing was measured on the app's monotonic clock (a frame: mid-exposure), never when
+it arrived. Frames are in the field's name: `_ned_`, `_body_` (FRD), `_camera_`, `_pad_`.
+
+Relative motion is the pad minus the vehicle's reference point, from the sighting to the controller. A place
+in a frame that begins at the pad (`Reference` with origin "pad") is a place like any other: it counts from
+the frame's origin.
+"""
+
+from companion.base.messages.control import (
+    ControlReport,
+    Setpoint,
+)
+from companion.base.messages.estimate import (
+    PadState,
+    VehicleState,
+)
+from companion.base.messages.link import (
+    AutopilotSetup,
+    AutopilotState,
+    LandedState,
+    Manner,
+    PadBeacon,
+)
+from companion.base.messages.plan import (
+    Action,
+    ActionKind,
+    ActionResult,
+    DescentCone,
+    LevelOff,
+    Notice,
+    Outcome,
+    Phase,
+    PlanStep,
+    Reference,
+)
+from companion.base.messages.sense import (
+    AutopilotAttitude,
+    Frame,
+    FrameReport,
+    GpsFix,
+    ImuSample,
+    MagSample,
+    MarkerGroup,
+    PadPrior,
+    PadSighting,
+    RangeSample,
+)
+from companion.base.messages.truth import (
+    Truth,
+)
+
+__all__ = [
+    "Action",
+    "ActionKind",
+    "ActionResult",
+    "AutopilotAttitude",
+    "AutopilotSetup",
+    "AutopilotState",
+    "ControlReport",
+    "DescentCone",
+    "Frame",
+    "FrameReport",
+    "GpsFix",
+    "ImuSample",
+    "LandedState",
+    "LevelOff",
+    "MagSample",
+    "Manner",
+    "MarkerGroup",
+    "Notice",
+    "Outcome",
+    "PadBeacon",
+    "PadPrior",
+    "PadSighting",
+    "PadState",
+    "Phase",
+    "PlanStep",
+    "RangeSample",
+    "Reference",
+    "Setpoint",
+    "Truth",
+    "VehicleState",
+]

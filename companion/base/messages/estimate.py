@@ -1,0 +1,92 @@
+"""What the estimate stage gives: the vehicle's state, and the pad's relative to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from companion.base.geometry import Quaternion, Vector3, scale
+from companion.base.motion import Motion
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """The vehicle at time_s by the 31-state EKF.
+
+    `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
+    fix and None before it. Of the time since the newest IMU sample, `imu_age_s`, it is foretold.
+    """
+
+    time_s: float
+    attitude: Quaternion
+    rate_body_rad_s: Vector3
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    acceleration_ned_m_s2: Vector3
+    gyro_bias_rad_s: Vector3
+    accel_bias_m_s2: Vector3
+    attitude_std_rad: float
+    velocity_std_m_s: float
+    position_std_m: float
+    aligned: bool
+    has_gps: bool
+    origin: Vector3 | None = None
+    imu_age_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PadState:
+    """The pad at time_s by the relative-motion filter; plan and control use this form, and no other.
+
+    Relative means pad minus vehicle (reference point), NED axes: straight above the pad the relative
+    position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
+    the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
+    `models` the probability of each model of its motion.
+    """
+
+    time_s: float
+    relative_position_ned_m: Vector3
+    relative_velocity_ned_m_s: Vector3
+    velocity_ned_m_s: Vector3
+    acceleration_ned_m_s2: Vector3
+    heading_rad: float
+    heading_rate_rad_s: float
+    position_std_m: float
+    velocity_std_m_s: float
+    seen_time_s: float
+    covariance: tuple[tuple[float, ...], ...] = ()
+    turn_rate_rad_s: float = 0.0
+    models: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def height_m(self) -> float:
+        """Height (m) of the vehicle's reference point over the pad."""
+        return self.relative_position_ned_m[2]
+
+    @property
+    def sink_m_s(self) -> float:
+        """Speed (m/s) at which that height decreases."""
+        return -self.relative_velocity_ned_m_s[2]
+
+    @property
+    def lateral_m(self) -> float:
+        """Horizontal distance (m) between the vehicle's reference point and the pad's centre."""
+        return math.hypot(self.relative_position_ned_m[0], self.relative_position_ned_m[1])
+
+    @property
+    def lateral_speed_m_s(self) -> float:
+        """Horizontal speed (m/s) between the two."""
+        return math.hypot(self.relative_velocity_ned_m_s[0], self.relative_velocity_ned_m_s[1])
+
+    @property
+    def age_s(self) -> float:
+        """Time (s) since the pad was last seen."""
+        return max(0.0, self.time_s - self.seen_time_s)
+
+    @property
+    def vehicle_from_pad(self) -> Motion:
+        """The vehicle, without acceleration, in the frame of a `Reference` with origin "pad".
+
+        A place in that frame counts from the pad, so it is minus the relative position.
+        """
+        return Motion(scale(self.relative_position_ned_m, -1.0), scale(self.relative_velocity_ned_m_s, -1.0))

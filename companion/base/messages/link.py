@@ -1,0 +1,74 @@
+"""What comes back over the link: what the autopilot says of itself, and where the pad reports to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.geometry import Quaternion, Vector3
+
+Manner = AutopilotKind
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotSetup:
+    """What the autopilot's parameters say of how it obeys; None: not told.
+
+    `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways.
+    """
+
+    tilt_deg: float | None = None
+    hover_thrust: float | None = None
+    acceleration_m_s2: float | None = None
+    jerk_m_s3: float | None = None
+
+
+class LandedState(StrEnum):
+    """MAV_LANDED_STATE."""
+
+    UNDEFINED = "undefined"
+    ON_GROUND = "on_ground"
+    IN_AIR = "in_air"
+    TAKEOFF = "takeoff"
+    LANDING = "landing"
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotState:
+    """The newest of what the autopilot says of itself. Its frame and origin are its own, not ours.
+
+    `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
+    and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
+    nothing of the kind is told (PX4).
+    """
+
+    time_s: float
+    connected: bool = False
+    manner: Manner | None = None
+    armed: bool = False
+    mode: str = ""
+    offboard: bool = False
+    ready_to_arm: bool = False
+    ekf_ready: bool | None = None
+    landed: LandedState = LandedState.UNDEFINED
+    landed_time_s: float = float("-inf")
+    attitude: Quaternion | None = None
+    attitude_time_s: float = float("-inf")
+    position_ned_m: Vector3 | None = None
+    velocity_ned_m_s: Vector3 | None = None
+    global_position: Vector3 | None = None
+    home: Vector3 | None = None
+    texts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PadBeacon:
+    """The pad's own GPS, sent by the ground station (MAVLink FOLLOW_TARGET): metres, not centimetres."""
+
+    time_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    velocity_ned_m_s: Vector3
+    position_std_m: float

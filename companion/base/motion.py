@@ -1,0 +1,19 @@
+"""How a point moves at one moment: the one form for a vehicle's or a pad's motion in a named frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.base.geometry import ZERO3, Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Position (m), velocity (m/s) and acceleration (m/s²) of a point at one time, in one frame.
+
+    Who holds it says whose motion it is and in which frame.
+    """
+
+    position_m: Vector3
+    velocity_m_s: Vector3 = ZERO3
+    acceleration_m_s2: Vector3 = ZERO3
