@@ -1,8 +1,8 @@
-"""Carries the mission's actions to the autopilot and the ground station, and brings the answers back.
+"""The queue of the mission's actions to the autopilot and the ground station.
 
-Most go one after another. What makes safe (hold, land, disarm) overtakes everything: what is under way is
-withdrawn and what waits is dropped, so that no late command takes the vehicle back. Asking the ground
-station for the pad's position is nobody's turn to wait for and goes beside them.
+Most are performed one after another. Hold, land and disarm overtake everything: the action under way is
+cancelled and what waits is dropped, so that no late command undoes them. A request to the ground station for
+the pad's position does not wait in the queue.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from companion.link.actions.actions import VehicleActions
 URGENT: Final = frozenset({ActionKind.HOLD, ActionKind.LAND, ActionKind.DISARM})
 
 
-class Errands:
-    """The actions waiting and under way. `told` hears each result once."""
+class ActionQueue:
+    """The actions waiting and under way; `on_result` receives each result once."""
 
-    def __init__(self, actions: VehicleActions, told: Callable[[ActionResult], None]) -> None:
-        self._actions, self._told = actions, told
+    def __init__(self, actions: VehicleActions, on_result: Callable[[ActionResult], None]) -> None:
+        self._actions, self._on_result = actions, on_result
         self._waiting: deque[Action] = deque()
         self._arrived = asyncio.Event()
         self._beside: set[asyncio.Task[None]] = set()
@@ -30,11 +30,11 @@ class Errands:
 
     @property
     def busy(self) -> bool:
-        """Whether anything is waiting or under way in the main line."""
+        """Whether an action is waiting or under way."""
         return self._under_way is not None or bool(self._waiting)
 
-    def ask(self, action: Action) -> None:
-        """Put an action in line, or in front of all others when it is urgent."""
+    def add(self, action: Action) -> None:
+        """Append an action; an urgent one goes before all others."""
         if action.kind is ActionKind.REQUEST_PAD_POSITION:
             task = asyncio.create_task(self._perform(action))
             self._beside.add(task)
@@ -47,13 +47,13 @@ class Errands:
         self._waiting.append(action)
         self._arrived.set()
 
-    def void(self) -> None:
-        """Drop what waits and withdraw what is under way: its purpose is gone."""
+    def clear(self) -> None:
+        """Drop what waits and cancel what is under way."""
         self._waiting.clear()
         self._actions.cancel()
 
     async def run(self) -> None:
-        """Work until cancelled."""
+        """Perform actions until cancelled."""
         try:
             while True:
                 while self._waiting:
@@ -68,4 +68,4 @@ class Errands:
                 task.cancel()
 
     async def _perform(self, action: Action) -> None:
-        self._told(await self._actions.perform(action))
+        self._on_result(await self._actions.perform(action))

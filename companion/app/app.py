@@ -1,10 +1,11 @@
-"""The wiring: one task a stage, latest-value slots between them. Nothing here decides how to fly.
+"""The application: one task a stage, at their own rates. Nothing here decides how to fly.
 
     frames ─► vision ─┐
     mpu9250 ──────────┼─► estimator ─► planner ─► controller ─► link ─► autopilot
     neo6m, ultrasonic ┘                                          ▲ telemetry, beacon
     (or, for those three, the autopilot's own by its telemetry)
 
+Samples go into the estimator when they arrive. Each control cycle reads the newest estimates; nothing queues.
 The control task is the only one that sends setpoints: when it stops, they stop, and the autopilot's own
 failsafe takes the vehicle.
 """
@@ -12,16 +13,17 @@ failsafe takes the vehicle.
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
-from companion.app.action_queue import Errands
+from companion.app.action_queue import ActionQueue
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import ActionsFactory, Hardware
-from companion.app.sensing import Sensing
+from companion.app.stages import build_stages
+from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
+from companion.app.supervision import supervised
 from companion.app.systemd import ServiceNotifier
 from companion.base.clock import Clock
 from companion.base.collecting import collecting_little
@@ -31,7 +33,6 @@ from companion.base.messages import (
     ActionResult,
     AutopilotSetup,
     ControlReport,
-    FrameReport,
     Notice,
     PadState,
     Phase,
@@ -40,30 +41,18 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import (
-    CameraConfig,
     CompanionConfig,
     ConfigError,
-    find_file,
-    load_model,
-    load_mount,
-    load_vehicle,
 )
 from companion.control.controller import Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
-from companion.estimate.estimator import Estimator
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
-from companion.link.session import Session
 from companion.link.transport import backlog_read
-from companion.pad import load_pad
-from companion.plan.planner import PlanInputs, Planner
-from companion.plan.speed.laws import load_speed_law
-from companion.sense.vision.pipeline import Vision
+from companion.plan.planner import PlanInputs
 
 LINK_TICK_S: Final = 0.05
-STATUS_PERIOD_S: Final = 0.25
-FRAME_RATE_WINDOW_S: Final = 1.0
 # how long the app goes on recording after the flight has ended, so that the log holds the standstill
 LINGER_S: Final = 1.0
 # the last requests (hold, land, disarm) are repeated after it for this long
@@ -71,28 +60,12 @@ LAST_REQUESTS_S: Final = 12.0
 LAST_HOLD_S: Final = 2.0
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 # entering one of these voids what was asked before
-NO_MORE_ERRANDS: Final = (*END_PHASES, Phase.HOLD)
-ON_THE_GROUND: Final = (Phase.CONNECT, Phase.ARM)  # there a mistake in the settings ends the app
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """What the terminal shows; times count from the app's start."""
-
-    time_s: float
-    phase: Phase
-    mode: str
-    vehicle: VehicleState | None
-    pad: PadState | None
-    last_frame: FrameReport | None
-    frame_rate_hz: float
-    latency_ms: float | None
-    notices: tuple[Notice, ...]
-    camera_problem: str | None = None
+NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)
+ON_THE_GROUND: Final = (Phase.CONNECT, Phase.ARM)  # there an error in the settings ends the app
 
 
 class App:
-    """One flight, from connecting to disarmed or handed back. Make it inside the running loop."""
+    """One flight, from connecting to disarmed, or to control returned. Make it inside the running loop."""
 
     def __init__(
         self,
@@ -102,7 +75,7 @@ class App:
         make_actions: ActionsFactory,
         on_status: Callable[[Status], None] | None = None,
     ) -> None:
-        """Wire the stages.
+        """Make the stages.
 
         Raises:
             ConfigError: a settings file named in the configuration is missing or wrong.
@@ -110,44 +83,12 @@ class App:
         self._config, self._hardware, self._log = config, hardware, log
         self._on_status = on_status
         self._clock = Clock()
-        mount = load_mount(config.mount, config.camera)
-        vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
-        camera = load_model(CameraConfig, find_file("cameras", config.camera))
-        pad = load_pad(config.pad)
-        antenna = config.sense.gps.antenna_position_body_m
-        by_telemetry = config.sense.source == "autopilot"
-        self.session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
-        self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
-        self._sensing = Sensing(
-            config,
-            hardware,
-            Vision(pad, camera, vehicle, config.sense.vision),
-            self._estimator,
-            self.session.onboard,
-            clock=self._clock,
-            log=log,
-            tell=self._notice,
-            frame_time_offset_s=vehicle.camera_time_offset_s,
-        )
-        log.write_settings(
-            config=config,
-            vehicle=vehicle,
-            camera=camera,
-            pad=pad,
-            **self._sensing.calibrations,
-            **({} if mount is None else {"mount": mount}),
-        )
-        self._planner = Planner(
-            config.plan,
-            vehicle,
-            horizon_steps=config.control.horizon_steps,
-            step_s=config.control.step_s,
-            law=load_speed_law(config.plan),
-        )
-        self._vehicle = vehicle
+        stages = build_stages(config, hardware, log, self._clock, self._notice)
+        self._vehicle, self.session, self._planner = stages.vehicle, stages.session, stages.planner
+        self._estimator, self._sensing = stages.estimator, stages.sensing
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
-        self._errands = Errands(self._actions, self._take_result)
+        self._action_queue = ActionQueue(self._actions, self._take_result)
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()
         self._phase = Phase.CONNECT
@@ -193,32 +134,23 @@ class App:
             **self._sensing.tasks(),
             "autopilot link": self._receive_task,
             "heartbeat": self._link_task,
-            "actions": self._errands.run,
+            "actions": self._action_queue.run,
             "status": self._status_task,
         }
-        for doubt in forced_calibrations(self._config):
-            self._notice("calibration", doubt, "warning")
+        for warning in forced_calibrations(self._config):
+            self._notice("calibration", warning, "warning")
         async with asyncio.TaskGroup() as group:
-            workers = [group.create_task(self._guard(name, work), name=name) for name, work in works.items()]
+            workers = [
+                group.create_task(supervised(name, work, self._notice, self._on_ground), name=name)
+                for name, work in works.items()
+            ]
             phase = await group.create_task(self._controlled(), name="control")
             for worker in workers:
                 worker.cancel()
         return phase
 
-    async def _guard(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
-        """Go on without what is gone: the planner knows what a flight without it may still do.
-
-        That holds for a fault of ours in that task too: better no GPS than no control.
-        """
-        try:
-            await work()
-        except ConfigError as error:
-            if self._phase in ON_THE_GROUND:
-                raise
-            self._notice("device_lost", f"{name} lost: {error}", "error")
-        except Exception as error:
-            kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
-            self._notice("device_lost", f"{name} lost: {kind}{error}", "error")
+    def _on_ground(self) -> bool:
+        return self._phase in ON_THE_GROUND
 
     def _notice(self, kind: str, text: str, severity: Severity) -> None:
         self._publish(Notice(self._clock.now_s(), kind, text, severity))
@@ -231,7 +163,7 @@ class App:
             return await self._control_task()
         except Exception:
             if self.session.state.offboard:
-                self._errands.void()
+                self._action_queue.clear()
                 hold = self._actions.perform(Action(ActionKind.HOLD))
                 with suppress(TimeoutError):
                     self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
@@ -268,7 +200,7 @@ class App:
         if ended_s is None:
             return False
         since_s = self._clock.now_s() - ended_s
-        open_requests = self._errands.busy or self._planner.waiting
+        open_requests = self._action_queue.busy or self._planner.waiting
         return since_s >= (LAST_REQUESTS_S if open_requests else LINGER_S)
 
     async def _control_step(self, now_s: float, late_s: float) -> None:
@@ -319,15 +251,15 @@ class App:
         plan = self._planner.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it
         left_pad, self._on_pad = self._on_pad and not plan.on_ground, plan.on_ground
-        if left_pad or (plan.phase in NO_MORE_ERRANDS and plan.phase is not self._phase):
-            self._errands.void()
+        if left_pad or (plan.phase in NO_MORE_ACTIONS and plan.phase is not self._phase):
+            self._action_queue.clear()
         self._phase = plan.phase
         self._log.write("plan", plan, now_s)
         for notice in plan.notices:
             self._publish(notice)
         for action in plan.actions:
             self._log.write("action", action, now_s)
-            self._errands.ask(action)
+            self._action_queue.add(action)
         return plan
 
     def _send_setpoint(self, setpoint: Setpoint, report: ControlReport) -> None:
@@ -389,12 +321,11 @@ class App:
     async def _status_task(self) -> None:
         """Hand the newest state to the terminal a few times a second."""
         self._service.ready()
-        frame_counts = deque([0], maxlen=round(FRAME_RATE_WINDOW_S / STATUS_PERIOD_S) + 1)
+        frame_rate = FrameRate()
         while True:
             await asyncio.sleep(STATUS_PERIOD_S)
             self._watch_log()
-            frame_counts.append(self._sensing.frame_count)
-            span_s = STATUS_PERIOD_S * (len(frame_counts) - 1)
+            frame_rate_hz = frame_rate.add(self._sensing.frame_count)
             notices, self._new_notices = self._new_notices, []
             if self._on_status is None:
                 continue
@@ -406,7 +337,7 @@ class App:
                 vehicle=self._estimator.vehicle(now_s),
                 pad=self._estimator.pad(now_s),
                 last_frame=self._sensing.last_frame,
-                frame_rate_hz=(frame_counts[-1] - frame_counts[0]) / span_s,
+                frame_rate_hz=frame_rate_hz,
                 latency_ms=self._latency_ms,
                 notices=tuple(replace(n, time_s=n.time_s - self._start_s) for n in notices),
                 camera_problem=self._sensing.camera_problem,

@@ -1,7 +1,6 @@
-"""What speaks against the calibrations that a flight is to use: those written though they were refused.
+"""Warnings about the calibrations in use: those that were written with `--force` although they were rejected.
 
-They are flown with all the same, since whoever forced one has said so, but not in silence: the app tells it
-at every start.
+The app flies with them, since the user asked for it, but warns at every start.
 """
 
 from __future__ import annotations

@@ -69,24 +69,24 @@ def load_used_magnetometer(sense: SenseConfig) -> MagnetometerCalibration | None
     return load_magnetometer_calibration(path, sensor, f"{key}.magnetometer_calibration")
 
 
-class Tell(Protocol):
-    """How a task says something to people."""
+class Notify(Protocol):
+    """How a task publishes a notice."""
 
     def __call__(self, kind: str, text: str, severity: Severity) -> None:
         """Publish a notice."""
         ...
 
 
-class Eyes(Protocol):
-    """What looks at frames: `companion.sense.vision.pipeline.Vision`, or it with something about it."""
+class FrameProcessor(Protocol):
+    """What processes frames: `companion.sense.vision.pipeline.Vision`, or a wrapper of it."""
 
     def step(self, frame: Frame, prior: PadPrior | None) -> VisionResult:
-        """One frame in, what it shows out."""
+        """Process one frame."""
         ...
 
 
 class Estimates(Protocol):
-    """Where samples go: the estimator, or whoever wants them as they are."""
+    """Where samples go: the estimator, or a tool that takes them as they are."""
 
     def add_imu(self, sample: ImuSample) -> object: ...
     def add_mag(self, sample: MagSample) -> object: ...
@@ -104,13 +104,13 @@ class Sensing:
         self,
         config: CompanionConfig,
         hardware: Hardware,
-        vision: Eyes,
+        vision: FrameProcessor,
         estimator: Estimates,
         onboard: OnboardSensors | None = None,
         *,
         clock: Clock,
         log: FlightLog,
-        tell: Tell,
+        notify: Notify,
         frame_time_offset_s: float = 0.0,
     ) -> None:
         """Make the drivers; nothing is read yet.
@@ -131,7 +131,7 @@ class Sensing:
             self._range = make_range_finder(config.sense.range, hardware.range_port, clock)
         self._vision = vision
         self._estimator = estimator
-        self._clock, self._log, self._tell = clock, log, tell
+        self._clock, self._log, self._notify = clock, log, notify
         self._frame_time_offset_s = frame_time_offset_s
         self.last_range: RangeSample | None = None
         self.last_frame: FrameReport | None = None
@@ -193,16 +193,16 @@ class Sensing:
                 samples = await self._clock.run(driver.poll, self._clock.now_s, modelled_s=0.0)
                 self._take_inertial(*samples)
                 if samples[0]:
-                    fault = self._tell_change(driver.problem, fault)
+                    fault = self._notify_change(driver.problem, fault)
             except SensorError as error:
-                fault = self._tell_change(str(error), fault)
+                fault = self._notify_change(str(error), fault)
             next_s = max(next_s + period_s, self._clock.now_s())
             await self._clock.sleep_until(next_s)
 
-    def _tell_change(self, problem: str | None, told: str | None) -> str | None:
-        """Tell a problem that is not the one told last; returns what counts as told."""
+    def _notify_change(self, problem: str | None, told: str | None) -> str | None:
+        """Notify a problem that is not the one told last; returns what counts as told."""
         if problem is not None and problem != told:
-            self._tell("sensor", problem, "warning")
+            self._notify("sensor", problem, "warning")
         return problem
 
     def _take_inertial(self, imu_samples: list[ImuSample], mag_samples: list[MagSample]) -> None:
@@ -261,13 +261,13 @@ class Sensing:
     # ------------------------------------------------------------ watch
 
     async def _watch_task(self) -> None:
-        """Tell what is wrong with the sensors, each problem once while it lasts."""
+        """Notify what is wrong with the sensors, each problem once while it lasts."""
         told: list[str | None] = []
         while True:
             await asyncio.sleep(WATCH_PERIOD_S)
             problems = self._problems(self._clock.now_s())
             told = told or [None] * len(problems)
-            told = [self._tell_change(*pair) for pair in zip(problems, told, strict=True)]
+            told = [self._notify_change(*pair) for pair in zip(problems, told, strict=True)]
 
     def _problems(self, now_s: float) -> list[str | None]:
         """What is wrong with each of the sensors that are used and do not speak for themselves."""
@@ -290,11 +290,11 @@ class Sensing:
         return frames.problem if isinstance(frames, KeptCamera) else None
 
     async def _camera_reports_task(self, camera: KeptCamera) -> None:
-        """Tell what becomes of the camera; the flight goes on without sightings meanwhile."""
+        """Notify what becomes of the camera; the flight goes on without sightings meanwhile."""
         while True:
             report = await camera.report()
             kind = "device_lost" if report.severity == "error" else "sensor"
-            self._tell(kind, report.text, report.severity)
+            self._notify(kind, report.text, report.severity)
 
     async def _vision_task(self) -> None:
         """Look at the newest frame; what it shows enters the estimator at its exposure time."""
@@ -308,7 +308,7 @@ class Sensing:
                 )
             except Exception as error:
                 # one frame that cannot be understood must not blind the rest of the flight
-                self._tell_fault(f"frame {frame.sequence} skipped: {type(error).__name__}: {error}")
+                self._notify_fault(f"frame {frame.sequence} skipped: {type(error).__name__}: {error}")
                 continue
             self._take_seen(frame, seen)
 
@@ -329,9 +329,9 @@ class Sensing:
         )
         self._log.write("frame_report", self.last_frame, now_s)
 
-    def _tell_fault(self, text: str) -> None:
-        """Tell a fault that may come with every frame, but not more often than is of use."""
+    def _notify_fault(self, text: str) -> None:
+        """Notify a fault that may come with every frame, but not more often than is of use."""
         now_s = self._clock.now_s()
         if now_s - self._fault_told_s >= FAULT_PERIOD_S:
             self._fault_told_s = now_s
-            self._tell("sensor", text, "warning")
+            self._notify("sensor", text, "warning")

@@ -19,9 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from companion.app.app import App, Status
+from companion.app.app import App
 from companion.app.hardware import Hardware, make_actions, make_own_actions, open_hardware
 from companion.app.signals import stopping_on_signals
+from companion.app.status import Status
 from companion.base.clock import Clock, run_in_virtual_time, wall_clock_s
 from companion.base.messages import Phase
 from companion.config import CompanionConfig, merge, validate

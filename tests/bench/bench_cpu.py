@@ -25,7 +25,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from companion.app.app import Status
+from companion.app.status import Status
 from companion.base.clock import start_unix_s
 from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate

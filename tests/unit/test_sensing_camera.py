@@ -46,7 +46,7 @@ def test_the_pad_is_seen_again_and_people_are_told_when_the_camera_comes_back() 
             samples,
             clock=clock,
             log=FlightLog(None, start_unix_s=0.0),
-            tell=lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
+            notify=lambda kind, text, severity: told.append((clock.now_s(), kind, text, severity)),
         )
         tasks = [asyncio.create_task(run(work)) for work in sensing.tasks().values()]
         for time_s in (0.9, 1.5, 4.5):

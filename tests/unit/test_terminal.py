@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from companion.app.app import Status
+from companion.app.status import Status
 from companion.app.terminal import StatusView
 from companion.base.geometry import ZERO3
 from companion.base.messages import FrameReport, Notice, PadState, Phase, VehicleState

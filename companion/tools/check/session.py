@@ -95,7 +95,7 @@ class PadCheck:
             self._session.onboard,
             clock=self._clock,
             log=FlightLog(None, start_unix_s=0.0),
-            tell=self._tell,
+            notify=self._tell,
             frame_time_offset_s=vehicle.camera_time_offset_s,
         )
         self._mounting = _mounting(config, vehicle)

@@ -1,0 +1,81 @@
+"""The stages of one flight, made from the settings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from companion.app.hardware import Hardware
+from companion.app.sensing import Notify, Sensing
+from companion.base.clock import Clock
+from companion.base.files import find_file
+from companion.config import (
+    CameraConfig,
+    CompanionConfig,
+    VehicleConfig,
+    load_model,
+    load_mount,
+    load_vehicle,
+)
+from companion.estimate.estimator import Estimator
+from companion.flightlog.record import FlightLog
+from companion.link.session import Session
+from companion.pad import load_pad
+from companion.plan.planner import Planner
+from companion.plan.speed.laws import load_speed_law
+from companion.sense.vision.pipeline import Vision
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """What the tasks of the app work with. The controller follows when the autopilot is known."""
+
+    vehicle: VehicleConfig
+    session: Session
+    estimator: Estimator
+    sensing: Sensing
+    planner: Planner
+
+
+def build_stages(
+    config: CompanionConfig, hardware: Hardware, log: FlightLog, clock: Clock, notify: Notify
+) -> Stages:
+    """Make the stages and write the settings that they use into the log.
+
+    Raises:
+        ConfigError: a settings file named in the configuration is missing or wrong.
+    """
+    mount = load_mount(config.mount, config.camera)
+    vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
+    camera = load_model(CameraConfig, find_file("cameras", config.camera))
+    pad = load_pad(config.pad)
+    antenna = config.sense.gps.antenna_position_body_m
+    by_telemetry = config.sense.source == "autopilot"
+    session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
+    estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
+    sensing = Sensing(
+        config,
+        hardware,
+        Vision(pad, camera, vehicle, config.sense.vision),
+        estimator,
+        session.onboard,
+        clock=clock,
+        log=log,
+        notify=notify,
+        frame_time_offset_s=vehicle.camera_time_offset_s,
+    )
+    log.write_settings(
+        config=config,
+        vehicle=vehicle,
+        camera=camera,
+        pad=pad,
+        **sensing.calibrations,
+        **({} if mount is None else {"mount": mount}),
+    )
+    planner = Planner(
+        config.plan,
+        vehicle,
+        horizon_steps=config.control.horizon_steps,
+        step_s=config.control.step_s,
+        law=load_speed_law(config.plan),
+    )
+    return Stages(vehicle, session, estimator, sensing, planner)
