@@ -51,7 +51,7 @@ from companion.config import (
 from companion.control.controller import Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
 from companion.link.session import Session
@@ -117,7 +117,9 @@ class App:
         antenna = config.sense.gps.antenna_position_body_m
         by_telemetry = config.sense.source == "autopilot"
         self.session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
-        self._estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
+        self._estimator = StateEstimator(
+            config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m)
+        )
         self._sensing = Sensing(
             config,
             hardware,

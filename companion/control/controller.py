@@ -27,7 +27,6 @@ from companion.base.messages import (
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.limits import LimitsGate
-from companion.control.mpc.mpc import Solution
 from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
 from companion.control.response.fitting import fitted, hover_thrust
@@ -45,6 +44,7 @@ from companion.control.setpoints import (
     velocity_setpoint,
 )
 from companion.control.tracker import make_tracker
+from companion.control.tracking import TrackingSolution
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -251,7 +251,7 @@ class Controller:
         from_s = max(from_s, now_s - LONGEST_PREDICTION_S)
         return _Start(times_s, self._plant.carry(motion, from_s, effect_s), prediction)
 
-    def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
+    def _setpoint(self, motion: Motion, solution: TrackingSolution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()
         if self._stopped:
             return stop_setpoint(now_s, self._config, plant.hover_thrust, look)
@@ -270,7 +270,7 @@ class Controller:
             heading=look,
         )
 
-    def _boost(self, motion: Motion, solution: Solution) -> float:
+    def _boost(self, motion: Motion, solution: TrackingSolution) -> float:
         """What thrust lacks while the lean lags; by velocity setpoints the autopilot leans as it likes."""
         if self._stopped or self._config.setpoint == "velocity":
             return 1.0

@@ -39,7 +39,7 @@ from companion.config import (
     validate,
 )
 from companion.flightlog.record import FlightLog
-from companion.link.transport import MemoryTransport, memory_pair
+from companion.link.inbox import MemoryTransport, memory_pair
 from companion.sim.external import External
 from sitl.firmware.process import FirmwareError
 from sitl.firmware.spec import FirmwareSpec

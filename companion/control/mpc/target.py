@@ -14,8 +14,8 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
 from companion.base.messages import LevelOff, Reference
-from companion.control.mpc.mpc import Cone, Target
 from companion.control.pad_prediction import PadPrediction
+from companion.control.tracking import Cone, Target
 
 HEADING_RATE_SMOOTHING_S = 0.4
 

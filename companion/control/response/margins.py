@@ -39,7 +39,7 @@ FREQUENCIES: Final = 2000
 
 
 @dataclass(frozen=True)
-class Case:
+class MarginCase:
     """A loop: settings, whose autopilot, the axis, the response, and how far off what is believed it is."""
 
     control: ControlConfig
@@ -68,7 +68,7 @@ class Margins:
 class _Flown:
     """The linear vehicle along one axis: place, velocity, acceleration and its rate; and how it is sensed."""
 
-    def __init__(self, case: Case, period_s: float) -> None:
+    def __init__(self, case: MarginCase, period_s: float) -> None:
         step_s = period_s / STEPS_A_PERIOD
         response = self._response = case.response
         w, zeta = response.frequency_rad_s, response.damping
@@ -98,7 +98,7 @@ class _Flown:
         return asked + self._asked
 
 
-def respond(case: Case, kicks_m_s2: FloatArray, *, controller: str = "riccati") -> FloatArray:
+def respond(case: MarginCase, kicks_m_s2: FloatArray, *, controller: str = "riccati") -> FloatArray:
     """What the controller commands (n,) while `kicks_m_s2` (n,) are added unknown to it, from rest."""
     control = resolved(case.control, case.manner).model_copy(update={"controller": controller})
     flying = Controller(control, case.vehicle, manner=case.manner)
@@ -114,7 +114,7 @@ def respond(case: Case, kicks_m_s2: FloatArray, *, controller: str = "riccati") 
     return answers
 
 
-def loop_transfer(case: Case) -> tuple[FloatArray, NDArray[np.complex128]]:
+def loop_transfer(case: MarginCase) -> tuple[FloatArray, NDArray[np.complex128]]:
     """Frequencies (rad/s) up to half the rate, and the loop's transfer there."""
     period_s = 1.0 / case.control.rate_hz
     kicks = np.zeros(round(SETTLING_S / period_s))
@@ -148,7 +148,7 @@ def _hover(now_s: float) -> PlanStep:
     return PlanStep(now_s, Phase.DESCEND, Reference(now_s, "pad", 1.0, still, still, still, 0.0))
 
 
-def _asked(setpoint: Setpoint, case: Case) -> tuple[float, float]:
+def _asked(setpoint: Setpoint, case: MarginCase) -> tuple[float, float]:
     """The acceleration and the velocity along the axis that a setpoint asks for."""
     if setpoint.attitude is None or setpoint.thrust is None:
         return setpoint.acceleration_ned_m_s2[case.axis], setpoint.velocity_ned_m_s[case.axis]

@@ -15,7 +15,7 @@ from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
 from companion.control.response.fitting import loop_rad_s
 from companion.control.response.flight_model import velocity_gains
-from companion.control.response.history import Command, CommandHistory
+from companion.control.response.history import CommandHistory, SentCommand
 
 # how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
@@ -111,14 +111,14 @@ class Plant:
         if setpoint.attitude is None or setpoint.thrust is None:
             gains = self._gains[setpoint.holds_horizontal_velocity]
             acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
-            command = Command(setpoint.time_s, acceleration, velocity, gains)
+            command = SentCommand(setpoint.time_s, acceleration, velocity, gains)
         else:
             push = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
             force = quat_rotate(setpoint.attitude, (0.0, 0.0, -push))
-            command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
+            command = SentCommand(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
         self._history.add(command)
 
-    def _wanted(self, command: Command | None, vehicle: VehicleState) -> Vector3:
+    def _wanted(self, command: SentCommand | None, vehicle: VehicleState) -> Vector3:
         """What the autopilot wants in a piece of time; before the first command, what it makes already."""
         if command is None:
             return self._lasting.made_ned_m_s2

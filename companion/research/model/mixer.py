@@ -17,7 +17,7 @@ from companion.research.model.quadrotor import QuadrotorModel
 Four = tuple[float, float, float, float]
 
 
-class Mixer:
+class ThrustMixer:
     """One airframe's mixer; keeps what its motors are taken to give now.
 
     `flown`: U (4,) that they are taken to give on the mean over the period that the last command begins.

@@ -22,7 +22,7 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.tools.check.moves import Move, carried_along, down_by_force, down_by_pad
-from companion.tools.check.rest import Rest
+from companion.tools.check.rest import StandstillMeans
 
 # what may be to blame for a finding
 Part = Literal[
@@ -74,7 +74,7 @@ def angle_between(a: Vector3, b: Vector3) -> float:
 # ---------------------------------------------------------------- at rest
 
 
-def judge_level(rest: Rest) -> Finding:
+def judge_level(rest: StandstillMeans) -> Finding:
     """Level reads level by the accelerometer, and gravity is as large as it is."""
     x, y, z = down_by_force(rest)
     roll, pitch = math.degrees(math.atan2(y, z)), math.degrees(math.atan2(-x, math.hypot(y, z)))
@@ -86,7 +86,7 @@ def judge_level(rest: Rest) -> Finding:
     return Finding("level is level", told, () if good else ("imu",), values)
 
 
-def judge_pad_level(rest: Rest, *, imu_is_level: bool = True) -> Finding:
+def judge_pad_level(rest: StandstillMeans, *, imu_is_level: bool = True) -> Finding:
     """Camera and accelerometer agree about down, over a pad that lies level."""
     apart = angle_between(down_by_force(rest), down_by_pad(rest))
     told = f"down by the pad and by the accelerometer are {math.degrees(apart):.1f}° apart"
@@ -95,7 +95,7 @@ def judge_pad_level(rest: Rest, *, imu_is_level: bool = True) -> Finding:
     return Finding("camera and horizon agree", told, () if apart < PAD_LEVEL_RAD else blamed, values)
 
 
-def judge_height(rest: Rest, range_position_body_m: Vector3, place: str) -> Finding:
+def judge_height(rest: StandstillMeans, range_position_body_m: Vector3, place: str) -> Finding:
     """The camera's height over the pad against the ultrasonic's."""
     name = f"height, {place}"
     height_m = height_by_camera(rest, range_position_body_m)
@@ -107,12 +107,12 @@ def judge_height(rest: Rest, range_position_body_m: Vector3, place: str) -> Find
     return Finding(name, told, () if good else ("scale",), values)
 
 
-def height_by_camera(rest: Rest, range_position_body_m: Vector3) -> float:
+def height_by_camera(rest: StandstillMeans, range_position_body_m: Vector3) -> float:
     """Height (m) of the ultrasonic over the pad's plane, by the camera."""
     return dot(down_by_pad(rest), subtract(rest.pad_position_body_m, range_position_body_m))
 
 
-def judge_compass(rest: Rest, field_ned_ut: Vector3) -> Finding:
+def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> Finding:
     """A field of about the earth's strength, that dips about as it does; nothing finer than gross."""
     if rest.field_ut is None:
         return Finding("compass", "no samples of the magnetometer", ("compass",))
@@ -157,7 +157,7 @@ def judge_turn(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_lev
     return Finding(name, told, blamed, values)
 
 
-def judge_compass_turn(before: Rest, after: Rest, imu: Move) -> Finding:
+def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Move) -> Finding:
     """The compass follows a turn of the heading as the gyroscope does."""
     name = "compass turns along"
     if before.field_ut is None or after.field_ut is None:
@@ -171,7 +171,7 @@ def judge_compass_turn(before: Rest, after: Rest, imu: Move) -> Finding:
 
 
 def judge_lean(
-    step: str, before: Rest, after: Rest, imu: Move, *, compass_is_good: bool = True
+    step: str, before: StandstillMeans, after: StandstillMeans, imu: Move, *, compass_is_good: bool = True
 ) -> list[Finding]:
     """Gravity and the field lean against the body as the gyroscope says it leaned.
 
@@ -202,7 +202,7 @@ def _leant(
     )
 
 
-def _turned_about_down(before: Rest, after: Rest) -> float:
+def _turned_about_down(before: StandstillMeans, after: StandstillMeans) -> float:
     """By how much (rad, clockwise seen from above) the body has turned under the field's level part.
 
     Field and gravity are the same chip's, so its mounting does not matter.

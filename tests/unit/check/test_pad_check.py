@@ -24,7 +24,7 @@ from companion.base.geometry import (
 from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
 from companion.config import ConfigError
 from companion.tools.check.report import cause_lines, report_json, verdict_line
-from companion.tools.check.samples import Samples
+from companion.tools.check.samples import RecentSamples
 from companion.tools.check.steps import STEPS, Say
 from companion.tools.check.wizard import STEP_TIMEOUT_S, Report, Wizard
 from tests.unit.check.hand_check import MOUNTING, Checked, check, mirrored, settings, vehicle_file
@@ -132,7 +132,7 @@ def test_an_armed_vehicle_is_refused() -> None:
 def again(change: Callable[[Any], Any | None], said: list[Say] | None = None) -> Report:
     """The check over the samples of a right vehicle, as other settings or sensors would have given them."""
     heard = [] if said is None else said
-    samples, wizard = Samples(), Wizard(MOUNTING, 0.0)
+    samples, wizard = RecentSamples(), Wizard(MOUNTING, 0.0)
     takers = {
         ImuSample: samples.add_imu,
         MagSample: samples.add_mag,
@@ -361,7 +361,7 @@ def test_a_move_that_the_imu_missed_is_asked_for_again_and_another_move_is_no_an
 
 def test_moves_that_are_not_made_end_by_time() -> None:
     """Everything stays as in the first seconds, for ever."""
-    samples, wizard, now_s = Samples(), Wizard(MOUNTING, 0.0), 0.0
+    samples, wizard, now_s = RecentSamples(), Wizard(MOUNTING, 0.0), 0.0
     first = [(heard_s, sample) for heard_s, sample in right().heard if heard_s < 5.0]
     said = []
     while not wizard.finished and now_s < 10.0 * STEP_TIMEOUT_S:

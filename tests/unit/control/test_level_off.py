@@ -9,9 +9,10 @@ from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import ControlConfig
-from companion.control.mpc.mpc import Mpc, Target
+from companion.control.mpc.mpc import Mpc
 from companion.control.mpc.target import make_target
 from companion.control.pad_prediction import origin_at_rest
+from companion.control.tracking import Target
 
 CONFIG = ControlConfig()
 N, DT = CONFIG.horizon_steps, CONFIG.step_s
