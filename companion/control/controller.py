@@ -38,9 +38,9 @@ from companion.control.setpoints import (
     blind_setpoint,
     boosted,
     ground_setpoint,
-    lean_boost,
     resolved,
     stop_setpoint,
+    tilt_compensation,
     velocity_setpoint,
 )
 from companion.control.tracker import make_tracker
@@ -96,7 +96,7 @@ class Controller:
         response = vehicle.responses.of(manner, flown_kind(config))
         self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, manner)
-        self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
+        self._raises_thrust = manner == "ardupilot"  # by the tilt it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s, manner)
@@ -271,14 +271,14 @@ class Controller:
         )
 
     def _boost(self, motion: Motion, solution: TrackingSolution) -> float:
-        """What thrust lacks while the lean lags; by velocity setpoints the autopilot leans as it likes."""
+        """What thrust lacks while the tilt lags; by velocity the autopilot tilts as it wants."""
         if self._stopped or self._config.setpoint == "velocity":
             return 1.0
-        asked, push = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
+        asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
         period_s = 0.5 / self._config.rate_hz
-        flown = advance(motion, add(asked, push), period_s, self._lags_s).acceleration_m_s2
-        lean = ZERO3 if self._raises_thrust else subtract(flown, push)
-        return lean_boost(lean, asked, math.radians(self._config.limits.tilt_deg))
+        flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
+        thrust = ZERO3 if self._raises_thrust else subtract(flown, disturbance)
+        return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))
 
     def _look(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)

@@ -28,11 +28,11 @@ class Cone:
 class Target:
     """What to track: rows 0..N hold at 0, dt, .. N dt from the start.
 
-    `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
-    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone
-    soft. `lean_m_s2` (N,) bounds the horizontal input over each step further, as far as the
-    jerk allows, or is None. `hover_thrust` is the share of full thrust that carries the weight, as known by
-    now; None: as it was at the start.
+    `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near the
+    vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone soft.
+    `horizontal_bound_m_s2` (N,) bounds the horizontal input over each step further, as far as the jerk
+    allows, or is None. `hover_thrust` is the share of full thrust that carries the weight, as known by now;
+    None: as it was at the start.
     """
 
     position_m: FloatArray
@@ -41,7 +41,7 @@ class Target:
     floor_down_m: FloatArray | None = None
     cone: Cone | None = None
     hover_thrust: float | None = None
-    lean_m_s2: FloatArray | None = None
+    horizontal_bound_m_s2: FloatArray | None = None
 
 
 @dataclass(frozen=True)

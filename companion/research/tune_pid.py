@@ -47,7 +47,8 @@ TRAINING: Final = (
 )
 TRAINING_S: Final = 7.0  # of each flight: the way round the obstacles
 HEADING: Final = AngleGains(attitude_1_s=2.0, rate_1_s=6.0, integral_1_s2=1.0, derivative=0.0)
-# position, velocity, integral sideways; the same upwards; attitude, rate, integral, derivative of leaning
+# position, velocity, integral sideways; the same upwards; attitude, rate, integral, derivative of roll and
+# pitch
 START: Final = (2.5, 4.0, 1.5, 3.5, 4.0, 3.0, 8.0, 18.0, 10.0, 0.05)
 HEADER: Final = """\
 # The cascaded PID's gains, written by `python -m companion.research.tune_pid`: least mean logarithm of the

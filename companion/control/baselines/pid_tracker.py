@@ -2,7 +2,7 @@
 
 Per axis, u = a_ref + K_p e + K_d e' + integral of K_i e, with e the target's position minus the vehicle's
 where the command takes effect: the same prediction past the delay, the same reference with its velocity
-and acceleration fed forward, the same drawing near of far targets as the others get. What pushes is met by
+and acceleration fed forward, the same drawing near of far targets as the others get. A disturbance is met by
 the integral alone; it stands still while the command is at its bound and the error would drive it further
 (clamping), and is bounded itself. Gains: `control.pid`, from `companion-experiments tune-flight-pid`.
 
@@ -33,8 +33,8 @@ class PidTracker:
         self._period_s = 1.0 / config.rate_hz
         self._lags_s = lags_s
         limits = config.limits
-        lean = GRAVITY_M_S2 * math.tan(math.radians(limits.tilt_deg))
-        self._horizontal = min(lean, limits.horizontal_acceleration_m_s2)
+        by_tilt = GRAVITY_M_S2 * math.tan(math.radians(limits.tilt_deg))
+        self._horizontal = min(by_tilt, limits.horizontal_acceleration_m_s2)
         self._vertical = limits.vertical_acceleration_m_s2
         self._integral: Vector3 = ZERO3
 

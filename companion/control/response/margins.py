@@ -1,7 +1,7 @@
 """How far the loop is from swinging: its margins, from the very controller that flies.
 
 The controller (with the MPC's answer free of constraints, the paper's recursion on the same weights) flies a
-linear vehicle: the command is held over a period, reaches the lean or the thrust after a dead time and at
+linear vehicle: the command is held over a period, reaches the tilt or the thrust after a dead time and at
 second order, as identified, and integrates to velocity and place. Into what the vehicle gets, one period's
 kick is added that the controller knows nothing of. With D the kick's transform and U that of what the
 controller answers, the loop's transfer at the vehicle's input is L = -U / (D + U): observers, prediction
@@ -22,7 +22,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, level_acceleration, quat_rotate
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    FloatArray,
+    Vector3,
+    horizontal_acceleration,
+    quat_rotate,
+)
 from companion.base.messages import Manner, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
 from companion.config import AxisResponse, ControlConfig, VehicleConfig
 from companion.control.attitude import attitude_from_acceleration
@@ -153,17 +160,17 @@ def _asked(setpoint: Setpoint, case: MarginCase) -> tuple[float, float]:
     if setpoint.attitude is None or setpoint.thrust is None:
         return setpoint.acceleration_ned_m_s2[case.axis], setpoint.velocity_ned_m_s[case.axis]
     if case.axis != DOWN:
-        return level_acceleration(setpoint.attitude)[case.axis], 0.0
-    push = setpoint.thrust / case.vehicle.hover_thrust * GRAVITY_M_S2
-    return quat_rotate(setpoint.attitude, (0.0, 0.0, -push))[2] + GRAVITY_M_S2, 0.0
+        return horizontal_acceleration(setpoint.attitude)[case.axis], 0.0
+    force_m_s2 = setpoint.thrust / case.vehicle.hover_thrust * GRAVITY_M_S2
+    return quat_rotate(setpoint.attitude, (0.0, 0.0, -force_m_s2))[2] + GRAVITY_M_S2, 0.0
 
 
 def _sensed(flown: _Flown, axis: int, now_s: float) -> tuple[VehicleState, PadState]:
     def along(value: float) -> Vector3:
         return (value, 0.0, 0.0) if axis == SIDEWAYS else (0.0, 0.0, value)
 
-    place, velocity, lean, _ = flown.state.tolist()
-    attitude = attitude_from_acceleration(along(lean) if axis == SIDEWAYS else ZERO3, 0.0)
+    place, velocity, by_tilt, _ = flown.state.tolist()
+    attitude = attitude_from_acceleration(along(by_tilt) if axis == SIDEWAYS else ZERO3, 0.0)
     vehicle = VehicleState(
         time_s=now_s,
         attitude=attitude,

@@ -1,7 +1,7 @@
 """The vehicle under its autopilot, as far as control knows it.
 
-What was commanded, what pushes, what thrust is worth: joins the command history, the disturbance observer and
-the thrust scale. NED and FRD, SI units.
+What was commanded, what disturbs it, what thrust is worth: joins the command history, the disturbance
+observer and the thrust scale. NED and FRD, SI units.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Plant:
 
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
-        """What pushes besides the command (m/s2, NED)."""
-        return add(self._wind.push_ned_m_s2, self._lasting.lasting_ned_m_s2)
+        """What disturbs it besides the command (m/s2, NED)."""
+        return add(self._wind.wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
 
     @property
     def lasting_disturbance_ned_m_s2(self) -> Vector3:
@@ -57,9 +57,9 @@ class Plant:
 
     @property
     def acceleration_ned_m_s2(self) -> Vector3:
-        """Flown acceleration (m/s2, NED): sideways what the lean makes and the wind, as measured."""
+        """Flown acceleration (m/s2, NED): sideways what tilt and wind make, as measured."""
         x, y, _ = subtract(
-            add(self._wind.thrust_ned_m_s2, self._wind.push_ned_m_s2), self._lasting.bias_ned_m_s2
+            add(self._wind.thrust_ned_m_s2, self._wind.wind_ned_m_s2), self._lasting.bias_ned_m_s2
         )
         down = add(self._lasting.made_ned_m_s2, self._lasting.lasting_ned_m_s2)[2]
         return (x, y, down)
@@ -70,13 +70,13 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, nothing commanded: what the vehicle leans it leans against the wind, or into a turn.
+        """Begin anew, nothing commanded: the tilt it has is against the wind, or into a turn.
 
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """
         self._wind.reset()
         self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
-        met = scale(self._wind.push_ned_m_s2, -1.0) if self._by_velocity else ZERO3
+        met = scale(self._wind.wind_ned_m_s2, -1.0) if self._by_velocity else ZERO3
         self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
         self._history.clear()
@@ -113,8 +113,8 @@ class Plant:
             acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
             command = SentCommand(setpoint.time_s, acceleration, velocity, gains)
         else:
-            push = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
-            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -push))
+            force_m_s2 = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
+            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -force_m_s2))
             command = SentCommand(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
         self._history.add(command)
 

@@ -166,21 +166,21 @@ class VehicleEkf(EkfState):
 
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)
-        innovation, level = np.array(field_body_ut) - expected, self._across_the_field()
-        self._update("mag", innovation, C, self._mag_noise(level), self._mag_doubt)
+        innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
+        self._update("mag", innovation, C, self._mag_noise(east), self._mag_doubt)
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, self._config.mag_patience_s):
             # a field that fits in size and dip for so long is right, and the heading wrong
             self._doubt_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
 
-    def _across_the_field(self) -> FloatArray:
-        """Unit vector (3,) in the body, level and square to the field: along it the heading shows."""
+    def _magnetic_east(self) -> FloatArray:
+        """Unit vector (3,) in body axes, horizontal and square to the field: along it the heading shows."""
         north, east, _ = self.x[model.FIELD].tolist()
         size = math.hypot(north, east)
         return np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
 
-    def _mag_noise(self, level: FloatArray) -> FloatArray:
+    def _mag_noise(self, east: FloatArray) -> FloatArray:
         """R (3, 3) in µT²: what is wrong with a field stays, so that many samples tell little more than one.
 
         Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone.
@@ -189,7 +189,7 @@ class VehicleEkf(EkfState):
         alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
         across = alike * config.mag_noise_ut**2
         along = max(alike * config.mag_dip_noise_ut**2, across)
-        return along * EYE3 - (along - across) * np.outer(level, level)
+        return along * EYE3 - (along - across) * np.outer(east, east)
 
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""

@@ -143,7 +143,7 @@ class _Reading:
             self._arrive(time_s, MagSample(time_s, self._levelled(field)))
 
     def _levelled(self, board: Vector3) -> Vector3:
-        """From the board's axes into the airframe's, which is level where the board leans by the trim."""
+        """From the board's axes into the airframe's, which is level where the board is tilted by the trim."""
         roll, pitch = (self.parameters.get(f"AHRS_TRIM_{axis}", 0.0) for axis in "XY")
         return quat_rotate(quat_from_euler(roll, pitch, 0.0), board)
 

@@ -1,7 +1,7 @@
 """Model predictive control on the paper's 12 states and U1..U4 (eqs. 38 and 39, with constraints).
 
 Linearised along the reference's flat trajectory (`nominal.py`), which the estimated push of the air enters,
-so that nothing lasting is left over. Bounds on lean, velocity, rates and height over the pad, and half-spaces
+so that nothing lasting is left over. Bounds on tilt, velocity, rates and height over the pad, and half-spaces
 clear of obstacles, are soft and dear; what the rotors can do is hard. Solved by OSQP: the structure is set up
 once, a step changes values, and starts from the last solution. Deterministic: iterations bound the work.
 
@@ -302,9 +302,9 @@ def within_reach(reference: HorizonReference, position_m: FloatArray, reach_m: f
 
 def _state_bounds(limits: FullLimits) -> tuple[FloatArray, FloatArray]:
     """Least and greatest of the bounded states, the margin off; the floor comes with each step."""
-    lean, side, up = np.radians(limits.lean_deg), limits.horizontal_speed_m_s, limits.vertical_speed_m_s
+    tilt, side, up = np.radians(limits.lean_deg), limits.horizontal_speed_m_s, limits.vertical_speed_m_s
     rate, yaw_rate = limits.rate_rad_s, limits.yaw_rate_rad_s
-    high = (1.0 - limits.margin) * np.array([lean, lean, side, side, up, rate, rate, yaw_rate, FAR])
+    high = (1.0 - limits.margin) * np.array([tilt, tilt, side, side, up, rate, rate, yaw_rate, FAR])
     low = -high
     high[-1] = FAR
     return low, high

@@ -1,7 +1,7 @@
 """What the 12-state model has to do to fly a reference: the trajectory that it is linearised along.
 
 A multirotor's position and heading are flat outputs: position, velocity and acceleration with the push of
-the air give lean and thrust, their changes give rates and torques. Axes: the paper's z-up ones, SI units.
+the air give tilt and thrust, their changes give rates and torques. Axes: the paper's z-up ones, SI units.
 """
 
 from __future__ import annotations

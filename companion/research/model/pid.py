@@ -117,7 +117,7 @@ class AttitudePid:
         self._slope = [0.0, 0.0, 0.0]
 
     def limited(self, acceleration_m_s2: Vector3) -> Vector3:
-        """The acceleration that the lean and the thrust allow; what carries the vehicle goes before."""
+        """The acceleration that tilt and thrust allow; what carries the vehicle goes before."""
         ax, ay, az = acceleration_m_s2
         most = 0.95 * 4.0 * self._model.full_rotor_thrust_n / self._model.mass_kg
         lift = min(max(az + GRAVITY_M_S2, 0.3 * GRAVITY_M_S2), most)

@@ -41,8 +41,8 @@ DIP_RAD: Final = math.radians(25.0)
 COMPASS_TURN: Final = (math.radians(10.0), 0.3)
 GRAVITY_SHARE: Final = 0.15  # 60 mg and 3 % by the data sheet, and a hand
 # what gravity and field may be off, by sensors that nobody has calibrated, after a turn by the gyroscope
-HORIZON_LEAN: Final = (math.radians(5.0), 0.3)
-COMPASS_LEAN: Final = (math.radians(10.0), 0.5)
+HORIZON_TILT: Final = (math.radians(5.0), 0.3)
+COMPASS_TILT: Final = (math.radians(10.0), 0.5)
 LEAST_IMU_WAY_M: Final = 0.08  # a shorter way has no direction, integrated twice
 
 
@@ -170,40 +170,41 @@ def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Mov
     return Finding(name, told, () if good else ("compass",), values)
 
 
-def judge_lean(
+def judge_tilt(
     step: str, before: StandstillMeans, after: StandstillMeans, imu: Move, *, compass_is_good: bool = True
 ) -> list[Finding]:
-    """Gravity and the field lean against the body as the gyroscope says it leaned.
+    """Gravity and the field turn in body axes as the gyroscope says that the body was tilted.
 
-    A turn about the vertical shows the compass's level part alone, and that in its own axes: one that sits
-    turned on its axis turns along all the same, and has every heading wrong. It leans otherwise; so does one
-    that has been found disturbed (not `compass_is_good`), of whose axes nothing can be said.
+    A turn about the vertical shows the compass's horizontal part alone, and that in its own axes: one that
+    sits turned on its axis turns along all the same, and has every heading wrong. Tilted, it follows another
+    axis; so does one that has been found disturbed (not `compass_is_good`), of whose axes nothing can be
+    said.
     """
-    leaned = norm(imu.rotation_rad)
+    tilted = norm(imu.rotation_rad)
     off = angle_between(carried_along(down_by_force(before), imu.rotation_rad), down_by_force(after))
-    findings = [_leant("accelerometer", step, off, leaned, HORIZON_LEAN, "imu")]
+    findings = [_tilt_finding("accelerometer", step, off, tilted, HORIZON_TILT, "imu")]
     if before.field_ut is not None and after.field_ut is not None:
         off = angle_between(carried_along(before.field_ut, imu.rotation_rad), after.field_ut)
         part: Part = "compass axes" if compass_is_good else "compass"
-        findings.append(_leant("compass", step, off, leaned, COMPASS_LEAN, part))
+        findings.append(_tilt_finding("compass", step, off, tilted, COMPASS_TILT, part))
     return findings
 
 
-def _leant(
-    sensor: str, step: str, off: float, leaned: float, tolerance: tuple[float, float], blamed: Part
+def _tilt_finding(
+    sensor: str, step: str, off: float, tilted: float, tolerance: tuple[float, float], blamed: Part
 ) -> Finding:
     least, share = tolerance
-    off_deg, leaned_deg = math.degrees(off), math.degrees(leaned)
+    off_deg, tilted_deg = math.degrees(off), math.degrees(tilted)
     return Finding(
-        f"{sensor} leans along, {step}",
-        f"{off_deg:.0f}° off what the gyroscope's {leaned_deg:.0f}° make of it",
-        () if off <= max(least, share * leaned) else (blamed,),
-        {"off_deg": off_deg, "leaned_deg": leaned_deg},
+        f"{sensor} tilts along, {step}",
+        f"{off_deg:.0f}° off what the gyroscope's {tilted_deg:.0f}° make of it",
+        () if off <= max(least, share * tilted) else (blamed,),
+        {"off_deg": off_deg, "tilted_deg": tilted_deg},
     )
 
 
 def _turned_about_down(before: StandstillMeans, after: StandstillMeans) -> float:
-    """By how much (rad, clockwise seen from above) the body has turned under the field's level part.
+    """By how much (rad, clockwise seen from above) the body has turned under the field's horizontal part.
 
     Field and gravity are the same chip's, so its mounting does not matter.
     """

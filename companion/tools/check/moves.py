@@ -92,7 +92,7 @@ def imu_move(
 ) -> Move:
     """By gyroscope and accelerometer.
 
-    What the gyroscope's zero is off by would lean the horizon in the course of a move, and gravity would
+    What the gyroscope's zero is off by would tilt the horizon in the course of a move, and gravity would
     pass for acceleration; so for the displacement, not for the rotation, the horizons at both ends are
     made to fit: what is between them is taken as a further bias.
 
@@ -109,8 +109,8 @@ def imu_move(
         return Move(ZERO3, ZERO3)
     turned = _attitudes(imu, rate_bias_rad_s)[-1]
     down = down_by_force(before)
-    lean = cross(quat_rotate(turned, down_by_force(after)), down)
-    bias = subtract(rate_bias_rad_s, scale(lean, 1.0 / (imu[-1].time_s - imu[0].time_s)))
+    tilt = cross(quat_rotate(turned, down_by_force(after)), down)
+    bias = subtract(rate_bias_rad_s, scale(tilt, 1.0 / (imu[-1].time_s - imu[0].time_s)))
     level = levelled(down)
     forces = [
         quat_rotate(quat_multiply(level, attitude), sample.specific_force_body_m_s2)

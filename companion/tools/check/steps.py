@@ -34,7 +34,7 @@ STEPS: Final = (
     RequestedMove(
         "turn right", "turn", (0.0, 0.0, 1.0), "Turn its nose to the right by 45° and hold it still"
     ),
-    RequestedMove("roll right", "turn", (1.0, 0.0, 0.0), "Lean it to the right by 15° and hold it still"),
+    RequestedMove("roll right", "turn", (1.0, 0.0, 0.0), "Roll it to the right by 15° and hold it still"),
     RequestedMove("nose up", "turn", (0.0, 1.0, 0.0), "Raise its nose by 15° and hold it still"),
 )
 START_ORDER: Final = "Hold it level and still, half a metre over the middle of the pad"

@@ -25,10 +25,10 @@ from companion.tools.check.judge import (
     judge_compass,
     judge_compass_turn,
     judge_height,
-    judge_lean,
     judge_level,
     judge_pad_level,
     judge_shift,
+    judge_tilt,
     judge_turn,
 )
 from companion.tools.check.moves import Move, camera_move, imu_move, longest_gap_s
@@ -235,7 +235,7 @@ class Wizard:
             self._found(judge_compass_turn(before, after, imu))
         else:
             good = not any("compass" in finding.blamed for finding in self._findings)
-            for finding in judge_lean(step.name, before, after, imu, compass_is_good=good):
+            for finding in judge_tilt(step.name, before, after, imu, compass_is_good=good):
                 self._found(finding)
 
     def _finding(self, step: RequestedMove, moves: tuple[Move, Move], gap_s: float) -> Finding:
