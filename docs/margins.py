@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from companion.base.messages import Manner
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
-from companion.control.response.margins import DOWN, SIDEWAYS, Case, loop_transfer, margins
+from companion.control.response.margins import DOWN, SIDEWAYS, MarginCase, loop_transfer, margins
 
 mpl.use("Agg")
 
@@ -48,7 +48,7 @@ def main() -> None:
         for name, axis in AXES.items():
             response = vehicle.responses.of(manner, kind)
             along = response.sideways if axis == SIDEWAYS else response.down
-            w, L = loop_transfer(Case(ControlConfig(setpoint=kind), vehicle, manner, axis, along))
+            w, L = loop_transfer(MarginCase(ControlConfig(setpoint=kind), vehicle, manner, axis, along))
             found = margins(w, L)
             plot.plot(L.real, L.imag, color=COLOURS[name], label=f"{name}: {found.phase_deg:.0f} deg")
             print(

@@ -29,7 +29,7 @@ from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.config import CompanionConfig, ConfigError
 from companion.config.magnetometer import load_magnetometer_calibration
 from companion.flightlog.replay.dataflash import DataFlashLog
-from companion.flightlog.replay.flight_record import Place
+from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.flightlog.replay.mcap_log import read_mcap
 from companion.flightlog.replay.ulog import read_ulog
 from companion.link.codec import Codec
@@ -106,10 +106,10 @@ def _mgauss(message: Any, name: str) -> list[float]:
     return [UT_PER_MGAUSS * float(getattr(message, f"{name}{axis}", 0.0)) for axis in "XYZ"]
 
 
-def _place(fix: Any) -> Place:
+def _place(fix: Any) -> RecordingPlace:
     year = 1970.0 + fix._timestamp / _SECONDS_PER_YEAR
     # without the receiver's time the log counts from its start
-    return Place(fix.Lat, fix.Lng, fix.Alt, year if year > _FIRST_YEAR else None)
+    return RecordingPlace(fix.Lat, fix.Lng, fix.Alt, year if year > _FIRST_YEAR else None)
 
 
 # ---------------------------------------------------------------- ULog
@@ -169,7 +169,7 @@ def read_own_log(path: Path) -> Recording:
         return Recording(str(path), "other", body, force=force, notes=notes)
     config = record.rig.config
     fixes = (item for item in items if isinstance(item, GpsFix))
-    place = next((Place(f.latitude_deg, f.longitude_deg, f.altitude_m, None) for f in fixes), None)
+    place = next((RecordingPlace(f.latitude_deg, f.longitude_deg, f.altitude_m, None) for f in fixes), None)
     recording = Recording(str(path), "mpu9250", body, force=force, place=place)
     if config.sense.source == "autopilot":
         recording.sensor = "autopilot"

@@ -12,7 +12,7 @@ from companion.base.geometry import FloatArray
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.config.magnetometer import AXES_OF, Axes, RawUnit, Sensor
-from companion.flightlog.replay.flight_record import Place
+from companion.flightlog.replay.flight_record import RecordingPlace
 
 MOST_FIELD: Final = 1e9  # in whatever unit: beyond it stands what no sensor measured
 LEAST_SAMPLES: Final = 50  # fewer are no recording of a turn at all
@@ -38,7 +38,7 @@ class Recording:
     raw: FloatArray
     unit: RawUnit = "uT"
     force: FloatArray | None = None
-    place: Place | None = None
+    place: RecordingPlace | None = None
     onboard: Onboard | None = None
     notes: list[str] = field(default_factory=list)
 

@@ -16,7 +16,7 @@ from calibration.magnetometer.onboard import onboard_of
 from calibration.magnetometer.recording import Recording, paired
 from companion.base.messages import ImuSample, MagSample, Manner
 from companion.config import ConfigError
-from companion.flightlog.replay.flight_record import Place
+from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.link.codec import Message, is_autopilot_heartbeat, mavlink
 from companion.link.telemetry import readings
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
@@ -106,7 +106,7 @@ class Telemetry:
         name = mavlink.mavlink_map[number].msgname
         recording = Recording(f"{self._source} ({name})", "autopilot", raw, force=force)
         if self._place is not None:
-            recording.place = Place(*self._place, self._year)
+            recording.place = RecordingPlace(*self._place, self._year)
         if self.manner == "px4" and number not in IMU_MESSAGES["px4"]:
             recording.sensor = "other"
             recording.notes.append(

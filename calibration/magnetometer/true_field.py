@@ -13,7 +13,7 @@ from companion.base.clock import start_unix_s
 from companion.base.geometry import Vector3
 from companion.base.magnetic_field import FIRST_YEAR, LAST_YEAR, field_ned_ut
 from companion.config import CompanionConfig, ConfigError
-from companion.flightlog.replay.flight_record import Place
+from companion.flightlog.replay.flight_record import RecordingPlace
 
 _CARRIED_ON_YEARS: Final = 10.0  # the model errs by a degree or so as far beyond its years
 _POSITION: Final = re.compile(r"\s*([-+\d.]+)\s*,\s*([-+\d.]+)\s*(?:,\s*([-+\d.]+)\s*)?")
@@ -36,14 +36,14 @@ def field_by(
     return None
 
 
-def field_at(place: Place, year: float | None, source: str) -> TrueField:
+def field_at(place: RecordingPlace, year: float | None, source: str) -> TrueField:
     """By the World Magnetic Model; without a year the place's own, else today."""
     when = year or place.year or _decimal(datetime.fromtimestamp(start_unix_s(virtual=True), UTC))
     field: Vector3 = field_ned_ut(place.latitude_deg, place.longitude_deg, place.altitude_m, when)
     return TrueField(field, f"World Magnetic Model {when:.1f}, {source}")
 
 
-def _place(text: str) -> Place:
+def _place(text: str) -> RecordingPlace:
     form = _POSITION.fullmatch(text)
     try:
         numbers = [float(group or 0.0) for group in form.groups()] if form else []
@@ -52,7 +52,7 @@ def _place(text: str) -> Place:
     good = len(numbers) == 3 and abs(numbers[0]) <= 90.0 and abs(numbers[1]) <= 180.0
     if not good or not math.isfinite(numbers[2]) or abs(numbers[2]) > 100_000.0:
         raise ConfigError(f"--position {text}: expected latitude,longitude[,altitude] in degrees and metres")
-    return Place(numbers[0], numbers[1], numbers[2], None)
+    return RecordingPlace(numbers[0], numbers[1], numbers[2], None)
 
 
 def year_of(date: str | None) -> float | None:

@@ -12,8 +12,9 @@ from companion.config import CameraConfig, CompanionConfig, RangeConfig, find_fi
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
 from companion.link.actions.mavsdk_link import MavsdkActions
+from companion.link.inbox import memory_pair
 from companion.link.session import Session
-from companion.link.transport import Transport, memory_pair, open_transport
+from companion.link.transport import Transport, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins

@@ -39,7 +39,7 @@ from companion.config import CompanionConfig, SenseConfig, StrictModel, load_ine
 from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
-from companion.link.telemetry.autopilot_sensors import OnboardSensors, Sample
+from companion.link.telemetry.autopilot_sensors import Sample, TelemetrySensors
 from companion.sense.camera.keeper import KeptCamera
 from companion.sense.camera.source import at_exposure
 from companion.sense.gps.neo6m import Neo6m
@@ -106,7 +106,7 @@ class Sensing:
         hardware: Hardware,
         vision: FrameProcessor,
         estimator: Estimates,
-        onboard: OnboardSensors | None = None,
+        onboard: TelemetrySensors | None = None,
         *,
         clock: Clock,
         log: FlightLog,

@@ -16,7 +16,7 @@ from companion.config import (
     load_mount,
     load_vehicle,
 )
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.pad import load_pad
@@ -31,7 +31,7 @@ class Stages:
 
     vehicle: VehicleConfig
     session: Session
-    estimator: Estimator
+    estimator: StateEstimator
     sensing: Sensing
     planner: Planner
 
@@ -51,7 +51,7 @@ def build_stages(
     antenna = config.sense.gps.antenna_position_body_m
     by_telemetry = config.sense.source == "autopilot"
     session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
-    estimator = Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
+    estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
     sensing = Sensing(
         config,
         hardware,

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 GRAVITY_M_S2: Final = 9.80665
 IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
-MINIMUM_DOWN_COMPONENT: Final = 0.1  # of a vehicle on its side: no lean says what it gives
+MINIMUM_DOWN_COMPONENT: Final = 0.1  # of a vehicle on its side: no tilt says what it gives
 _SEMIMAJOR_M: Final = 6378137.0  # WGS-84
 _SEMIMINOR_M: Final = 6356752.31424518
 _FOCAL2_M2: Final = _SEMIMAJOR_M**2 - _SEMIMINOR_M**2
@@ -174,7 +174,7 @@ def yaw_from_quat(q: Quaternion) -> float:
 
 
 def tilt_from_quat(q: Quaternion) -> float:
-    """Angle (rad) between the body's down axis and the world's."""
+    """Tilt (rad): the angle of the thrust axis, the body's down axis, from the vertical."""
     _, x, y, _ = q
     return math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (x * x + y * y))))
 
@@ -242,18 +242,18 @@ def geodetic_from_ned(position_ned_m: Vector3, origin: Vector3) -> Vector3:
     x, y = x0 + cos_lon * outward - sin_lon * east, y0 + sin_lon * outward + cos_lon * east
     z = z0 - sin_lat * down + cos_lat * north
     a, b, focal2 = _SEMIMAJOR_M, _SEMIMINOR_M, _FOCAL2_M2
-    level = math.hypot(x, y)
-    excess = level * level + z * z - focal2
+    radius = math.hypot(x, y)
+    excess = radius * radius + z * z - focal2
     u2 = 0.5 * (excess + math.hypot(excess, 2.0 * math.sqrt(focal2) * z))
     u, across = math.sqrt(u2), math.sqrt(u2 + focal2)
-    beta = math.atan2(across * z, u * level)
+    beta = math.atan2(across * z, u * radius)
     beta += (
         (b * u - a * across + focal2)
         * math.sin(beta)
         / (a * across / math.cos(beta) - focal2 * math.cos(beta))
     )
-    above, beyond = z - b * math.sin(beta), level - a * math.cos(beta)
-    inside = (level / a) ** 2 + (z / b) ** 2 < 1.0
+    above, beyond = z - b * math.sin(beta), radius - a * math.cos(beta)
+    inside = (radius / a) ** 2 + (z / b) ** 2 < 1.0
     altitude_m = math.hypot(above, beyond)
     return (
         math.degrees(math.atan2(a * math.sin(beta), b * math.cos(beta))),
@@ -273,7 +273,7 @@ def _tangent_plane(origin: Vector3) -> tuple[Vector3, tuple[float, float], tuple
     )
 
 
-def level_acceleration(attitude: Quaternion) -> tuple[float, float]:
+def horizontal_acceleration(attitude: Quaternion) -> tuple[float, float]:
     """Horizontal acceleration (m/s2, north and east) that this attitude gives while height is held."""
     down = quat_rotate(attitude, (0.0, 0.0, 1.0))
     pull = GRAVITY_M_S2 / max(down[2], MINIMUM_DOWN_COMPONENT)

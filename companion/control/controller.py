@@ -27,7 +27,6 @@ from companion.base.messages import (
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.limits import LimitsGate
-from companion.control.mpc.mpc import Solution
 from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
 from companion.control.response.fitting import fitted, hover_thrust
@@ -39,12 +38,13 @@ from companion.control.setpoints import (
     blind_setpoint,
     boosted,
     ground_setpoint,
-    lean_boost,
     resolved,
     stop_setpoint,
+    tilt_compensation,
     velocity_setpoint,
 )
 from companion.control.tracker import make_tracker
+from companion.control.tracking import TrackingSolution
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -96,7 +96,7 @@ class Controller:
         response = vehicle.responses.of(manner, flown_kind(config))
         self._config = config = fitted(config, response, setup)
         self._lags_s = lags(vehicle, config, manner)
-        self._raises_thrust = manner == "ardupilot"  # by the lean it flies, besides what an attitude asks for
+        self._raises_thrust = manner == "ardupilot"  # by the tilt it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
         self._plant = Plant(config, vehicle, self._lags_s, manner)
@@ -251,7 +251,7 @@ class Controller:
         from_s = max(from_s, now_s - LONGEST_PREDICTION_S)
         return _Start(times_s, self._plant.carry(motion, from_s, effect_s), prediction)
 
-    def _setpoint(self, motion: Motion, solution: Solution, now_s: float) -> Setpoint:
+    def _setpoint(self, motion: Motion, solution: TrackingSolution, now_s: float) -> Setpoint:
         plant, look = self._plant, self._look()
         if self._stopped:
             return stop_setpoint(now_s, self._config, plant.hover_thrust, look)
@@ -270,15 +270,15 @@ class Controller:
             heading=look,
         )
 
-    def _boost(self, motion: Motion, solution: Solution) -> float:
-        """What thrust lacks while the lean lags; by velocity setpoints the autopilot leans as it likes."""
+    def _boost(self, motion: Motion, solution: TrackingSolution) -> float:
+        """What thrust lacks while the tilt lags; by velocity the autopilot tilts as it wants."""
         if self._stopped or self._config.setpoint == "velocity":
             return 1.0
-        asked, push = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
+        asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
         period_s = 0.5 / self._config.rate_hz
-        flown = advance(motion, add(asked, push), period_s, self._lags_s).acceleration_m_s2
-        lean = ZERO3 if self._raises_thrust else subtract(flown, push)
-        return lean_boost(lean, asked, math.radians(self._config.limits.tilt_deg))
+        flown = advance(motion, add(asked, disturbance), period_s, self._lags_s).acceleration_m_s2
+        thrust = ZERO3 if self._raises_thrust else subtract(flown, disturbance)
+        return tilt_compensation(thrust, asked, math.radians(self._config.limits.tilt_deg))
 
     def _look(self) -> Heading:
         return Heading(self._heading.heading_rad, self._heading.rate_rad_s)

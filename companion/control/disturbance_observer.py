@@ -1,8 +1,8 @@
-"""What pushes the vehicle besides the command, told by what is measured and by how fast it may be believed.
+"""What disturbs the vehicle besides the command, by what is measured and how fast that may be believed.
 
-- The wind's push sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
-  accelerates beyond its lean is the wind's doing. Both are measured and made equally late; no model of the
-  autopilot stands between, and no loop closes through one.
+- The wind's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
+  accelerates beyond what its tilt makes is the wind's doing. Both are measured and made equally late; no
+  model of the autopilot stands between, and no loop closes through one.
 - What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
   not quite ours, its integrals wind up, thrust is not worth what was believed. That closes a loop through
   the autopilot's lag, so it is believed slowly: `margins` tells how slowly.
@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, level_acceleration
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, horizontal_acceleration
 from companion.control.response.flight_model import advance_axis
 
 # the measured acceleration's bias (of attitude or accelerometer) shows in the velocity, at this bandwidth
@@ -113,7 +113,7 @@ class LastingObserver:
 
 
 class WindObserver:
-    """The wind's push sideways, from how the vehicle leans and how it accelerates. NED, m/s2.
+    """The wind's disturbance sideways, from the vehicle's tilt and acceleration. NED, m/s2.
 
     An attitude that is off cancels: the acceleration was turned by it, too.
     """
@@ -121,7 +121,7 @@ class WindObserver:
     SMOOTHING_S: Final = 0.06
 
     def __init__(self, sensor_lag_s: float, maximum_m_s2: float) -> None:
-        """`sensor_lag_s` is how late the measured acceleration is: the lean is made as late."""
+        """`sensor_lag_s` is how late the measured acceleration is: what the tilt makes is delayed as much."""
         self._lag_s, self._maximum_m_s2 = sensor_lag_s, maximum_m_s2
         self.reset()
 
@@ -130,26 +130,26 @@ class WindObserver:
         self._late: Vector3 | None = None
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3
-        self.push_ned_m_s2: Vector3 = ZERO3
+        self.wind_ned_m_s2: Vector3 = ZERO3
 
     def step(self, attitude: Quaternion, acceleration_ned_m_s2: Vector3, elapsed_s: float) -> None:
         """Take in attitude and acceleration, the last were `elapsed_s` ago.
 
-        `thrust_ned_m_s2` is then what the lean makes now, `late_thrust_ned_m_s2` the same as late as the
-        acceleration, and `push_ned_m_s2` the wind's part. Along down all of the acceleration is thrust.
+        `thrust_ned_m_s2` is then what the tilt makes now, `late_thrust_ned_m_s2` the same as late as the
+        acceleration, and `wind_ned_m_s2` the wind's part. Along down all of the acceleration is thrust.
         """
         x, y, z = acceleration_ned_m_s2
         if not all(map(math.isfinite, (x, y, z, *attitude))):
             return
-        lean, carried = level_acceleration(attitude), 1.0 - z / GRAVITY_M_S2
-        now = (lean[0] * carried, lean[1] * carried, z)
+        by_tilt, carried = horizontal_acceleration(attitude), 1.0 - z / GRAVITY_M_S2
+        now = (by_tilt[0] * carried, by_tilt[1] * carried, z)
         first = self._late is None
         late = self._late = now if self._late is None else _follow(self._late, now, elapsed_s / self._lag_s)
         self.thrust_ned_m_s2, self.late_thrust_ned_m_s2 = now, (late[0], late[1], z)
         bound = self._maximum_m_s2
         wind = (_clamp(x - late[0], bound), _clamp(y - late[1], bound), 0.0)
         smoothing = math.inf if first else elapsed_s / self.SMOOTHING_S
-        self.push_ned_m_s2 = _follow(self.push_ned_m_s2, wind, smoothing)
+        self.wind_ned_m_s2 = _follow(self.wind_ned_m_s2, wind, smoothing)
 
 
 class ThrustScale:

@@ -3,8 +3,12 @@
 Every setpoint passes through `LimitsGate.apply`; what was cut is named, so that the log shows it. A
 setpoint with anything in it that is not a finite number becomes a hold: no velocity, no acceleration, the
 last heading. A horizontal velocity that is not sent bounds nothing: past the bound it is sent after all.
-The tilt is bounded as the acceleration that it gives, so that one bound on its change (jerk) serves both
-kinds of setpoint. NED and FRD, SI units.
+
+`control.limits.tilt_deg` bounds the tilt of an attitude setpoint as the horizontal acceleration that it gives
+without vertical acceleration, g tan(tilt), so that one bound on its change (jerk) serves both kinds of
+setpoint. The horizontal part of an acceleration has the same bound: together with a downward acceleration it
+takes more tilt than that, which the MPC's own bounds exclude and the gate does not. What an autopilot's
+velocity loop adds to a velocity setpoint nothing here bounds. NED and FRD, SI units.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from companion.base.geometry import (
     Quaternion,
     Vector3,
     add,
-    level_acceleration,
+    horizontal_acceleration,
     norm,
     quat_normalise,
     scale,
@@ -40,13 +44,13 @@ class LimitsGate:
     def __init__(self, config: LimitsConfig, hover_thrust: float) -> None:
         self._config = config
         self._hover_thrust = hover_thrust
-        self._lean_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(config.tilt_deg))
+        self._by_tilt_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(config.tilt_deg))
         self.reset()
 
     def reset(self) -> None:
         """Begin anew: the next setpoint is bounded in size, and in change from nothing."""
         self._last: Setpoint | None = None
-        self._last_lean: Vector3 | None = None
+        self._last_by_tilt: Vector3 | None = None
 
     def apply(
         self, setpoint: Setpoint, now_s: float, *, on_ground: bool = False
@@ -91,8 +95,8 @@ class LimitsGate:
         heading = heading if math.isfinite(heading) else 0.0
         if setpoint.attitude is None:
             return Setpoint(time_s=0.0, heading_rad=heading)
-        level = attitude_from_acceleration(ZERO3, heading)
-        return Setpoint(time_s=0.0, heading_rad=heading, attitude=level, thrust=self._hover_thrust)
+        upright = attitude_from_acceleration(ZERO3, heading)
+        return Setpoint(time_s=0.0, heading_rad=heading, attitude=upright, thrust=self._hover_thrust)
 
     def _velocity(self, velocity: Vector3, broken: list[str]) -> Vector3:
         x, y = _within(
@@ -102,7 +106,7 @@ class LimitsGate:
         return (x, y, _between(velocity[2], low, high, "vertical_speed", broken))
 
     def _acceleration(self, acceleration: Vector3, step_s: float, broken: list[str]) -> Vector3:
-        most = min(self._config.horizontal_acceleration_m_s2, self._lean_m_s2)
+        most = min(self._config.horizontal_acceleration_m_s2, self._by_tilt_m_s2)
         x, y = _within(acceleration[0], acceleration[1], most, "horizontal_acceleration", broken)
         bound = self._config.vertical_acceleration_m_s2
         z = _between(acceleration[2], -bound, bound, "vertical_acceleration", broken)
@@ -113,12 +117,12 @@ class LimitsGate:
         self, attitude: Quaternion | None, heading_rad: float, step_s: float, broken: list[str]
     ) -> Quaternion | None:
         if attitude is None:
-            self._last_lean = None
+            self._last_by_tilt = None
             return None
-        x, y = level_acceleration(quat_normalise(attitude))
-        x, y = _within(x, y, self._lean_m_s2, "tilt", broken)
-        self._last_lean = self._slewed((x, y, 0.0), self._last_lean, step_s, "tilt_rate", broken)
-        return attitude_from_acceleration(self._last_lean, heading_rad)
+        x, y = horizontal_acceleration(quat_normalise(attitude))
+        x, y = _within(x, y, self._by_tilt_m_s2, "tilt", broken)
+        self._last_by_tilt = self._slewed((x, y, 0.0), self._last_by_tilt, step_s, "tilt_rate", broken)
+        return attitude_from_acceleration(self._last_by_tilt, heading_rad)
 
     def _slewed(
         self, wanted: Vector3, last: Vector3 | None, step_s: float, name: str, broken: list[str]

@@ -65,8 +65,8 @@ def velocity_setpoint(
     heading: Heading,
 ) -> Setpoint:
     """Velocity and acceleration under which the autopilot wants `input_ned_m_s2` at `motion`."""
-    push = add(input_ned_m_s2, disturbance_ned_m_s2)
-    ahead = advance(motion, push, config.velocity_lookahead_s, lags_s).velocity_m_s
+    total = add(input_ned_m_s2, disturbance_ned_m_s2)
+    ahead = advance(motion, total, config.velocity_lookahead_s, lags_s).velocity_m_s
     holds = config.setpoint != "acceleration"
     (x, y, z), (kx, ky, kz) = lasting_ned_m_s2, gains_1_s
     most = config.maximum_velocity_correction_m_s
@@ -97,16 +97,16 @@ def attitude_setpoint(
     )
 
 
-def lean_boost(lean_m_s2: Vector3, asked_m_s2: Vector3, most_rad: float) -> float:
-    """By how much to scale the thrust because the lean is not yet what is asked for.
+def tilt_compensation(flown_m_s2: Vector3, asked_m_s2: Vector3, most_rad: float) -> float:
+    """By how much to scale the thrust because the tilt is not yet the one asked for.
 
-    The upward force was divided by the cosine of the lean asked for; while the vehicle still leans as in
-    `lean_m_s2` (m/s2, NED; what its thrust makes) that is too little when it goes level, and too much when it
-    leans over. Neither counts for more than `most_rad`: an upset or falling vehicle tells nothing by its
-    acceleration. ArduPilot divides by the cosine of the lean that it flies: for it, lean zero.
+    The upward force was divided by the cosine of the tilt asked for; while the vehicle still has the tilt of
+    `flown_m_s2` (m/s2, NED; what its thrust makes) that is too little when the tilt decreases, and too much
+    when it grows. Neither tilt counts for more than `most_rad`: of an upset or falling vehicle the
+    acceleration says nothing. ArduPilot divides by the cosine of the tilt that it flies: for it, zero.
     """
     least = math.cos(most_rad)
-    return max(least, _upward_share(asked_m_s2)) / max(least, _upward_share(lean_m_s2))
+    return max(least, _upward_share(asked_m_s2)) / max(least, _upward_share(flown_m_s2))
 
 
 def boosted(setpoint: Setpoint, boost: float) -> Setpoint:
@@ -140,9 +140,8 @@ def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, h
 
 def stop_setpoint(now_s: float, config: ControlConfig, hover_thrust: float, heading: Heading) -> Setpoint:
     """Stand still, for when there is no plan that holds: no velocity, or level at hover thrust."""
-    level = attitude_setpoint(now_s, ZERO3, ZERO3, hover_thrust, heading)
     if config.setpoint == "attitude":
-        return level
+        return attitude_setpoint(now_s, ZERO3, ZERO3, hover_thrust, heading)
     return Setpoint(time_s=now_s, heading_rad=heading.heading_rad)
 
 
@@ -154,7 +153,7 @@ def blind_setpoint(
     hover_thrust: float,
     heading: Heading,
 ) -> Setpoint:
-    """Accelerate no way: at the velocity last known and as high as now, or level but for the wind's lean."""
+    """Do not accelerate: keep the velocity last known and the height, or the tilt against the wind."""
     if config.setpoint == "attitude":
         north, east, _ = wind_ned_m_s2
         return attitude_setpoint(now_s, velocity_ned_m_s, (-north, -east, 0.0), hover_thrust, heading)
@@ -163,7 +162,7 @@ def blind_setpoint(
 
 
 def _upward_share(acceleration_m_s2: Vector3) -> float:
-    """Cosine of the lean that makes an acceleration."""
+    """Cosine of the tilt that makes an acceleration."""
     force = force_from_acceleration(acceleration_m_s2)
     return -force[2] / norm(force)
 

@@ -15,7 +15,8 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.baselines.pid_tracker import PidTracker
 from companion.control.baselines.riccati_tracker import RiccatiTracker
-from companion.control.mpc.mpc import Mpc, Solution, Target
+from companion.control.mpc.mpc import Mpc
+from companion.control.tracking import Target, TrackingSolution
 
 
 class Tracker(Protocol):
@@ -23,7 +24,7 @@ class Tracker(Protocol):
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
-    ) -> Solution:
+    ) -> TrackingSolution:
         """Inputs over the horizon from `start`, of which the first is flown."""
 
     def reset(self) -> None:

@@ -59,7 +59,7 @@ LARGEST_RATE_RAD_S = 70.0  # an MPU9250 tells 35 rad/s and 157 m/s² at most: mo
 LARGEST_FORCE_M_S2 = 320.0
 
 
-class Estimator:
+class StateEstimator:
     """Both halves: the vehicle by the 31-state EKF, the pad by the relative-motion filter.
 
     A sample that is not finite, or whose time cannot be right, is refused: `add_*` then returns False.

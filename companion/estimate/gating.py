@@ -3,8 +3,8 @@
 A measurement is believed when its normalised innovation squared stays below a chi-square bound.
 A late one is fused at its own time: the filter goes back to how it stood before that time, takes the
 measurement, and everything newer once more. So a late measurement gives exactly the result that the
-same measurement would have given on time. A filter that knows how its errors move on (`Carrying`) need not
-take the newer ones again: what the measurement has changed is carried over them.
+same measurement would have given on time. A filter that knows how its errors move on
+(`LateUpdatePropagator`) need not take the newer ones again: it propagates what the measurement has changed.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Replayable(Protocol[S, I_contra]):
 
 
 @runtime_checkable
-class Carrying(Replayable[S, I_contra], Protocol[S, I_contra]):
+class LateUpdatePropagator(Replayable[S, I_contra], Protocol[S, I_contra]):
     """One that can carry what a late input changes over newer ones, at a fraction of taking these again."""
 
     def carried(self, base: S, later: Sequence[S], time_s: float, item: I_contra) -> list[S] | None:
@@ -120,7 +120,7 @@ class Timeline(Generic[S, Item]):
         return True
 
     def _carried(self, place: int, time_s: float, item: Item) -> list[S] | None:
-        if not isinstance(self._target, Carrying):
+        if not isinstance(self._target, LateUpdatePropagator):
             return None
         return self._target.carried(self._after[place - 1], self._after[place:], time_s, item)
 

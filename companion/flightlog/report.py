@@ -18,7 +18,8 @@ from rich.table import Table
 from companion.base.geometry import FloatArray
 from companion.base.messages import FrameReport, PlanStep, Truth
 from companion.config import Cylinder, Shape
-from companion.flightlog.result import Result, TruthTrack, estimate_errors, sighting_errors_body_m
+from companion.flightlog.errors import TruthTrack, estimate_errors, sighting_errors_body_m
+from companion.flightlog.result import Result
 
 mpl.use("Agg")
 

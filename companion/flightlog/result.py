@@ -1,6 +1,6 @@
 """What a flight came to: the result contract (`--json`), computed from the flight log and the truth.
 
-All values are SI unless the name says otherwise. Times are those of the app's clock, counted from the
+All values are SI unless the name says otherwise. PhaseTimes are those of the app's clock, counted from the
 start of the flight. Only `sim.real_time_factor` depends on the machine.
 """
 
@@ -15,23 +15,20 @@ from typing import Any, Final
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from companion.base.geometry import FloatArray, matrix_from_quat
+from companion.base.geometry import FloatArray
 from companion.base.messages import (
     ControlReport,
     FrameReport,
     Notice,
     Outcome,
     PadSighting,
-    PadState,
     Phase,
     PlanStep,
     Setpoint,
     Truth,
 )
+from companion.flightlog.errors import TruthTrack, estimate_errors, sighting_errors_body_m
 
-# the pad's velocity counts once it has been in view for this long, and while it is
-SEEN_FOR_S: Final = 2.0
-SEEN_GAP_S: Final = 0.5
 _DIGITS: Final = 6
 _TIME_FIELDS: Final = ("time_s", "seen_time_s", "exposure_time_s", "received_s", "done_s")
 
@@ -40,7 +37,7 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Touchdown(_Part):
+class FirstContact(_Part):
     """The moment of the first contact, relative to the pad and by truth."""
 
     lateral_error_m: float
@@ -56,7 +53,7 @@ class PadResult(_Part):
     speed_m_s: float
 
 
-class Times(_Part):
+class PhaseTimes(_Part):
     """How long the phases took."""
 
     search_s: float
@@ -65,7 +62,7 @@ class Times(_Part):
     total_s: float
 
 
-class VisionResult(_Part):
+class CameraResult(_Part):
     """What the camera gave; the error is the sightings', before any filter."""
 
     frames: int
@@ -108,7 +105,7 @@ class SimResult(_Part):
     real_time_factor: float
 
 
-class Event(_Part):
+class ResultEvent(_Part):
     """Something that happened."""
 
     time_s: float
@@ -122,58 +119,15 @@ class Result(_Part):
     scenario: str
     seed: int
     outcome: Outcome
-    touchdown: Touchdown | None
+    touchdown: FirstContact | None
     pad: PadResult
-    time: Times
-    vision: VisionResult
+    time: PhaseTimes
+    vision: CameraResult
     estimate: EstimateResult
     latency_ms: Latency
     control: ControlResult = ControlResult()
     sim: SimResult
-    events: tuple[Event, ...]
-
-
-class TruthTrack:
-    """The truth as arrays, interpolated at any times within the flight."""
-
-    def __init__(self, truth: Sequence[Truth]) -> None:
-        """Take the records in order of time (at least two).
-
-        Raises:
-            ValueError: fewer than two records.
-        """
-        if len(truth) < 2:
-            raise ValueError("a truth track needs at least two records")
-        self.time_s = np.array([t.time_s for t in truth])
-        self._columns = {
-            "position": np.array([t.vehicle_position_ned_m for t in truth]),
-            "velocity": np.array([t.vehicle_velocity_ned_m_s for t in truth]),
-            "pad_position": np.array([t.pad_position_ned_m for t in truth]),
-            "pad_velocity": np.array([t.pad_velocity_ned_m_s for t in truth]),
-            "in_contact": np.array([[float(t.in_contact)] for t in truth]),
-            "attitude": _continuous(np.array([t.vehicle_attitude for t in truth])),
-        }
-
-    def at(self, name: str, times_s: FloatArray) -> FloatArray:
-        """Interpolate a column: position, velocity, pad_position, pad_velocity, in_contact, attitude."""
-        column = self._columns[name]
-        values = np.stack(
-            [np.interp(times_s, self.time_s, column[:, k]) for k in range(column.shape[1])], axis=1
-        )
-        if name == "attitude":
-            values /= np.linalg.norm(values, axis=1, keepdims=True)
-        return values
-
-    def covers(self, times_s: FloatArray) -> Any:
-        """Boolean mask of the times that lie within the track."""
-        return (times_s >= self.time_s[0]) & (times_s <= self.time_s[-1])
-
-
-def _continuous(quaternions: FloatArray) -> FloatArray:
-    """Flip signs so that neighbours lie on the same half of the sphere, for interpolation."""
-    flips = np.where(np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0, -1.0, 1.0)
-    quaternions[1:] *= np.cumprod(flips)[:, None]
-    return quaternions
+    events: tuple[ResultEvent, ...]
 
 
 def from_start(
@@ -207,7 +161,7 @@ def build_result(
 ) -> Result:
     """Put the contract together from the log's kept topics and the simulator's truth.
 
-    Times are taken as they are: `from_start` makes them count from the flight's start.
+    PhaseTimes are taken as they are: `from_start` makes them count from the flight's start.
 
     Raises:
         ValueError: fewer than two records of truth.
@@ -217,7 +171,7 @@ def build_result(
         scenario=scenario,
         seed=seed,
         outcome=outcome,
-        touchdown=None if touchdown is None else Touchdown(**{k: _round(v) for k, v in touchdown.items()}),
+        touchdown=None if touchdown is None else FirstContact(**{k: _round(v) for k, v in touchdown.items()}),
         pad=PadResult(speed_m_s=_round(pad_speed_m_s)),
         time=phase_times(kept.get("plan", ())),
         vision=_vision(kept.get("frame_report", ()), kept.get("sighting", ()), track),
@@ -233,17 +187,17 @@ def _round(value: float) -> float:
     return round(float(value), _DIGITS)
 
 
-def _event(notice: Notice) -> Event:
-    return Event(time_s=_round(notice.time_s), kind=notice.kind, text=notice.text)
+def _event(notice: Notice) -> ResultEvent:
+    return ResultEvent(time_s=_round(notice.time_s), kind=notice.kind, text=notice.text)
 
 
-def phase_times(plans: Sequence[PlanStep]) -> Times:
+def phase_times(plans: Sequence[PlanStep]) -> PhaseTimes:
     """Seconds spent searching, approaching and descending, and in all."""
     spent: dict[Phase, float] = dict.fromkeys(Phase, 0.0)
     for now, following in pairwise(plans):
         spent[now.phase] += following.time_s - now.time_s
     total = plans[-1].time_s - plans[0].time_s if plans else 0.0
-    return Times(
+    return PhaseTimes(
         search_s=_round(spent[Phase.SEARCH]),
         approach_s=_round(spent[Phase.APPROACH]),
         descent_s=_round(spent[Phase.DESCEND] + spent[Phase.TOUCHDOWN]),
@@ -267,75 +221,14 @@ def control_result(reports: Sequence[ControlReport]) -> ControlResult:
 
 def _vision(
     reports: Sequence[FrameReport], sightings: Sequence[PadSighting], track: TruthTrack
-) -> VisionResult:
+) -> CameraResult:
     errors = sighting_errors_body_m(sightings, track)[1]
     rmse = math.sqrt(float(np.mean(np.sum(errors**2, axis=1)))) if len(errors) else None
-    return VisionResult(
+    return CameraResult(
         frames=len(reports),
         frames_with_pad=sum(report.seen for report in reports),
         relative_position_rmse_m=None if rmse is None else _round(rmse),
     )
-
-
-def sighting_errors_body_m(
-    sightings: Sequence[PadSighting], track: TruthTrack
-) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) and errors (n, 3) of the sightings' pad position in true body axes (m)."""
-    times = np.array([s.time_s for s in sightings])
-    inside = track.covers(times)
-    times = times[inside]
-    measured = np.array([s.pad_position_body_m for s in sightings]).reshape(-1, 3)[inside]
-    relative = track.at("pad_position", times) - track.at("position", times)
-    attitudes = track.at("attitude", times)
-    expected = [matrix_from_quat(tuple(q)).T @ r for q, r in zip(attitudes, relative, strict=True)]
-    return times, measured - np.array(expected).reshape(-1, 3)
-
-
-def estimate_errors(kept: Mapping[str, Sequence[Any]], track: TruthTrack) -> dict[str, FloatArray]:
-    """Errors of the estimators against the truth, airborne only.
-
-    Returns arrays: `time_s` (n,), `attitude_deg` (n,), `velocity_m_s` (n, 3) of the vehicle; `pad_time_s`
-    (m,), `pad_position_m` (m, 3), `pad_velocity_m_s` (m, 3) of the pad once it has been seen for 2 s.
-    """
-    times, attitude, velocity = _vehicle_errors(kept.get("vehicle", ()), track)
-    pads = [pad for pad in settled(kept.get("pad", ())) if track.covers(np.array([pad.time_s]))[0]]
-    pad_times = np.array([pad.time_s for pad in pads])
-    position = np.array([pad.relative_position_ned_m for pad in pads]).reshape(-1, 3)
-    pad_velocity = np.array([pad.velocity_ned_m_s for pad in pads]).reshape(-1, 3)
-    return {
-        "time_s": times,
-        "attitude_deg": attitude,
-        "velocity_m_s": velocity,
-        "pad_time_s": pad_times,
-        "pad_position_m": position - (track.at("pad_position", pad_times) - track.at("position", pad_times)),
-        "pad_velocity_m_s": pad_velocity - track.at("pad_velocity", pad_times),
-    }
-
-
-def _vehicle_errors(vehicles: Sequence[Any], track: TruthTrack) -> tuple[FloatArray, FloatArray, FloatArray]:
-    times = np.array([v.time_s for v in vehicles])
-    attitudes = np.array([v.attitude for v in vehicles]).reshape(-1, 4)
-    velocities = np.array([v.velocity_ned_m_s for v in vehicles]).reshape(-1, 3)
-    inside = track.covers(times)
-    airborne = inside & (track.at("in_contact", times)[:, 0] < 0.5)
-    times, attitudes, velocities = times[airborne], attitudes[airborne], velocities[airborne]
-    cosine = np.abs(np.sum(attitudes * track.at("attitude", times), axis=1))
-    attitude_deg = np.degrees(2.0 * np.arccos(np.clip(cosine, 0.0, 1.0)))
-    return times, attitude_deg, velocities - track.at("velocity", times)
-
-
-def settled(pads: Sequence[PadState]) -> list[PadState]:
-    """The states from 2 s after the pad came into view, for as long as it stays there."""
-    settled: list[PadState] = []
-    since: float | None = None
-    for pad in pads:
-        if pad.time_s - pad.seen_time_s > SEEN_GAP_S:
-            since = None
-            continue
-        since = pad.time_s if since is None else since
-        if pad.time_s - since >= SEEN_FOR_S:
-            settled.append(pad)
-    return settled
 
 
 def _estimate(kept: Mapping[str, Sequence[Any]], track: TruthTrack) -> EstimateResult:

@@ -28,7 +28,7 @@ _IN_PROGRESS_S: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class VehicleCommand:
     """One command; with a position (latitude deg, longitude deg, altitude m AMSL) it goes as COMMAND_INT."""
 
     number: int
@@ -47,10 +47,10 @@ class Command:
 
 def request_message(
     message_id: int, target_system: int, target_component: int = AUTOPILOT_COMPONENT
-) -> Command:
+) -> VehicleCommand:
     """Send this message once."""
     parameters = (float(message_id), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return Command(
+    return VehicleCommand(
         mavlink.MAV_CMD_REQUEST_MESSAGE,
         parameters,
         target_system=target_system,
@@ -58,17 +58,17 @@ def request_message(
     )
 
 
-def set_message_interval(message_id: int, rate_hz: float, target_system: int) -> Command:
+def set_message_interval(message_id: int, rate_hz: float, target_system: int) -> VehicleCommand:
     """Send this message at this rate to who asks."""
     parameters = (float(message_id), float(round(1e6 / rate_hz)), 0.0, 0.0, 0.0, 0.0, 0.0)
-    return Command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, parameters, target_system=target_system)
+    return VehicleCommand(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, parameters, target_system=target_system)
 
 
 @dataclass(slots=True, eq=False)
 class Pending:
     """A command under way. `outcome` is None until it ends: "accepted", "denied", ... or "no answer"."""
 
-    command: Command
+    command: VehicleCommand
     outcome: str | None = None
     tries: int = 0
     due_s: float = field(default=0.0)
@@ -91,7 +91,7 @@ class CommandQueue:
         self._queues: dict[_Key, deque[Pending]] = {}
         self._answer_to_withdrawn_until_s: dict[_Key, float] = {}
 
-    def submit(self, command: Command) -> Pending:
+    def submit(self, command: VehicleCommand) -> Pending:
         """Queue a command; `to_send` sends it."""
         pending = Pending(command)
         self._queues.setdefault(_key(command), deque()).append(pending)
@@ -105,7 +105,7 @@ class CommandQueue:
             self._answer_to_withdrawn_until_s[_key(pending.command)] = pending.due_s
         self._end(pending, WITHDRAWN)
 
-    def is_under_way(self, command: Command) -> bool:
+    def is_under_way(self, command: VehicleCommand) -> bool:
         """Whether the very same command waits already."""
         queue = self._queues.get(_key(command), ())
         return any(pending.command == command for pending in queue)
@@ -156,7 +156,7 @@ class CommandQueue:
             del self._queues[key]
 
 
-def _key(command: Command) -> _Key:
+def _key(command: VehicleCommand) -> _Key:
     return (command.target_system, command.number)
 
 

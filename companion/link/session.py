@@ -19,11 +19,17 @@ from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
 from companion.link.beacon import pad_beacon
 from companion.link.codec import AUTOPILOT_COMPONENT, Codec, Message, Severity, mavlink
-from companion.link.commands import Command, CommandQueue, Pending, request_message, set_message_interval
+from companion.link.commands import (
+    CommandQueue,
+    Pending,
+    VehicleCommand,
+    request_message,
+    set_message_interval,
+)
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.alignment import HeadingAlignment
-from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, OnboardSensors, Sample
+from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
@@ -77,7 +83,7 @@ class Session:
         self.alignment = HeadingAlignment()
         self.timesync = TimeSync()
         self._boot_clock = BootClock(self.timesync)
-        self.onboard = None if sense is None else OnboardSensors(sense, self._boot_clock)
+        self.onboard = None if sense is None else TelemetrySensors(sense, self._boot_clock)
         self.texts_heard = 0
         self.stranger: int | None = None
         self.beacon_stranger: int | None = None
@@ -242,7 +248,7 @@ class Session:
         messages = codec.status_texts(text, severity, self._notices)
         return b"".join(self._codec.encode(message) for message in messages)
 
-    def command(self, command: Command) -> Pending:
+    def command(self, command: VehicleCommand) -> Pending:
         """Start a command; `tick` sends it, `Pending.outcome` tells its end."""
         return self._commands.submit(command)
 
@@ -309,7 +315,7 @@ class Session:
             self._home_due_s = now_s + _HOME_S if self.state.home is None else math.inf
             self._command_once(request_message(mavlink.MAVLINK_MSG_ID_HOME_POSITION, self._system_id))
 
-    def _command_once(self, command: Command) -> None:
+    def _command_once(self, command: VehicleCommand) -> None:
         """Not again while the same one still waits for its answer."""
         if not self._commands.is_under_way(command):
             self._commands.submit(command)

@@ -1,4 +1,4 @@
-"""Byte transports to the autopilot: serial port, UDP, TCP, and an in-process pipe for virtual time.
+"""Byte transports to the autopilot: UDP, TCP, and the choice among them and the serial port.
 
 All queues are bounded, and what does not fit is dropped and counted: a setpoint that waited for a stuck line
 is worse than none. `read` gives what came, one byte or more, and raises OSError once the transport is gone.
@@ -10,7 +10,6 @@ import asyncio
 import logging
 import math
 import os
-from collections import deque
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -19,10 +18,9 @@ import serial
 from companion.base.clock import Clock
 from companion.config import CONNECTION_FORM, ConfigError
 from companion.link.codec import has_autopilot_heartbeat
+from companion.link.inbox import Inbox
+from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
 
-_READ_QUEUE_BYTES: Final = 1 << 16
-_WRITE_QUEUE_BYTES: Final = 2048  # 0.36 s of a line at 57600 baud
-_READ_BYTES: Final = 4096
 _PEER_SILENCE_S: Final = 3.0
 _QUIET_TURNS: Final = 3
 _TURNS_TO_READ: Final = 500
@@ -46,78 +44,6 @@ class Transport(Protocol):
         """Give the port back; a waiting `read` ends with OSError."""
 
 
-class _Inbox:
-    """What came and was not read yet; for one reader."""
-
-    def __init__(self) -> None:
-        self._data = bytearray()
-        self._changed = asyncio.Event()
-        self._error: OSError | None = None
-        self.dropped_bytes = 0
-
-    def put(self, data: bytes) -> None:
-        if len(self._data) + len(data) > _READ_QUEUE_BYTES:
-            self.dropped_bytes += len(self._data)
-            self._data.clear()
-        self._data += data
-        self._changed.set()
-
-    def fail(self, error: OSError) -> None:
-        self._error = self._error or error
-        self._changed.set()
-
-    async def read(self) -> bytes:
-        while not self._data:
-            if self._error is not None:
-                raise self._error
-            await self._changed.wait()
-            self._changed.clear()
-        data = bytes(self._data)
-        self._data.clear()
-        return data
-
-
-class MemoryTransport:
-    """One end of a pipe within the process: bytes arrive `latency_s` of loop time later, in order."""
-
-    def __init__(self, latency_s: float) -> None:
-        self._loop = asyncio.get_running_loop()
-        self._latency_s = latency_s
-        self._inbox = _Inbox()
-        self._under_way: deque[bytes] = deque()
-        self._peer: MemoryTransport | None = None
-
-    async def read(self) -> bytes:
-        """See `Transport`."""
-        return await self._inbox.read()
-
-    def write(self, data: bytes) -> None:
-        """See `Transport`."""
-        peer = self._peer
-        if peer is None or not data:
-            return
-        # the loop does not promise an order among timers due together, so each takes the oldest
-        peer._under_way.append(data)
-        self._loop.call_later(self._latency_s, peer._deliver)
-
-    def close(self) -> None:
-        """Both ends are closed, as when a cable is pulled."""
-        for end in (self, self._peer):
-            if end is not None:
-                end._peer = None
-                end._inbox.fail(OSError("the pipe is closed"))
-
-    def _deliver(self) -> None:
-        self._inbox.put(self._under_way.popleft())
-
-
-def memory_pair(latency_s: float = 0.002) -> tuple[MemoryTransport, MemoryTransport]:
-    """The two ends of an in-process pipe; call it inside the loop."""
-    one, other = MemoryTransport(latency_s), MemoryTransport(latency_s)
-    one._peer, other._peer = other, one
-    return one, other
-
-
 class UdpTransport(asyncio.DatagramProtocol):
     """UDP: calling a fixed peer, or listening for one. Made by `open_transport`.
 
@@ -131,7 +57,7 @@ class UdpTransport(asyncio.DatagramProtocol):
         self._system_id = system_id
         self._peer_heard_s = -math.inf
         self.strangers = 0
-        self._inbox = _Inbox()
+        self._inbox = Inbox()
         self._socket: asyncio.DatagramTransport | None = None
         self._peer: tuple[str, int] | None = None
         self._calls = False
@@ -215,7 +141,7 @@ class TcpTransport:
 
     async def read(self) -> bytes:
         """See `Transport`."""
-        data = await self._reader.read(_READ_BYTES)
+        data = await self._reader.read(READ_BYTES)
         if not data:
             raise OSError("the TCP connection is closed")
         return data
@@ -225,7 +151,7 @@ class TcpTransport:
         transport = self._writer.transport
         if transport.is_closing():
             return
-        if transport.get_write_buffer_size() + len(data) > _WRITE_QUEUE_BYTES:
+        if transport.get_write_buffer_size() + len(data) > WRITE_QUEUE_BYTES:
             self.dropped_bytes += len(data)
             return
         self._writer.write(data)
@@ -233,79 +159,6 @@ class TcpTransport:
     def close(self) -> None:
         """See `Transport`."""
         self._writer.transport.abort()
-
-
-class SerialTransport:
-    """A serial port, raw, 8N1, without flow control.
-
-    Raises:
-        OSError: the port is missing, busy or not a serial port (pyserial's SerialException is one).
-    """
-
-    def __init__(self, path: str, baud: int) -> None:
-        self._port = serial.Serial(path, baud, timeout=0, exclusive=True)
-        self._fd = self._port.fileno()
-        os.set_blocking(self._fd, False)
-        self._loop = asyncio.get_running_loop()
-        self._inbox = _Inbox()
-        self._outbox = bytearray()
-        self.dropped_bytes = 0
-        self._loop.add_reader(self._fd, self._read_ready)
-
-    async def read(self) -> bytes:
-        """See `Transport`."""
-        return await self._inbox.read()
-
-    def write(self, data: bytes) -> None:
-        """See `Transport`: whole writes are dropped while the line is stuck."""
-        if not self._port.is_open:
-            return
-        if len(self._outbox) + len(data) > _WRITE_QUEUE_BYTES:
-            self.dropped_bytes += len(data)
-            return
-        idle = not self._outbox
-        self._outbox += data
-        if idle:
-            self._write_ready()
-            if self._outbox:
-                self._loop.add_writer(self._fd, self._write_ready)
-
-    def close(self) -> None:
-        """See `Transport`."""
-        self._stop(OSError(f"{self._port.name} is closed"))
-
-    def _read_ready(self) -> None:
-        try:
-            data = os.read(self._fd, _READ_BYTES)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._stop(error)
-            return
-        if data:
-            self._inbox.put(data)
-        else:
-            self._stop(OSError(f"{self._port.name} is gone"))
-
-    def _write_ready(self) -> None:
-        try:
-            sent = os.write(self._fd, self._outbox)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._stop(error)
-            return
-        del self._outbox[:sent]
-        if not self._outbox:
-            self._loop.remove_writer(self._fd)
-
-    def _stop(self, error: OSError) -> None:
-        self._inbox.fail(error)
-        if self._port.is_open:
-            self._loop.remove_reader(self._fd)
-            self._loop.remove_writer(self._fd)
-            self._outbox.clear()
-            self._port.close()
 
 
 async def backlog_read(heard: Callable[[], int]) -> None:

@@ -23,8 +23,8 @@ from rich.table import Table
 from companion.base.geometry import FloatArray, ned_from_geodetic
 from companion.base.messages import GpsFix, VehicleState
 from companion.config import ConfigError
-from companion.flightlog.result import TruthTrack
-from companion.research.flown import Flown
+from companion.flightlog.errors import TruthTrack
+from companion.research.flown import EndedFlight
 from sitl.run.simulation import HOME
 
 mpl.use("Agg")
@@ -40,7 +40,7 @@ EKF_COLOUR: Final = "#2471a3"
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class PositionTrack:
     """Positions (n, 3) at times (n,), and their errors against the truth (n, 3)."""
 
     time_s: FloatArray
@@ -73,8 +73,8 @@ class Track:
 class Observed:
     """One flight in the air: the fixes, the EKF and the truth."""
 
-    gps: Track
-    ekf: Track
+    gps: PositionTrack
+    ekf: PositionTrack
     truth: TruthTrack
     title: str
 
@@ -85,7 +85,7 @@ class Observed:
         return bool(noise.all() and path.all())
 
 
-def observe(flown: Flown) -> Observed:
+def observe(flown: EndedFlight) -> Observed:
     """Positions of a flight from take-off to contact.
 
     Raises:
@@ -107,9 +107,9 @@ def observe(flown: Flown) -> Observed:
     return Observed(_track([f.time_s for f in fixes], gps, truth), _track(times, ekf, truth), truth, title)
 
 
-def _track(times_s: list[float], positions: list[Any], truth: TruthTrack) -> Track:
+def _track(times_s: list[float], positions: list[Any], truth: TruthTrack) -> PositionTrack:
     times, rows = np.array(times_s), np.array(positions, dtype=float).reshape(-1, 3)
-    return Track(times, rows, rows - truth.at("position", times))
+    return PositionTrack(times, rows, rows - truth.at("position", times))
 
 
 def table(observed: Observed) -> Table:

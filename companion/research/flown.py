@@ -32,7 +32,7 @@ class _Keeping(FlightLog):
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class EndedFlight:
     """One flight that has ended: its score, what the app logged by topic, and the truth."""
 
     result: Result
@@ -53,7 +53,7 @@ class Flown:
         return None
 
 
-def fly_scenario(scenario: str, seed: int, settings: Mapping[str, Any] | None = None) -> Flown:
+def fly_scenario(scenario: str, seed: int, settings: Mapping[str, Any] | None = None) -> EndedFlight:
     """Fly a scenario under a seed, with `settings` laid over the shipped ones.
 
     Raises:
@@ -66,4 +66,4 @@ def fly_scenario(scenario: str, seed: int, settings: Mapping[str, Any] | None = 
     flight = fly(config, trial, log, lambda _status: None, fast=True)
     result = score(trial, flight, log)
     kept, truth = from_start(log.kept, flight.report.truth)
-    return Flown(result, truth, kept)
+    return EndedFlight(result, truth, kept)

@@ -26,9 +26,9 @@ from scipy.signal import savgol_filter
 from companion.base.geometry import FloatArray
 from companion.base.messages import Outcome, Phase
 from companion.config import PlanConfig
-from companion.flightlog.result import TruthTrack
+from companion.flightlog.errors import TruthTrack
 from companion.plan.speed.laws import load_speed_law
-from companion.research.flown import Flown, fly_scenario
+from companion.research.flown import EndedFlight, fly_scenario
 
 mpl.use("Agg")
 
@@ -77,7 +77,7 @@ def fly(case: tuple[str, str, int]) -> Descent:
     return measure(fly_scenario(scenario, seed, {"plan": {"speed_law": law}}), law)
 
 
-def measure(flown: Flown, law: str) -> Descent:
+def measure(flown: EndedFlight, law: str) -> Descent:
     """What the descent of a flight was like."""
     result = flown.result
     landed = result.outcome is Outcome.LANDED

@@ -27,16 +27,16 @@ from companion.base.geometry import FloatArray
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.research.fig14.figure import BY_NAME
 from companion.research.fig14.flight import LOST_M, fly
-from companion.research.fig14.pilots import Flight
+from companion.research.fig14.pilots import PilotKnowledge
 from companion.research.fig14.reference import draw_scene
-from companion.research.fig14.world import Case, Noise
+from companion.research.fig14.world import DisturbanceCase, Noise
 from companion.research.model.full_mpc import load_full
-from companion.research.model.pid import AngleGains, AxisGains, PidGains
+from companion.research.model.pid import AngleGains, AxisGains, CascadeGains
 from companion.research.model.quadrotor import load_quadrotor
 from companion.research.output import writable
 from sitl.scenario.scenario import load_airframe
 
-HARSH: Final = Case("all, twice the noise", True, True, Noise(0.04, 0.08, math.radians(1.0), 0.06))
+HARSH: Final = DisturbanceCase("all, twice the noise", True, True, Noise(0.04, 0.08, math.radians(1.0), 0.06))
 # which case is flown on which seeds
 TRAINING: Final = (
     (BY_NAME["nominal"], (1000,)),
@@ -47,7 +47,8 @@ TRAINING: Final = (
 )
 TRAINING_S: Final = 7.0  # of each flight: the way round the obstacles
 HEADING: Final = AngleGains(attitude_1_s=2.0, rate_1_s=6.0, integral_1_s2=1.0, derivative=0.0)
-# position, velocity, integral sideways; the same upwards; attitude, rate, integral, derivative of leaning
+# position, velocity, integral sideways; the same upwards; attitude, rate, integral, derivative of roll and
+# pitch
 START: Final = (2.5, 4.0, 1.5, 3.5, 4.0, 3.0, 8.0, 18.0, 10.0, 0.05)
 HEADER: Final = """\
 # The cascaded PID's gains, written by `python -m companion.research.tune_pid`: least mean logarithm of the
@@ -56,7 +57,7 @@ HEADER: Final = """\
 """
 
 
-def gains_of(numbers: Sequence[float]) -> PidGains:
+def gains_of(numbers: Sequence[float]) -> CascadeGains:
     """A cascade by its ten numbers, in START's order; out of range they are brought within."""
 
     def axis(position: float, velocity: float, integral: float) -> AxisGains:
@@ -73,7 +74,9 @@ def gains_of(numbers: Sequence[float]) -> PidGains:
         integral_1_s2=min(integral, 400.0),
         derivative=min(derivative, 2.0),
     )
-    return PidGains(horizontal=axis(*numbers[:3]), vertical=axis(*numbers[3:6]), lean=lean, heading=HEADING)
+    return CascadeGains(
+        horizontal=axis(*numbers[:3]), vertical=axis(*numbers[3:6]), lean=lean, heading=HEADING
+    )
 
 
 def objective() -> Callable[[FloatArray], float]:
@@ -81,7 +84,7 @@ def objective() -> Callable[[FloatArray], float]:
     model, full, body = load_quadrotor("x500"), load_full("full"), load_airframe("x500").body
     scenes = {seed: draw_scene(seed) for seed in sorted({seed for _, seeds in TRAINING for seed in seeds})}
     flights = [
-        (Flight(model, full, gains_of(START), *scenes[seed]), case)
+        (PilotKnowledge(model, full, gains_of(START), *scenes[seed]), case)
         for case, seeds in TRAINING
         for seed in seeds
     ]
@@ -97,7 +100,7 @@ def objective() -> Callable[[FloatArray], float]:
     return mean_log
 
 
-def tune(evaluations: int) -> tuple[PidGains, float, float]:
+def tune(evaluations: int) -> tuple[CascadeGains, float, float]:
     """Gains, and the mean errors (m) at the start and with them."""
     judge, start = objective(), np.log(START)
     found = scipy.optimize.minimize(
@@ -110,7 +113,7 @@ def tune(evaluations: int) -> tuple[PidGains, float, float]:
     return gains_of(np.exp(found.x).tolist()), math.exp(judge(start)), math.exp(float(found.fun))
 
 
-def write(gains: PidGains, header: str, path: Path) -> None:
+def write(gains: CascadeGains, header: str, path: Path) -> None:
     """The gains as YAML."""
     numbers = gains.model_dump(include={"horizontal", "vertical", "lean", "heading"})
     rounded = {part: {k: float(f"{v:.4g}") for k, v in values.items()} for part, values in numbers.items()}

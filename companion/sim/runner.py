@@ -27,7 +27,7 @@ from companion.base.clock import Clock, run_in_virtual_time, wall_clock_s
 from companion.base.messages import Phase
 from companion.config import CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
-from companion.link.transport import MemoryTransport, memory_pair
+from companion.link.inbox import MemoryTransport, memory_pair
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
 from sitl.firmware.process import FirmwareError

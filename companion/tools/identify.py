@@ -23,9 +23,9 @@ from companion.base.messages import Manner, Phase
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
 from companion.control.response.flight_model import lags, velocity_gains
 from companion.control.response.identification import (
-    Estimate,
-    Flown,
-    Response,
+    IdentifiedResponse,
+    ResponseEstimate,
+    ResponseRecord,
     TooLittleError,
     adopted,
     fit,
@@ -55,7 +55,7 @@ DIRECTIONS: Final[dict[str, tuple[int, ...]]] = {"sideways": (0, 1), "down": (2,
 
 
 @dataclass
-class FlightLog:
+class IdentificationLog:
     """What the log says: the settings that were flown with, and messages by topic in their order.
 
     `control.setpoint` is the kind that was sent, and `manner` whose autopilot it was sent to.
@@ -71,19 +71,19 @@ class FlightLog:
         """Whether attitude and thrust were sent."""
         return self.control.setpoint == "attitude"
 
-    def starting_points(self) -> dict[str, Response]:
+    def starting_points(self) -> dict[str, IdentifiedResponse]:
         """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
         gains = velocity_gains(self.vehicle, self.control, self.manner, sideways=by_velocity)
         tau = lags(self.vehicle, self.control, self.manner)
-        return {name: Response(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
+        return {name: IdentifiedResponse(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
 
 @dataclass(frozen=True)
-class Found:
+class IdentificationResult:
     """What one flight tells; a text where it does not tell."""
 
-    responses: dict[str, Estimate | str]
+    responses: dict[str, ResponseEstimate | str]
     hover: tuple[float, float] | str
     learnt_hover_thrust: float | None
 
@@ -113,7 +113,7 @@ def identify_command(
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
-def read_flight(path: Path) -> FlightLog:
+def read_flight(path: Path) -> IdentificationLog:
     """Read the topics that tell how the vehicle answered.
 
     Raises:
@@ -141,10 +141,10 @@ def read_flight(path: Path) -> FlightLog:
     # in a flight by `auto` the setpoints tell whose autopilot it was: PX4 is sent no attitudes then
     by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
     manner: Manner = "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
-    return FlightLog(resolved(config.control, manner), vehicle, messages, manner)
+    return IdentificationLog(resolved(config.control, manner), vehicle, messages, manner)
 
 
-def flown(record: FlightLog, path: Path) -> Flown:
+def flown(record: IdentificationLog, path: Path) -> ResponseRecord:
     """The flight on an even grid at the setpoints' rate.
 
     Raises:
@@ -163,7 +163,7 @@ def flown(record: FlightLog, path: Path) -> Flown:
         return np.stack([np.interp(time_s, at, each) for each in values.T], axis=1)
 
     acceleration = column(vehicles, "acceleration_ned_m_s2")
-    return Flown(
+    return ResponseRecord(
         time_s=time_s,
         velocity_ned_m_s=column(vehicles, "velocity_ned_m_s"),
         force_m_s2=np.linalg.norm(acceleration - np.array([0.0, 0.0, GRAVITY_M_S2]), axis=1),
@@ -174,7 +174,7 @@ def flown(record: FlightLog, path: Path) -> Flown:
     )
 
 
-def _obeyed_times(record: FlightLog) -> FloatArray:
+def _obeyed_times(record: IdentificationLog) -> FloatArray:
     """Times of the cycles in which the autopilot obeyed, in the air."""
     phases = {plan["time_s"]: plan["phase"] for plan in record.messages["/plan"]}
     reports = [report for report in record.messages["/control_report"] if report.get("obeyed", True)]
@@ -190,13 +190,13 @@ def _pieces(time_s: FloatArray, obeyed_s: FloatArray) -> tuple[tuple[int, int], 
     return tuple((int(first), int(last)) for first, last in places)
 
 
-def identify(record: FlightLog, path: Path) -> Found:
+def identify(record: IdentificationLog, path: Path) -> IdentificationResult:
     """All that a flight tells.
 
     Raises:
         ConfigError: it tells nothing.
     """
-    data, responses = flown(record, path), dict[str, Estimate | str]()
+    data, responses = flown(record, path), dict[str, ResponseEstimate | str]()
     for name, axes in DIRECTIONS.items():
         try:
             cut = windows(data, axes, record.control.command_delay_s)
@@ -207,16 +207,16 @@ def identify(record: FlightLog, path: Path) -> Found:
         hover: tuple[float, float] | str = hover_thrust(data)
     except TooLittleError as error:
         hover = str(error)
-    if not any(isinstance(each, Estimate) for each in responses.values()) and isinstance(hover, str):
+    if not any(isinstance(each, ResponseEstimate) for each in responses.values()) and isinstance(hover, str):
         raise ConfigError(f"{path}: {responses['sideways']}")
     learnt = record.messages["/control_report"][-1].get("hover_thrust") if record.by_attitude else None
-    return Found(responses, hover, learnt)
+    return IdentificationResult(responses, hover, learnt)
 
 
 # ---------------------------------------------------------------- what is shown
 
 
-def _table(record: FlightLog, found: Found) -> tuple[Table, list[str]]:
+def _table(record: IdentificationLog, found: IdentificationResult) -> tuple[Table, list[str]]:
     """What was found, and why the rest was not."""
     notes: list[str] = []
     grid = Table(title=f"How {record.vehicle.name} answers, by {record.control.setpoint} setpoints")
@@ -247,7 +247,7 @@ def _table(record: FlightLog, found: Found) -> tuple[Table, list[str]]:
     return grid, notes
 
 
-def settings_lines(record: FlightLog, found: Found) -> list[str]:
+def settings_lines(record: IdentificationLog, found: IdentificationResult) -> list[str]:
     """The lines for the vehicle's file and the settings."""
     vehicle, control = _numbers(record, found)
     lines = []
@@ -258,7 +258,9 @@ def settings_lines(record: FlightLog, found: Found) -> list[str]:
     return lines or ["nothing found contradicts the settings: they may stay as they are"]
 
 
-def _numbers(record: FlightLog, found: Found) -> tuple[dict[str, float], dict[str, float]]:
+def _numbers(
+    record: IdentificationLog, found: IdentificationResult
+) -> tuple[dict[str, float], dict[str, float]]:
     """Settings of the vehicle and of control by their names."""
     vehicle, control = dict[str, float](), dict[str, float]()
     by_velocity = record.control.setpoint == "velocity"
@@ -287,7 +289,9 @@ def _yaml(numbers: dict[str, float]) -> list[str]:
     return [f"{name}: {value:.3f}" for name, value in numbers.items()]
 
 
-def check_lines(other: FlightLog, record: FlightLog, found: Found, path: Path) -> list[str]:
+def check_lines(
+    other: IdentificationLog, record: IdentificationLog, found: IdentificationResult, path: Path
+) -> list[str]:
     """How well the numbers predict another flight's velocity half a second ahead, beside the settings' own.
 
     Raises:

@@ -33,7 +33,7 @@ from companion.base.messages import ImuSample, MagSample
 from companion.config import EstimateConfig, VehicleConfig, find_file, load_model
 from companion.estimate.ahrs.complementary import OrientationFilter
 from companion.estimate.ahrs.madgwick import MadgwickFilter, align
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
 
 EKF_BAR_DEG: Final = 2.5
 MADGWICK_BAR_DEG: Final = 0.1
@@ -150,7 +150,7 @@ def run_ekf(trial: Trial) -> FloatArray:
     attitude, field = trial.start
     config = EstimateConfig(magnetic_field_ned_ut=field)
     vehicle = load_model(VehicleConfig, find_file("vehicles", "x500"))
-    estimator = Estimator(config, vehicle, (0.0, 0.0, 0.0), 0.5)
+    estimator = StateEstimator(config, vehicle, (0.0, 0.0, 0.0), 0.5)
     rows = zip(trial.rates.tolist(), trial.forces.tolist(), trial.fields.tolist(), strict=True)
     estimate = np.empty((len(trial.rates), 4))
     for k, (rate, force, measured) in enumerate(rows):

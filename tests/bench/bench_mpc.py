@@ -26,9 +26,11 @@ from rich.table import Table
 from companion.base.geometry import ZERO3, FloatArray, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig
-from companion.control.mpc.mpc import SETTINGS, Cone, Mpc, Problem, Target
+from companion.control.mpc.mpc import SETTINGS, Mpc
+from companion.control.mpc.qp import QuadraticProgram
 from companion.control.mpc.target import within_reach
 from companion.control.response.flight_model import advance
+from companion.control.tracking import Cone, Target
 
 LAGS_S: Final = (0.11, 0.11, 0.04)
 STEP_P99_MS: Final = 5.0
@@ -112,7 +114,7 @@ def _target(
     return within_reach(target, motion.position_m, config.horizontal_reach_m, config.vertical_reach_m)
 
 
-def _anew(problem: Problem, inputs: FloatArray, found: Figures, config: ControlConfig) -> None:
+def _anew(problem: QuadraticProgram, inputs: FloatArray, found: Figures, config: ControlConfig) -> None:
     """The same problem from nothing."""
     began_s = time.thread_time()
     solver = osqp.OSQP()

@@ -21,7 +21,7 @@ from rich.table import Table
 from companion.base.clock import wall_clock_s
 from companion.config import CONFIG_FOLDER
 from companion.control.controller import Controller
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
 from companion.plan.planner import Planner
@@ -48,7 +48,7 @@ PARTS: Final[dict[str, dict[type[Any], tuple[str, ...]]]] = {
     "app: drivers": {Mpu9250: ("poll",), Neo6m: ("feed", "pending"), Ultrasonic: ("feed",)},
     "app: detection and pose": {Vision: ("step",)},
     "app: estimators": {
-        Estimator: (
+        StateEstimator: (
             *("add_imu", "add_mag", "add_gps", "add_range", "add_sighting"),
             *("vehicle", "pad", "pad_prior"),
         )

@@ -12,7 +12,8 @@ from typing import Any
 from companion.base.clock import wall_clock_s
 from companion.config import CompanionConfig
 from companion.estimate.pad.pad_filter import PadFilter, PadMeasurement
-from companion.estimate.vehicle.ekf import ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import ImuStep
 from tests.bench.streams import INPUTS, Stream, feed, new_estimator
 
 

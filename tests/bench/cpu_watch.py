@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from typing import Any, Final, NamedTuple
 
 from companion.control.controller import Controller
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog, _McapFile, _TlogFile
 from companion.link.session import Session
 from companion.plan.planner import Planner
@@ -31,10 +31,10 @@ GARBAGE: Final = "garbage collection"
 METHODS: Final[dict[str, tuple[tuple[type[Any], tuple[str, ...]], ...]]] = {
     "vision": ((Vision, ("step",)),),
     "IMU and EKF": (
-        (Estimator, ("add_imu", "add_mag", "add_autopilot_attitude", "vehicle", "vehicle_covariance")),
+        (StateEstimator, ("add_imu", "add_mag", "add_autopilot_attitude", "vehicle", "vehicle_covariance")),
     ),
-    "fusing GPS": ((Estimator, ("add_gps",)),),
-    "pad filter": ((Estimator, ("add_sighting", "add_range", "pad", "pad_prior")),),
+    "fusing GPS": ((StateEstimator, ("add_gps",)),),
+    "pad filter": ((StateEstimator, ("add_sighting", "add_range", "pad", "pad_prior")),),
     "planner": ((Planner, ("step",)),),
     "controller": ((Controller, ("step",)),),
     "link": ((Session, ("receive", "take_samples", "tick", "send_setpoint", "send_notice", "align")),),

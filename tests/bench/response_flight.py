@@ -18,7 +18,7 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import (
     GRAVITY_M_S2,
     FloatArray,
-    level_acceleration,
+    horizontal_acceleration,
     quat_rotate,
     vector3,
     yaw_from_quat,
@@ -27,8 +27,8 @@ from companion.base.messages import Action, ActionKind, Manner, Setpoint
 from companion.config import ControlConfig, Kind, LinkConfig
 from companion.control.setpoints import Heading, attitude_setpoint
 from companion.link.actions.actions import PymavlinkActions
+from companion.link.inbox import memory_pair
 from companion.link.session import Session
-from companion.link.transport import memory_pair
 from sitl.firmware.spec import FirmwareSpec
 from sitl.pad.paths import Meeting, StaticMotion
 from sitl.run.in_process import InProcess
@@ -225,6 +225,6 @@ class _Sender:
         state = self._world.state
         x, y, z = quat_rotate(state.attitude, state.specific_force_body_m_s2)
         yaw = yaw_from_quat(state.attitude)
-        lean = level_acceleration(state.attitude)
+        lean = horizontal_acceleration(state.attitude)
         flown = (*state.velocity_ned_m_s, x, y, z + GRAVITY_M_S2, *lean, 0.0, yaw)
         self._rows.append([self._clock.now_s(), axis, *v_sp, *a_sp, heading_rad, *flown])

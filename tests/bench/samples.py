@@ -14,8 +14,8 @@ import numpy as np
 from companion.base.geometry import FloatArray, ned_from_geodetic, quat_conjugate, quat_multiply
 from companion.base.geometry import rotation_vector_from_quat as rotation_vector
 from companion.base.messages import PadState, Truth, VehicleState
-from companion.estimate.estimator import Estimator
-from companion.flightlog.result import TruthTrack
+from companion.estimate.estimator import StateEstimator
+from companion.flightlog.errors import TruthTrack
 from sitl.run.simulation import HOME
 
 SEEN_GAP_S: Final = 0.5  # unseen for so long, the pad is out of view
@@ -81,7 +81,7 @@ class Answer:
     pad_covariance: FloatArray | None
 
 
-def ask(estimator: Estimator, now_s: float) -> Answer | None:
+def ask(estimator: StateEstimator, now_s: float) -> Answer | None:
     """Ask for everything, as a control cycle does; None before the alignment."""
     vehicle, covariance = estimator.vehicle(now_s), estimator.vehicle_covariance()
     if vehicle is None or covariance is None:

@@ -3,7 +3,7 @@
     python -m tests.bench.streams --scenarios figure_8 --seeds 10 --folder streams
 
 flies in virtual time, in process, and leaves SCENARIO_SEED.pickle with what went into the estimator, in the
-order in which it came, and the truth. `rerun` drives a new Estimator, with other settings if wanted, over
+order in which it came, and the truth. `rerun` drives a new estimator, with other settings if wanted, over
 a stream, as it flew or edited (a fault put in offline), and gives its errors against the truth with the
 filters' own covariances; unedited and with the settings that flew, it repeats what flew to the bit.
 
@@ -37,9 +37,9 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CONFIG_FOLDER, CompanionConfig, VehicleConfig, find_file, load_model
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
+from companion.flightlog.errors import TruthTrack
 from companion.flightlog.record import FlightLog
-from companion.flightlog.result import TruthTrack
 from companion.pad import load_pad
 from companion.sim.runner import fly
 from companion.sim.settings import sitl_settings
@@ -205,12 +205,12 @@ def _values(message: Any) -> dict[str, Any]:
 # ---------------------------------------------------------------- running again
 
 
-def new_estimator(config: CompanionConfig) -> Estimator:
+def new_estimator(config: CompanionConfig) -> StateEstimator:
     """The estimator as the app makes it."""
     pad = load_pad(config.pad)
     vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
     antenna = config.sense.gps.antenna_position_body_m
-    return Estimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
+    return StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
 
 
 def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float = 10.0) -> Samples:
@@ -234,7 +234,7 @@ def rerun(stream: Stream, config: CompanionConfig | None = None, rate_hz: float 
     return samples_of(answers, stream.truth, stream.airborne_s)
 
 
-def feed(estimator: Estimator, event: Event) -> None:
+def feed(estimator: StateEstimator, event: Event) -> None:
     """Give the estimator one input."""
     take: dict[str, Callable[[Any], bool]] = {
         "imu": estimator.add_imu,

@@ -24,8 +24,10 @@ from companion.estimate.ahrs.complementary import blend
 from companion.estimate.ahrs.madgwick import align
 from companion.estimate.gating import Timeline
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf import EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import EkfInput, GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
+from companion.estimate.vehicle.ekf_state import EkfSnapshot
 
 FIELD = (20.9, 0.6, 42.9)
 angles = st.floats(-math.pi, math.pi)

@@ -5,7 +5,14 @@ import math
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from companion.base.geometry import GRAVITY_M_S2, Vector3, level_acceleration, norm, subtract, tilt_from_quat
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    Vector3,
+    horizontal_acceleration,
+    norm,
+    subtract,
+    tilt_from_quat,
+)
 from companion.base.messages import Setpoint
 from companion.config import LimitsConfig
 from companion.control.limits import LONGEST_STEP_S, LimitsGate
@@ -69,7 +76,7 @@ def _within_size(setpoint: Setpoint) -> None:
 
 
 def _lean(setpoint: Setpoint) -> Vector3 | None:
-    return (*level_acceleration(setpoint.attitude), 0.0) if setpoint.attitude is not None else None
+    return (*horizontal_acceleration(setpoint.attitude), 0.0) if setpoint.attitude is not None else None
 
 
 def _within_change(before: Setpoint, after: Setpoint) -> None:

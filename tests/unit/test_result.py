@@ -23,16 +23,9 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import Box, Cylinder
+from companion.flightlog.errors import TruthTrack
 from companion.flightlog.report import outline_m, result_table, write_plots
-from companion.flightlog.result import (
-    Result,
-    TruthTrack,
-    build_result,
-    control_result,
-    from_start,
-    latency,
-    phase_times,
-)
+from companion.flightlog.result import Result, build_result, control_result, from_start, latency, phase_times
 
 STEP_S = 0.02
 END_S = 10.0

@@ -15,12 +15,12 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import Frame
 from companion.config import CameraConfig, CompanionConfig, VehicleConfig, find_file, load_model
 from companion.flightlog.record import FlightLog
-from companion.link.transport import memory_pair
+from companion.link.inbox import memory_pair
 from companion.pad import load_pad
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
 from companion.sense.vision.pipeline import Vision
-from companion.tools.check.samples import Samples
+from companion.tools.check.samples import RecentSamples
 from companion.tools.check.session import Outlets, PadCheck
 from companion.tools.check.steps import Say
 from sitl.camera.camera import CameraModel, ScenePose
@@ -35,7 +35,7 @@ LOST_S, FOUND_S = 1.0, 2.5
 
 def test_the_pad_is_seen_again_and_people_are_told_when_the_camera_comes_back() -> None:
     told = list[tuple[float, str, str, str]]()
-    samples, problems = Samples(), dict[float, str | None]()
+    samples, problems = RecentSamples(), dict[float, str | None]()
 
     async def main() -> None:
         clock = Clock()

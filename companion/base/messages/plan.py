@@ -86,7 +86,7 @@ class DescentCone:
 
 @dataclass(frozen=True, slots=True)
 class LevelOff:
-    """When (app's clock) the vehicle may lean no further than tilt_rad: its feet are about to touch."""
+    """When (app's clock) the vehicle may be tilted by no more than tilt_rad: its feet are about to touch."""
 
     from_s: float
     until_s: float

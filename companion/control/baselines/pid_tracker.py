@@ -2,7 +2,7 @@
 
 Per axis, u = a_ref + K_p e + K_d e' + integral of K_i e, with e the target's position minus the vehicle's
 where the command takes effect: the same prediction past the delay, the same reference with its velocity
-and acceleration fed forward, the same drawing near of far targets as the others get. What pushes is met by
+and acceleration fed forward, the same drawing near of far targets as the others get. A disturbance is met by
 the integral alone; it stands still while the command is at its bound and the error would drive it further
 (clamping), and is bounded itself. Gains: `control.pid`, from `companion-experiments tune-flight-pid`.
 
@@ -18,8 +18,8 @@ import numpy as np
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig, PidGains
-from companion.control.mpc.mpc import Solution, Target
 from companion.control.response.flight_model import advance
+from companion.control.tracking import Target, TrackingSolution
 
 
 class PidTracker:
@@ -33,8 +33,8 @@ class PidTracker:
         self._period_s = 1.0 / config.rate_hz
         self._lags_s = lags_s
         limits = config.limits
-        lean = GRAVITY_M_S2 * math.tan(math.radians(limits.tilt_deg))
-        self._horizontal = min(lean, limits.horizontal_acceleration_m_s2)
+        by_tilt = GRAVITY_M_S2 * math.tan(math.radians(limits.tilt_deg))
+        self._horizontal = min(by_tilt, limits.horizontal_acceleration_m_s2)
         self._vertical = limits.vertical_acceleration_m_s2
         self._integral: Vector3 = ZERO3
 
@@ -44,7 +44,7 @@ class PidTracker:
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
-    ) -> Solution:
+    ) -> TrackingSolution:
         """The command for now, and what it would lead to over the horizon.
 
         The disturbance and the last input are the model-based trackers' and are not used. Without finite
@@ -54,7 +54,7 @@ class PidTracker:
         rows = reference.tolist()
         first = self._bounded(self._command(start, rows[0]))
         if not (np.isfinite(reference).all() and all(map(math.isfinite, first))):
-            return Solution(np.zeros((self._steps, 3)), np.zeros((self._steps, 9)), False, 0)
+            return TrackingSolution(np.zeros((self._steps, 3)), np.zeros((self._steps, 9)), False, 0)
         self._integrate(start, rows[0], first)
         return self._rollout(start, rows)
 
@@ -88,7 +88,7 @@ class PidTracker:
             ]
         )
 
-    def _rollout(self, start: Motion, rows: list[list[float]]) -> Solution:
+    def _rollout(self, start: Motion, rows: list[list[float]]) -> TrackingSolution:
         """Inputs and states of the law on the model; the integral stands, as if it met what pushes."""
         push = (-self._integral[0], -self._integral[1], -self._integral[2])
         motion, inputs, states = start, [], []
@@ -97,7 +97,7 @@ class PidTracker:
             motion = advance(motion, add(command, push), self._step_s, self._lags_s)
             inputs.append(command)
             states.append((*motion.position_m, *motion.velocity_m_s, *motion.acceleration_m_s2))
-        return Solution(np.array(inputs), np.array(states), True, 0)
+        return TrackingSolution(np.array(inputs), np.array(states), True, 0)
 
 
 def _integrated(integral: float, error_m: float, cut_m_s2: float, gains: PidGains, period_s: float) -> float:

@@ -17,8 +17,8 @@ from companion.base.geometry import FloatArray, Vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.baselines.riccati import Weights, solve_tracking
-from companion.control.mpc.mpc import Solution, Target, needed_inputs
 from companion.control.mpc.qp import axis_costs, step_matrices
+from companion.control.tracking import Target, TrackingSolution, needed_inputs
 
 
 class RiccatiTracker:
@@ -37,7 +37,7 @@ class RiccatiTracker:
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
-    ) -> Solution:
+    ) -> TrackingSolution:
         """Best inputs from `start` were there no constraints; without finite numbers: none, not solved."""
         needed = needed_inputs(target, disturbance_m_s2, self._lags_s, self._dt)
         # over the first, shorter step the change that the reference itself needs is free
@@ -49,10 +49,12 @@ class RiccatiTracker:
         drift = np.zeros((self._N, 12))
         drift[:, :9] = (needed + np.array(disturbance_m_s2)) @ self._B.T
         if not (np.isfinite(state).all() and np.isfinite(reference).all() and np.isfinite(drift).all()):
-            return Solution(np.zeros((self._N, 3)), np.zeros((self._N, 9)), solved=False, iterations=0)
+            return TrackingSolution(
+                np.zeros((self._N, 3)), np.zeros((self._N, 9)), solved=False, iterations=0
+            )
         answer = solve_tracking(state, *self._model, reference, self._weights, drift=drift)
         states = answer.states[1:]
-        return Solution(needed + states[:, 9:], states[:, :9], solved=True, iterations=0)
+        return TrackingSolution(needed + states[:, 9:], states[:, :9], solved=True, iterations=0)
 
 
 def _with_memory(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,9 +1,9 @@
 """What the MPC's inputs may be: a polytope about zero that lies within every limit on one command.
 
-The input u (m/s2, NED) is made by the specific force f = u - g, which points up and leans. Bounded are its
-horizontal part, its vertical part, the lean of f (with the vertical part: a vehicle that lets itself fall
-leans further for the same push), and its size, which is the thrust. Circles and spheres become planes from
-within, so that what the MPC plans is never cut by the gate. SI units.
+The input u (m/s2, NED) is made by the specific force f = u - g, which points up, tilted. Bounded are its
+horizontal part, its vertical part, the tilt of f (with the vertical part: a vehicle that accelerates
+downwards is tilted further for the same horizontal part), and its size, which is the thrust. Circles and
+spheres become planes from within, so that what the MPC plans is never cut by the gate. SI units.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ LEAST_ROOM: Final = 0.1
 
 
 def input_rows(limits: LimitsConfig) -> FloatArray:
-    """Rows (17, 3) on one input: horizontal (4), vertical (1), lean (8) and thrust (4)."""
+    """Rows (17, 3) on one input: horizontal (4), vertical (1), tilt (8) and thrust (4)."""
     octagon = np.hstack([OCTAGON, np.zeros((4, 1))])
-    lean = np.hstack([EIGHT, np.full((8, 1), OCTAGON_WITHIN_CIRCLE * _tangent(limits))])
+    tilt = np.hstack([EIGHT, np.full((8, 1), OCTAGON_WITHIN_CIRCLE * _tangent(limits))])
     ring = _ring_rad(limits)
     thrust = np.hstack([FOUR * math.sin(ring), np.full((4, 1), -math.cos(ring))])
-    return np.vstack([octagon, [[0.0, 0.0, 1.0]], lean, thrust])
+    return np.vstack([octagon, [[0.0, 0.0, 1.0]], tilt, thrust])
 
 
 def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray, FloatArray]:
@@ -45,10 +45,10 @@ def input_bounds(limits: LimitsConfig, hover_thrust: float) -> tuple[FloatArray,
     room = LEAST_ROOM * GRAVITY_M_S2
     sink = max(room, GRAVITY_M_S2 * (1.0 - limits.minimum_thrust / hover_thrust))
     most = max(GRAVITY_M_S2 + room, GRAVITY_M_S2 * limits.maximum_thrust / hover_thrust)
-    lean = OCTAGON_WITHIN_CIRCLE * _tangent(limits) * GRAVITY_M_S2
+    tilt = OCTAGON_WITHIN_CIRCLE * _tangent(limits) * GRAVITY_M_S2
     thrust = most * _ring_within_sphere(limits) - GRAVITY_M_S2 * math.cos(_ring_rad(limits))
     vertical = limits.vertical_acceleration_m_s2
-    upper = np.array([*[side] * 4, min(vertical, sink), *[lean] * 8, *[thrust] * 4])
+    upper = np.array([*[side] * 4, min(vertical, sink), *[tilt] * 8, *[thrust] * 4])
     lower = np.array([*[-side] * 4, -vertical, *[-math.inf] * 12])
     # a plane that the first five rows imply gets no bound: such a row costs OSQP no iterations
     rows = input_rows(limits)
@@ -69,12 +69,12 @@ def _tangent(limits: LimitsConfig) -> float:
 
 
 def _ring_rad(limits: LimitsConfig) -> float:
-    """How far from upright the normals of the thrust's planes lean: the middle of what the force may."""
+    """How far from upright the normals of the thrust's planes tilt: the middle of what the force may."""
     return 0.5 * math.radians(limits.tilt_deg)
 
 
 def _ring_within_sphere(limits: LimitsConfig) -> float:
-    """The share of a sphere's radius at which the four planes lie within it, up to the greatest lean."""
+    """The share of a sphere's radius at which the four planes lie within it, up to the greatest tilt."""
     ring, tilt = _ring_rad(limits), math.radians(limits.tilt_deg)
     aside = math.sin(tilt) * math.sin(ring) * math.cos(math.pi / 4)
     return min(math.cos(ring), math.cos(tilt) * math.cos(ring) + aside)

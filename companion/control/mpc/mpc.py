@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -33,13 +32,15 @@ from companion.control.mpc.input_bounds import (
     shrunk,
 )
 from companion.control.mpc.qp import (
-    Layout,
+    QpLayout,
+    QuadraticProgram,
     axis_costs,
     cone_rows,
     constraint_matrix,
     cost_matrix,
     step_matrices,
 )
+from companion.control.tracking import Cone, Target, TrackingSolution, needed_inputs
 
 ACCEPTED_RESIDUAL = 1e-2
 # measured: 15 to 25 iterations from a warm start; rho moves only when a far start takes more than 50, and by
@@ -66,71 +67,6 @@ UNFINISHED = (NEARLY_SOLVED, UNSOLVED)
 JERK_SHARE = 0.95 / 3.0**0.5
 
 
-@dataclass(frozen=True)
-class Cone:
-    """Where a descent may be: at most `radius_m` + `slope` * height aside of the axis, upright.
-
-    `apex_m` (N+1, 3) are the points on the axis from which the height counts, at 0, dt, .. N dt.
-    """
-
-    slope: float
-    radius_m: float
-    apex_m: FloatArray
-
-
-@dataclass(frozen=True)
-class Target:
-    """What to track: rows 0..N hold at 0, dt, .. N dt from the start.
-
-    `floor_down_m` (N+1,) is the greatest allowed position along down, or None. The first row is near
-    the vehicle (see `target.within_reach`): the costs are quadratic, the bounds on speed, height and cone
-    soft. `lean_m_s2` (N,) bounds the horizontal input over each step further, as far as the
-    jerk allows, or is None. `hover_thrust` is the share of full thrust that carries the weight, as known by
-    now; None: as it was at the start.
-    """
-
-    position_m: FloatArray
-    velocity_m_s: FloatArray
-    acceleration_m_s2: FloatArray
-    floor_down_m: FloatArray | None = None
-    cone: Cone | None = None
-    hover_thrust: float | None = None
-    lean_m_s2: FloatArray | None = None
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Inputs (N, 3) in m/s2 and the predicted states (N, 9); `solved` is false for a shifted old solution.
-
-    `late`: the stopwatch ended the search.
-    """
-
-    inputs_m_s2: FloatArray
-    states: FloatArray
-    solved: bool
-    iterations: int
-    late: bool = False
-
-
-def needed_inputs(target: Target, disturbance_m_s2: Vector3, lags_s: Vector3, step_s: float) -> FloatArray:
-    """Inputs (N, 3) under which the model flies the target's acceleration against the disturbance."""
-    a = target.acceleration_m_s2
-    slope = np.diff(a, axis=0) / step_s
-    needed: FloatArray = 0.5 * (a[:-1] + a[1:]) + np.array(lags_s) * slope - np.array(disturbance_m_s2)
-    return needed
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Least 1/2 z'Pz + q'z with lower <= A z <= upper; P is its upper triangle."""
-
-    P: csc_matrix
-    q: FloatArray
-    A: csc_matrix
-    lower: FloatArray
-    upper: FloatArray
-
-
 class Mpc:
     """The tracker. Keeps the last solution, for a warm start and for when a solve fails."""
 
@@ -154,7 +90,7 @@ class Mpc:
         self._lags_s = lags_s
         self._period_s = 1.0 / config.rate_hz
         self._costs = axis_costs(config, lags_s)
-        self._layout = Layout(self._N)
+        self._layout = QpLayout(self._N)
         self._rows = self._layout.rows()
         self._A, self._B = step_matrices(self._dt, lags_s)
         self._stack_weights()
@@ -169,7 +105,7 @@ class Mpc:
 
     def solve(
         self, start: Motion, target: Target, disturbance_m_s2: Vector3, last_input_m_s2: Vector3
-    ) -> Solution:
+    ) -> TrackingSolution:
         """Best inputs from `start`; the last solution shifted, then zeros, when there is none."""
         if not _finite(start):
             return self._fall_back()
@@ -191,10 +127,10 @@ class Mpc:
         """Whether OSQP may see the data: it goes on with the old data on l > u, and never forgets a NaN."""
         return bool(np.isfinite(q).all() and (self._l <= self._u).all())
 
-    def problem(self) -> Problem:
+    def problem(self) -> QuadraticProgram:
         """The last step's quadratic programme, for who wants to solve it in another way."""
         P, A = cost_matrix(self._costs, self._N), self._constraints(self._cone_slope)
-        return Problem(P, self._q.copy(), A, self._l.copy(), self._u.copy())
+        return QuadraticProgram(P, self._q.copy(), A, self._l.copy(), self._u.copy())
 
     def clip_input(self, input_m_s2: FloatArray) -> FloatArray:
         """The input (3,), or as much of it as meets the bounds."""
@@ -222,7 +158,7 @@ class Mpc:
         self._l[rows["dynamics"]] = self._u[rows["dynamics"]] = 0.0
         self._first_change = JERK_SHARE * limits.jerk_m_s3 * self._period_s
         self._input_rows = input_rows(limits)
-        self._hover_thrust, self._levelled = math.nan, False
+        self._hover_thrust, self._levels_off = math.nan, False
         self._bound_inputs(hover_thrust)
 
     def _set_up(self, iterations: int) -> osqp.OSQP:
@@ -287,8 +223,8 @@ class Mpc:
         upper[change : change + 3] = last_input + self._first_change
         upper[rows["floor"]] = np.inf if target.floor_down_m is None else target.floor_down_m[1:]
         upper[rows["cone"]] = np.inf
-        if target.lean_m_s2 is not None or self._levelled:
-            self._level(target.lean_m_s2, last_input)
+        if target.horizontal_bound_m_s2 is not None or self._levels_off:
+            self._level_off(target.horizontal_bound_m_s2, last_input)
         if target.cone is not None:
             upper[rows["cone"]] = self._cone(target.cone, start.position_m).ravel()
 
@@ -301,15 +237,15 @@ class Mpc:
         rows = self._rows["input"]
         self._l[rows], self._u[rows] = np.tile([self._input_lower, self._input_upper], self._N)
 
-    def _level(self, lean_m_s2: FloatArray | None, last_input: FloatArray) -> None:
+    def _level_off(self, horizontal_bound_m_s2: FloatArray | None, last_input: FloatArray) -> None:
         """Bound the horizontal input over each step, no faster than it may change; None: as ever."""
-        self._levelled = lean_m_s2 is not None
+        self._levels_off = horizontal_bound_m_s2 is not None
         most = np.full(self._N, self._input_upper[0])
-        if lean_m_s2 is not None:
+        if horizontal_bound_m_s2 is not None:
             change = JERK_SHARE * self._limits.jerk_m_s3 * self._dt
             reach = float(np.max(np.abs(OCTAGON @ last_input[:2])))
             still = reach - self._first_change - change * np.arange(self._N)
-            most = np.minimum(most, np.maximum(lean_m_s2 * OCTAGON_WITHIN_CIRCLE, still))
+            most = np.minimum(most, np.maximum(horizontal_bound_m_s2 * OCTAGON_WITHIN_CIRCLE, still))
         rows = self._rows["input"]
         self._u[rows].reshape(self._N, INPUT_ROWS)[:, :4] = most[:, None]
         self._l[rows].reshape(self._N, INPUT_ROWS)[:, :4] = -most[:, None]
@@ -342,7 +278,7 @@ class Mpc:
                 return result, iterations, True
         return result, iterations, False
 
-    def _take(self, result: Any, iterations: int, late: bool) -> Solution:
+    def _take(self, result: Any, iterations: int, late: bool) -> TrackingSolution:
         info, x = result.info, np.array(result.x)
         if not np.isfinite(x).all() or info.status_val not in (SOLVED, *UNFINISHED):
             self._cold = True
@@ -352,7 +288,7 @@ class Mpc:
         self._last = x
         return self._solution(solved=True, iterations=iterations, late=late)
 
-    def _fall_back(self, iterations: int = 0, *, late: bool = False) -> Solution:
+    def _fall_back(self, iterations: int = 0, *, late: bool = False) -> TrackingSolution:
         """The old plan, one period on; when it runs out, it commands no acceleration."""
         inputs = self._last[self._layout.inputs].reshape(self._N, 3)
         states = self._last[self._layout.states].reshape(self._N, 9)
@@ -362,10 +298,10 @@ class Mpc:
         states[:-1] += share * (states[1:] - states[:-1])
         return self._solution(solved=False, iterations=iterations, late=late)
 
-    def _solution(self, *, solved: bool, iterations: int, late: bool) -> Solution:
+    def _solution(self, *, solved: bool, iterations: int, late: bool) -> TrackingSolution:
         inputs = self._last[self._layout.inputs].reshape(self._N, 3).copy()
         states = self._last[self._layout.states].reshape(self._N, 9).copy()
-        return Solution(inputs, states, solved, iterations, late)
+        return TrackingSolution(inputs, states, solved, iterations, late)
 
 
 def _finite(motion: Motion) -> bool:

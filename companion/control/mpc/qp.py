@@ -50,7 +50,18 @@ class AxisCost:
 
 
 @dataclass(frozen=True)
-class Layout:
+class QuadraticProgram:
+    """Least 1/2 z'Pz + q'z with lower <= A z <= upper; P is its upper triangle."""
+
+    P: sparse.csc_matrix
+    q: FloatArray
+    A: sparse.csc_matrix
+    lower: FloatArray
+    upper: FloatArray
+
+
+@dataclass(frozen=True)
+class QpLayout:
     """Where things stand among the variables and rows, for N steps."""
 
     steps: int
@@ -125,7 +136,7 @@ def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> spars
 
     The terminal cost covers the last change's memory: it stands on x_N and u_{N-1} and replaces no stage's.
     """
-    layout = Layout(steps)
+    layout = QpLayout(steps)
     P = sparse.lil_matrix((layout.variables, layout.variables))
     for axis, cost in enumerate(costs):
         for k in range(steps):

@@ -14,8 +14,8 @@ import numpy as np
 
 from companion.base.geometry import GRAVITY_M_S2, FloatArray, Vector3, wrap_angle
 from companion.base.messages import LevelOff, Reference
-from companion.control.mpc.mpc import Cone, Target
 from companion.control.pad_prediction import PadPrediction
+from companion.control.tracking import Cone, Target
 
 HEADING_RATE_SMOOTHING_S = 0.4
 
@@ -75,11 +75,13 @@ def make_target(reference: Reference, times_s: FloatArray, origin: PadPrediction
         acceleration + origin.acceleration_m_s2,
         floor,
         cone,
-        lean_m_s2=None if reference.level_off is None else _lean(reference.level_off, times_s),
+        horizontal_bound_m_s2=None
+        if reference.level_off is None
+        else _horizontal_bound(reference.level_off, times_s),
     )
 
 
-def _lean(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
+def _horizontal_bound(level_off: LevelOff, times_s: FloatArray) -> FloatArray:
     """The greatest horizontal input (N,) over each of the steps between `times_s` (N+1,)."""
     middle_s = 0.5 * (times_s[1:] + times_s[:-1])
     within = (middle_s >= level_off.from_s) & (middle_s <= level_off.until_s)

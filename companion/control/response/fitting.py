@@ -2,7 +2,7 @@
 
 The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
 frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far
-below the ringing as the square of its peak says: what is fed back of velocity and of lean peaks there, too.
+below the ringing as the square of its peak says: what is fed back of velocity and of tilt peaks there, too.
 `margins` tells what is left. SI units.
 """
 
@@ -67,7 +67,7 @@ def misfits(
         )
     if setup.tilt_deg is not None and setup.tilt_deg < config.limits.tilt_deg:
         found.append(
-            f"tilt: the autopilot leans {setup.tilt_deg:.0f} deg at most, control.limits.tilt_deg is "
+            f"tilt: the autopilot allows {setup.tilt_deg:.0f} deg, control.limits.tilt_deg is "
             f"{config.limits.tilt_deg:.0f}; the autopilot's is taken"
         )
     return found

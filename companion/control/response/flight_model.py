@@ -47,7 +47,7 @@ def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vect
 def lags(vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4") -> Vector3:
     """Lag (s) along north, east and down, besides `command_delay_s`: together as late as the response.
 
-    Sideways the vehicle has to lean first, upwards only thrust lags; velocity setpoints the autopilot shapes.
+    Sideways the vehicle has to tilt first, upwards only thrust lags; velocity setpoints the autopilot shapes.
     """
     by_velocity = control.setpoint == "velocity"
     response = vehicle.responses.of(manner, flown_kind(control))

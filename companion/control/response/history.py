@@ -17,7 +17,7 @@ REMEMBERED = 64
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class SentCommand:
     """An acceleration (m/s2) that was sent at `sent_s`, and the velocity (m/s) that went with it, if any.
 
     `gains_1_s` are those of the autopilot's loops that follow this velocity; 0 on an axis that has none.
@@ -34,13 +34,13 @@ class CommandHistory:
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
-        self._commands: deque[Command] = deque(maxlen=REMEMBERED)
+        self._commands: deque[SentCommand] = deque(maxlen=REMEMBERED)
 
     def clear(self) -> None:
         """Forget all."""
         self._commands.clear()
 
-    def add(self, command: Command) -> None:
+    def add(self, command: SentCommand) -> None:
         """Append the newest command."""
         self._commands.append(command)
 
@@ -48,17 +48,17 @@ class CommandHistory:
         """What the newest command makes the autopilot want at this velocity; None when there is none."""
         return self.effect(self._commands[-1], velocity_m_s) if self._commands else None
 
-    def effect(self, command: Command, velocity_m_s: Vector3) -> Vector3:
+    def effect(self, command: SentCommand, velocity_m_s: Vector3) -> Vector3:
         """Acceleration (m/s2) that the autopilot wants under a command at a velocity."""
         if command.velocity_m_s is None:
             return command.acceleration_m_s2
         (x, y, z), (kx, ky, kz) = subtract(command.velocity_m_s, velocity_m_s), command.gains_1_s
         return add(command.acceleration_m_s2, (kx * x, ky * y, kz * z))
 
-    def segments(self, from_s: float, to_s: float) -> list[tuple[float, Command | None]]:
+    def segments(self, from_s: float, to_s: float) -> list[tuple[float, SentCommand | None]]:
         """Pieces (duration, command in effect) of the time between; None before the first takes effect."""
-        pieces: list[tuple[float, Command | None]] = []
-        current: Command | None = None
+        pieces: list[tuple[float, SentCommand | None]] = []
+        current: SentCommand | None = None
         time_s = from_s
         for command in self._commands:
             begins_s = command.sent_s + self._delay_s

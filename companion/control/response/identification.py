@@ -42,7 +42,7 @@ class TooLittleError(ValueError):
 
 
 @dataclass(frozen=True)
-class Flown:
+class ResponseRecord:
     """What was commanded and flown: rows at evenly spaced times, in pieces without a gap.
 
     `time_s` (n,), `velocity_ned_m_s` (n, 3), `force_m_s2` (n,) the specific force's size, commands
@@ -65,7 +65,7 @@ class Flown:
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class IdentifiedResponse:
     """Gain K (1/s; 0 by attitude) and lag tau (s) along one direction."""
 
     gain_1_s: float
@@ -78,21 +78,21 @@ def adopted(found: float, std: float, assumed: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class ResponseEstimate:
     """A response as found, its standard deviations, and how many windows speak for it.
 
     A gain with an infinite deviation is the one that was assumed.
     """
 
-    response: Response
+    response: IdentifiedResponse
     gain_std_1_s: float
     lag_std_s: float
     windows: int
 
-    def adopted(self, assumed: Response) -> Response:
+    def adopted(self, assumed: IdentifiedResponse) -> IdentifiedResponse:
         """What of it there is reason to fly with; the rest as assumed."""
         best = self.response
-        return Response(
+        return IdentifiedResponse(
             adopted(best.gain_1_s, self.gain_std_1_s, assumed.gain_1_s),
             adopted(best.lag_s, self.lag_std_s, assumed.lag_s),
         )
@@ -108,7 +108,7 @@ class Windows:
     period_s: float
 
 
-def windows(flown: Flown, axes: tuple[int, ...], delay_s: float) -> Windows:
+def windows(flown: ResponseRecord, axes: tuple[int, ...], delay_s: float) -> Windows:
     """Windows of all these axes (0 north, 1 east, 2 down), with commands as they take effect.
 
     Raises:
@@ -134,7 +134,7 @@ def windows(flown: Flown, axes: tuple[int, ...], delay_s: float) -> Windows:
     return Windows(velocity, command_velocity, command_acceleration, flown.period_s)
 
 
-def _answers(cut: Windows, response: Response) -> tuple[FloatArray, FloatArray]:
+def _answers(cut: Windows, response: IdentifiedResponse) -> tuple[FloatArray, FloatArray]:
     """Velocity under the commands from rest (steps, n), and under unit v, a and d (steps, 3)."""
     K, tau = response.gain_1_s, response.lag_s
     F = np.array([[0.0, 1.0], [-K / tau, -1.0 / tau]])
@@ -155,7 +155,7 @@ def _answers(cut: Windows, response: Response) -> tuple[FloatArray, FloatArray]:
     return velocity[:, :count], velocity[:, count:]
 
 
-def residuals(cut: Windows, response: Response) -> FloatArray:
+def residuals(cut: Windows, response: IdentifiedResponse) -> FloatArray:
     """What of the velocity (steps, n) neither the commands nor any v, a and d explain."""
     forced, free = _answers(cut, response)
     left = cut.velocity_m_s - forced
@@ -164,7 +164,7 @@ def residuals(cut: Windows, response: Response) -> FloatArray:
     return unexplained
 
 
-def prediction_error_m_s(cut: Windows, response: Response) -> float:
+def prediction_error_m_s(cut: Windows, response: IdentifiedResponse) -> float:
     """Root mean square error (m/s) of a window's second half, predicted by what its first half told."""
     forced, free = _answers(cut, response)
     half = len(forced) // 2
@@ -173,7 +173,7 @@ def prediction_error_m_s(cut: Windows, response: Response) -> float:
     return float(np.sqrt(np.mean((left[half:] - free[half:] @ begun) ** 2)))
 
 
-def fit(cut: Windows, start: Response) -> Estimate:
+def fit(cut: Windows, start: IdentifiedResponse) -> ResponseEstimate:
     """Gain and lag by least squares from a first guess; a gain of 0 stays.
 
     A setpoint that carries the predicted velocity asks little of the autopilot's gain: where the flight
@@ -186,21 +186,23 @@ def fit(cut: Windows, start: Response) -> Estimate:
         found, shares = _search(cut, start, gain_is_free=True)
         if (shares <= MOST_UNCERTAIN).all():
             stds = (found.gain_1_s * float(shares[0]), found.lag_s * float(shares[1]))
-            return Estimate(found, *stds, cut.velocity_m_s.shape[1])
+            return ResponseEstimate(found, *stds, cut.velocity_m_s.shape[1])
     found, shares = _search(cut, start, gain_is_free=False)
     if not shares[0] <= MOST_UNCERTAIN:
         how_well = f"within {100.0 * shares[0]:.0f} %" if shares[0] < 1.0 else "not at all"
         most = f"{100.0 * MOST_UNCERTAIN:.0f} % or better"
         raise TooLittleError(f"too little excitation: lag known {how_well}, expected {most}")
-    return Estimate(found, math.inf, found.lag_s * float(shares[0]), cut.velocity_m_s.shape[1])
+    return ResponseEstimate(found, math.inf, found.lag_s * float(shares[0]), cut.velocity_m_s.shape[1])
 
 
-def _search(cut: Windows, start: Response, *, gain_is_free: bool) -> tuple[Response, FloatArray]:
+def _search(
+    cut: Windows, start: IdentifiedResponse, *, gain_is_free: bool
+) -> tuple[IdentifiedResponse, FloatArray]:
     """The best response, and the relative standard deviations of what was free; infinite at a bound."""
 
-    def response(logs: FloatArray) -> Response:
+    def response(logs: FloatArray) -> IdentifiedResponse:
         gain = float(np.exp(logs[0])) if gain_is_free else start.gain_1_s
-        return Response(gain, float(np.exp(logs[-1])))
+        return IdentifiedResponse(gain, float(np.exp(logs[-1])))
 
     first = np.log([start.gain_1_s, start.lag_s] if gain_is_free else [start.lag_s])
     bounds = np.log([GAIN_BOUNDS, LAG_BOUNDS_S] if gain_is_free else [LAG_BOUNDS_S]).T
@@ -224,7 +226,7 @@ def _uncertainty(jacobian: FloatArray, left: FloatArray, shape: tuple[int, int])
     return np.where(np.isfinite(shares) & (shares > 0.0), shares, np.inf)
 
 
-def hover_thrust(flown: Flown) -> tuple[float, float]:
+def hover_thrust(flown: ResponseRecord) -> tuple[float, float]:
     """Share of full thrust that carries the weight, and its standard deviation, from thrust as commanded.
 
     Thrust T makes the force g T / hover along the vehicle's axis, so hover = g * mean(T) / mean(force).

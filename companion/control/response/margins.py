@@ -1,7 +1,7 @@
 """How far the loop is from swinging: its margins, from the very controller that flies.
 
 The controller (with the MPC's answer free of constraints, the paper's recursion on the same weights) flies a
-linear vehicle: the command is held over a period, reaches the lean or the thrust after a dead time and at
+linear vehicle: the command is held over a period, reaches the tilt or the thrust after a dead time and at
 second order, as identified, and integrates to velocity and place. Into what the vehicle gets, one period's
 kick is added that the controller knows nothing of. With D the kick's transform and U that of what the
 controller answers, the loop's transfer at the vehicle's input is L = -U / (D + U): observers, prediction
@@ -22,7 +22,14 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3, level_acceleration, quat_rotate
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    ZERO3,
+    FloatArray,
+    Vector3,
+    horizontal_acceleration,
+    quat_rotate,
+)
 from companion.base.messages import Manner, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
 from companion.config import AxisResponse, ControlConfig, VehicleConfig
 from companion.control.attitude import attitude_from_acceleration
@@ -39,7 +46,7 @@ FREQUENCIES: Final = 2000
 
 
 @dataclass(frozen=True)
-class Case:
+class MarginCase:
     """A loop: settings, whose autopilot, the axis, the response, and how far off what is believed it is."""
 
     control: ControlConfig
@@ -68,7 +75,7 @@ class Margins:
 class _Flown:
     """The linear vehicle along one axis: place, velocity, acceleration and its rate; and how it is sensed."""
 
-    def __init__(self, case: Case, period_s: float) -> None:
+    def __init__(self, case: MarginCase, period_s: float) -> None:
         step_s = period_s / STEPS_A_PERIOD
         response = self._response = case.response
         w, zeta = response.frequency_rad_s, response.damping
@@ -98,7 +105,7 @@ class _Flown:
         return asked + self._asked
 
 
-def respond(case: Case, kicks_m_s2: FloatArray, *, controller: str = "riccati") -> FloatArray:
+def respond(case: MarginCase, kicks_m_s2: FloatArray, *, controller: str = "riccati") -> FloatArray:
     """What the controller commands (n,) while `kicks_m_s2` (n,) are added unknown to it, from rest."""
     control = resolved(case.control, case.manner).model_copy(update={"controller": controller})
     flying = Controller(control, case.vehicle, manner=case.manner)
@@ -114,7 +121,7 @@ def respond(case: Case, kicks_m_s2: FloatArray, *, controller: str = "riccati") 
     return answers
 
 
-def loop_transfer(case: Case) -> tuple[FloatArray, NDArray[np.complex128]]:
+def loop_transfer(case: MarginCase) -> tuple[FloatArray, NDArray[np.complex128]]:
     """Frequencies (rad/s) up to half the rate, and the loop's transfer there."""
     period_s = 1.0 / case.control.rate_hz
     kicks = np.zeros(round(SETTLING_S / period_s))
@@ -148,22 +155,22 @@ def _hover(now_s: float) -> PlanStep:
     return PlanStep(now_s, Phase.DESCEND, Reference(now_s, "pad", 1.0, still, still, still, 0.0))
 
 
-def _asked(setpoint: Setpoint, case: Case) -> tuple[float, float]:
+def _asked(setpoint: Setpoint, case: MarginCase) -> tuple[float, float]:
     """The acceleration and the velocity along the axis that a setpoint asks for."""
     if setpoint.attitude is None or setpoint.thrust is None:
         return setpoint.acceleration_ned_m_s2[case.axis], setpoint.velocity_ned_m_s[case.axis]
     if case.axis != DOWN:
-        return level_acceleration(setpoint.attitude)[case.axis], 0.0
-    push = setpoint.thrust / case.vehicle.hover_thrust * GRAVITY_M_S2
-    return quat_rotate(setpoint.attitude, (0.0, 0.0, -push))[2] + GRAVITY_M_S2, 0.0
+        return horizontal_acceleration(setpoint.attitude)[case.axis], 0.0
+    force_m_s2 = setpoint.thrust / case.vehicle.hover_thrust * GRAVITY_M_S2
+    return quat_rotate(setpoint.attitude, (0.0, 0.0, -force_m_s2))[2] + GRAVITY_M_S2, 0.0
 
 
 def _sensed(flown: _Flown, axis: int, now_s: float) -> tuple[VehicleState, PadState]:
     def along(value: float) -> Vector3:
         return (value, 0.0, 0.0) if axis == SIDEWAYS else (0.0, 0.0, value)
 
-    place, velocity, lean, _ = flown.state.tolist()
-    attitude = attitude_from_acceleration(along(lean) if axis == SIDEWAYS else ZERO3, 0.0)
+    place, velocity, by_tilt, _ = flown.state.tolist()
+    attitude = attitude_from_acceleration(along(by_tilt) if axis == SIDEWAYS else ZERO3, 0.0)
     vehicle = VehicleState(
         time_s=now_s,
         attitude=attitude,

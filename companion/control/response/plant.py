@@ -1,7 +1,7 @@
 """The vehicle under its autopilot, as far as control knows it.
 
-What was commanded, what pushes, what thrust is worth: joins the command history, the disturbance observer and
-the thrust scale. NED and FRD, SI units.
+What was commanded, what disturbs it, what thrust is worth: joins the command history, the disturbance
+observer and the thrust scale. NED and FRD, SI units.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
 from companion.control.response.fitting import loop_rad_s
 from companion.control.response.flight_model import velocity_gains
-from companion.control.response.history import Command, CommandHistory
+from companion.control.response.history import CommandHistory, SentCommand
 
 # how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
@@ -47,8 +47,8 @@ class Plant:
 
     @property
     def disturbance_ned_m_s2(self) -> Vector3:
-        """What pushes besides the command (m/s2, NED)."""
-        return add(self._wind.push_ned_m_s2, self._lasting.lasting_ned_m_s2)
+        """What disturbs it besides the command (m/s2, NED)."""
+        return add(self._wind.wind_ned_m_s2, self._lasting.lasting_ned_m_s2)
 
     @property
     def lasting_disturbance_ned_m_s2(self) -> Vector3:
@@ -57,9 +57,9 @@ class Plant:
 
     @property
     def acceleration_ned_m_s2(self) -> Vector3:
-        """Flown acceleration (m/s2, NED): sideways what the lean makes and the wind, as measured."""
+        """Flown acceleration (m/s2, NED): sideways what tilt and wind make, as measured."""
         x, y, _ = subtract(
-            add(self._wind.thrust_ned_m_s2, self._wind.push_ned_m_s2), self._lasting.bias_ned_m_s2
+            add(self._wind.thrust_ned_m_s2, self._wind.wind_ned_m_s2), self._lasting.bias_ned_m_s2
         )
         down = add(self._lasting.made_ned_m_s2, self._lasting.lasting_ned_m_s2)[2]
         return (x, y, down)
@@ -70,13 +70,13 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, nothing commanded: what the vehicle leans it leans against the wind, or into a turn.
+        """Begin anew, nothing commanded: the tilt it has is against the wind, or into a turn.
 
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """
         self._wind.reset()
         self._wind.step(vehicle.attitude, vehicle.acceleration_ned_m_s2, 0.0)
-        met = scale(self._wind.push_ned_m_s2, -1.0) if self._by_velocity else ZERO3
+        met = scale(self._wind.wind_ned_m_s2, -1.0) if self._by_velocity else ZERO3
         self._lasting.start(vehicle.velocity_ned_m_s, subtract(self._wind.thrust_ned_m_s2, met), met)
         self._observed_s = vehicle.time_s
         self._history.clear()
@@ -111,14 +111,14 @@ class Plant:
         if setpoint.attitude is None or setpoint.thrust is None:
             gains = self._gains[setpoint.holds_horizontal_velocity]
             acceleration, velocity = setpoint.acceleration_ned_m_s2, setpoint.velocity_ned_m_s
-            command = Command(setpoint.time_s, acceleration, velocity, gains)
+            command = SentCommand(setpoint.time_s, acceleration, velocity, gains)
         else:
-            push = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
-            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -push))
-            command = Command(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
+            force_m_s2 = setpoint.thrust / self.hover_thrust * GRAVITY_M_S2
+            force = quat_rotate(setpoint.attitude, (0.0, 0.0, -force_m_s2))
+            command = SentCommand(setpoint.time_s, add(force, (0.0, 0.0, GRAVITY_M_S2)))
         self._history.add(command)
 
-    def _wanted(self, command: Command | None, vehicle: VehicleState) -> Vector3:
+    def _wanted(self, command: SentCommand | None, vehicle: VehicleState) -> Vector3:
         """What the autopilot wants in a piece of time; before the first command, what it makes already."""
         if command is None:
             return self._lasting.made_ned_m_s2

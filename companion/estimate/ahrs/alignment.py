@@ -70,7 +70,7 @@ class StillnessDetector:
 
 
 @dataclass(frozen=True, slots=True)
-class Alignment:
+class InitialAlignment:
     """Mean readings of the stand-still; `still` False: the time ran out first and they are worth little."""
 
     rate_body_rad_s: Vector3
@@ -96,7 +96,7 @@ class StaticAligner:
         self._last_field = field_body_ut
         self._fields += 1
 
-    def add_block(self, time_s: float, block: Block) -> Alignment | None:
+    def add_block(self, time_s: float, block: Block) -> InitialAlignment | None:
         """Take one block of IMU samples; the alignment when it is complete."""
         if self._start_s is None:
             self._start_s = time_s
@@ -106,7 +106,7 @@ class StaticAligner:
             if not late or self._last_field is None:
                 return None
             # no stand-still comes: what is felt now, for a mean over a motion is the attitude of no instant
-            return Alignment(
+            return InitialAlignment(
                 block.rate_body_rad_s, block.specific_force_body_m_s2, self._last_field, block.samples, False
             )
         n = block.samples
@@ -118,7 +118,7 @@ class StaticAligner:
             return None
         k = 1.0 / self._count
         field = scale(self._field, 1.0 / self._fields)
-        return Alignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
+        return InitialAlignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
 
     def _stands(self, block: Block) -> bool:
         """Still within the block, and the same as in the blocks before: a slow sway is quiet, but changes."""

@@ -32,7 +32,7 @@ class BankState(NamedTuple):
     probabilities: FloatArray
 
 
-class Step(NamedTuple):
+class ModelTransition(NamedTuple):
     """How the models move: F and Q (m, n, n), and what is added to every mean (n,)."""
 
     F: FloatArray
@@ -80,7 +80,7 @@ def mix(state: BankState, chances: FloatArray) -> BankState:
     return BankState(means, covariances, probabilities)
 
 
-def advance(state: BankState, step: Step) -> BankState:
+def advance(state: BankState, step: ModelTransition) -> BankState:
     """Every model moved by itself, without a change of models: for predictions."""
     means = (step.F @ state.means[:, :, None])[:, :, 0] + step.moved
     return BankState(
@@ -118,7 +118,7 @@ class ModelBank:
         """Go on from a state."""
         self._state = state
 
-    def predict(self, dt_s: float, step: Step) -> None:
+    def predict(self, dt_s: float, step: ModelTransition) -> None:
         """Blend, then move every model."""
         mixed = mix(self._state, change_chances(self._prior, self._dwell_s, dt_s))
         self._load(mixed)

@@ -20,7 +20,7 @@ from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.heading_filter import HeadingState
-from companion.estimate.pad.model_bank import BankState, Blend, ModelBank, Step, advance, blend
+from companion.estimate.pad.model_bank import BankState, Blend, ModelBank, ModelTransition, advance, blend
 from companion.estimate.pad.pad_models import (
     HORIZONTAL,
     HorizontalModels,
@@ -137,7 +137,7 @@ class PadFilter:
         self._heading = self._heading.after(dt_s, self._config.heading_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
-    def _steps(self, start_s: float, end_s: float, turn: Turn) -> tuple[Step, Step]:
+    def _steps(self, start_s: float, end_s: float, turn: Turn) -> tuple[ModelTransition, ModelTransition]:
         """How the models move from one time to another; the vehicle's own motion is taken off."""
         (x, y, z), (vx, vy, vz) = self._motion.moved(start_s, end_s)
         dt_s = end_s - start_s

@@ -32,7 +32,7 @@ import numpy as np
 
 from companion.base.geometry import FloatArray
 from companion.config import PadFilterConfig
-from companion.estimate.pad.model_bank import Step
+from companion.estimate.pad.model_bank import ModelTransition
 
 # below this speed the course says little about how it turns
 MINIMUM_SPEED_M_S: Final = 0.3
@@ -117,7 +117,7 @@ class HorizontalModels:
         self._series = _Series(chains, noises)
         self._more_jerk = _Series([chains[TURN]], [_on_plane(np.diag([0.0, 0.0, 1.0, 0.0]))])
 
-    def step(self, dt_s: float, turn: Turn) -> Step:
+    def step(self, dt_s: float, turn: Turn) -> ModelTransition:
         """F and Q (4, 8, 8) over dt_s; the caller fills in how the vehicle moved.
 
         The turn rate's variance acts on the acceleration as jerk: an error that lasts is as harmful as a
@@ -156,7 +156,7 @@ class VerticalModels:
         self.acceleration_variance = np.array([rest, *[variance] * len(rates)])
         self.jerk_variance = variance * np.square([middle, *rates])
 
-    def step(self, dt_s: float) -> Step:
+    def step(self, dt_s: float) -> ModelTransition:
         """F and Q (m, 4, 4) over dt_s; the caller fills in how the vehicle moved."""
         short_s, doublings = _shortened(dt_s)
         return _doubled(*self._series.at(short_s), doublings)
@@ -197,11 +197,11 @@ def _shortened(dt_s: float) -> tuple[float, int]:
     return math.ldexp(dt_s, -doublings), doublings
 
 
-def _doubled(F: FloatArray, Q: FloatArray, times: int) -> Step:
+def _doubled(F: FloatArray, Q: FloatArray, times: int) -> ModelTransition:
     for _ in range(times):
         Q = F @ Q @ F.transpose(0, 2, 1) + Q
         F = F @ F
-    return Step(F, Q, np.zeros(F.shape[1]))
+    return ModelTransition(F, Q, np.zeros(F.shape[1]))
 
 
 def _fading(

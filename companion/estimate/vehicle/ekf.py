@@ -1,23 +1,18 @@
 """The vehicle's 31-state extended Kalman filter (Table 5, eq. 17): IMU, magnetometer, GPS, orientation.
 
 Asynchronous: each input predicts to its own time and updates. The filter can be put back to any earlier
-snapshot (gating.Timeline does, for a fix that arrives late), so `x` and `P` are replaced and never changed
-in place. NED and FRD, SI units, µT.
+snapshot: `gating.Timeline` does so for a fix that arrives late. NED and FRD, SI units, µT.
 
-The IMU drives attitude, velocity and position; its noise enters there. White noise also drives the rate,
-the acceleration, the biases and the field. Between two steps of the IMU nothing moves: a fix is compared
-with the state extrapolated to its own time.
+Between two steps of the IMU nothing moves: a fix is compared with the state extrapolated to its own time.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -38,139 +33,42 @@ from companion.base.geometry import (
 from companion.config import EkfConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf_start import (
-    TINY_VARIANCE,
-    InitialState,
-    initial_covariance,
-    initial_state,
-    noise_density,
-)
-from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, GpsStep, ImuStep
+from companion.estimate.vehicle.ekf_start import InitialState
+from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 
-
-@dataclass(frozen=True, slots=True)
-class ImuStep:
-    """The mean of a few IMU samples at their mean time, and what else is known at that time.
-
-    `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_doubt_m_s2` is
-    by how much the specific force may be off for a second or so. `span_s` is how long it has lasted by the
-    sensor's own clock; None: since the step before.
-    """
-
-    rate_body_rad_s: Vector3
-    specific_force_body_m_s2: Vector3
-    samples: int = 1
-    field_body_ut: Vector3 | None = None
-    attitude: Quaternion | None = None
-    tilt_noise_rad: float = 0.2
-    heading_noise_rad: float = 0.35
-    still: bool = False
-    at_rest: bool = False
-    force_doubt_m_s2: float = 0.0
-    span_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class GpsStep:
-    """A fix in the EKF's NED: where the antenna was, and how fast."""
-
-    position_ned_m: Vector3
-    velocity_ned_m_s: Vector3
-    position_std_m: Vector3
-    velocity_std_m_s: Vector3
-
-
-class AnchorStep(NamedTuple):
-    """The attitude is off: `turn` (about NED axes) puts it right, to these standard deviations (rad)."""
-
-    turn: Quaternion
-    tilt_std_rad: float
-    heading_std_rad: float
-
-
-EkfInput = ImuStep | GpsStep | BiasStep | AnchorStep
-
 UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity by more does not know it
-LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
-UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
-UNSEEN_ACCELERATION_M_S2: Final = 4.0
-UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
-UNSEEN_JERK_M_S3: Final = 6.0
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope tells
 STEP_TURN_STD_RAD: Final = math.radians(0.5)
-DOUBT_S: Final = 1.0  # a doubtful force stays off for so long
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
 WRONG_FOR_S: Final = 0.2  # before it is set right
-_EYE3: Final = np.eye(3)
-_EYE4: Final = np.eye(4)
-_EYE: Final = np.eye(model.STATES)
 
 
-class EkfSnapshot(NamedTuple):
-    """All of the filter; the arrays are never written to again.
-
-    `moved` (31, 31) is how an error before the last input has become one after it; None when the input has
-    set states anew, so that none has.
-    """
-
-    time_s: float
-    x: FloatArray
-    P: FloatArray
-    gates: dict[str, Gate]
-    has_position: bool
-    gps_time_s: float
-    fix_watch: FixWatch
-    moved: FloatArray | None
-
-
-class VehicleEkf:
-    """x, P and the inputs' gates; see the module's text for the state's order."""
+class VehicleEkf(EkfState):
+    """What each input does to the state."""
 
     def __init__(self, config: EkfConfig, antenna_body_m: Vector3, start: InitialState) -> None:
-        self._config = config
+        super().__init__(config, start)
         self._antenna_body_m = antenna_body_m
-        self._noise = noise_density(config)
         self._imu_noise = np.diag([config.gyro_noise_rad_s**2] * 3 + [config.accel_noise_m_s2**2] * 3)
-        self._mag_doubt = config.mag_noise_ut**2 * _EYE3
+        self._mag_doubt = config.mag_noise_ut**2 * EYE3
         self._still_noise = np.diag([0.002**2] * 3)
         self._unaided_noise = np.diag([config.unaided_speed_m_s**2] * 3)
         self._rest_noise = np.diag([0.05**2] * 3)
-        self.time_s = start.time_s
-        self.x = initial_state(start)
-        self.P = initial_covariance(config, start)
-        self.gates: dict[str, Gate] = {}
-        self.has_position = False
-        self.gps_time_s = -math.inf
-        self.fix_watch = FixWatch()
-        self._moved: FloatArray | None = _EYE
-
-    # ------------------------------------------------------------ replayable
-
-    def snapshot(self) -> EkfSnapshot:
-        """The whole state; cheap, since nothing is changed in place."""
-        return EkfSnapshot(
-            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch),
-            self._moved,
-        )
-
-    def restore(self, snapshot: EkfSnapshot) -> None:
-        """Go on from a snapshot."""
-        self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.fix_watch, self._moved = snapshot[5:]
 
     def apply(self, time_s: float, item: EkfInput) -> None:
         """Take the input in: a step of the IMU moves the state to its time, a fix corrects it."""
-        self._moved = _EYE
+        self._moved = EYE
         if isinstance(item, GpsStep):
             self._take_gps(time_s, item)
             return
         if isinstance(item, BiasStep):
             self._take_bias_step(item)
             return
-        if isinstance(item, AnchorStep):
+        if isinstance(item, AttitudeStep):
             self._take_anchor(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
@@ -221,125 +119,6 @@ class VehicleEkf:
             fix_watch=self.fix_watch,
         )
 
-    # ------------------------------------------------------------ state
-
-    @property
-    def attitude(self) -> Quaternion:
-        """Body to NED."""
-        return model.quaternion_of(self.x)
-
-    def rotation_covariance(self) -> FloatArray:
-        """Covariance (3, 3) of the attitude as a small rotation about NED axes (rad²)."""
-        return model.rotation_covariance(self.attitude, self.P[model.QUATERNION, model.QUATERNION])
-
-    def motion_covariance(self) -> FloatArray:
-        """Covariance (9, 9): small rotation about NED axes (rad), velocity NED (m/s), position NED (m)."""
-        states = [*range(model.STATES)[model.VELOCITY], *range(model.STATES)[model.POSITION]]
-        J = np.zeros((9, model.STATES))
-        J[0:3, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)
-        J[range(3, 9), states] = 1.0
-        covariance: FloatArray = J @ self.P @ J.T
-        return covariance
-
-    # ------------------------------------------------------------ eq. 17
-
-    def predict(
-        self,
-        time_s: float,
-        u: model.InertialInput,
-        samples: int = 1,
-        force_doubt_m_s2: float = 0.0,
-        span_s: float | None = None,
-    ) -> None:
-        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing.
-
-        What moves meanwhile moves for `span_s`, when that is told.
-        """
-        if time_s <= self.time_s:
-            return
-        dt_s = time_s - self.time_s if span_s is None else span_s
-        n, m = model.MOVING, model.COUPLED
-        P = self.P.copy()
-        turn_variance, push_variance = self._inertial_noise(u, dt_s, samples)
-        q = self.x[model.QUATERNION]
-        P[model.QUATERNION, model.QUATERNION] += 0.25 * turn_variance * (_EYE4 - np.outer(q, q))
-        diagonal = P.reshape(-1)[:: model.STATES + 1]
-        diagonal[model.VELOCITY] += push_variance + force_doubt_m_s2**2 * DOUBT_S * dt_s
-        diagonal += self._noise * dt_s
-        self.x, A = model.transition(self.x, u, dt_s, self._config.acceleration_time_constant_s)
-        P[:n] = A @ P[:m]
-        P[:, :n] = P[:, :m] @ A.T
-        diagonal[:7] += TINY_VARIANCE
-        self.P = P
-        self._moved = _EYE.copy()
-        self._moved[:n, :m] = A
-        self.time_s = time_s
-
-    def _inertial_noise(self, u: model.InertialInput, dt_s: float, samples: int) -> tuple[float, float]:
-        """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
-
-        Scale errors and misalignment are proportional to the rate; a motion keeps its direction for about
-        a second. A step longer than any in a healthy stream has seen only its ends: what lies between them
-        may differ the more the longer it took.
-        """
-        config = self._config
-        unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
-        x, y, z = u.rate_body_rad_s
-        scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
-        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
-        push = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
-        rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
-        acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
-        return turn + (rate * unseen_s) ** 2, push + (acceleration * unseen_s) ** 2
-
-    def _update(
-        self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, doubt: FloatArray | None
-    ) -> bool:
-        """An update with noise R; False when the innovation fails its chi-square test with noise `doubt`.
-
-        The two differ where R is larger to make up for errors that are alike in many samples.
-        """
-        PCt = self.P @ C.T
-        S = C @ PCt
-        if doubt is not None:
-            test = normalised_innovation_squared(innovation, S + doubt)
-            passed = test <= CHI_SQUARE_999[len(innovation)]
-            self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
-            if not passed:
-                return False
-        self._correct(innovation, C, PCt, S + R)
-        return True
-
-    def _correct(self, innovation: FloatArray, C: FloatArray, PCt: FloatArray, S: FloatArray) -> None:
-        """x⁺ = x⁻ + K y, P⁺ = P⁻ - K S Kᵀ, K = P Cᵀ S⁻¹; then the quaternion's share is put right.
-
-        Raises:
-            numpy.linalg.LinAlgError: S is not positive definite.
-        """
-        _, Kt, failed = dposv(S, PCt.T)
-        if failed:
-            raise np.linalg.LinAlgError(f"innovation covariance: {failed}")
-        x, P, L = self.x + innovation @ Kt, self.P - PCt @ Kt, _EYE - Kt.T @ C
-        J = self._normalise(x)
-        P[model.QUATERNION] = J @ P[model.QUATERNION]
-        P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T
-        P = 0.5 * (P + P.T)
-        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
-        self.x, self.P = x, P
-        if self._moved is not None:
-            L[model.QUATERNION] = J @ L[model.QUATERNION]
-            self._moved = L @ self._moved
-
-    @staticmethod
-    def _normalise(x: FloatArray) -> FloatArray:
-        """Quaternion to unit length, and what that does to its errors: J (4, 4) = (I - q qᵀ) / |q|."""
-        w, i, j, k = x[model.QUATERNION].tolist()
-        size = math.sqrt(w * w + i * i + j * j + k * k)
-        unit = quat_normalise((w, i, j, k))
-        q = np.array(unit)
-        x[model.ATTITUDE] = (*unit, *euler_from_quat(unit))
-        return np.asarray((_EYE4 - q[:, None] * q) / size)
-
     # ------------------------------------------------------------ measurements
 
     def _take_imu(self, step: ImuStep) -> None:
@@ -348,7 +127,7 @@ class VehicleEkf:
         PCt = self.P @ C.T
         S = C @ PCt + self._imu_noise / step.samples
         if step.force_doubt_m_s2 > 0.0:
-            S[3:, 3:] += step.force_doubt_m_s2**2 * _EYE3
+            S[3:, 3:] += step.force_doubt_m_s2**2 * EYE3
         self._allow_blows(innovation, S)
         self._correct(innovation, C, PCt, S)
         if step.field_body_ut is not None:
@@ -387,21 +166,21 @@ class VehicleEkf:
 
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)
-        innovation, level = np.array(field_body_ut) - expected, self._across_the_field()
-        self._update("mag", innovation, C, self._mag_noise(level), self._mag_doubt)
+        innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
+        self._update("mag", innovation, C, self._mag_noise(east), self._mag_doubt)
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, self._config.mag_patience_s):
             # a field that fits in size and dip for so long is right, and the heading wrong
             self._doubt_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
 
-    def _across_the_field(self) -> FloatArray:
-        """Unit vector (3,) in the body, level and square to the field: along it the heading shows."""
+    def _magnetic_east(self) -> FloatArray:
+        """Unit vector (3,) in body axes, horizontal and square to the field: along it the heading shows."""
         north, east, _ = self.x[model.FIELD].tolist()
         size = math.hypot(north, east)
         return np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
 
-    def _mag_noise(self, level: FloatArray) -> FloatArray:
+    def _mag_noise(self, east: FloatArray) -> FloatArray:
         """R (3, 3) in µT²: what is wrong with a field stays, so that many samples tell little more than one.
 
         Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone.
@@ -410,41 +189,23 @@ class VehicleEkf:
         alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
         across = alike * config.mag_noise_ut**2
         along = max(alike * config.mag_dip_noise_ut**2, across)
-        return along * _EYE3 - (along - across) * np.outer(level, level)
+        return along * EYE3 - (along - across) * np.outer(east, east)
 
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
-        self._doubt_rotation(SUSPECTED_TURN_RAD**2 * _EYE3)
+        self._doubt_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
         P = self.P.copy()
-        P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * _EYE3
+        P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * EYE3
         self.P, self.fix_watch = P, self.fix_watch.suspected(self.time_s)
 
-    def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
-        """Take another attitude: the filter's own has proved wrong."""
-        x, P = self.x.copy(), self.P.copy()
-        x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
-        P[:7, :] = P[:, :7] = 0.0
-        self.x, self.P, self._moved = x, P, None
-        self._doubt_rotation(rotation_variance)
-        gate = self.gates.get("orientation", Gate())
-        self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}
-
-    def _take_anchor(self, step: AnchorStep) -> None:
+    def _take_anchor(self, step: AttitudeStep) -> None:
         """Turn the attitude; what was felt by the wrong one has gone into the velocity."""
         tilt, heading = step.tilt_std_rad**2, step.heading_std_rad**2
         attitude = quat_normalise(quat_multiply(step.turn, self.attitude))
         self._start_attitude(attitude, np.diag((tilt, tilt, heading)))
         turned_rad = norm(rotation_vector_from_quat(step.turn))
         P = self.P.copy()
-        P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * _EYE3
-        self.P = P
-
-    def _doubt_rotation(self, rotation_variance: FloatArray) -> None:
-        """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
-        P, q = self.P.copy(), self.attitude
-        J = np.vstack((_EYE4, model.euler_jacobian(q)))
-        P[:7, :7] += J @ model.attitude_covariance(q, rotation_variance) @ J.T
-        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
+        P[model.VELOCITY, model.VELOCITY] += (GRAVITY_M_S2 * turned_rad * WRONG_FOR_S) ** 2 * EYE3
         self.P = P
 
     def _take_zero(self, states: slice, R: FloatArray) -> None:
@@ -493,9 +254,9 @@ class VehicleEkf:
         x[model.QUATERNION] = attitude = quat_normalise(quat_multiply(self.attitude, turn))
         x[model.EULER] = euler_from_quat(attitude)
         P[model.GYRO_BIAS, :] = P[:, model.GYRO_BIAS] = 0.0
-        P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * _EYE3
+        P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * EYE3
         self.x, self.P, self._moved = x, P, None
-        self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * _EYE3)
+        self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import FloatArray, Quaternion, Vector3, euler_from_quat
-from companion.config import EkfConfig
+from companion.base.geometry import ZERO3, FloatArray, Quaternion, Vector3, euler_from_quat
+from companion.config import EkfConfig, EstimateConfig
+from companion.estimate.ahrs.alignment import InitialAlignment
 from companion.estimate.vehicle import ekf_model as model
 
 # keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
@@ -27,6 +29,22 @@ class InitialState:
     tilt_std_rad: float
     heading_std_rad: float
     gyro_bias_std_rad_s: float
+
+
+def start_state(
+    time_s: float, found: InitialAlignment, attitude: Quaternion, config: EstimateConfig
+) -> InitialState:
+    """What the alignment tells; one in motion tells little."""
+    gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
+    return InitialState(
+        time_s=time_s,
+        attitude=attitude,
+        gyro_bias_rad_s=found.rate_body_rad_s if found.still else ZERO3,
+        field_ned_ut=config.magnetic_field_ned_ut,
+        tilt_std_rad=math.radians(2.0 if found.still else 15.0),
+        heading_std_rad=math.radians(4.0 if found.still else 40.0),
+        gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
+    )
 
 
 def noise_density(config: EkfConfig) -> FloatArray:

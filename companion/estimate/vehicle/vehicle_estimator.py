@@ -11,13 +11,11 @@ from __future__ import annotations
 import math
 
 from companion.base.geometry import (
-    GRAVITY_M_S2,
     ZERO3,
     FloatArray,
     Quaternion,
     Vector3,
     add,
-    ned_from_geodetic,
     norm,
     quat_conjugate,
     quat_from_rotation_vector,
@@ -27,23 +25,37 @@ from companion.base.geometry import (
     quat_rotate,
     quat_rotate_inverse,
     scale,
-    subtract,
     vector3,
 )
 from companion.base.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 from companion.config import EstimateConfig
-from companion.estimate.ahrs.alignment import Alignment, Block, StaticAligner, StillnessDetector
+from companion.estimate.ahrs.alignment import Block, InitialAlignment, StaticAligner, StillnessDetector
 from companion.estimate.ahrs.madgwick import align
-from companion.estimate.ahrs.orientation import Orientation, new_orientation
+from companion.estimate.ahrs.orientation import (
+    Orientation,
+    heading_noise_rad,
+    new_orientation,
+    tilt_noise_rad,
+)
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import FORETOLD_S, MotionHistory
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.anchor import GAP_S, THEIR_STD_RAD, Anchor, Correction, Own, Word
-from companion.estimate.vehicle.ekf import AnchorStep, EkfInput, EkfSnapshot, GpsStep, ImuStep, VehicleEkf
-from companion.estimate.vehicle.ekf_start import InitialState
+from companion.estimate.vehicle.attitude_reset import (
+    GAP_S,
+    THEIR_STD_RAD,
+    AttitudeReset,
+    Correction,
+    EstimatedAttitude,
+    ReportedAttitude,
+)
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
+from companion.estimate.vehicle.ekf_start import InitialState, start_state
+from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
+from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
 from companion.estimate.vehicle.strapdown import Strapdown
-from companion.estimate.vehicle.vibration_monitor import Shaking
+from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
 LOST_S = 2.0  # and after so long it begins anew: where it has turned meanwhile is anyone's guess
@@ -51,25 +63,7 @@ FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
 SETTLING_S = 30.0  # of the orientation pre-filter after a start in motion
-SETTLING_NOISE_RAD = 1.0
 LONGEST_STEP_S = 0.1  # between two samples of the magnetometer that the pre-filter takes in
-
-
-class _Mean:
-    """The mean of vectors since it was last taken."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._sum: Vector3 = ZERO3
-
-    def add(self, value: Vector3) -> None:
-        self._sum = add(self._sum, value)
-        self.count += 1
-
-    def take(self) -> Vector3:
-        result = scale(self._sum, 1.0 / self.count)
-        self.count, self._sum = 0, ZERO3
-        return result
 
 
 class VehicleEstimator:
@@ -86,19 +80,13 @@ class VehicleEstimator:
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
         self.newest_s = -math.inf
-        self._strapdown, self._fields = Strapdown(), _Mean()
+        self._strapdown, self._fields = Strapdown(), VectorMean()
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._second_gyro, self._shaking, self._anchor = SecondGyro(), Shaking(), Anchor()
+        self._second_gyro, self._vibration, self._anchor = SecondGyro(), VibrationMonitor(), AttitudeReset()
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet told
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
-        self._rate: Vector3 = ZERO3
-        self._gyro_bias: Vector3 = ZERO3
-        self._accel_bias: Vector3 = ZERO3
-        self._attitude: Quaternion = (1.0, 0.0, 0.0, 0.0)
-        self._acceleration: Vector3 = ZERO3
-        self._felt: Vector3 = ZERO3
-        self._disturbance_m_s2 = 0.0
+        self._inertial = InertialMotion(config, motion)
         self._resting = False
         self._settled_s = -math.inf
         self._still_block = False
@@ -151,19 +139,8 @@ class VehicleEstimator:
         """Take one fix; False before the alignment, or when it is older than anything remembered."""
         if self._timeline is None:
             return False
-        place = (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
-        origin = self.origin or place
-        config = self._config.ekf
-        across = max(config.gps_accuracy_factor * fix.horizontal_accuracy_m, config.gps_position_noise_m)
-        along = max(config.gps_accuracy_factor * fix.vertical_accuracy_m, 1.5 * config.gps_position_noise_m)
-        speed = max(config.gps_accuracy_factor * fix.speed_accuracy_m_s, config.gps_velocity_noise_m_s)
-        climb = max(config.gps_accuracy_factor * (fix.vertical_speed_accuracy_m_s or 0.0), 1.4 * speed)
-        step = GpsStep(
-            position_ned_m=ned_from_geodetic(*place, origin),
-            velocity_ned_m_s=fix.velocity_ned_m_s,
-            position_std_m=(across, across, along),
-            velocity_std_m_s=(speed, speed, climb),
-        )
+        origin = self.origin or (fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
+        step = gps_step(fix, origin, self._config.ekf)
         if not self._timeline.add(fix.time_s, step):
             return False
         self.origin = origin
@@ -177,9 +154,9 @@ class VehicleEstimator:
         if self._timeline is None or self._orientation is None:
             return False
         if sample.same_imu:
-            self._hold_to(Word(sample.time_s, sample.attitude))
+            self._hold_to(ReportedAttitude(sample.time_s, sample.attitude))
             return True
-        step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._gyro_bias)
+        step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
             self._timeline.add(self.newest_s, step)
             self._read_ekf()
@@ -187,7 +164,7 @@ class VehicleEstimator:
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
 
-    def _hold_to(self, word: Word) -> None:
+    def _hold_to(self, word: ReportedAttitude) -> None:
         """Set the attitude right by the autopilot's, where that has to be."""
         assert self._ekf is not None
         self._anchor.hear(word)
@@ -196,20 +173,22 @@ class VehicleEstimator:
             if ours is None:
                 continue
             x, y, z = self._ekf.rotation_covariance().diagonal().tolist()
-            correction = self._anchor.compare(due, Own(ours, math.sqrt(x + y), norm(self._rate)))
+            correction = self._anchor.compare(
+                due, EstimatedAttitude(ours, math.sqrt(x + y), norm(self._inertial.rate_body_rad_s))
+            )
             if correction is not None:
                 turn = quat_multiply(correction.attitude, quat_conjugate(ours))
                 heading_std_rad = max(math.sqrt(z), 2.0 * THEIR_STD_RAD)
-                self._correct(correction, AnchorStep(turn, THEIR_STD_RAD, heading_std_rad))
+                self._correct(correction, AttitudeStep(turn, THEIR_STD_RAD, heading_std_rad))
 
-    def _correct(self, correction: Correction, step: AnchorStep) -> None:
+    def _correct(self, correction: Correction, step: AttitudeStep) -> None:
         assert self._timeline is not None
         assert self._orientation is not None
         if not self._timeline.add(correction.time_s, step):
             self._timeline.add(self.newest_s, step)
         self.motion.turn(correction.since_s, step.turn)
         self._read_ekf()
-        self._orientation.attitude = self._attitude
+        self._orientation.attitude = self._inertial.attitude
         words = f"attitude set right by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
         self.corrections = (*self.corrections, f"{words}: {correction.why}")
 
@@ -250,12 +229,12 @@ class VehicleEstimator:
         return VehicleState(
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
-            rate_body_rad_s=self._rate if imu_age_s <= FORETOLD_S else ZERO3,
+            rate_body_rad_s=self._inertial.rate_body_rad_s if imu_age_s <= FORETOLD_S else ZERO3,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
-            acceleration_ned_m_s2=self._acceleration,
-            gyro_bias_rad_s=self._gyro_bias,
-            accel_bias_m_s2=self._accel_bias,
+            acceleration_ned_m_s2=self._inertial.acceleration_ned_m_s2,
+            gyro_bias_rad_s=self._inertial.gyro_bias_rad_s,
+            accel_bias_m_s2=self._inertial.accel_bias_m_s2,
             attitude_std_rad=attitude_std_rad,
             velocity_std_m_s=math.sqrt(float(variance[model.VELOCITY].sum())),
             position_std_m=math.sqrt(float(variance[model.POSITION].sum())),
@@ -279,21 +258,11 @@ class VehicleEstimator:
             return  # a dead sensor: go on collecting
         self._start(time_s, found, attitude)
 
-    def _start(self, time_s: float, found: Alignment, attitude: Quaternion) -> None:
-        config, field = self._config, self._config.magnetic_field_ned_ut
-        self._gyro_bias = found.rate_body_rad_s if found.still else ZERO3
-        gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
-        start = InitialState(
-            time_s=time_s,
-            attitude=attitude,
-            gyro_bias_rad_s=self._gyro_bias,
-            field_ned_ut=field,
-            tilt_std_rad=math.radians(2.0 if found.still else 15.0),
-            heading_std_rad=math.radians(4.0 if found.still else 40.0),
-            gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),
-        )
+    def _start(self, time_s: float, found: InitialAlignment, attitude: Quaternion) -> None:
+        start = start_state(time_s, found, attitude, self._config)
+        self._inertial.gyro_bias_rad_s = start.gyro_bias_rad_s
         self._begin(start)
-        self._attitude = attitude
+        self._inertial.attitude = attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
@@ -302,8 +271,8 @@ class VehicleEstimator:
         self._detector = StillnessDetector(self._config.alignment)
         self._aligner = StaticAligner(self._config.alignment)
         self._orientation = self._ekf = self._timeline = self._last_raw = None
-        self._strapdown, self._fields, self._span_s = Strapdown(), _Mean(), None
-        self._second_gyro, self._shaking, self._anchor = SecondGyro(), Shaking(), Anchor()
+        self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
+        self._second_gyro, self._vibration, self._anchor = SecondGyro(), VibrationMonitor(), AttitudeReset()
 
     @property
     def aligned(self) -> bool:
@@ -319,7 +288,7 @@ class VehicleEstimator:
     # ------------------------------------------------------------ IMU
 
     def _move(self, sample: ImuSample, dt_s: float) -> None:
-        """Attitude and acceleration at the sample's time."""
+        """Bring everything that goes at the IMU's rate to the sample's time."""
         assert self._orientation is not None
         raw = (sample.rate_body_rad_s, sample.specific_force_body_m_s2)
         last_rate, last_force = self._last_raw or raw
@@ -329,26 +298,8 @@ class VehicleEstimator:
         mean_force = scale(add(last_force, raw[1]), 0.5)
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
-        self._shaking.add(raw[1], dt_s)
-        turned = subtract(mean_rate, self._gyro_bias)
-        self._attitude = quat_integrate(self._attitude, turned, dt_s)
-        self._orientation.update_imu(turned, subtract(mean_force, self._accel_bias), dt_s)
-        self._rate = subtract(raw[0], self._gyro_bias)
-        force = subtract(raw[1], self._accel_bias)
-        fn, fe, fd = quat_rotate(self._attitude, force)
-        acceleration = (fn, fe, fd + GRAVITY_M_S2)
-        self.motion.add(
-            sample.time_s, self._attitude, acceleration, None if sample.interval_s is None else dt_s
-        )
-        k = dt_s / (self._config.acceleration_filter_s + dt_s)
-        self._acceleration = add(self._acceleration, scale(subtract(acceleration, self._acceleration), k))
-        # the pre-filter remembers an acceleration for as long as it averages; seen with its own attitude, so
-        # that a wrong one of the EKF does not look like an acceleration and shut out what would mend it
-        gn, ge, gd = quat_rotate(self._orientation.attitude, force)
-        felt = (gn, ge, gd + GRAVITY_M_S2)
-        self._felt = add(self._felt, scale(subtract(felt, self._felt), k))
-        fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
-        self._disturbance_m_s2 = max(norm(self._felt), self._disturbance_m_s2 * fade)
+        self._vibration.add(raw[1], dt_s)
+        self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample) -> None:
         """Give the EKF a step when enough samples have come."""
@@ -356,17 +307,21 @@ class VehicleEstimator:
             return
         assert self._timeline is not None
         assert self._ekf is not None
+        assert self._orientation is not None
         time_s, felt, config = sample.time_s, self._strapdown.take(), self._config.ekf
         with_attitude = time_s - self._orientation_step_s >= 1.0 / config.orientation_rate_hz
+        settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
             rate_body_rad_s=felt.rate_body_rad_s,
             specific_force_body_m_s2=felt.specific_force_body_m_s2,
             samples=felt.samples,
-            force_doubt_m_s2=self._shaking.doubt_m_s2(config.shaking_bound_m_s2, config.shaking_share),
+            force_doubt_m_s2=self._vibration.doubt_m_s2(config.shaking_bound_m_s2, config.shaking_share),
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
-            tilt_noise_rad=self._tilt_noise_rad(),
-            heading_noise_rad=self._heading_noise_rad(time_s),
+            tilt_noise_rad=tilt_noise_rad(
+                self._orientation, self._inertial.disturbance_m_s2, settled, config
+            ),
+            heading_noise_rad=heading_noise_rad(trusted, settled, config),
             still=self._resting and self._still_block,
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
             span_s=self._span_s,
@@ -378,9 +333,11 @@ class VehicleEstimator:
 
     def _read_ekf(self) -> None:
         assert self._ekf is not None
-        self._gyro_bias = vector3(self._ekf.x[model.GYRO_BIAS])
-        self._accel_bias = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self._attitude = quat_integrate(self._ekf.attitude, self._rate, self.newest_s - self._ekf.time_s)
+        self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
+        self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
+        self._inertial.attitude = quat_integrate(
+            self._ekf.attitude, self._inertial.rate_body_rad_s, self.newest_s - self._ekf.time_s
+        )
 
     def _field_at(self, time_s: float) -> Vector3 | None:
         """The field since the last time, averaged in NED and seen by the body now; None out of turn."""
@@ -388,27 +345,17 @@ class VehicleEstimator:
         if not (self._fields.count and due):
             return None
         self._field_step_s = time_s
-        return quat_rotate_inverse(self._attitude, self._fields.take())
+        return quat_rotate_inverse(self._inertial.attitude, self._fields.take())
 
     def _attitude_near(self, time_s: float) -> Quaternion:
         """Attitude at a time near the newest sample's; further on nobody knows how it turns."""
-        return quat_integrate(self._attitude, self._rate, min(time_s - self.newest_s, FORETOLD_S))
+        return quat_integrate(
+            self._inertial.attitude, self._inertial.rate_body_rad_s, min(time_s - self.newest_s, FORETOLD_S)
+        )
 
     def _orientation_at(self, time_s: float) -> Quaternion:
         assert self._orientation is not None
         self._orientation_step_s = time_s
-        return quat_integrate(self._orientation.attitude, self._rate, time_s - self.newest_s)
-
-    def _tilt_noise_rad(self) -> float:
-        """In flight the accelerometer measures thrust and drag, not gravity: doubt it as both differ."""
-        base = math.radians(self._config.ekf.orientation_tilt_noise_deg) + self._unsettled_rad()
-        gravity_error_m_s2 = self._orientation.gravity_error_m_s2 if self._orientation else 0.0
-        return base + 3.0 * (self._disturbance_m_s2 + gravity_error_m_s2) / GRAVITY_M_S2
-
-    def _heading_noise_rad(self, time_s: float) -> float:
-        base = math.radians(self._config.ekf.orientation_heading_noise_deg) + self._unsettled_rad()
-        return base if time_s - self._mag_trusted_s < MAG_TIMEOUT_S else base + 3.0
-
-    def _unsettled_rad(self) -> float:
-        """The pre-filter mends a bad start slowly, the EKF at once: until then it shall not hold it back."""
-        return SETTLING_NOISE_RAD if self.newest_s < self._settled_s else 0.0
+        return quat_integrate(
+            self._orientation.attitude, self._inertial.rate_body_rad_s, time_s - self.newest_s
+        )

@@ -17,7 +17,7 @@ LARGEST_DOUBT_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 
 
-class Shaking:
+class VibrationMonitor:
     """The root mean square of what swings from sample to sample, all axes together."""
 
     def __init__(self) -> None:

@@ -15,17 +15,17 @@ from pydantic import BaseModel, ConfigDict
 
 from companion.base.geometry import FloatArray, Vector3, ned_from_geodetic
 from companion.base.message_json import encode
+from companion.flightlog.errors import settled
 from companion.flightlog.replay.flight_record import (
     FlightRecord,
     LogKind,
-    Reference,
+    RecordedReference,
+    RecordedTrack,
     Source,
-    Track,
     TrackName,
     track_of,
 )
 from companion.flightlog.replay.run import Replayed
-from companion.flightlog.result import settled
 
 _STATES_OF_AN_ANSWER: Final = 2  # the vehicle's and the pad's
 _DIGITS: Final = 6
@@ -101,7 +101,7 @@ Series = tuple[FloatArray, FloatArray]
 class Comparison:
     """Differences between a replay and one reference: (times (n,), rows) of each quantity."""
 
-    def __init__(self, replayed: Replayed, reference: Reference) -> None:
+    def __init__(self, replayed: Replayed, reference: RecordedReference) -> None:
         ours = tracks_of(replayed)
         self.tracks = {
             name: (ours[name], track)
@@ -190,10 +190,10 @@ def repetition(record: FlightRecord, replayed: Replayed) -> Repetition:
 # ---------------------------------------------------------------- tracks
 
 
-def tracks_of(replayed: Replayed) -> dict[TrackName, Track]:
+def tracks_of(replayed: Replayed) -> dict[TrackName, RecordedTrack]:
     """The replay's own tracks; the pad's from 2 s after it came into view, while it is in view."""
     vehicles, pads = replayed.vehicles, settled(replayed.pads)
-    found: dict[TrackName, Track | None] = {
+    found: dict[TrackName, RecordedTrack | None] = {
         "attitude": track_of((v.time_s, v.attitude) for v in vehicles),
         "velocity": track_of((v.time_s, v.velocity_ned_m_s) for v in vehicles),
         "position": track_of((v.time_s, v.position_ned_m) for v in vehicles if v.origin is not None),
@@ -207,16 +207,16 @@ def _origin(replayed: Replayed) -> Vector3 | None:
     return next((v.origin for v in reversed(replayed.vehicles) if v.origin is not None), None)
 
 
-def _moved(reference: Reference, origin: Vector3 | None) -> dict[TrackName, Track]:
+def _moved(reference: RecordedReference, origin: Vector3 | None) -> dict[TrackName, RecordedTrack]:
     """The reference's tracks with positions counted from our origin, when both origins are known."""
     tracks = dict(reference.tracks)
     if "position" in tracks and reference.origin is not None and origin is not None:
         shift = np.array(ned_from_geodetic(*reference.origin, origin))
-        tracks["position"] = Track(tracks["position"].time_s, tracks["position"].values + shift)
+        tracks["position"] = RecordedTrack(tracks["position"].time_s, tracks["position"].values + shift)
     return tracks
 
 
-def _paired(ours: Track, theirs: Track) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _paired(ours: RecordedTrack, theirs: RecordedTrack) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Both at the times of the sparser one: what is interpolated is the one that knows more."""
     times = min((theirs, ours), key=len).time_s
     times = times[np.logical_and(ours.covers(times), theirs.covers(times))]

@@ -28,10 +28,10 @@ from companion.base.geometry import (
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
 from companion.flightlog.replay.flight_record import (
-    Event,
     FlightRecord,
-    Place,
-    Reference,
+    RecordedEvent,
+    RecordedReference,
+    RecordingPlace,
     Sample,
     Source,
     TrackName,
@@ -108,10 +108,10 @@ class _Reading:
             **dict.fromkeys(EKF_MESSAGES, self._take_ekf),
         }
         self.parameters: dict[str, float] = {}
-        self._events: list[Event] = []
+        self._events: list[RecordedEvent] = []
         self._newest_s = -math.inf
         self._accuracy: tuple[float, float, float] | None = None
-        self._place: Place | None = None
+        self._place: RecordingPlace | None = None
         self._attitudes: list[tuple[float, Quaternion]] = []
         self._true_attitudes: list[tuple[float, Quaternion]] = []
         self._true_places: list[tuple[float, Vector3]] = []
@@ -130,7 +130,7 @@ class _Reading:
     def _arrive(self, time_s: float, sample: Sample) -> None:
         # the file's order is that of arrival; the fields' times are of other clocks' rounding
         self._newest_s = max(self._newest_s, time_s)
-        self._events.append(Event(self._newest_s, sample))
+        self._events.append(RecordedEvent(self._newest_s, sample))
 
     def _take_imu(self, m: Any, time_s: float) -> None:
         rate, force = (m.GyrX, m.GyrY, m.GyrZ), (m.AccX, m.AccY, m.AccZ)
@@ -143,7 +143,7 @@ class _Reading:
             self._arrive(time_s, MagSample(time_s, self._levelled(field)))
 
     def _levelled(self, board: Vector3) -> Vector3:
-        """From the board's axes into the airframe's, which is level where the board leans by the trim."""
+        """From the board's axes into the airframe's, which is level where the board is tilted by the trim."""
         roll, pitch = (self.parameters.get(f"AHRS_TRIM_{axis}", 0.0) for axis in "XY")
         return quat_rotate(quat_from_euler(roll, pitch, 0.0), board)
 
@@ -168,7 +168,7 @@ class _Reading:
             speed_accuracy_m_s=speed_m_s,
             satellites=m.NSats,
         )
-        self._place = self._place or Place(m.Lat, m.Lng, m.Alt, _year(m))
+        self._place = self._place or RecordingPlace(m.Lat, m.Lng, m.Alt, _year(m))
         self._arrive(time_s, fix)
 
     def _gps_latency_s(self) -> float:
@@ -205,7 +205,7 @@ class _Reading:
     # ------------------------------------------------------------ the end
 
     def finish(self, damage: str | None) -> FlightRecord:
-        references: dict[Source, Reference] = {}
+        references: dict[Source, RecordedReference] = {}
         motion = next((rows for name in EKF_MESSAGES if (rows := self._motion[name])), [])
         recorded = _reference(self._attitudes, self._places)
         if (velocity := track_of((time_s, v) for time_s, v, _ in motion)) is not None:
@@ -235,7 +235,9 @@ class _Reading:
         return None
 
 
-def _reference(attitudes: list[tuple[float, Quaternion]], places: list[tuple[float, Vector3]]) -> Reference:
+def _reference(
+    attitudes: list[tuple[float, Quaternion]], places: list[tuple[float, Vector3]]
+) -> RecordedReference:
     tracks: dict[TrackName, Any] = {}
     if (attitude := track_of(attitudes)) is not None:
         tracks["attitude"] = attitude
@@ -245,7 +247,7 @@ def _reference(attitudes: list[tuple[float, Quaternion]], places: list[tuple[flo
         position = track_of((time_s, ned_from_geodetic(*place, origin)) for time_s, place in known)
         if position is not None:
             tracks["position"] = position
-    return Reference(tracks, origin if "position" in tracks else None)
+    return RecordedReference(tracks, origin if "position" in tracks else None)
 
 
 def _attitude(m: Any) -> Quaternion:

@@ -43,14 +43,14 @@ class Ask:
     time_s: float
 
 
-class Event(NamedTuple):
+class RecordedEvent(NamedTuple):
     """Something that reached the estimators."""
 
     arrival_s: float
     item: Sample | Ask
 
 
-class Track:
+class RecordedTrack:
     """A quantity over time: quaternions (n, 4) or vectors (n, 3); interpolated, but not across gaps."""
 
     def __init__(self, times_s: Sequence[float] | FloatArray, rows: Sequence[Sequence[float]]) -> None:
@@ -90,23 +90,23 @@ class Track:
         self.values[1:] *= flips[:, None]
 
 
-def track_of(samples: Iterable[tuple[float, Sequence[float]]]) -> Track | None:
+def track_of(samples: Iterable[tuple[float, Sequence[float]]]) -> RecordedTrack | None:
     """A track of (time, row) pairs; None of fewer than two, or when a row is not finite in all of them."""
     kept = [(time_s, row) for time_s, row in samples if np.isfinite(row).all()]
     if len(kept) < 2:
         return None
-    return Track([time_s for time_s, _ in kept], [row for _, row in kept])
+    return RecordedTrack([time_s for time_s, _ in kept], [row for _, row in kept])
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
+class RecordedReference:
     """What the replay is held against.
 
     `origin` (latitude deg, longitude deg, altitude m) is where the position track counts from; None when
     the log does not say, and then only the shape of the path can be compared.
     """
 
-    tracks: dict[TrackName, Track]
+    tracks: dict[TrackName, RecordedTrack]
     origin: Vector3 | None = None
 
 
@@ -121,7 +121,7 @@ class Rig:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RecordingPlace:
     """Where and when a log was recorded, for the Earth's field: altitude over the sea will do."""
 
     latitude_deg: float
@@ -139,12 +139,12 @@ class FlightRecord:
     """
 
     kind: LogKind
-    events: list[Event]
-    references: dict[Source, Reference]
+    events: list[RecordedEvent]
+    references: dict[Source, RecordedReference]
     rig: Rig | None = None
     states: list[VehicleState | PadState] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
-    place: Place | None = None
+    place: RecordingPlace | None = None
     antenna_position_body_m: Vector3 | None = None
     cut: str | None = None
     notes: list[str] = field(default_factory=list)

@@ -36,12 +36,12 @@ from companion.config import CameraConfig, CompanionConfig, ConfigError, Vehicle
 from companion.flightlog.record import SETTINGS_RECORD, VERSIONS_RECORD
 from companion.flightlog.replay.flight_record import (
     Ask,
-    Event,
     FlightRecord,
-    Reference,
+    RecordedEvent,
+    RecordedReference,
+    RecordedTrack,
     Rig,
     Source,
-    Track,
     TrackName,
     track_of,
 )
@@ -94,7 +94,7 @@ class _Reading:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._topics: dict[int, str] = {}
-        self._events: list[Event] = []
+        self._events: list[RecordedEvent] = []
         self._states: list[VehicleState | PadState] = []
         self._truth: list[Truth] = []
         self._metadata: dict[str, dict[str, str]] = {}
@@ -123,7 +123,7 @@ class _Reading:
         self._newest_ns = message.log_time
         if topic in SAMPLES:
             arrival_s = 1e-9 * message.log_time
-            self._events.append(Event(arrival_s, self._decoded(SAMPLES[topic], message, topic)))
+            self._events.append(RecordedEvent(arrival_s, self._decoded(SAMPLES[topic], message, topic)))
         elif topic == "/plan":
             # the first thing that a control cycle writes; a cycle with states has them under the same time
             self._ask(float(json.loads(message.data)["time_s"]), message)
@@ -137,7 +137,7 @@ class _Reading:
     def _ask(self, time_s: float, message: Message) -> None:
         if time_s != self._asked_s:
             self._asked_s = time_s
-            self._events.append(Event(1e-9 * message.log_time, Ask(time_s)))
+            self._events.append(RecordedEvent(1e-9 * message.log_time, Ask(time_s)))
 
     def _take_notice(self, notice: dict[str, Any]) -> None:
         if notice.get("kind") == "record":
@@ -156,7 +156,7 @@ class _Reading:
 
     def finish(self) -> FlightRecord:
         recorded = _states_reference(self._states)
-        references: dict[Source, Reference] = {"recorded": recorded} if recorded.tracks else {}
+        references: dict[Source, RecordedReference] = {"recorded": recorded} if recorded.tracks else {}
         truth = _truth_reference(self._truth)
         if truth.tracks:
             references["truth"] = truth
@@ -193,11 +193,11 @@ class _Reading:
 # ---------------------------------------------------------------- what it is held against
 
 
-def _states_reference(states: list[VehicleState | PadState]) -> Reference:
+def _states_reference(states: list[VehicleState | PadState]) -> RecordedReference:
     vehicles = [state for state in states if isinstance(state, VehicleState)]
     pads = [state for state in states if isinstance(state, PadState)]
     origins = [vehicle.origin for vehicle in vehicles if vehicle.origin is not None]
-    return Reference(
+    return RecordedReference(
         _tracks(
             attitude=track_of((v.time_s, v.attitude) for v in vehicles),
             velocity=track_of((v.time_s, v.velocity_ned_m_s) for v in vehicles),
@@ -209,10 +209,10 @@ def _states_reference(states: list[VehicleState | PadState]) -> Reference:
     )
 
 
-def _truth_reference(truth: list[Truth]) -> Reference:
+def _truth_reference(truth: list[Truth]) -> RecordedReference:
     """The truth in the air: on the ground the estimators are not what the vehicle stands by."""
     flown = [record for record in truth if not record.in_contact]
-    return Reference(
+    return RecordedReference(
         _tracks(
             attitude=track_of((t.time_s, t.vehicle_attitude) for t in flown),
             velocity=track_of((t.time_s, t.vehicle_velocity_ned_m_s) for t in flown),
@@ -225,5 +225,5 @@ def _truth_reference(truth: list[Truth]) -> Reference:
     )
 
 
-def _tracks(**tracks: Track | None) -> dict[TrackName, Track]:
+def _tracks(**tracks: RecordedTrack | None) -> dict[TrackName, RecordedTrack]:
     return {name: track for name, track in tracks.items() if track is not None}  # type: ignore[misc]

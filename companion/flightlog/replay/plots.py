@@ -18,7 +18,7 @@ from rich.table import Table
 
 from companion.base.geometry import FloatArray, euler_from_quat
 from companion.flightlog.replay.compare import Comparison, Repetition, ReplayResult, tracks_of
-from companion.flightlog.replay.flight_record import FlightRecord, Source, Track, TrackName
+from companion.flightlog.replay.flight_record import FlightRecord, RecordedTrack, Source, TrackName
 from companion.flightlog.replay.run import Replayed
 from companion.flightlog.report import ESTIMATE_COLOUR, VEHICLE_COLOUR
 
@@ -91,13 +91,13 @@ class _Drawing:
     record: FlightRecord
     replayed: Replayed
     comparisons: dict[Source, Comparison]
-    ours: dict[TrackName, Track]
+    ours: dict[TrackName, RecordedTrack]
     start_s: float
 
     def seconds(self, times_s: FloatArray) -> FloatArray:
         return times_s - self.start_s
 
-    def reference(self, source: Source, name: TrackName) -> Track | None:
+    def reference(self, source: Source, name: TrackName) -> RecordedTrack | None:
         pair = self.comparisons[source].tracks.get(name)
         return None if pair is None else pair[1]
 
@@ -129,7 +129,7 @@ def write_plots(folder: Path, record: FlightRecord, replayed: Replayed) -> list[
 def draw_attitude(figure: Figure, drawing: _Drawing) -> None:
     """Roll, pitch and heading of all, and the errors' heading and inclination."""
     grid = figure.subplots(4, 1, sharex=True)
-    curves: list[tuple[str, str, Track | None]] = [
+    curves: list[tuple[str, str, RecordedTrack | None]] = [
         (source, COLOURS[source], drawing.reference(source, "attitude")) for source in drawing.comparisons
     ]
     curves.append(("replay", ESTIMATE_COLOUR, drawing.ours["attitude"]))
@@ -211,7 +211,7 @@ def draw_refused(figure: Figure, drawing: _Drawing) -> None:
 
 
 def _draw_components(grid: Sequence[Any], drawing: _Drawing, name: TrackName, unit: str) -> None:
-    curves: list[tuple[str, str, Track | None]] = [
+    curves: list[tuple[str, str, RecordedTrack | None]] = [
         (source, COLOURS[source], drawing.reference(source, name)) for source in drawing.comparisons
     ]
     curves.append(("replay", ESTIMATE_COLOUR, drawing.ours.get(name)))

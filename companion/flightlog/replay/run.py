@@ -21,8 +21,8 @@ from companion.base.messages import (
     RangeSample,
     VehicleState,
 )
-from companion.estimate.estimator import Estimator
-from companion.flightlog.replay.flight_record import Ask, Event, Rig, Sample
+from companion.estimate.estimator import StateEstimator
+from companion.flightlog.replay.flight_record import Ask, RecordedEvent, Rig, Sample
 
 # a log that does not say when its app asked is asked at this rate
 ASK_RATE_HZ: Final = 30.0
@@ -36,7 +36,7 @@ class Replayed:
     """What the estimators said this time.
 
     `states` are in the order asked for, a vehicle before a pad; `refused` is the counts of
-    `Estimator.refused` over time; `samples` counts what went in by kind.
+    `StateEstimator.refused` over time; `samples` counts what went in by kind.
     """
 
     states: list[VehicleState | PadState] = field(default_factory=list)
@@ -54,14 +54,16 @@ class Replayed:
         return [state for state in self.states if isinstance(state, PadState)]
 
 
-def new_estimator(rig: Rig) -> Estimator:
+def new_estimator(rig: Rig) -> StateEstimator:
     """The estimators as the app makes them."""
     antenna = rig.config.sense.gps.antenna_position_body_m
     half_width_m = 0.5 * min(rig.pad.width_m, rig.pad.length_m)
-    return Estimator(rig.config.estimate, rig.vehicle, antenna, half_width_m)
+    return StateEstimator(rig.config.estimate, rig.vehicle, antenna, half_width_m)
 
 
-def replay(events: Sequence[Event], rig: Rig, on_progress: Callable[[float], None] | None = None) -> Replayed:
+def replay(
+    events: Sequence[RecordedEvent], rig: Rig, on_progress: Callable[[float], None] | None = None
+) -> Replayed:
     """Run a log's events through new estimators.
 
     Args:
@@ -87,7 +89,7 @@ def replay(events: Sequence[Event], rig: Rig, on_progress: Callable[[float], Non
     return result
 
 
-def _ask(estimator: Estimator, time_s: float, result: Replayed) -> None:
+def _ask(estimator: StateEstimator, time_s: float, result: Replayed) -> None:
     """As the control cycle does: no pad without a vehicle."""
     vehicle, pad = estimator.vehicle(time_s), estimator.pad(time_s)
     if vehicle is not None:
@@ -96,7 +98,7 @@ def _ask(estimator: Estimator, time_s: float, result: Replayed) -> None:
             result.states.append(pad)
 
 
-def _take(estimator: Estimator, sample: Sample) -> str:
+def _take(estimator: StateEstimator, sample: Sample) -> str:
     """Hand over one sample; returns its kind."""
     if isinstance(sample, ImuSample):
         estimator.add_imu(sample)
@@ -117,7 +119,7 @@ def _take(estimator: Estimator, sample: Sample) -> str:
     return "sighting"
 
 
-def asked_regularly(events: Sequence[Event], rate_hz: float = ASK_RATE_HZ) -> Iterator[Event]:
+def asked_regularly(events: Sequence[RecordedEvent], rate_hz: float = ASK_RATE_HZ) -> Iterator[RecordedEvent]:
     """The events, with the states asked for at a fixed rate in between."""
     first_s = events[0].arrival_s if events else 0.0
     asked = 0
@@ -127,5 +129,5 @@ def asked_regularly(events: Sequence[Event], rate_hz: float = ASK_RATE_HZ) -> It
             asked = math.ceil((event.arrival_s - first_s) * rate_hz)
         while (due_s := first_s + asked / rate_hz) < event.arrival_s:
             asked += 1
-            yield Event(due_s, Ask(due_s))
+            yield RecordedEvent(due_s, Ask(due_s))
         yield event

@@ -18,7 +18,7 @@ from companion.base.magnetic_field import field_ned_ut
 from companion.base.messages import ImuSample, MagSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, load_config, load_vehicle
 from companion.flightlog.replay.compare import FieldUsed
-from companion.flightlog.replay.flight_record import Event, FlightRecord, Rig
+from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent, Rig
 from companion.pad import load_pad
 
 DEFAULT_SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
@@ -80,7 +80,7 @@ def _field(record: FlightRecord, config: CompanionConfig) -> FieldUsed:
     return FieldUsed(ned_ut=field, source=f"World Magnetic Model at {where}, {date}")
 
 
-def field_of_samples(events: list[Event]) -> Vector3:
+def field_of_samples(events: list[RecordedEvent]) -> Vector3:
     """Size and dip (µT, NED with magnetic north for north) by the medians over a log.
 
     The dip is the field's angle against the specific force: over minutes of flight that is gravity's.

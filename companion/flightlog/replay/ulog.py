@@ -22,10 +22,10 @@ from companion.base.geometry import FloatArray, Vector3, quat_from_euler, vector
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
 from companion.flightlog.replay.flight_record import (
-    Event,
     FlightRecord,
-    Place,
-    Reference,
+    RecordedEvent,
+    RecordedReference,
+    RecordingPlace,
     Source,
     TrackName,
     track_of,
@@ -88,13 +88,13 @@ class _Reading:
 
     # ------------------------------------------------------------ sensors
 
-    def events(self) -> list[Event]:
+    def events(self) -> list[RecordedEvent]:
         """All samples in order of arrival."""
         events = [*self._imu(), *self._mag(), *self._gps(), *self._range()]
         # a stable sort: of what came at one time the IMU is first
         return sorted(events, key=lambda event: event.arrival_s)
 
-    def _imu(self) -> Iterator[Event]:
+    def _imu(self) -> Iterator[RecordedEvent]:
         if (data := self._topics.get("sensor_combined")) is not None:
             rates, forces = _rows(data, "gyro_rad"), _rows(data, "accelerometer_m_s2")
         elif (data := self._topics.get("vehicle_imu")) is not None:
@@ -106,9 +106,9 @@ class _Reading:
         else:
             return
         for time_s, rate, force in zip(_times(data), rates.tolist(), forces.tolist(), strict=True):
-            yield Event(time_s, ImuSample(time_s, vector3(rate), vector3(force), math.nan))
+            yield RecordedEvent(time_s, ImuSample(time_s, vector3(rate), vector3(force), math.nan))
 
-    def _mag(self) -> Iterator[Event]:
+    def _mag(self) -> Iterator[RecordedEvent]:
         if (data := self._topics.get("vehicle_magnetometer")) is not None:
             yield from _mag_events(_times(data), _rows(data, "magnetometer_ga") - self._learned_bias_ga())
         elif "magnetometer_ga[0]" in (data := self._topics.get("sensor_combined", {})):
@@ -117,7 +117,7 @@ class _Reading:
             rows = np.stack([np.asarray(data[axis], dtype=float) for axis in "xyz"], axis=1)
             yield from _mag_events(_times(data), self._calibrated(rows, int(data["device_id"][0])))
 
-    def _combined_mag(self, data: Columns) -> Iterator[Event]:
+    def _combined_mag(self, data: Columns) -> Iterator[RecordedEvent]:
         """A field is repeated with every IMU sample until a new one comes; its age tells them apart."""
         ages = np.asarray(data["magnetometer_timestamp_relative"], dtype=np.int64)
         measured = np.asarray(data["timestamp"], dtype=np.int64) + ages
@@ -126,7 +126,7 @@ class _Reading:
         arrivals = np.asarray(data["timestamp"])[fresh].tolist()
         fields = (UT_PER_GAUSS * _rows(data, "magnetometer_ga")[fresh]).tolist()
         for arrival, time, field in zip(arrivals, measured[fresh].tolist(), fields, strict=True):
-            yield Event(1e-6 * arrival, MagSample(1e-6 * time, vector3(field)))
+            yield RecordedEvent(1e-6 * arrival, MagSample(1e-6 * time, vector3(field)))
 
     def _learned_bias_ga(self) -> list[float]:
         """What versions 1.8 to 1.11 had learnt in flight and took off within their EKF."""
@@ -146,7 +146,7 @@ class _Reading:
         calibrated: FloatArray = (field_ga - np.array(values("OFF", 0.0))) @ matrix.T
         return calibrated
 
-    def _gps(self) -> Iterator[Event]:
+    def _gps(self) -> Iterator[RecordedEvent]:
         data = self._gps_data()
         if data is None:
             return
@@ -163,12 +163,12 @@ class _Reading:
                     *vector3(accuracy),
                     int(data["satellites_used"][k]),
                 )
-                yield Event(arrival_s, fix)
+                yield RecordedEvent(arrival_s, fix)
 
     def _gps_data(self) -> Columns | None:
         return self._topics.get("vehicle_gps_position", self._topics.get("sensor_gps"))
 
-    def _range(self) -> Iterator[Event]:
+    def _range(self) -> Iterator[RecordedEvent]:
         data = self._topics.get("distance_sensor")
         if data is None:
             return
@@ -176,18 +176,20 @@ class _Reading:
         rows = zip(_times(data), np.asarray(data["current_distance"]).tolist(), pointing, strict=True)
         for time_s, distance_m, orientation in rows:
             if orientation == DOWNWARD:
-                yield Event(time_s, RangeSample(time_s, distance_m))
+                yield RecordedEvent(time_s, RangeSample(time_s, distance_m))
 
     # ------------------------------------------------------------ what the log knows of itself
 
-    def place(self) -> Place | None:
+    def place(self) -> RecordingPlace | None:
         """Where and when, by the first fix; without GPS by the local frame's origin."""
         data = self._gps_data()
         if data is not None and (fixed := np.flatnonzero(np.asarray(data["fix_type"]) >= 3)).size:
             first = int(fixed[0])
             utc_s = 1e-6 * float(data.get("time_utc_usec", np.zeros(first + 1))[first])
             latitude, longitude, altitude = _places(data)[first].tolist()
-            return Place(latitude, longitude, altitude, 1970.0 + utc_s / SECONDS_PER_YEAR if utc_s else None)
+            return RecordingPlace(
+                latitude, longitude, altitude, 1970.0 + utc_s / SECONDS_PER_YEAR if utc_s else None
+            )
         return None
 
     def antenna(self) -> Vector3 | None:
@@ -196,8 +198,8 @@ class _Reading:
         x, y, z = (float(self._parameters[f"EKF2_GPS_POS_{axis}"]) for axis in "XYZ")
         return (x, y, z)
 
-    def references(self) -> dict[Source, Reference]:
-        found: dict[Source, Reference] = {}
+    def references(self) -> dict[Source, RecordedReference]:
+        found: dict[Source, RecordedReference] = {}
         suffixes: dict[Source, str] = {"recorded": "", "truth": "_groundtruth"}
         for source, suffix in suffixes.items():
             reference = self._reference(suffix)
@@ -205,7 +207,7 @@ class _Reading:
                 found[source] = reference
         return found
 
-    def _reference(self, suffix: str) -> Reference:
+    def _reference(self, suffix: str) -> RecordedReference:
         tracks: dict[TrackName, Any] = {}
         origin = None
         if (data := self._topics.get(f"vehicle_attitude{suffix}")) is not None:
@@ -217,7 +219,7 @@ class _Reading:
             tracks["velocity"] = track_of(zip(_times(data), velocity.tolist(), strict=True))
             tracks["position"] = track_of(zip(_times(data), position.tolist(), strict=True))
             origin = _origin(data)
-        return Reference({name: track for name, track in tracks.items() if track is not None}, origin)
+        return RecordedReference({name: track for name, track in tracks.items() if track is not None}, origin)
 
 
 def _times(data: Columns) -> list[float]:
@@ -237,9 +239,9 @@ def _flags(data: Columns, *names: str) -> Any:
     return np.logical_and.reduce([np.asarray(data[name]) > 0 for name in names])
 
 
-def _mag_events(times_s: list[float], field_ga: FloatArray) -> Iterator[Event]:
+def _mag_events(times_s: list[float], field_ga: FloatArray) -> Iterator[RecordedEvent]:
     for time_s, field in zip(times_s, (UT_PER_GAUSS * field_ga).tolist(), strict=True):
-        yield Event(time_s, MagSample(time_s, vector3(field)))
+        yield RecordedEvent(time_s, MagSample(time_s, vector3(field)))
 
 
 def _places(data: Columns) -> FloatArray:

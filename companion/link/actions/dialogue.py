@@ -15,7 +15,7 @@ from companion.base.geometry import Vector3
 from companion.base.messages import Manner
 from companion.link.actions.performing import Refused, Unanswered
 from companion.link.codec import mavlink
-from companion.link.commands import NO_ANSWER, Command, Pending, request_message
+from companion.link.commands import NO_ANSWER, Pending, VehicleCommand, request_message
 from companion.link.modes import mode_parameters
 from companion.link.parameters import ParameterRequest
 from companion.link.session import Session
@@ -85,7 +85,7 @@ class Dialogue:
         self.manner()
         if position is None:
             parameters = (*parameters, *(self.unused(),) * (7 - len(parameters)))
-        command = Command(number, parameters, position, target_system=self._session.system_id)
+        command = VehicleCommand(number, parameters, position, target_system=self._session.system_id)
         outcome = await self.outcome(self._session.command(command), void=void)
         if outcome == NO_ANSWER:
             raise Unanswered("the autopilot does not answer")

@@ -5,7 +5,7 @@ heading in flight. A velocity sent unrotated would drift off the pad to one side
 the autopilot's heading minus ours, both at the same moment, filtered.
 
 The difference is the twist about the down axis of q_autopilot * conj(q_ours) (swing-twist), which does not
-mix in roll and pitch the way a difference of Euler yaw angles does when the vehicle leans.
+mix in roll and pitch the way a difference of Euler yaw angles does when the vehicle is tilted.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ _ADVICE: Final[dict[Manner, str]] = {
 }
 
 
-class OnboardSensors:
+class TelemetrySensors:
     """Takes the messages of one autopilot; `take` gives the samples since the last call."""
 
     def __init__(self, config: SenseConfig, clock: BootClock) -> None:

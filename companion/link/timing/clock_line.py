@@ -1,9 +1,9 @@
 """Another clock's offset and rate against ours, estimated together from round trips. Pure.
 
 A round trip from a to b of our time in which that clock told c bounds its offset, c - b <= offset <= c - a,
-whatever delayed it on its way. Within these bounds a Kalman filter of offset and rate leans on the quickest
-trips: delays only ever add, so the trip that took longest knows least. An estimate outside the bounds is not
-noise. A little outside, the clock's rate has changed; far outside, that clock has stood still or was set
+whatever delayed it on its way. Within these bounds a Kalman filter of offset and rate weighs the quickest
+trips most: delays only ever add, so the trip that took longest knows least. An estimate outside the bounds is
+not noise. A little outside, the clock's rate has changed; far outside, that clock has stood still or was set
 (a simulator on a busy machine does both), and the offset begins anew with the rate kept.
 """
 

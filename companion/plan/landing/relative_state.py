@@ -47,7 +47,7 @@ def vehicle_motion(vehicle: VehicleState, now_s: float) -> Motion:
     return Motion((p[0] + d[0], p[1] + d[1], p[2] + d[2]), vehicle.velocity_ned_m_s)
 
 
-class Sightings:
+class SteadySightings:
     """Whether the pad is seen steadily: so many sightings within a window."""
 
     def __init__(self, count: int, window_s: float) -> None:
@@ -73,7 +73,7 @@ class PadKnowledge:
     """What the planner holds of the pad: `sight`, predicted to now, and its motion in the EKF's NED."""
 
     def __init__(self, sightings: int, window_s: float) -> None:
-        self._sightings = Sightings(sightings, window_s)
+        self._sightings = SteadySightings(sightings, window_s)
         self.sight: PadState | None = None
         self.motion: Motion | None = None
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from companion.base.geometry import GRAVITY_M_S2, Quaternion, level_acceleration, norm, tilt_from_quat
+from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, norm, tilt_from_quat
 from companion.base.messages import LandedState, LevelOff, PadState, RangeSample, VehicleState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
@@ -210,7 +210,7 @@ class Touchdown:
 
     def feel(self, attitude: Quaternion, now_s: float) -> None:
         """Take in how the vehicle leans: what it takes to go with the pad and against the wind."""
-        x, y = level_acceleration(attitude)
+        x, y = horizontal_acceleration(attitude)
         self._tilt_rad = tilt_from_quat(attitude)
         share = 1.0 if self._felt_s is None else -math.expm1(-max(0.0, now_s - self._felt_s) / _LEAN_S)
         self._felt_s = now_s

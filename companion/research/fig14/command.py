@@ -13,7 +13,7 @@ from rich.progress import track as progress
 from companion.config import ConfigError
 from companion.research.fig14.figure import (
     BY_NAME,
-    Result,
+    FlightScore,
     flight_of,
     fly_all,
     judge,
@@ -57,7 +57,7 @@ def _check(case: str, output: Path) -> None:
 def _run(seeds: range, output: Path, case: str, jobs: int) -> bool:
     """Fly, print and draw; whether all bars hold."""
     console = Console(width=170)
-    results: list[Result] = []
+    results: list[FlightScore] = []
     for flown in progress(fly_all(seeds, jobs), "flying", total=len(seeds), console=Console(stderr=True)):
         results += flown
     console.print(table(results))

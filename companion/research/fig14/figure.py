@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 
 from companion.base.geometry import FloatArray
-from companion.research.fig14.flight import Track, fly
-from companion.research.fig14.pilots import PILOTS, Flight
-from companion.research.fig14.reference import Reference, draw_scene
-from companion.research.fig14.world import CASES, World
+from companion.research.fig14.flight import FlownTrack, fly
+from companion.research.fig14.pilots import PILOTS, PilotKnowledge
+from companion.research.fig14.reference import PlannedReference, draw_scene
+from companion.research.fig14.world import CASES, LandingScene
 from companion.research.model.full_mpc import FullMpcConfig, load_full
 from companion.research.model.pid import load_gains
 from companion.research.model.quadrotor import QuadrotorModel, load_quadrotor
@@ -37,7 +37,7 @@ PAPER_STEPS: Final = 100
 
 
 @dataclass(frozen=True)
-class Settings:
+class FigureSettings:
     """What does not depend on the seed."""
 
     model: QuadrotorModel
@@ -46,7 +46,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Result:
+class FlightScore:
     """One flight in numbers; `bound` names what `violation` is of."""
 
     seed: int
@@ -62,21 +62,21 @@ class Result:
 
 
 @lru_cache(maxsize=1)
-def load_settings(vehicle: str = VEHICLE) -> Settings:
+def load_settings(vehicle: str = VEHICLE) -> FigureSettings:
     """The shipped vehicle's model and airframe, and the tracker's settings.
 
     Raises:
         ConfigError: a file is missing or wrong, or the vehicle has no model.
     """
-    return Settings(load_quadrotor(vehicle), load_full("full"), load_airframe(vehicle).body)
+    return FigureSettings(load_quadrotor(vehicle), load_full("full"), load_airframe(vehicle).body)
 
 
-def flight_of(settings: Settings, world: World, reference: Reference) -> Flight:
+def flight_of(settings: FigureSettings, world: LandingScene, reference: PlannedReference) -> PilotKnowledge:
     """What the pilots get."""
-    return Flight(settings.model, settings.full, load_gains("pid"), world, reference)
+    return PilotKnowledge(settings.model, settings.full, load_gains("pid"), world, reference)
 
 
-def fly_seed(seed: int) -> list[Result]:
+def fly_seed(seed: int) -> list[FlightScore]:
     """All cases and pilots of one seed.
 
     Raises:
@@ -91,8 +91,8 @@ def fly_seed(seed: int) -> list[Result]:
     ]
 
 
-def _result(seed: int, case: str, pilot: str, track: Track, full: FullMpcConfig) -> Result:
-    return Result(
+def _result(seed: int, case: str, pilot: str, track: FlownTrack, full: FullMpcConfig) -> FlightScore:
+    return FlightScore(
         seed,
         case,
         pilot,
@@ -106,7 +106,7 @@ def _result(seed: int, case: str, pilot: str, track: Track, full: FullMpcConfig)
     )
 
 
-def fly_all(seeds: Sequence[int], jobs: int) -> Iterator[list[Result]]:
+def fly_all(seeds: Sequence[int], jobs: int) -> Iterator[list[FlightScore]]:
     """Each seed's results as they come, in the order of the seeds.
 
     Raises:
@@ -119,17 +119,17 @@ def fly_all(seeds: Sequence[int], jobs: int) -> Iterator[list[Result]]:
         yield from pool.map(fly_seed, seeds)
 
 
-def of(results: Sequence[Result], case: str, pilot: str) -> list[Result]:
+def of(results: Sequence[FlightScore], case: str, pilot: str) -> list[FlightScore]:
     """Those of a case and a pilot."""
     return [r for r in results if r.case == case and r.pilot == pilot]
 
 
-def rmse_m(results: Sequence[Result]) -> float:
+def rmse_m(results: Sequence[FlightScore]) -> float:
     """Root mean square over flights of equal length."""
     return float(np.sqrt(np.mean([r.rmse_m**2 for r in results])))
 
 
-def judge(results: Sequence[Result]) -> dict[str, bool]:
+def judge(results: Sequence[FlightScore]) -> dict[str, bool]:
     """Which bars hold."""
     found = {}
     for other, most in OVER.items():
@@ -147,7 +147,7 @@ def paper_step_s(seed: int, flown_s: float = 3.0) -> dict[str, FloatArray]:
     """Times of steps (n,) of MPC and recursion at the paper's horizon, over the start of a flight."""
     settings = load_settings()
     full = settings.full.model_copy(update={"steps": PAPER_STEPS})
-    flight = flight_of(Settings(settings.model, full, settings.body), *draw_scene(seed))
+    flight = flight_of(FigureSettings(settings.model, full, settings.body), *draw_scene(seed))
     return {
         pilot: fly(pilot, flight, settings.body, BY_NAME["all"], flown_s).step_s
         for pilot in ("mpc", "riccati")

@@ -14,20 +14,20 @@ import numpy as np
 from companion.base.clock import wall_clock_s
 from companion.base.geometry import ZERO3, FloatArray
 from companion.plan.obstacles.obstacles import clearance_m
-from companion.research.fig14.pilots import FLOOR_M, PERIOD_S, PILOTS, VEHICLE_RADIUS_M, Flight
+from companion.research.fig14.pilots import FLOOR_M, PERIOD_S, PILOTS, VEHICLE_RADIUS_M, PilotKnowledge
 from companion.research.fig14.world import (
     FLOWN_S,
     HOVERS_S,
     START_NED_M,
     SURFACE_HEIGHT_M,
     WIND,
-    Case,
+    DisturbanceCase,
     Noise,
     disturbed,
 )
 from companion.research.model.disturbance_filter import PushObserver
 from companion.research.model.full_mpc import FullLimits
-from companion.research.model.mixer import Mixer
+from companion.research.model.mixer import ThrustMixer
 from companion.research.model.quadrotor import ANGLES, POSITION, RATES, STATES, VELOCITY, state_from_ned
 from sitl.vehicle.quadrotor import Quadrotor, QuadrotorParameters, QuadrotorState
 from sitl.world.wind import Wind
@@ -38,7 +38,7 @@ LOST_M: Final = 20.0  # farther from the reference a flight is over
 
 
 @dataclass(frozen=True)
-class Track:
+class FlownTrack:
     """What was flown, a row a period from time 0: times (n,), states (n, 12) in the paper's axes, errors
     (n, 3) from the reference in NED, rotors' thrust shares (n, 4), and each step's computing time (n,)."""
 
@@ -79,15 +79,15 @@ class Track:
 
 def fly(
     pilot_name: str,
-    flight: Flight,
+    flight: PilotKnowledge,
     parameters: QuadrotorParameters,
-    case: Case,
+    case: DisturbanceCase,
     flown_s: float = FLOWN_S,
-) -> Track:
+) -> FlownTrack:
     """Fly a case; the same seed has the same wind, errors and noise for every pilot."""
     seed = flight.world.seed
     pilot = PILOTS[pilot_name](flight)
-    mixer = Mixer(flight.model, PERIOD_S, LEAD)
+    mixer = ThrustMixer(flight.model, PERIOD_S, LEAD)
     observer = PushObserver(flight.full.push, flight.model, PERIOD_S)
     air = Wind(WIND, np.random.default_rng((seed, 30))) if case.gusts else None
     noise = np.random.default_rng((seed, 40))
@@ -120,12 +120,14 @@ def fly(
 
 
 def _track(
-    rows: list[tuple[float, FloatArray, FloatArray, tuple[float, ...], float]], flight: Flight, lost: bool
-) -> Track:
+    rows: list[tuple[float, FloatArray, FloatArray, tuple[float, ...], float]],
+    flight: PilotKnowledge,
+    lost: bool,
+) -> FlownTrack:
     times, states, errors, shares, spent = (np.array(column) for column in zip(*rows, strict=True))
     ned = states[:, POSITION] * [1.0, -1.0, -1.0]
     closest_m = float(clearance_m(ned, flight.world.obstacles).min())
-    return Track(times, states, errors, shares, spent, closest_m, closest_m <= VEHICLE_RADIUS_M, lost)
+    return FlownTrack(times, states, errors, shares, spent, closest_m, closest_m <= VEHICLE_RADIUS_M, lost)
 
 
 def _measured(state: FloatArray, noise: Noise, rng: np.random.Generator) -> FloatArray:

@@ -17,12 +17,11 @@ import numpy as np
 from companion.base.geometry import FloatArray
 from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from companion.research.fig14.reference import Reference
-from companion.research.fig14.world import SURFACE_HEIGHT_M, World
-from companion.research.model.full_mpc import FullMpc, FullMpcConfig, RiccatiTracker, Surroundings
-from companion.research.model.nominal import NO_PUSH
-from companion.research.model.nominal import Reference as Rows
-from companion.research.model.pid import CascadedPid, PidGains
+from companion.research.fig14.reference import PlannedReference
+from companion.research.fig14.world import SURFACE_HEIGHT_M, LandingScene
+from companion.research.model.full_mpc import FullMpc, FullMpcConfig, FullRiccatiTracker, ObstacleBounds
+from companion.research.model.nominal import NO_PUSH, HorizonReference
+from companion.research.model.pid import CascadedPid, CascadeGains
 from companion.research.model.quadrotor import QuadrotorModel, flipped
 
 PERIOD_S: Final = 0.02
@@ -43,20 +42,20 @@ class Pilot(Protocol):
 
 
 @dataclass(frozen=True)
-class Flight:
+class PilotKnowledge:
     """What a pilot may know: the model, the settings, the reference, surveyed obstacles."""
 
     model: QuadrotorModel
     full: FullMpcConfig
-    gains: PidGains
-    world: World
-    reference: Reference
+    gains: CascadeGains
+    world: LandingScene
+    reference: PlannedReference
 
 
 class PidPilot:
     """The cascade, with velocity and acceleration of the reference fed forward."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: PilotKnowledge) -> None:
         self._reference = flight.reference
         self._pid = CascadedPid(flight.gains, flight.model, math.radians(flight.full.limits.lean_deg))
 
@@ -70,9 +69,9 @@ class PidPilot:
 class RiccatiPilot:
     """The paper's recursion."""
 
-    def __init__(self, flight: Flight, *, with_push: bool = False) -> None:
+    def __init__(self, flight: PilotKnowledge, *, with_push: bool = False) -> None:
         self._flight = flight
-        self._tracker = RiccatiTracker(flight.full, flight.model)
+        self._tracker = FullRiccatiTracker(flight.full, flight.model)
         self._with_push = with_push
 
     def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
@@ -84,7 +83,7 @@ class RiccatiPilot:
 class MpcPilot:
     """The constrained MPC with its estimate of the push."""
 
-    def __init__(self, flight: Flight) -> None:
+    def __init__(self, flight: PilotKnowledge) -> None:
         self._flight = flight
         self._mpc = FullMpc(flight.full, flight.model, PLANES)
         self.unsolved = 0
@@ -97,7 +96,7 @@ class MpcPilot:
         return found.first
 
 
-PILOTS: Final[dict[str, Callable[[Flight], Pilot]]] = {
+PILOTS: Final[dict[str, Callable[[PilotKnowledge], Pilot]]] = {
     "mpc": MpcPilot,
     "riccati": RiccatiPilot,
     "riccati + push": lambda flight: RiccatiPilot(flight, with_push=True),
@@ -105,17 +104,17 @@ PILOTS: Final[dict[str, Callable[[Flight], Pilot]]] = {
 }
 
 
-def rows_of(flight: Flight, time_s: float) -> Rows:
+def rows_of(flight: PilotKnowledge, time_s: float) -> HorizonReference:
     """The reference over the horizon in the paper's axes."""
     count, step_s = flight.full.steps + 1, flight.full.step_s
     position, velocity, acceleration = flight.reference.rows(time_s, count, step_s)
     if time_s < 0.0:
         position, velocity, acceleration = _waiting(flight.reference, time_s, count, step_s)
-    return Rows(position * FLIP, velocity * FLIP, acceleration * FLIP)
+    return HorizonReference(position * FLIP, velocity * FLIP, acceleration * FLIP)
 
 
 def _waiting(
-    reference: Reference, time_s: float, count: int, step_s: float
+    reference: PlannedReference, time_s: float, count: int, step_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """At rest until time 0, then off."""
     motions = [reference.at(time_s + k * step_s) for k in range(count)]
@@ -126,13 +125,13 @@ def _waiting(
     )
 
 
-def surroundings(rows: Rows, obstacles: tuple[Obstacle, ...]) -> Surroundings:
+def surroundings(rows: HorizonReference, obstacles: tuple[Obstacle, ...]) -> ObstacleBounds:
     """The pad's height as a floor, and of each row's nearest obstacles the half-space on its side."""
     points = rows.position_m[1:]
     floor_m = np.full(len(points), SURFACE_HEIGHT_M + FLOOR_M)
     normals, offsets_m = np.zeros((len(points), PLANES, 3)), np.full((len(points), PLANES), -1e4)
     if not obstacles:
-        return Surroundings(floor_m, normals, offsets_m)
+        return ObstacleBounds(floor_m, normals, offsets_m)
     ned = points * FLIP
     away = np.stack([clearance_m(ned, (one,)) for one in obstacles], axis=1)
     order = np.argsort(away, axis=1, kind="stable")[:, :PLANES]
@@ -143,7 +142,7 @@ def surroundings(rows: Rows, obstacles: tuple[Obstacle, ...]) -> Surroundings:
         offset_m = np.einsum("ki,ki->k", away_from, points) - away[:, k] + KEPT_CLEAR_M
         steps, places = np.nonzero(order == k)
         normals[steps, places], offsets_m[steps, places] = away_from[steps], offset_m[steps]
-    return Surroundings(floor_m, normals, offsets_m)
+    return ObstacleBounds(floor_m, normals, offsets_m)
 
 
 def outward(points_ned_m: FloatArray, obstacle: Obstacle) -> FloatArray:

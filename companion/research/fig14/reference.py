@@ -21,7 +21,7 @@ from companion.base.motion import Motion
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
 from companion.plan.speed.fuzzy_velocity import SpeedTable, load_table
 from companion.plan.trajectory.course import Course, through
-from companion.research.fig14.world import FLOWN_S, START_NED_M, SURFACE_HEIGHT_M, World, draw_world
+from companion.research.fig14.world import FLOWN_S, START_NED_M, SURFACE_HEIGHT_M, LandingScene, draw_world
 
 ITERATION_S: Final = 0.1
 MINIMUM_TIME_S: Final = 1.0  # T_min of eq. 37
@@ -37,7 +37,7 @@ PASSED_S: Final = 0.3  # a point nearer in time than this is left behind
 
 
 @dataclass(frozen=True)
-class Reference:
+class PlannedReference:
     """What was planned, iteration by iteration, from time 0."""
 
     courses: tuple[Course, ...]
@@ -73,7 +73,7 @@ class _Plan:
     course: Course
 
 
-def plan_reference(world: World) -> Reference | None:
+def plan_reference(world: LandingScene) -> PlannedReference | None:
     """The whole reference of a world, or None if no way round its obstacles keeps clear of them."""
     motion, courses = Motion(START_NED_M), list[Course]()
     plan = _way_round(motion, _target(world, 0.0), 0.0, world.obstacles)
@@ -88,7 +88,7 @@ def plan_reference(world: World) -> Reference | None:
         courses.append(plan.course)
         motion = plan.course.at(now_s + ITERATION_S)
         plan.left_s[0] -= ITERATION_S
-    return Reference(tuple(courses))
+    return PlannedReference(tuple(courses))
 
 
 def _again(plan: _Plan, motion: Motion, pad: Motion, now_s: float) -> _Plan:
@@ -126,7 +126,7 @@ def _clear_m(course: Course, obstacles: tuple[Obstacle, ...]) -> float:
     return float(clearance_m(rows, obstacles).min())
 
 
-def draw_scene(seed: int) -> tuple[World, Reference]:
+def draw_scene(seed: int) -> tuple[LandingScene, PlannedReference]:
     """The first world of a seed that has a reference: round the obstacles, in time and not in a hurry.
 
     No controller has a say in what is drawn.
@@ -142,7 +142,7 @@ def draw_scene(seed: int) -> tuple[World, Reference]:
     raise RuntimeError(f"seed {seed}: no world with a reference in {ATTEMPTS} attempts")
 
 
-def _comfortable(reference: Reference, world: World) -> bool:
+def _comfortable(reference: PlannedReference, world: LandingScene) -> bool:
     """Arrived for the last 2 s, never faster or harder than a landing is flown, and nowhere too low."""
     motions = [reference.at(t) for t in np.arange(0.0, FLOWN_S, 0.1)]
     speed = max(norm(m.velocity_m_s) for m in motions)
@@ -155,12 +155,12 @@ def _comfortable(reference: Reference, world: World) -> bool:
     return within and away <= ARRIVED_M and lowest_m >= FOLLOWED_AT_M - DIPS_M
 
 
-def closest_m(reference: Reference, world: World) -> float:
+def closest_m(reference: PlannedReference, world: LandingScene) -> float:
     """How near the reference comes to an obstacle."""
     return float(clearance_m(reference.path(), world.obstacles).min())
 
 
-def _target(world: World, time_s: float) -> Motion:
+def _target(world: LandingScene, time_s: float) -> Motion:
     pad = world.pad.at(time_s)
     return Motion(add(pad.position_ned_m, (0.0, 0.0, -FOLLOWED_AT_M)), pad.velocity_ned_m_s)
 

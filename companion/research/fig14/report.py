@@ -13,11 +13,20 @@ from rich.table import Table
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.plan.obstacles.obstacles import Obstacle
-from companion.research.fig14.figure import BY_NAME, JUDGED, OVER, PAPER_STEPS, VIOLATION, Result, of, rmse_m
-from companion.research.fig14.flight import Track
+from companion.research.fig14.figure import (
+    BY_NAME,
+    JUDGED,
+    OVER,
+    PAPER_STEPS,
+    VIOLATION,
+    FlightScore,
+    of,
+    rmse_m,
+)
+from companion.research.fig14.flight import FlownTrack
 from companion.research.fig14.pilots import PILOTS, VEHICLE_RADIUS_M
-from companion.research.fig14.reference import Reference
-from companion.research.fig14.world import FLOWN_S, World
+from companion.research.fig14.reference import PlannedReference
+from companion.research.fig14.world import FLOWN_S, LandingScene
 
 COLOURS: Final = {"mpc": "tab:red", "riccati": "tab:orange", "riccati + push": "black", "pid": "magenta"}
 ENLARGED_M: Final = 0.5  # half the side of the view from above's enlarged part
@@ -30,7 +39,7 @@ NOTES: Final = (
 )
 
 
-def table(results: Sequence[Result]) -> Table:
+def table(results: Sequence[FlightScore]) -> Table:
     """A row for each case and pilot, over all seeds."""
     seeds = len({r.seed for r in results})
     grid = Table(title=f"Tracking to a moving pad, {seeds} seed{'s' if seeds > 1 else ''}")
@@ -68,7 +77,9 @@ def step_line(times: Mapping[str, FloatArray]) -> str:
     return f"a step at N = {PAPER_STEPS}: " + ", ".join(parts)
 
 
-def picture(path: Path, world: World, reference: Reference, tracks: Mapping[str, Track], case: str) -> None:
+def picture(
+    path: Path, world: LandingScene, reference: PlannedReference, tracks: Mapping[str, FlownTrack], case: str
+) -> None:
     """The 3-D view, the view from above, and errors over time, as the paper's Fig. 14.
 
     Raises:
@@ -131,7 +142,9 @@ def _from_above(axes: Any, lines: Mapping[str, FloatArray], obstacles: Sequence[
     axes.grid(alpha=0.3)
 
 
-def _enlarged(axes: Any, zoom: Any, lines: Mapping[str, FloatArray], tracks: Mapping[str, Track]) -> None:
+def _enlarged(
+    axes: Any, zoom: Any, lines: Mapping[str, FloatArray], tracks: Mapping[str, FlownTrack]
+) -> None:
     """Where the pilots are farthest off sideways: on the whole way the lines lie on one another."""
     pilot = max(tracks, key=lambda name: np.abs(tracks[name].errors_m[:, :2]).max() if name in lines else 0.0)
     worst = int(np.hypot(*tracks[pilot].errors_m[:, :2].T).argmax())
@@ -148,7 +161,7 @@ def _enlarged(axes: Any, zoom: Any, lines: Mapping[str, FloatArray], tracks: Map
     )
 
 
-def _errors(axes: Any, tracks: Mapping[str, Track]) -> None:
+def _errors(axes: Any, tracks: Mapping[str, FlownTrack]) -> None:
     for pilot, track in tracks.items():
         distance_cm = 100.0 * np.linalg.norm(track.errors_m, axis=1)
         style = _style(pilot) | {"label": f"{pilot}: RMSE {100.0 * track.rmse_m:.1f} cm"}

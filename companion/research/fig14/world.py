@@ -58,7 +58,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Case:
+class DisturbanceCase:
     """What a flight is disturbed by."""
 
     name: str
@@ -69,16 +69,16 @@ class Case:
 
 NOISY: Final = Noise(0.02, 0.04, math.radians(0.5), 0.03)
 CASES: Final = (
-    Case("nominal"),
-    Case("gust", gusts=True),
-    Case("mass, inertia", model_error=True),
-    Case("noise", noise=NOISY),
-    Case("all", gusts=True, model_error=True, noise=NOISY),
+    DisturbanceCase("nominal"),
+    DisturbanceCase("gust", gusts=True),
+    DisturbanceCase("mass, inertia", model_error=True),
+    DisturbanceCase("noise", noise=NOISY),
+    DisturbanceCase("all", gusts=True, model_error=True, noise=NOISY),
 )
 
 
 @dataclass(frozen=True)
-class World:
+class LandingScene:
     """One seed: where the pad goes and what stands in the way."""
 
     seed: int
@@ -86,7 +86,7 @@ class World:
     obstacles: tuple[Obstacle, ...]
 
 
-def draw_world(seed: int, attempt: int = 0) -> World:
+def draw_world(seed: int, attempt: int = 0) -> LandingScene:
     """The pad's motion and the obstacles of a seed; another attempt is another draw.
 
     Raises:
@@ -97,7 +97,7 @@ def draw_world(seed: int, attempt: int = 0) -> World:
         pad = build_pad_motion(PAD, SURFACE_HEIGHT_M, "along", rng)
         obstacles = _drawn_obstacles(rng)
         if _flyable(pad, obstacles):
-            return World(seed, pad, obstacles)
+            return LandingScene(seed, pad, obstacles)
     raise RuntimeError(f"seed {seed}: no obstacles fit between the start and the pad's way")
 
 
@@ -139,7 +139,7 @@ def _flyable(pad: PadMotion, obstacles: tuple[Obstacle, ...]) -> bool:
     return not line_clear(START_NED_M, pad.at(PAD.meet.time_s).position_ned_m, obstacles, 0.3)
 
 
-def disturbed(parameters: QuadrotorParameters, case: Case, seed: int) -> QuadrotorParameters:
+def disturbed(parameters: QuadrotorParameters, case: DisturbanceCase, seed: int) -> QuadrotorParameters:
     """The airframe that flies: mass and moments of inertia each off by up to a fifth, if the case says so."""
     rng = np.random.default_rng((seed, 20))
     mass, *inertia = (1.0 + rng.uniform(-MODEL_ERROR, MODEL_ERROR, 4)).tolist()

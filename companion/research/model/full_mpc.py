@@ -1,11 +1,11 @@
 """Model predictive control on the paper's 12 states and U1..U4 (eqs. 38 and 39, with constraints).
 
 Linearised along the reference's flat trajectory (`nominal.py`), which the estimated push of the air enters,
-so that nothing lasting is left over. Bounds on lean, velocity, rates and height over the pad, and half-spaces
+so that nothing lasting is left over. Bounds on tilt, velocity, rates and height over the pad, and half-spaces
 clear of obstacles, are soft and dear; what the rotors can do is hard. Solved by OSQP: the structure is set up
 once, a step changes values, and starts from the last solution. Deterministic: iterations bound the work.
 
-`RiccatiTracker` is the paper's own recursion with the same weights, model and reference, without constraints.
+`FullRiccatiTracker` is the paper's own recursion with the same weights, model and reference, unconstrained.
 Axes: the paper's z-up ones, SI units.
 """
 
@@ -25,7 +25,7 @@ from companion.config import StrictModel, find_file, load_model
 from companion.control.baselines import riccati
 from companion.research.model.disturbance_filter import PushConfig
 from companion.research.model.full_qp import BOUNDED, SOFT, ConstraintMatrix, FullLayout, cost_matrix
-from companion.research.model.nominal import NO_PUSH, Nominal, Reference, along
+from companion.research.model.nominal import NO_PUSH, HorizonReference, Nominal, along
 from companion.research.model.quadrotor import (
     ANGLES,
     INPUTS,
@@ -94,7 +94,7 @@ def load_full(name: str | Path) -> FullMpcConfig:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ObstacleBounds:
     """What is in the way, for the states of rows 1..N.
 
     `floor_m` (N,) is the least height. A half-space allows positions with normal · position >= offset:
@@ -136,7 +136,7 @@ def eq39_weights(config: FullMpcConfig, model: QuadrotorModel) -> riccati.Weight
     return riccati.Weights(np.eye(STATES), Q, R, 0.5 * (S + S.T))
 
 
-class RiccatiTracker:
+class FullRiccatiTracker:
     """Eqs. 39-42 along the same trajectory as the MPC's; knows of no bound."""
 
     def __init__(self, config: FullMpcConfig, model: QuadrotorModel) -> None:
@@ -144,7 +144,9 @@ class RiccatiTracker:
         self._model = model
         self._weights = eq39_weights(config, model)
 
-    def solve(self, state: FloatArray, reference: Reference, push: FloatArray = NO_PUSH) -> FullSolution:
+    def solve(
+        self, state: FloatArray, reference: HorizonReference, push: FloatArray = NO_PUSH
+    ) -> FullSolution:
         """The best inputs from a state (12,) without bounds; the paper has no push."""
         nominal = along(reference, self._model, self._step_s, push)
         A, B = self._model.linearise(nominal.states[:-1], nominal.inputs, self._step_s)
@@ -217,8 +219,8 @@ class FullMpc:
     def solve(
         self,
         state: FloatArray,
-        reference: Reference,
-        surroundings: Surroundings,
+        reference: HorizonReference,
+        surroundings: ObstacleBounds,
         push: FloatArray = NO_PUSH,
     ) -> FullSolution:
         """The best inputs from a state (12,) within the bounds; the last plan, then hover, if there are none.
@@ -244,7 +246,7 @@ class FullMpc:
             self._poisoned = False
         return self._take(self._solver.solve(raise_error=False), state, nominal)
 
-    def _update_bounds(self, first: FloatArray, nominal: Nominal, around: Surroundings) -> None:
+    def _update_bounds(self, first: FloatArray, nominal: Nominal, around: ObstacleBounds) -> None:
         layout, lower, upper, limits = self._layout, self._lower, self._upper, self._config.limits
         dynamics = lower[layout.dynamics].reshape(-1, STATES)
         dynamics[:] = nominal.remainder
@@ -288,7 +290,7 @@ class FullMpc:
         return self._plan
 
 
-def within_reach(reference: Reference, position_m: FloatArray, reach_m: float) -> Reference:
+def within_reach(reference: HorizonReference, position_m: FloatArray, reach_m: float) -> HorizonReference:
     """The reference, drawn as a whole to within a distance of where the vehicle is: costs are quadratic and
     the bounds on the state soft, so that from far away it would pay to break them."""
     gap_m = position_m - reference.position_m[0]
@@ -300,9 +302,9 @@ def within_reach(reference: Reference, position_m: FloatArray, reach_m: float) -
 
 def _state_bounds(limits: FullLimits) -> tuple[FloatArray, FloatArray]:
     """Least and greatest of the bounded states, the margin off; the floor comes with each step."""
-    lean, side, up = np.radians(limits.lean_deg), limits.horizontal_speed_m_s, limits.vertical_speed_m_s
+    tilt, side, up = np.radians(limits.lean_deg), limits.horizontal_speed_m_s, limits.vertical_speed_m_s
     rate, yaw_rate = limits.rate_rad_s, limits.yaw_rate_rad_s
-    high = (1.0 - limits.margin) * np.array([lean, lean, side, side, up, rate, rate, yaw_rate, FAR])
+    high = (1.0 - limits.margin) * np.array([tilt, tilt, side, side, up, rate, rate, yaw_rate, FAR])
     low = -high
     high[-1] = FAR
     return low, high

@@ -1,6 +1,6 @@
 """U1..U4 to what each motor is commanded: eq. 5 backwards, within what the rotors can do.
 
-When a rotor would go beyond its range the thrust of all is shifted, since leaning matters more than height
+When a rotor would go beyond its range the thrust of all is shifted, since tilt matters more than height
 and yaw. The motors' lag is made up for in part: a command that is further off than the thrust wanted brings
 it there sooner.
 """
@@ -17,7 +17,7 @@ from companion.research.model.quadrotor import QuadrotorModel
 Four = tuple[float, float, float, float]
 
 
-class Mixer:
+class ThrustMixer:
     """One airframe's mixer; keeps what its motors are taken to give now.
 
     `flown`: U (4,) that they are taken to give on the mean over the period that the last command begins.

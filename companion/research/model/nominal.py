@@ -1,7 +1,7 @@
 """What the 12-state model has to do to fly a reference: the trajectory that it is linearised along.
 
 A multirotor's position and heading are flat outputs: position, velocity and acceleration with the push of
-the air give lean and thrust, their changes give rates and torques. Axes: the paper's z-up ones, SI units.
+the air give tilt and thrust, their changes give rates and torques. Axes: the paper's z-up ones, SI units.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ NO_PUSH: FloatArray = np.zeros(6)
 
 
 @dataclass(frozen=True)
-class Reference:
+class HorizonReference:
     """Rows 0..N of position (m), velocity (m/s) and acceleration (m/s²), each (N + 1, 3), and the heading."""
 
     position_m: FloatArray
@@ -44,7 +44,9 @@ class Nominal:
     remainder: FloatArray
 
 
-def along(reference: Reference, model: QuadrotorModel, step_s: float, push: FloatArray = NO_PUSH) -> Nominal:
+def along(
+    reference: HorizonReference, model: QuadrotorModel, step_s: float, push: FloatArray = NO_PUSH
+) -> Nominal:
     """The flat trajectory of a reference.
 
     Args:
@@ -67,7 +69,7 @@ def push_effect(push: FloatArray, step_s: float) -> FloatArray:
     return effect
 
 
-def _states(reference: Reference, step_s: float, push: FloatArray) -> FloatArray:
+def _states(reference: HorizonReference, step_s: float, push: FloatArray) -> FloatArray:
     force = reference.acceleration_m_s2 - push[:3]
     cp, sp = np.cos(reference.heading_rad), np.sin(reference.heading_rad)
     forward, left = cp * force[:, 0] + sp * force[:, 1], cp * force[:, 1] - sp * force[:, 0]

@@ -42,7 +42,7 @@ class AngleGains(StrictModel):
     derivative: float = Field(ge=0.0, le=2.0)  # angular acceleration asked for one of the measured rate's
 
 
-class PidGains(StrictModel):
+class CascadeGains(StrictModel):
     """A whole cascade, as configs/control/*.yaml has it."""
 
     horizontal: AxisGains
@@ -54,13 +54,13 @@ class PidGains(StrictModel):
     largest_rate_integral_rad_s2: float = Field(default=10.0, ge=0.0, le=200.0)
 
 
-def load_gains(name: str | Path) -> PidGains:
+def load_gains(name: str | Path) -> CascadeGains:
     """Gains by name (from configs/control) or path.
 
     Raises:
         ConfigError: the file is missing, not YAML, or a gain is out of range.
     """
-    return load_model(PidGains, find_file("control", name))
+    return load_model(CascadeGains, find_file("control", name))
 
 
 class PositionPid:
@@ -106,7 +106,7 @@ class PositionPid:
 class AttitudePid:
     """Commanded acceleration and heading to U1..U4 of one airframe, in the paper's z-up axes."""
 
-    def __init__(self, gains: PidGains, model: QuadrotorModel, largest_tilt_rad: float) -> None:
+    def __init__(self, gains: CascadeGains, model: QuadrotorModel, largest_tilt_rad: float) -> None:
         self._gains = (gains.lean, gains.lean, gains.heading)
         self._largest = gains.largest_rate_integral_rad_s2
         self._filter_s = gains.derivative_filter_s
@@ -117,7 +117,7 @@ class AttitudePid:
         self._slope = [0.0, 0.0, 0.0]
 
     def limited(self, acceleration_m_s2: Vector3) -> Vector3:
-        """The acceleration that the lean and the thrust allow; what carries the vehicle goes before."""
+        """The acceleration that tilt and thrust allow; what carries the vehicle goes before."""
         ax, ay, az = acceleration_m_s2
         most = 0.95 * 4.0 * self._model.full_rotor_thrust_n / self._model.mass_kg
         lift = min(max(az + GRAVITY_M_S2, 0.3 * GRAVITY_M_S2), most)
@@ -161,7 +161,7 @@ class AttitudePid:
 class CascadedPid:
     """The whole cascade on the paper's 12 states."""
 
-    def __init__(self, gains: PidGains, model: QuadrotorModel, largest_tilt_rad: float) -> None:
+    def __init__(self, gains: CascadeGains, model: QuadrotorModel, largest_tilt_rad: float) -> None:
         self._outer = PositionPid(gains.horizontal, gains.vertical, gains.largest_integral_m_s2)
         self._inner = AttitudePid(gains, model, largest_tilt_rad)
 

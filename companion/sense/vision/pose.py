@@ -6,7 +6,7 @@ starting point (levelled, the pose is a similarity, which has a single, linear s
 fit as a weak measurement. Without it the better of the two planar solutions (IPPE) starts the fit.
 
 A rolling shutter exposes rows one after another, so that what moves through the image is bent: sideways
-motion shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a lean of half a
+motion shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a tilt of half a
 degree. The fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the
 readout, which what is known of the motion bounds: a camera that turns at 0.5 rad/s sees what is 8 m off pass
 at 4 m/s, and its gyroscope tells how it turns. The position holds at the time of the mean row of the
@@ -60,8 +60,8 @@ APPROACH_PER_S: Final = 0.2
 PRIOR_MISSES: Final = 20.0
 # a blurred marker that is large in the image may miss by this share of its side
 RELATIVE_ERROR: Final = 0.03
-# what leans from the level by more than this many standard deviations is not our pad
-MAXIMUM_LEAN_SIGMA: Final = 4.0
+# a pad whose tilt is more than this many standard deviations is not our pad
+MAXIMUM_TILT_SIGMA: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ def estimate_pose(
         limits = [max(config.maximum_reprojection_error_px, RELATIVE_ERROR * d.side_px) for d in candidates]
         excess = np.sqrt((errors_px**2).mean(axis=1)) / limits
         if excess.max() <= 1.0:
-            return None if _leans(problem, fit) else _accept(problem, fit, candidates, errors_px, config)
+            return None if _is_tilted(problem, fit) else _accept(problem, fit, candidates, errors_px, config)
         del candidates[int(np.argmax(excess))]
     return None
 
@@ -211,11 +211,11 @@ def _accept(
     return PoseFit(fit.position, fit.rotation, covariance, row_px, tuple(used), rms_px, common)
 
 
-def _leans(problem: _Problem, fit: _Fit) -> bool:
+def _is_tilted(problem: _Problem, fit: _Fit) -> bool:
     if problem.down is None:
         return False
-    lean = math.acos(min(1.0, max(-1.0, float(fit.rotation[:, 2] @ problem.down))))
-    return lean > MAXIMUM_LEAN_SIGMA * problem.level_sigma
+    tilt_rad = math.acos(min(1.0, max(-1.0, float(fit.rotation[:, 2] @ problem.down))))
+    return tilt_rad > MAXIMUM_TILT_SIGMA * problem.level_sigma
 
 
 def _fit(problem: _Problem) -> _Fit | None:
@@ -293,9 +293,9 @@ def _normal_equations(
     information = white.T @ white
     gradient = white.T @ missed
     if problem.down is not None:
-        axis, level = rotation[:, 2], problem.level_sigma**-2
-        information[3:6, 3:6] += level * (np.eye(3) - np.outer(axis, axis))
-        gradient[3:6] += level * np.array(cross(vector3(axis), vector3(problem.down)))
+        axis, weight = rotation[:, 2], problem.level_sigma**-2
+        information[3:6, 3:6] += weight * (np.eye(3) - np.outer(axis, axis))
+        gradient[3:6] += weight * np.array(cross(vector3(axis), vector3(problem.down)))
     information[6:, 6:] += np.diag(problem.weight)
     gradient[6:] -= problem.weight * unexpected
     return information, gradient

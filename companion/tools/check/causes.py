@@ -28,7 +28,7 @@ from companion.base.geometry import (
 )
 from companion.tools.check.judge import Part, height_by_camera
 from companion.tools.check.moves import Move, down_by_force
-from companion.tools.check.rest import Rest
+from companion.tools.check.rest import StandstillMeans
 
 QUARTERS_DEG: Final = (0.0, 90.0, 180.0, -90.0)
 SNAP_DEG: Final = 20.0  # nearer to a quarter turn than this is one
@@ -59,8 +59,8 @@ class Mounting:
 class Evidence:
     """What has been measured so far: pairs of what was asked (a unit vector) and the moves."""
 
-    low: Rest | None = None
-    high: Rest | None = None
+    low: StandstillMeans | None = None
+    high: StandstillMeans | None = None
     lift: tuple[Move, Move] | None = None  # camera, IMU
     shifts: list[tuple[Vector3, Move, Move]] = field(default_factory=list)
     turns: list[tuple[Vector3, Move, Move]] = field(default_factory=list)

@@ -23,7 +23,7 @@ from companion.tools.check.wizard import Report
 HELP: Final = """Check, before a first flight, that right is right, forward is forward and down is down.
 
 With --pad: take the propellers off, keep the vehicle disarmed and hold it over the pad. You are told what to
-do (hold, raise, move right and forward, turn, lean), each move is recognised by itself, and camera, IMU,
+do (hold, raise, move right and forward, turn, tilt), each move is recognised by itself, and camera, IMU,
 ultrasonic and compass are held against it and against one another. What is wrong is named with the setting
 that mends it. Exit code 0: all well, 1: something is not, 2: it could not be checked.
 

@@ -22,7 +22,7 @@ from companion.base.geometry import (
     subtract,
 )
 from companion.tools.check.moves import Move, carried_along, down_by_force, down_by_pad
-from companion.tools.check.rest import Rest
+from companion.tools.check.rest import StandstillMeans
 
 # what may be to blame for a finding
 Part = Literal[
@@ -41,8 +41,8 @@ DIP_RAD: Final = math.radians(25.0)
 COMPASS_TURN: Final = (math.radians(10.0), 0.3)
 GRAVITY_SHARE: Final = 0.15  # 60 mg and 3 % by the data sheet, and a hand
 # what gravity and field may be off, by sensors that nobody has calibrated, after a turn by the gyroscope
-HORIZON_LEAN: Final = (math.radians(5.0), 0.3)
-COMPASS_LEAN: Final = (math.radians(10.0), 0.5)
+HORIZON_TILT: Final = (math.radians(5.0), 0.3)
+COMPASS_TILT: Final = (math.radians(10.0), 0.5)
 LEAST_IMU_WAY_M: Final = 0.08  # a shorter way has no direction, integrated twice
 
 
@@ -74,7 +74,7 @@ def angle_between(a: Vector3, b: Vector3) -> float:
 # ---------------------------------------------------------------- at rest
 
 
-def judge_level(rest: Rest) -> Finding:
+def judge_level(rest: StandstillMeans) -> Finding:
     """Level reads level by the accelerometer, and gravity is as large as it is."""
     x, y, z = down_by_force(rest)
     roll, pitch = math.degrees(math.atan2(y, z)), math.degrees(math.atan2(-x, math.hypot(y, z)))
@@ -86,7 +86,7 @@ def judge_level(rest: Rest) -> Finding:
     return Finding("level is level", told, () if good else ("imu",), values)
 
 
-def judge_pad_level(rest: Rest, *, imu_is_level: bool = True) -> Finding:
+def judge_pad_level(rest: StandstillMeans, *, imu_is_level: bool = True) -> Finding:
     """Camera and accelerometer agree about down, over a pad that lies level."""
     apart = angle_between(down_by_force(rest), down_by_pad(rest))
     told = f"down by the pad and by the accelerometer are {math.degrees(apart):.1f}° apart"
@@ -95,7 +95,7 @@ def judge_pad_level(rest: Rest, *, imu_is_level: bool = True) -> Finding:
     return Finding("camera and horizon agree", told, () if apart < PAD_LEVEL_RAD else blamed, values)
 
 
-def judge_height(rest: Rest, range_position_body_m: Vector3, place: str) -> Finding:
+def judge_height(rest: StandstillMeans, range_position_body_m: Vector3, place: str) -> Finding:
     """The camera's height over the pad against the ultrasonic's."""
     name = f"height, {place}"
     height_m = height_by_camera(rest, range_position_body_m)
@@ -107,12 +107,12 @@ def judge_height(rest: Rest, range_position_body_m: Vector3, place: str) -> Find
     return Finding(name, told, () if good else ("scale",), values)
 
 
-def height_by_camera(rest: Rest, range_position_body_m: Vector3) -> float:
+def height_by_camera(rest: StandstillMeans, range_position_body_m: Vector3) -> float:
     """Height (m) of the ultrasonic over the pad's plane, by the camera."""
     return dot(down_by_pad(rest), subtract(rest.pad_position_body_m, range_position_body_m))
 
 
-def judge_compass(rest: Rest, field_ned_ut: Vector3) -> Finding:
+def judge_compass(rest: StandstillMeans, field_ned_ut: Vector3) -> Finding:
     """A field of about the earth's strength, that dips about as it does; nothing finer than gross."""
     if rest.field_ut is None:
         return Finding("compass", "no samples of the magnetometer", ("compass",))
@@ -157,7 +157,7 @@ def judge_turn(name: str, asked: Vector3, camera: Move, imu: Move, *, imu_is_lev
     return Finding(name, told, blamed, values)
 
 
-def judge_compass_turn(before: Rest, after: Rest, imu: Move) -> Finding:
+def judge_compass_turn(before: StandstillMeans, after: StandstillMeans, imu: Move) -> Finding:
     """The compass follows a turn of the heading as the gyroscope does."""
     name = "compass turns along"
     if before.field_ut is None or after.field_ut is None:
@@ -170,40 +170,41 @@ def judge_compass_turn(before: Rest, after: Rest, imu: Move) -> Finding:
     return Finding(name, told, () if good else ("compass",), values)
 
 
-def judge_lean(
-    step: str, before: Rest, after: Rest, imu: Move, *, compass_is_good: bool = True
+def judge_tilt(
+    step: str, before: StandstillMeans, after: StandstillMeans, imu: Move, *, compass_is_good: bool = True
 ) -> list[Finding]:
-    """Gravity and the field lean against the body as the gyroscope says it leaned.
+    """Gravity and the field turn in body axes as the gyroscope says that the body was tilted.
 
-    A turn about the vertical shows the compass's level part alone, and that in its own axes: one that sits
-    turned on its axis turns along all the same, and has every heading wrong. It leans otherwise; so does one
-    that has been found disturbed (not `compass_is_good`), of whose axes nothing can be said.
+    A turn about the vertical shows the compass's horizontal part alone, and that in its own axes: one that
+    sits turned on its axis turns along all the same, and has every heading wrong. Tilted, it follows another
+    axis; so does one that has been found disturbed (not `compass_is_good`), of whose axes nothing can be
+    said.
     """
-    leaned = norm(imu.rotation_rad)
+    tilted = norm(imu.rotation_rad)
     off = angle_between(carried_along(down_by_force(before), imu.rotation_rad), down_by_force(after))
-    findings = [_leant("accelerometer", step, off, leaned, HORIZON_LEAN, "imu")]
+    findings = [_tilt_finding("accelerometer", step, off, tilted, HORIZON_TILT, "imu")]
     if before.field_ut is not None and after.field_ut is not None:
         off = angle_between(carried_along(before.field_ut, imu.rotation_rad), after.field_ut)
         part: Part = "compass axes" if compass_is_good else "compass"
-        findings.append(_leant("compass", step, off, leaned, COMPASS_LEAN, part))
+        findings.append(_tilt_finding("compass", step, off, tilted, COMPASS_TILT, part))
     return findings
 
 
-def _leant(
-    sensor: str, step: str, off: float, leaned: float, tolerance: tuple[float, float], blamed: Part
+def _tilt_finding(
+    sensor: str, step: str, off: float, tilted: float, tolerance: tuple[float, float], blamed: Part
 ) -> Finding:
     least, share = tolerance
-    off_deg, leaned_deg = math.degrees(off), math.degrees(leaned)
+    off_deg, tilted_deg = math.degrees(off), math.degrees(tilted)
     return Finding(
-        f"{sensor} leans along, {step}",
-        f"{off_deg:.0f}° off what the gyroscope's {leaned_deg:.0f}° make of it",
-        () if off <= max(least, share * leaned) else (blamed,),
-        {"off_deg": off_deg, "leaned_deg": leaned_deg},
+        f"{sensor} tilts along, {step}",
+        f"{off_deg:.0f}° off what the gyroscope's {tilted_deg:.0f}° make of it",
+        () if off <= max(least, share * tilted) else (blamed,),
+        {"off_deg": off_deg, "tilted_deg": tilted_deg},
     )
 
 
-def _turned_about_down(before: Rest, after: Rest) -> float:
-    """By how much (rad, clockwise seen from above) the body has turned under the field's level part.
+def _turned_about_down(before: StandstillMeans, after: StandstillMeans) -> float:
+    """By how much (rad, clockwise seen from above) the body has turned under the field's horizontal part.
 
     Field and gravity are the same chip's, so its mounting does not matter.
     """

@@ -39,7 +39,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import ImuSample
-from companion.tools.check.rest import LEAST_IMU_SAMPLES, REST_S, Rest
+from companion.tools.check.rest import LEAST_IMU_SAMPLES, REST_S, StandstillMeans
 
 DOWN: Vector3 = (0.0, 0.0, 1.0)
 
@@ -52,12 +52,12 @@ class Move:
     displacement_m: Vector3
 
 
-def down_by_force(rest: Rest) -> Vector3:
+def down_by_force(rest: StandstillMeans) -> Vector3:
     """Where down is in body axes, by the accelerometer."""
     return scale(rest.force_m_s2, -1.0 / max(norm(rest.force_m_s2), 1e-6))
 
 
-def down_by_pad(rest: Rest) -> Vector3:
+def down_by_pad(rest: StandstillMeans) -> Vector3:
     """Where down is in body axes, by a pad that lies level."""
     return quat_rotate(rest.body_from_pad, DOWN)
 
@@ -74,7 +74,7 @@ def levelled(down_body: Vector3) -> Quaternion:
     return quat_normalise((w, x, y, z)) if w > 1e-6 else (0.0, 1.0, 0.0, 0.0)
 
 
-def camera_move(before: Rest, after: Rest) -> Move:
+def camera_move(before: StandstillMeans, after: StandstillMeans) -> Move:
     """By the pad, which stands still."""
     turned = quat_multiply(before.body_from_pad, quat_conjugate(after.body_from_pad))
     moved_pad = subtract(_place_on_pad(after), _place_on_pad(before))
@@ -82,15 +82,17 @@ def camera_move(before: Rest, after: Rest) -> Move:
     return Move(rotation_vector_from_quat(turned), quat_rotate(levelled(down_by_pad(before)), moved_body))
 
 
-def _place_on_pad(rest: Rest) -> Vector3:
+def _place_on_pad(rest: StandstillMeans) -> Vector3:
     """Where the vehicle is, in the pad's axes (m)."""
     return quat_rotate_inverse(rest.body_from_pad, scale(rest.pad_position_body_m, -1.0))
 
 
-def imu_move(before: Rest, after: Rest, imu: Sequence[ImuSample], rate_bias_rad_s: Vector3) -> Move:
+def imu_move(
+    before: StandstillMeans, after: StandstillMeans, imu: Sequence[ImuSample], rate_bias_rad_s: Vector3
+) -> Move:
     """By gyroscope and accelerometer.
 
-    What the gyroscope's zero is off by would lean the horizon in the course of a move, and gravity would
+    What the gyroscope's zero is off by would tilt the horizon in the course of a move, and gravity would
     pass for acceleration; so for the displacement, not for the rotation, the horizons at both ends are
     made to fit: what is between them is taken as a further bias.
 
@@ -107,8 +109,8 @@ def imu_move(before: Rest, after: Rest, imu: Sequence[ImuSample], rate_bias_rad_
         return Move(ZERO3, ZERO3)
     turned = _attitudes(imu, rate_bias_rad_s)[-1]
     down = down_by_force(before)
-    lean = cross(quat_rotate(turned, down_by_force(after)), down)
-    bias = subtract(rate_bias_rad_s, scale(lean, 1.0 / (imu[-1].time_s - imu[0].time_s)))
+    tilt = cross(quat_rotate(turned, down_by_force(after)), down)
+    bias = subtract(rate_bias_rad_s, scale(tilt, 1.0 / (imu[-1].time_s - imu[0].time_s)))
     level = levelled(down)
     forces = [
         quat_rotate(quat_multiply(level, attitude), sample.specific_force_body_m_s2)

@@ -24,7 +24,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.base.messages import PadSighting
-from companion.tools.check.samples import Samples, within
+from companion.tools.check.samples import RecentSamples, within
 
 REST_S: Final = 1.2
 LEAST_SIGHTINGS: Final = 6
@@ -38,7 +38,7 @@ MOST_STRAYS: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class StandstillMeans:
     """Means over a time at rest.
 
     The pad's pose is by the camera (`body_from_pad` turns pad axes into body axes). `range_m` is the median
@@ -55,7 +55,7 @@ class Rest:
     field_ut: Vector3 | None
 
 
-def find_rest(samples: Samples, now_s: float) -> Rest | None:
+def find_rest(samples: RecentSamples, now_s: float) -> StandstillMeans | None:
     """The vehicle at rest over the last REST_S, if it was, in sight of the pad and with its IMU alive."""
     sightings = within(samples.sightings, now_s - REST_S - OLDEST_SIGHTING_S, now_s)
     if not sightings or now_s - sightings[-1].time_s > OLDEST_SIGHTING_S:
@@ -67,7 +67,7 @@ def find_rest(samples: Samples, now_s: float) -> Rest | None:
         return None
     ranges = [s.distance_m for s in within(samples.range, end_s - REST_S, end_s)]
     fields = [s.field_body_ut for s in within(samples.mag, end_s - REST_S, end_s)]
-    return Rest(
+    return StandstillMeans(
         start_s=end_s - REST_S,
         end_s=end_s,
         pad_position_body_m=pose[0],

@@ -23,7 +23,7 @@ MEMORY_S: Final = 120.0  # longer than a move may take
 Sample = TypeVar("Sample", ImuSample, MagSample, PadSighting, RangeSample)
 
 
-class Samples:
+class RecentSamples:
     """Takes samples, forgets old ones, and hands out those of a time."""
 
     def __init__(self) -> None:

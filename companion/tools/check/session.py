@@ -38,7 +38,7 @@ from companion.sense.vision.pipeline import Vision
 from companion.tools.check.causes import Mounting
 from companion.tools.check.eyes import CheckingEyes
 from companion.tools.check.picture import draw
-from companion.tools.check.samples import Samples
+from companion.tools.check.samples import RecentSamples
 from companion.tools.check.steps import Say
 from companion.tools.check.wizard import Report, Wizard
 
@@ -68,7 +68,7 @@ class PadCheck:
         outlets: Outlets,
         *,
         linked: bool = True,
-        samples: Samples | None = None,
+        samples: RecentSamples | None = None,
     ) -> None:
         """Wire it; `linked`: an autopilot is there and has to be disarmed. `samples`: where they are kept.
 
@@ -82,7 +82,7 @@ class PadCheck:
         self._pad = load_pad(config.pad)
         self._vision = Vision(self._pad, camera, vehicle, config.sense.vision)
         self._eyes = CheckingEyes(self._vision)
-        self._samples = Samples() if samples is None else samples
+        self._samples = RecentSamples() if samples is None else samples
         by_telemetry = config.sense.source == "autopilot"
         self._session = Session(config.link, config.sense if by_telemetry else None)
         self._transport, self._frames = hardware.transport, hardware.frames

@@ -12,7 +12,7 @@ SayKind = Literal["order", "good", "bad", "note"]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class RequestedMove:
     """A move that is asked for: along (or about, for a turn) `axis`, in the vehicle's own axes, FRD."""
 
     name: str
@@ -22,12 +22,20 @@ class Step:
 
 
 STEPS: Final = (
-    Step("up is up", "lift", (0.0, 0.0, -1.0), "Raise it straight up by half a metre and hold it still"),
-    Step("right is right", "shift", (0.0, 1.0, 0.0), "Move it to its right by 20 cm and hold it still"),
-    Step("forward is forward", "shift", (1.0, 0.0, 0.0), "Move it forward by 20 cm and hold it still"),
-    Step("turn right", "turn", (0.0, 0.0, 1.0), "Turn its nose to the right by 45° and hold it still"),
-    Step("roll right", "turn", (1.0, 0.0, 0.0), "Lean it to the right by 15° and hold it still"),
-    Step("nose up", "turn", (0.0, 1.0, 0.0), "Raise its nose by 15° and hold it still"),
+    RequestedMove(
+        "up is up", "lift", (0.0, 0.0, -1.0), "Raise it straight up by half a metre and hold it still"
+    ),
+    RequestedMove(
+        "right is right", "shift", (0.0, 1.0, 0.0), "Move it to its right by 20 cm and hold it still"
+    ),
+    RequestedMove(
+        "forward is forward", "shift", (1.0, 0.0, 0.0), "Move it forward by 20 cm and hold it still"
+    ),
+    RequestedMove(
+        "turn right", "turn", (0.0, 0.0, 1.0), "Turn its nose to the right by 45° and hold it still"
+    ),
+    RequestedMove("roll right", "turn", (1.0, 0.0, 0.0), "Roll it to the right by 15° and hold it still"),
+    RequestedMove("nose up", "turn", (0.0, 1.0, 0.0), "Raise its nose by 15° and hold it still"),
 )
 START_ORDER: Final = "Hold it level and still, half a metre over the middle of the pad"
 BACK_ORDER: Final = "Bring it back, level over the middle of the pad, and hold it still"

@@ -25,16 +25,16 @@ from companion.tools.check.judge import (
     judge_compass,
     judge_compass_turn,
     judge_height,
-    judge_lean,
     judge_level,
     judge_pad_level,
     judge_shift,
+    judge_tilt,
     judge_turn,
 )
 from companion.tools.check.moves import Move, camera_move, imu_move, longest_gap_s
-from companion.tools.check.rest import LEAST_IMU_SAMPLES, REST_S, Rest, find_rest
-from companion.tools.check.samples import Samples, within
-from companion.tools.check.steps import BACK_ORDER, START_ORDER, STEPS, Kind, Say, SayKind, Step
+from companion.tools.check.rest import LEAST_IMU_SAMPLES, REST_S, StandstillMeans, find_rest
+from companion.tools.check.samples import RecentSamples, within
+from companion.tools.check.steps import BACK_ORDER, START_ORDER, STEPS, Kind, RequestedMove, Say, SayKind
 
 STEP_TIMEOUT_S: Final = 60.0
 REMINDER_S: Final = 15.0
@@ -54,7 +54,7 @@ SETTLED_S: Final = 0.6
 FIRST_REST_S: Final = 2.0 * REST_S
 
 
-class Stage(StrEnum):
+class CheckStage(StrEnum):
     """Where the check is."""
 
     START = "start"
@@ -80,7 +80,7 @@ class Wizard:
     """One check. `order` is what the person is asked to do now."""
 
     def __init__(self, mounting: Mounting, now_s: float) -> None:
-        self.stage = Stage.START
+        self.stage = CheckStage.START
         self.order = START_ORDER
         self.axis: tuple[Kind, Vector3] | None = None
         self._mounting = mounting
@@ -88,19 +88,21 @@ class Wizard:
         self._findings: list[Finding] = []
         self._said: list[Say] = []
         self._number = self._upcoming = self._repeats = 0
-        self._base: Rest | None = None  # the last rest that counted
-        self._departing: deque[Rest] = deque(maxlen=50)  # rests that are still there, the newest last
+        self._base: StandstillMeans | None = None  # the last rest that counted
+        self._departing: deque[StandstillMeans] = deque(
+            maxlen=50
+        )  # rests that are still there, the newest last
         self._arrived_s = math.inf
         self._imu_is_level = True
-        self._away_from: Rest | None = None
-        self._rests: list[Rest] = []  # apart from one another, for the gyroscope's zero
+        self._away_from: StandstillMeans | None = None
+        self._rests: list[StandstillMeans] = []  # apart from one another, for the gyroscope's zero
         self._started_s = self._missing_told_s = self._asked_s = self._reminded_s = now_s
         self._ask(START_ORDER, now_s)
 
     @property
     def finished(self) -> bool:
         """Whether all has been asked."""
-        return self.stage is Stage.END
+        return self.stage is CheckStage.END
 
     def report(self) -> Report:
         """What has been found so far."""
@@ -111,7 +113,7 @@ class Wizard:
         }
         return Report(tuple(self._findings), causes)
 
-    def step(self, samples: Samples, now_s: float, *, mirrored: bool = False) -> list[Say]:
+    def step(self, samples: RecentSamples, now_s: float, *, mirrored: bool = False) -> list[Say]:
         """Look at the samples and go on; returns what is to be said.
 
         `mirrored`: the pad has been seen in the mirror image of the frames, and not in the frames.
@@ -129,12 +131,12 @@ class Wizard:
 
     # ------------------------------------------------------------ rests
 
-    def _take_rest(self, rest: Rest, samples: Samples, now_s: float) -> None:
+    def _take_rest(self, rest: StandstillMeans, samples: RecentSamples, now_s: float) -> None:
         match self.stage:
-            case Stage.START:
+            case CheckStage.START:
                 if now_s - self._started_s >= FIRST_REST_S:
                     self._start_from(rest, now_s)
-            case Stage.OUT:
+            case CheckStage.OUT:
                 assert self._base is not None
                 if not self._is_elsewhere(self._base, rest, BACK_SHARE):
                     self._departing.append(rest)
@@ -143,13 +145,13 @@ class Wizard:
                     self._arrived_s = min(self._arrived_s, now_s)
                     if now_s - self._arrived_s >= SETTLED_S:
                         self._judge(self._departure(), rest, samples, now_s)
-            case Stage.BACK:
+            case CheckStage.BACK:
                 assert self._away_from is not None
                 if self._is_elsewhere(self._away_from, rest, BACK_SHARE):
                     self._base = rest
                     self._go_out(self._upcoming, now_s)
 
-    def _start_from(self, rest: Rest, now_s: float) -> None:
+    def _start_from(self, rest: StandstillMeans, now_s: float) -> None:
         mounting = self._mounting
         self._evidence.low = self._base = rest
         level = judge_level(rest)
@@ -160,21 +162,21 @@ class Wizard:
         self._found(judge_height(rest, mounting.range_position_body_m, "low"))
         self._go_out(0, now_s)
 
-    def _is_elsewhere(self, before: Rest, after: Rest, share: float) -> bool:
+    def _is_elsewhere(self, before: StandstillMeans, after: StandstillMeans, share: float) -> bool:
         """Whether a rest is another one than before, by a share of what the step's move has at least."""
         move, kind = camera_move(before, after), STEPS[self._number].kind
         if kind == "turn":
             return norm(move.rotation_rad) >= share * LEAST_TURN_RAD
         return norm(move.displacement_m) >= share * (LEAST_LIFT_M if kind == "lift" else LEAST_SHIFT_M)
 
-    def _departure(self) -> Rest:
+    def _departure(self) -> StandstillMeans:
         """The newest rest before the move (the less is integrated) that the move's beginning is not in."""
         assert self._base is not None
         newest_s = self._departing[-1].end_s if self._departing else -math.inf
         settled = (rest for rest in reversed(self._departing) if rest.end_s <= newest_s - SETTLED_S)
         return next(settled, self._base)
 
-    def _note_rest(self, rest: Rest) -> None:
+    def _note_rest(self, rest: StandstillMeans) -> None:
         if not self._rests or rest.start_s >= self._rests[-1].end_s:
             self._rests.append(rest)
 
@@ -187,7 +189,9 @@ class Wizard:
 
     # ------------------------------------------------------------ a step
 
-    def _judge(self, before: Rest, after: Rest, samples: Samples, now_s: float) -> None:
+    def _judge(
+        self, before: StandstillMeans, after: StandstillMeans, samples: RecentSamples, now_s: float
+    ) -> None:
         step = STEPS[self._number]
         imu = within(samples.imu, before.start_s, after.end_s)
         moves = camera_move(before, after), imu_move(before, after, imu, self._rate_bias())
@@ -210,7 +214,9 @@ class Wizard:
         else:
             self._bring_back(after, self._number + 1, now_s)
 
-    def _keep(self, step: Step, before: Rest, after: Rest, moves: tuple[Move, Move]) -> None:
+    def _keep(
+        self, step: RequestedMove, before: StandstillMeans, after: StandstillMeans, moves: tuple[Move, Move]
+    ) -> None:
         """A step's moves as evidence, and the answers that come with it."""
         match step.kind:
             case "lift":
@@ -221,16 +227,18 @@ class Wizard:
             case "turn":
                 self._evidence.turns.append((step.axis, *moves))
 
-    def _compare(self, step: Step, before: Rest, after: Rest, imu: Move) -> None:
+    def _compare(
+        self, step: RequestedMove, before: StandstillMeans, after: StandstillMeans, imu: Move
+    ) -> None:
         """A turn that the gyroscope has right, by the compass and the accelerometer."""
         if step.axis[2] != 0.0:
             self._found(judge_compass_turn(before, after, imu))
         else:
             good = not any("compass" in finding.blamed for finding in self._findings)
-            for finding in judge_lean(step.name, before, after, imu, compass_is_good=good):
+            for finding in judge_tilt(step.name, before, after, imu, compass_is_good=good):
                 self._found(finding)
 
-    def _finding(self, step: Step, moves: tuple[Move, Move], gap_s: float) -> Finding:
+    def _finding(self, step: RequestedMove, moves: tuple[Move, Move], gap_s: float) -> Finding:
         """The answer to a step, moved so by camera and IMU, the IMU with a gap of so long."""
         if gap_s > LONGEST_GAP_S:
             return Finding(step.name, f"samples of the IMU are missing for {gap_s:.2f} s", ("loss",))
@@ -243,23 +251,23 @@ class Wizard:
         if number == len(STEPS):
             self._end()
             return
-        self.stage, self._arrived_s = Stage.OUT, math.inf
+        self.stage, self._arrived_s = CheckStage.OUT, math.inf
         self._departing.clear()
         self.axis = (STEPS[number].kind, STEPS[number].axis)
         self._ask(STEPS[number].order, now_s)
 
-    def _bring_back(self, away: Rest, upcoming: int, now_s: float) -> None:
+    def _bring_back(self, away: StandstillMeans, upcoming: int, now_s: float) -> None:
         """Ask for the way back; nothing is judged on it."""
         self._away_from, self._upcoming = away, upcoming
         if upcoming == len(STEPS):
             self._end()
             return
-        self.stage, self.axis = Stage.BACK, None
+        self.stage, self.axis = CheckStage.BACK, None
         self._ask(BACK_ORDER, now_s)
 
     # ------------------------------------------------------------ time
 
-    def _watch(self, samples: Samples, now_s: float) -> None:
+    def _watch(self, samples: RecentSamples, now_s: float) -> None:
         """Remind, tell what is missing, and go on when it takes too long."""
         if self.finished:
             return
@@ -276,9 +284,9 @@ class Wizard:
     def _give_up(self, why: str, now_s: float) -> None:
         """Go on without the step; without the first rest there is nothing to go on with."""
         told = f"not done within {STEP_TIMEOUT_S:g} s: {why}"
-        if self.stage is Stage.START:
+        if self.stage is CheckStage.START:
             self._end_blind(told, "sight")
-        elif self.stage is Stage.OUT:
+        elif self.stage is CheckStage.OUT:
             self._found(Finding(STEPS[self._number].name, told, ("sight",)))
             self._go_out(self._number + 1, now_s)
         else:
@@ -290,7 +298,7 @@ class Wizard:
         self._end()
 
     def _end(self) -> None:
-        self.stage, self.order, self.axis = Stage.END, "", None
+        self.stage, self.order, self.axis = CheckStage.END, "", None
 
     # ------------------------------------------------------------ words
 
@@ -307,7 +315,7 @@ class Wizard:
         self._said.append(Say(text, kind))
 
 
-def missing_part(samples: Samples, now_s: float) -> str | None:
+def missing_part(samples: RecentSamples, now_s: float) -> str | None:
     """What keeps a rest from being found, in words; None when the sensors are there."""
     if not within(samples.sightings, now_s - UNSEEN_S, now_s):
         return "the pad is not seen: hold the camera over it, further up or down, and look at the light"

@@ -15,7 +15,7 @@ from companion.base.page import ENDINGS, png_dpi, save
 from companion.base.paper import PaperName
 from companion.config import CameraConfig, ConfigError, find_file, load_model, validate
 from companion.pad import Pad, Sheet, checked, load_pad
-from companion.tools.pads.coverage import HOVER, Spread, predict
+from companion.tools.pads.coverage import HOVER, HoverSpread, predict
 from companion.tools.pads.printing import draw_pad
 from companion.tools.pads.report import TABLE_HEIGHTS_M, coverage_lines, coverage_table, draw_coverage
 
@@ -120,7 +120,7 @@ def _print(pad: Pad, output: Path, console: Console) -> None:
     _say(console, "print at 100 %, and hold a ruler against the one on the sheet")
 
 
-def _judge(pad: Pad, camera_name: str, spread: Spread, output: Path | None, console: Console) -> None:
+def _judge(pad: Pad, camera_name: str, spread: HoverSpread, output: Path | None, console: Console) -> None:
     if output is not None and (output.suffix.lower() != ".png" or not output.parent.is_dir()):
         raise ConfigError(f"-o {output}: expected a .png file in an existing folder")
     camera = load_model(CameraConfig, find_file("cameras", camera_name))

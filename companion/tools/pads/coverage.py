@@ -33,7 +33,7 @@ BLIND_RECALL: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Spread:
+class HoverSpread:
     """How the vehicle hovers over the pad: standard deviations about its middle, any heading.
 
     The offset grows with the height from what a touchdown misses by.
@@ -53,12 +53,12 @@ class Spread:
         )
 
 
-HOVER: Final = Spread()
+HOVER: Final = HoverSpread()
 SMALL_LENS: Final = Optics()
 
 
 @dataclass(frozen=True, slots=True)
-class Coverage:
+class PredictedRecall:
     """Predicted recall by height: of each group that the pad has (n,), and of the pad (n,)."""
 
     heights_m: FloatArray
@@ -79,18 +79,18 @@ class Coverage:
 def predict(
     pad: Pad,
     camera: CameraConfig,
-    spread: Spread = HOVER,
+    spread: HoverSpread = HOVER,
     heights_m: FloatArray | None = None,
     optics: Optics = SMALL_LENS,
     model: RecallModel = FITTED,
-) -> Coverage:
+) -> PredictedRecall:
     """Predict the recall at heights (n,), from 3 cm to 30 m if none are given."""
     heights = np.geomspace(LOWEST_M, HIGHEST_M, HEIGHTS) if heights_m is None else heights_m
     view = _View(pad, camera, spread, optics, model)
     missed = np.array([1.0 - view.read(height_m) for height_m in heights.tolist()])
     members = {g: np.array([m.group == g for m in pad.markers]) for g in GROUPS}
     groups = {g: 1.0 - missed[:, :, m].prod(axis=2).mean(axis=1) for g, m in members.items() if m.any()}
-    return Coverage(heights, groups, 1.0 - missed.prod(axis=2).mean(axis=1))
+    return PredictedRecall(heights, groups, 1.0 - missed.prod(axis=2).mean(axis=1))
 
 
 def seen_between(heights_m: FloatArray, recall: FloatArray, least: float) -> tuple[float, float]:
@@ -117,7 +117,7 @@ class _View:
     """The pad's markers in the image, from poses over the pad."""
 
     def __init__(
-        self, pad: Pad, camera: CameraConfig, spread: Spread, optics: Optics, model: RecallModel
+        self, pad: Pad, camera: CameraConfig, spread: HoverSpread, optics: Optics, model: RecallModel
     ) -> None:
         from scipy.stats import qmc  # noqa: PLC0415 - slow
 
@@ -143,7 +143,7 @@ class _View:
         return np.asarray(np.where(whole, self._model(cell_px, blur_px), 0.0))
 
 
-def _poses(draws: FloatArray, spread: Spread, height_m: float) -> tuple[FloatArray, FloatArray]:
+def _poses(draws: FloatArray, spread: HoverSpread, height_m: float) -> tuple[FloatArray, FloatArray]:
     """Camera-from-pad rotations (n, 3, 3) and the pad's middle in camera axes (n, 3), from draws (n, 5)."""
     normal = ndtri(np.clip(draws[:, :4], 1e-6, 1.0 - 1e-6))
     offset = np.hypot(spread.offset_m, spread.offset_share * height_m) * normal[:, :2]

@@ -14,7 +14,7 @@ from companion.base.messages import MarkerGroup
 from companion.config import CameraConfig, ConfigError
 from companion.pad import Pad
 from companion.sense.vision.aruco import GROUPS
-from companion.tools.pads.coverage import BLIND_RECALL, Coverage, seen_between
+from companion.tools.pads.coverage import BLIND_RECALL, PredictedRecall, seen_between
 
 TABLE_HEIGHTS_M: Final = (0.05, 0.08, 0.1, 0.15, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 15.0)
 TICKS_M: Final = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
@@ -23,7 +23,7 @@ COLOURS: Final[dict[MarkerGroup, str]] = {"F": "#c0392b", "M": "#27ae60", "C": "
 NAMES: Final[dict[MarkerGroup, str]] = {"F": "F (far)", "M": "M (medium)", "C": "C (close)"}
 
 
-def coverage_table(coverage: Coverage) -> Table:
+def coverage_table(coverage: PredictedRecall) -> Table:
     """Recall in per cent, a row a height."""
     made = Table(title="predicted recall (%) by height", title_justify="left")
     for name in ("m", *(NAMES[g] for g in GROUPS if g in coverage.groups), "pad"):
@@ -38,7 +38,7 @@ def coverage_table(coverage: Coverage) -> Table:
     return made
 
 
-def coverage_lines(coverage: Coverage) -> list[str]:
+def coverage_lines(coverage: PredictedRecall) -> list[str]:
     """From where to where each group and the pad are seen, the weakest height between, the blind height."""
     rows = [(f"  {NAMES[g]}", coverage.groups[g]) for g in GROUPS if g in coverage.groups]
     lines = [
@@ -56,7 +56,7 @@ def coverage_lines(coverage: Coverage) -> list[str]:
     return [*lines, f"blind height: {blind_words(coverage)} (there, seen in less than half of the frames)"]
 
 
-def blind_words(coverage: Coverage) -> str:
+def blind_words(coverage: PredictedRecall) -> str:
     """How low the pad is seen, where a prediction ends before it is blind: less than that."""
     return f"{'less than' if coverage.seen_at_the_lowest else 'below'} {100 * coverage.blind_height_m:.1f} cm"
 
@@ -70,7 +70,7 @@ def _span(heights_m: FloatArray, recall: FloatArray) -> str:
     return ", ".join(words)
 
 
-def draw_coverage(coverage: Coverage, pad: Pad, camera: CameraConfig, path: Path) -> None:
+def draw_coverage(coverage: PredictedRecall, pad: Pad, camera: CameraConfig, path: Path) -> None:
     """Recall over the height, a line for each group and the pad.
 
     Raises:

@@ -17,7 +17,7 @@ from calibration.magnetometer.live import Autopilot, Chip
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError, ImuConfig
-from companion.link.transport import memory_pair
+from companion.link.inbox import memory_pair
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT

@@ -15,11 +15,11 @@ from companion.app.hardware import Hardware
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
-from companion.link.transport import memory_pair
+from companion.link.inbox import memory_pair
 from companion.sense.camera.source import FrameSource
 from companion.sim.settings import SIMULATED_HARDWARE
 from companion.tools.check.causes import Mounting
-from companion.tools.check.samples import Samples
+from companion.tools.check.samples import RecentSamples
 from companion.tools.check.session import Outlets, PadCheck
 from companion.tools.check.steps import Say
 from companion.tools.check.wizard import Report
@@ -73,7 +73,7 @@ class ChangedFrames:
         """Nothing to give back."""
 
 
-class Heard(Samples):
+class Heard(RecentSamples):
     """Samples that also keep all of them in the order in which they came."""
 
     def __init__(self) -> None:
@@ -85,22 +85,22 @@ class Heard(Samples):
         self.all.append((self._clock.now_s(), sample))
 
     def add_imu(self, sample: ImuSample) -> None:
-        """See `Samples`."""
+        """See `RecentSamples`."""
         self._note(sample)
         super().add_imu(sample)
 
     def add_mag(self, sample: MagSample) -> None:
-        """See `Samples`."""
+        """See `RecentSamples`."""
         self._note(sample)
         super().add_mag(sample)
 
     def add_range(self, sample: RangeSample) -> None:
-        """See `Samples`."""
+        """See `RecentSamples`."""
         self._note(sample)
         super().add_range(sample)
 
     def add_sighting(self, sighting: PadSighting) -> None:
-        """See `Samples`."""
+        """See `RecentSamples`."""
         self._note(sighting)
         super().add_sighting(sighting)
 

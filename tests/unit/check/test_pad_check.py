@@ -24,7 +24,7 @@ from companion.base.geometry import (
 from companion.base.messages import Frame, ImuSample, MagSample, PadSighting, RangeSample
 from companion.config import ConfigError
 from companion.tools.check.report import cause_lines, report_json, verdict_line
-from companion.tools.check.samples import Samples
+from companion.tools.check.samples import RecentSamples
 from companion.tools.check.steps import STEPS, Say
 from companion.tools.check.wizard import STEP_TIMEOUT_S, Report, Wizard
 from tests.unit.check.hand_check import MOUNTING, Checked, check, mirrored, settings, vehicle_file
@@ -41,11 +41,11 @@ QUESTIONS = (
     "turn right",
     "compass turns along",
     "roll right",
-    "accelerometer leans along, roll right",
-    "compass leans along, roll right",
+    "accelerometer tilts along, roll right",
+    "compass tilts along, roll right",
     "nose up",
-    "accelerometer leans along, nose up",
-    "compass leans along, nose up",
+    "accelerometer tilts along, nose up",
+    "compass tilts along, nose up",
 )
 # of the simulated hand: ten seconds, two to rise, four of rest; then it goes to the right
 RIGHT_MOVE_S = 16.5
@@ -132,7 +132,7 @@ def test_an_armed_vehicle_is_refused() -> None:
 def again(change: Callable[[Any], Any | None], said: list[Say] | None = None) -> Report:
     """The check over the samples of a right vehicle, as other settings or sensors would have given them."""
     heard = [] if said is None else said
-    samples, wizard = Samples(), Wizard(MOUNTING, 0.0)
+    samples, wizard = RecentSamples(), Wizard(MOUNTING, 0.0)
     takers = {
         ImuSample: samples.add_imu,
         MagSample: samples.add_mag,
@@ -292,7 +292,7 @@ def test_a_strong_magnet_is_noticed() -> None:
     assert not any("COMPASS_ORIENT" in cause for cause in report.causes.values())
 
 
-LEANS = {"roll right", "nose up"}
+TILTS = {"roll right", "nose up"}
 
 
 @pytest.mark.parametrize("turned_deg", [45.0, 90.0, 180.0])
@@ -306,8 +306,8 @@ def test_a_compass_that_sits_turned_on_its_axis_has_every_heading_wrong(turned_d
 
     report = again(change)
     # strength, dip and turns about the vertical show nothing of it
-    assert failed(report) == {f"compass leans along, {lean}" for lean in LEANS}
-    assert "COMPASS_ORIENT" in report.causes["compass leans along, nose up"]
+    assert failed(report) == {f"compass tilts along, {tilt}" for tilt in TILTS}
+    assert "COMPASS_ORIENT" in report.causes["compass tilts along, nose up"]
 
 
 @pytest.mark.parametrize("factors", [(0.5, 1.0, 1.0), (1.0, 2.0, 1.0), (0.5, 0.5, 0.5), (2.0, 2.0, 2.0)])
@@ -318,7 +318,7 @@ def test_an_accelerometer_of_another_range_is_noticed(factors: Vector3) -> None:
         x, y, z = (f * a for f, a in zip(factors, sample.specific_force_body_m_s2, strict=True))
         return replace(sample, specific_force_body_m_s2=(x, y, z))
 
-    wrong = {"level is level"} if len(set(factors)) == 1 else {"accelerometer leans along, "}
+    wrong = {"level is level"} if len(set(factors)) == 1 else {"accelerometer tilts along, "}
     assert any(name.startswith(tuple(wrong)) for name in failed(again(change)))
 
 
@@ -361,7 +361,7 @@ def test_a_move_that_the_imu_missed_is_asked_for_again_and_another_move_is_no_an
 
 def test_moves_that_are_not_made_end_by_time() -> None:
     """Everything stays as in the first seconds, for ever."""
-    samples, wizard, now_s = Samples(), Wizard(MOUNTING, 0.0), 0.0
+    samples, wizard, now_s = RecentSamples(), Wizard(MOUNTING, 0.0), 0.0
     first = [(heard_s, sample) for heard_s, sample in right().heard if heard_s < 5.0]
     said = []
     while not wizard.finished and now_s < 10.0 * STEP_TIMEOUT_S:

@@ -8,7 +8,7 @@ from companion.base.geometry import (
     GRAVITY_M_S2,
     Vector3,
     euler_from_quat,
-    level_acceleration,
+    horizontal_acceleration,
     norm,
     quat_rotate,
     tilt_from_quat,
@@ -56,7 +56,7 @@ def test_accelerating_north_noses_down_when_looking_north_and_rolls_left_when_lo
 @pytest.mark.parametrize("heading_deg", HEADINGS_DEG)
 def test_level_acceleration_reads_an_attitude_back(heading_deg: float) -> None:
     attitude = attitude_from_acceleration((1.2, -0.7, 0.0), math.radians(heading_deg))
-    assert level_acceleration(attitude) == pytest.approx((1.2, -0.7))
+    assert horizontal_acceleration(attitude) == pytest.approx((1.2, -0.7))
 
 
 def test_level_flight_hovers_at_hover_thrust() -> None:

@@ -11,13 +11,13 @@ from companion.base.geometry import FloatArray
 from companion.research.model.full_mpc import (
     FullMpc,
     FullMpcConfig,
+    FullRiccatiTracker,
     FullSolution,
-    RiccatiTracker,
-    Surroundings,
+    ObstacleBounds,
     load_full,
     within_reach,
 )
-from companion.research.model.nominal import NO_PUSH, Reference, along, push_effect
+from companion.research.model.nominal import NO_PUSH, HorizonReference, along, push_effect
 from companion.research.model.quadrotor import (
     ANGLES,
     PHI,
@@ -34,27 +34,29 @@ MODEL = load_quadrotor("x500")
 CONFIG = load_full("full")
 
 
-def waiting(place: tuple[float, float, float] = (0.0, 0.0, 5.0), config: FullMpcConfig = CONFIG) -> Reference:
+def waiting(
+    place: tuple[float, float, float] = (0.0, 0.0, 5.0), config: FullMpcConfig = CONFIG
+) -> HorizonReference:
     """Hold a place."""
     rows = (config.steps + 1, 3)
-    return Reference(np.tile(place, (rows[0], 1)), np.zeros(rows), np.zeros(rows))
+    return HorizonReference(np.tile(place, (rows[0], 1)), np.zeros(rows), np.zeros(rows))
 
 
-def swinging(config: FullMpcConfig = CONFIG) -> Reference:
+def swinging(config: FullMpcConfig = CONFIG) -> HorizonReference:
     """Along a sine at 2 m/s², on a heading."""
     t = config.step_s * np.arange(config.steps + 1)[:, None]
     way = np.array([[1.0, -0.5, 0.2]])
-    return Reference(
+    return HorizonReference(
         way * np.sin(2 * t) + [0.0, 0.0, 5.0], 2 * way * np.cos(2 * t), -4 * way * np.sin(2 * t), 0.7
     )
 
 
-def nothing_around(planes: int = 0) -> Surroundings:
+def nothing_around(planes: int = 0) -> ObstacleBounds:
     N = CONFIG.steps
-    return Surroundings(np.full(N, -1e3), np.zeros((N, planes, 3)), np.full((N, planes), -1e4))
+    return ObstacleBounds(np.full(N, -1e3), np.zeros((N, planes, 3)), np.full((N, planes), -1e4))
 
 
-def state_at(reference: Reference) -> FloatArray:
+def state_at(reference: HorizonReference) -> FloatArray:
     state: FloatArray = along(reference, MODEL, CONFIG.step_s).states[0]
     return state
 
@@ -64,7 +66,7 @@ def exact(planes: int = 0) -> FullMpc:
 
 
 def fly(
-    mpc: FullMpc, state: FloatArray, reference: Reference, around: Surroundings, steps: int
+    mpc: FullMpc, state: FloatArray, reference: HorizonReference, around: ObstacleBounds, steps: int
 ) -> FloatArray:
     """States (steps + 1, 12) in closed loop on the model itself; the reference stands."""
     flown = [state]
@@ -76,7 +78,7 @@ def fly(
 def test_without_a_bound_in_reach_it_is_the_recursion() -> None:
     reference = swinging()
     state = state_at(reference) + 0.02
-    free = RiccatiTracker(CONFIG, MODEL).solve(state, reference)
+    free = FullRiccatiTracker(CONFIG, MODEL).solve(state, reference)
     found = exact().solve(state, reference, nothing_around())
     assert found.solved
     assert np.allclose(found.inputs[0], free.inputs[0], atol=5e-3)
@@ -142,7 +144,7 @@ def test_lean_and_speed_are_kept() -> None:
 
 
 def test_it_stops_over_the_floor() -> None:
-    around = Surroundings(
+    around = ObstacleBounds(
         np.full(CONFIG.steps, 4.5), np.zeros((CONFIG.steps, 0, 3)), np.zeros((CONFIG.steps, 0))
     )
     flown = fly(FullMpc(CONFIG, MODEL), state_at(waiting()), waiting((0.0, 0.0, 4.0)), around, 60)
@@ -151,7 +153,7 @@ def test_it_stops_over_the_floor() -> None:
 
 def test_it_stops_before_a_half_space() -> None:
     N = CONFIG.steps
-    around = Surroundings(np.full(N, -1e3), np.tile([-1.0, 0.0, 0.0], (N, 1, 1)), np.full((N, 1), -1.0))
+    around = ObstacleBounds(np.full(N, -1e3), np.tile([-1.0, 0.0, 0.0], (N, 1, 1)), np.full((N, 1), -1.0))
     flown = fly(FullMpc(CONFIG, MODEL, 1), state_at(waiting()), waiting((1.6, 0.0, 5.0)), around, 90)
     assert 0.97 < flown[:, POSITION[0]].max() < 1.02
 
@@ -191,7 +193,7 @@ def test_a_hundred_steps_of_an_x_frame_are_solved() -> None:
     long = CONFIG.model_copy(update={"steps": 100})
     model = QuadrotorModel(MODEL.config.model_copy(update={"layout": "x"}))
     reference = swinging(long)
-    around = Surroundings(np.full(100, -1e3), np.zeros((100, 0, 3)), np.zeros((100, 0)))
+    around = ObstacleBounds(np.full(100, -1e3), np.zeros((100, 0, 3)), np.zeros((100, 0)))
     found = FullMpc(long, model).solve(state_at(reference), reference, around, NO_PUSH)
     assert found.solved
     assert np.abs(found.states[:, POSITION] - reference.position_m).max() < 0.05

@@ -15,7 +15,7 @@ SENSOR_LAG_S = 0.035
 def feel(wind: WindObserver, attitude: Quaternion, acceleration: Vector3, seconds: float) -> Vector3:
     for _ in range(round(seconds / PERIOD_S)):
         wind.step(attitude, acceleration, PERIOD_S)
-    return wind.push_ned_m_s2
+    return wind.wind_ned_m_s2
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 180.0, 270.0])
@@ -60,7 +60,7 @@ def test_what_is_no_number_is_passed_over() -> None:
     feel(wind, level, (0.3, 0.0, 0.0), 1.0)
     wind.step(level, (math.nan, 0.0, 0.0), PERIOD_S)
     wind.step((math.nan, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0), PERIOD_S)
-    assert wind.push_ned_m_s2 == pytest.approx((0.3, 0.0, 0.0), abs=1e-6)
+    assert wind.wind_ned_m_s2 == pytest.approx((0.3, 0.0, 0.0), abs=1e-6)
 
 
 def test_it_stays_within_its_bound() -> None:

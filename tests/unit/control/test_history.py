@@ -4,15 +4,15 @@ import pytest
 
 from companion.base.motion import Motion
 from companion.control.response.flight_model import advance
-from companion.control.response.history import Command, CommandHistory
+from companion.control.response.history import CommandHistory, SentCommand
 
 LAGS_S = (0.18, 0.18, 0.05)
 GAINS_1_S = (2.5, 2.5, 4.0)
 REST = Motion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def _sent(at_s: float, north: float) -> Command:
-    return Command(at_s, (north, 0.0, 0.0))
+def _sent(at_s: float, north: float) -> SentCommand:
+    return SentCommand(at_s, (north, 0.0, 0.0))
 
 
 def test_a_command_counts_from_its_arrival() -> None:
@@ -43,7 +43,7 @@ def test_nothing_between_equal_times_and_none_without_commands() -> None:
 
 def test_the_velocity_loop_adds_its_share() -> None:
     history = CommandHistory(0.04)
-    history.add(Command(0.0, (0.1, 0.0, 0.0), (1.0, 0.0, -1.0), GAINS_1_S))
+    history.add(SentCommand(0.0, (0.1, 0.0, 0.0), (1.0, 0.0, -1.0), GAINS_1_S))
     assert history.last_effect((0.8, 0.2, 0.0)) == pytest.approx((0.6, -0.5, -4.0))
 
 

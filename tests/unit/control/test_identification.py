@@ -6,9 +6,9 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.control.response.flight_model import advance_axis
 from companion.control.response.identification import (
-    Estimate,
-    Flown,
-    Response,
+    IdentifiedResponse,
+    ResponseEstimate,
+    ResponseRecord,
     TooLittleError,
     fit,
     hover_thrust,
@@ -18,12 +18,17 @@ from companion.control.response.identification import (
 
 PERIOD_S = 1.0 / 30.0
 DELAY_S = 0.06
-ASSUMED = Response(2.2, 0.11)
+ASSUMED = IdentifiedResponse(2.2, 0.11)
 
 
 def _flight(
-    truth: Response, seed: int, *, seconds: float = 25.0, excitation: float = 1.0, offset: float = 0.6
-) -> Flown:
+    truth: IdentifiedResponse,
+    seed: int,
+    *,
+    seconds: float = 25.0,
+    excitation: float = 1.0,
+    offset: float = 0.6,
+) -> ResponseRecord:
     """Three axes that answer smoothed random commands, with wander, estimate noise and a late link.
 
     The velocity commanded is off the one flown by `offset` (m/s), which is what tells the gain.
@@ -47,7 +52,7 @@ def _flight(
                 then = [np.interp(at, np.arange(k + 1), rows[: k + 1, axis]) for rows in (feed, command)]
                 wanted = then[0] + (truth.gain_1_s * (then[1] - v)) + push[k, axis]
                 p, v, a = advance_axis((p, v, a), wanted, PERIOD_S / 4, truth.lag_s)
-    return Flown(
+    return ResponseRecord(
         time_s=PERIOD_S * np.arange(steps, dtype=np.float64),
         velocity_ned_m_s=velocity + rng.normal(0.0, 0.004, velocity.shape),
         force_m_s2=np.full(steps, GRAVITY_M_S2),
@@ -58,8 +63,8 @@ def _flight(
     )
 
 
-@pytest.mark.parametrize("truth", [Response(1.4, 0.28), Response(3.5, 0.15)])
-def test_gain_and_lag_come_out_and_predict_a_flight_that_was_not_fitted(truth: Response) -> None:
+@pytest.mark.parametrize("truth", [IdentifiedResponse(1.4, 0.28), IdentifiedResponse(3.5, 0.15)])
+def test_gain_and_lag_come_out_and_predict_a_flight_that_was_not_fitted(truth: IdentifiedResponse) -> None:
     fitted, held_out = (windows(_flight(truth, seed), (0, 1), DELAY_S) for seed in (1, 2))
     found = fit(fitted, ASSUMED)
     assert found.response.gain_1_s == pytest.approx(truth.gain_1_s, rel=0.1)
@@ -70,7 +75,7 @@ def test_gain_and_lag_come_out_and_predict_a_flight_that_was_not_fitted(truth: R
 
 
 def test_a_gain_that_nothing_asked_for_stays_and_the_lag_still_comes_out() -> None:
-    truth = Response(2.2, 0.25)
+    truth = IdentifiedResponse(2.2, 0.25)
     found = fit(windows(_flight(truth, 3, offset=0.0), (0, 1), DELAY_S), ASSUMED)
     assert found.response.gain_1_s == ASSUMED.gain_1_s
     assert np.isinf(found.gain_std_1_s)
@@ -78,13 +83,13 @@ def test_a_gain_that_nothing_asked_for_stays_and_the_lag_still_comes_out() -> No
 
 
 def test_what_does_not_contradict_the_settings_changes_nothing() -> None:
-    found = Estimate(Response(3.0, 0.13), gain_std_1_s=0.3, lag_std_s=0.02, windows=20)
-    assert found.adopted(ASSUMED) == Response(3.0, ASSUMED.lag_s)
+    found = ResponseEstimate(IdentifiedResponse(3.0, 0.13), gain_std_1_s=0.3, lag_std_s=0.02, windows=20)
+    assert found.adopted(ASSUMED) == IdentifiedResponse(3.0, ASSUMED.lag_s)
 
 
 def test_by_attitude_there_is_no_gain() -> None:
-    truth = Response(0.0, 0.16)
-    found = fit(windows(_flight(truth, 4, seconds=12.0), (0, 1), DELAY_S), Response(0.0, 0.11))
+    truth = IdentifiedResponse(0.0, 0.16)
+    found = fit(windows(_flight(truth, 4, seconds=12.0), (0, 1), DELAY_S), IdentifiedResponse(0.0, 0.11))
     assert found.response.gain_1_s == 0.0
     assert found.response.lag_s == pytest.approx(0.16, rel=0.1)
 
@@ -98,11 +103,11 @@ def test_a_flight_in_which_nothing_moves_or_that_is_too_short_says_so() -> None:
         windows(short, (0, 1), DELAY_S)
 
 
-def _hovering(thrust: FloatArray | None, noise: float = 0.3, steps: int = 600) -> Flown:
+def _hovering(thrust: FloatArray | None, noise: float = 0.3, steps: int = 600) -> ResponseRecord:
     rng, still = np.random.default_rng(7), np.zeros((steps, 3))
     force = GRAVITY_M_S2 / 0.43 * (np.full(steps, 0.43) if thrust is None else thrust)
     force = force + rng.normal(0.0, noise, steps)
-    return Flown(
+    return ResponseRecord(
         PERIOD_S * np.arange(steps, dtype=np.float64), still, force, still, still, thrust, ((0, steps),)
     )
 
@@ -123,7 +128,7 @@ def test_without_thrust_or_with_one_that_does_not_fit_there_is_no_hover_thrust()
     flown = _hovering(None)
     with pytest.raises(TooLittleError, match="expected 2 %"):
         hover_thrust(
-            Flown(
+            ResponseRecord(
                 flown.time_s,
                 flown.velocity_ned_m_s,
                 flown.force_m_s2,

@@ -9,20 +9,23 @@ from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import LevelOff, Reference
 from companion.base.motion import Motion
 from companion.config import ControlConfig
-from companion.control.mpc.mpc import Mpc, Target
+from companion.control.mpc.mpc import Mpc
 from companion.control.mpc.target import make_target
 from companion.control.pad_prediction import origin_at_rest
+from companion.control.tracking import Target
 
 CONFIG = ControlConfig()
 N, DT = CONFIG.horizon_steps, CONFIG.step_s
 LEVEL_M_S2 = GRAVITY_M_S2 * math.tan(math.radians(6.0))
 
 
-def turning(lean_m_s2: FloatArray | None) -> Target:
+def turning(horizontal_bound_m_s2: FloatArray | None) -> Target:
     """A pad that accelerates eastwards at 2 m/s2, flown along with."""
     t = DT * np.arange(N + 1)[:, None]
     push = np.array([0.0, 2.0, 0.0])
-    return Target(0.5 * push * t * t, push * t, np.tile(push, (N + 1, 1)), lean_m_s2=lean_m_s2)
+    return Target(
+        0.5 * push * t * t, push * t, np.tile(push, (N + 1, 1)), horizontal_bound_m_s2=horizontal_bound_m_s2
+    )
 
 
 def window(first: int, last: int) -> FloatArray:
@@ -45,10 +48,10 @@ def test_the_reference_tells_the_steps_within_the_time() -> None:
         5.0, "pad", 0.1, still, still, still, 0.0, level_off=LevelOff(5.3, 5.6, math.radians(6.0))
     )
     target = make_target(reference, 5.0 + 0.1 * np.arange(11, dtype=np.float64), origin_at_rest(11))
-    assert target.lean_m_s2 is not None
-    level = np.flatnonzero(np.isfinite(target.lean_m_s2)).tolist()
+    assert target.horizontal_bound_m_s2 is not None
+    level = np.flatnonzero(np.isfinite(target.horizontal_bound_m_s2)).tolist()
     assert level == [3, 4, 5]
-    assert target.lean_m_s2[3] == pytest.approx(LEVEL_M_S2)
+    assert target.horizontal_bound_m_s2[3] == pytest.approx(LEVEL_M_S2)
 
 
 def test_it_levels_off_in_time_and_leans_again_afterwards() -> None:

@@ -17,7 +17,15 @@ from companion.config import (
     find_file,
     load_model,
 )
-from companion.control.response.margins import DOWN, SIDEWAYS, Case, Margins, loop_transfer, margins, respond
+from companion.control.response.margins import (
+    DOWN,
+    SIDEWAYS,
+    MarginCase,
+    Margins,
+    loop_transfer,
+    margins,
+    respond,
+)
 
 VEHICLES = sorted(path.stem for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"))
 FLOWN: tuple[tuple[Manner, Kind], ...] = (
@@ -30,11 +38,11 @@ KICK_M_S2 = 0.5
 
 
 @cache
-def _case(vehicle: str, manner: Manner, kind: Kind, axis: int) -> Case:
+def _case(vehicle: str, manner: Manner, kind: Kind, axis: int) -> MarginCase:
     config = load_model(VehicleConfig, find_file("vehicles", vehicle))
     response = config.responses.of(manner, kind)
     along = response.sideways if axis == SIDEWAYS else response.down
-    return Case(ControlConfig(setpoint=kind), config, manner, axis, along)
+    return MarginCase(ControlConfig(setpoint=kind), config, manner, axis, along)
 
 
 @cache
@@ -53,7 +61,7 @@ def test_every_shipped_loop_has_margins(vehicle: str, manner: Manner, kind: Kind
     assert found.gain_down >= LEAST_GAIN
 
 
-def _late_answer(case: Case) -> float:
+def _late_answer(case: MarginCase) -> float:
     """What the MPC itself, constraints and all, still commands half a minute after a kick (m/s2)."""
     kicks = np.zeros(round(30.0 * case.control.rate_hz))
     kicks[3] = KICK_M_S2

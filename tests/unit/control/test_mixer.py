@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import FloatArray
-from companion.research.model.mixer import Mixer
+from companion.research.model.mixer import ThrustMixer
 from companion.research.model.quadrotor import load_quadrotor
 
 MODEL = load_quadrotor("x500")
 PERIOD_S = 0.02
 
 
-def settled(inputs: FloatArray, lead: float = 0.3) -> Mixer:
-    mixer = Mixer(MODEL, PERIOD_S, lead)
+def settled(inputs: FloatArray, lead: float = 0.3) -> ThrustMixer:
+    mixer = ThrustMixer(MODEL, PERIOD_S, lead)
     for _ in range(100):
         mixer.step(inputs)
     return mixer
 
 
 def test_hover_is_each_rotors_share_of_the_weight() -> None:
-    shares = Mixer(MODEL, PERIOD_S, 0.3).step(MODEL.hover)
+    shares = ThrustMixer(MODEL, PERIOD_S, 0.3).step(MODEL.hover)
     assert np.allclose(shares, MODEL.hover[0] / (4.0 * MODEL.full_rotor_thrust_n))
 
 
@@ -35,7 +35,7 @@ def test_what_lasts_is_flown() -> None:
 @pytest.mark.parametrize("lead", [0.0, 0.5, 1.0])
 def test_the_lead_makes_up_for_the_lag(lead: float) -> None:
     """With all of it the motors are there after one period, with none they go as they do."""
-    mixer, more = Mixer(MODEL, PERIOD_S, lead), np.add(MODEL.hover, (2.0, 0.0, 0.0, 0.0))
+    mixer, more = ThrustMixer(MODEL, PERIOD_S, lead), np.add(MODEL.hover, (2.0, 0.0, 0.0, 0.0))
     mixer.step(more)
     mixer.step(more)  # the mean over this period begins where the first ended
     left = math.exp(-PERIOD_S / MODEL.config.motor_time_constant_s)
@@ -52,5 +52,5 @@ def test_leaning_goes_before_height() -> None:
 
 
 def test_what_no_shift_can_give_is_clipped() -> None:
-    shares = Mixer(MODEL, PERIOD_S, 0.0).step(np.add(MODEL.hover, (0.0, 50.0, 0.0, 0.0)))
+    shares = ThrustMixer(MODEL, PERIOD_S, 0.0).step(np.add(MODEL.hover, (0.0, 50.0, 0.0, 0.0)))
     assert all(0.0 <= share <= 1.0 for share in shares)

@@ -13,9 +13,9 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, FloatArray, Vector3
 from companion.base.motion import Motion
 from companion.config import ControlConfig, LimitsConfig
 from companion.control.mpc.input_bounds import input_rows
-from companion.control.mpc.mpc import Cone, Mpc, Target, needed_inputs
+from companion.control.mpc.mpc import Mpc
 from companion.control.mpc.qp import (
-    Layout,
+    QpLayout,
     axis_cost,
     axis_costs,
     constraint_matrix,
@@ -24,6 +24,7 @@ from companion.control.mpc.qp import (
 )
 from companion.control.mpc.target import within_reach
 from companion.control.response.flight_model import advance, discretise
+from companion.control.tracking import Cone, Target, needed_inputs
 
 TAU_S = 0.11
 LAGS_S = (TAU_S, TAU_S, 0.04)
@@ -258,7 +259,7 @@ def test_terminal_cost_is_the_riccati_fixed_point() -> None:
 
 
 def test_matrices_have_the_documented_shape_and_a_convex_cost() -> None:
-    layout = Layout(N)
+    layout = QpLayout(N)
     P = cost_matrix(axis_costs(CONFIG, LAGS_S), N)
     assert P.shape == (layout.variables, layout.variables)
     assert constraint_matrix(
@@ -280,7 +281,7 @@ def test_an_answer_that_is_none_is_not_flown(
     mpc, start, target = Mpc(CONFIG, LAGS_S), Motion((1.0, 0.0, -2.0), ZERO3, ZERO3), _hover_at(ZERO3)
     good = mpc.solve(start, target, ZERO3, ZERO3)
     info = SimpleNamespace(status_val=status, iter=7, prim_res=0.0, dual_res=0.0)
-    answer = SimpleNamespace(x=np.full(Layout(N).variables, value), info=info)
+    answer = SimpleNamespace(x=np.full(QpLayout(N).variables, value), info=info)
     with monkeypatch.context() as patch:
         patch.setattr(osqp.OSQP, "solve", lambda _self, **_kwargs: answer)
         refused = mpc.solve(start, target, ZERO3, ZERO3)

@@ -15,9 +15,9 @@ from companion.control.setpoints import (
     Heading,
     boosted,
     ground_setpoint,
-    lean_boost,
     resolved,
     stop_setpoint,
+    tilt_compensation,
     velocity_setpoint,
 )
 from tests.unit.control.control_plants import vehicle_config
@@ -137,7 +137,7 @@ def test_a_hold_brakes_by_the_autopilots_own_loop_and_not_by_wind() -> None:
 def test_a_lean_that_lags_takes_nothing_from_the_climb(flown: float, asked: float) -> None:
     """The autopilot's thrust, along the axis that the vehicle still has, makes the wanted upward force."""
     wanted, leans = (asked, 0.5, -0.8), (flown, -0.3, -0.8)
-    setpoint = boosted(Setpoint(0.0, acceleration_ned_m_s2=wanted), lean_boost(leans, wanted, 0.5))
+    setpoint = boosted(Setpoint(0.0, acceleration_ned_m_s2=wanted), tilt_compensation(leans, wanted, 0.5))
     up = -quat_rotate(attitude_from_acceleration(wanted, 0.4), (0.0, 0.0, -1.0))[2]
     thrust = (GRAVITY_M_S2 - setpoint.acceleration_ned_m_s2[2]) / up
     made = quat_rotate(attitude_from_acceleration(leans, 0.4), (0.0, 0.0, -thrust))
@@ -147,9 +147,9 @@ def test_a_lean_that_lags_takes_nothing_from_the_climb(flown: float, asked: floa
 
 def test_an_upset_vehicle_is_not_thrown_up_and_no_number_counts_for_nothing() -> None:
     most = 1.0 / math.cos(0.5)
-    assert lean_boost((0.0, 9.0, 7.5), ZERO3, 0.5) == pytest.approx(most)
-    assert lean_boost(ZERO3, (9.0, 0.0, 7.5), 0.5) == pytest.approx(1.0 / most)
-    assert math.isfinite(lean_boost((math.nan, 0.0, 0.0), ZERO3, 0.5))
+    assert tilt_compensation((0.0, 9.0, 7.5), ZERO3, 0.5) == pytest.approx(most)
+    assert tilt_compensation(ZERO3, (9.0, 0.0, 7.5), 0.5) == pytest.approx(1.0 / most)
+    assert math.isfinite(tilt_compensation((math.nan, 0.0, 0.0), ZERO3, 0.5))
 
 
 def test_what_was_boosted_can_be_told_without_it() -> None:

@@ -10,8 +10,9 @@ from companion.base.motion import Motion
 from companion.config import ControlConfig, LimitsConfig, PidConfig, PidGains
 from companion.control.baselines.pid_tracker import PidTracker
 from companion.control.baselines.riccati_tracker import RiccatiTracker
-from companion.control.mpc.mpc import Mpc, Target, needed_inputs
+from companion.control.mpc.mpc import Mpc
 from companion.control.tracker import Tracker, make_tracker
+from companion.control.tracking import Target, needed_inputs
 from tests.unit.control.control_plants import (
     Loop,
     PadMotion,

@@ -43,7 +43,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import EstimateConfig, VehicleConfig
-from companion.estimate.estimator import Estimator
+from companion.estimate.estimator import StateEstimator
 
 HOME = (47.0, 8.0, 400.0)
 FIELD_NED_UT = (20.9, 0.6, 42.9)
@@ -233,12 +233,14 @@ class Flight:
         return [(t + self.sighting_delay_s, sighting)]
 
 
-def new_estimator(config: EstimateConfig | None = None) -> Estimator:
+def new_estimator(config: EstimateConfig | None = None) -> StateEstimator:
     """An estimator for the test's vehicle over a 1.3 m board."""
-    return Estimator(config or EstimateConfig(magnetic_field_ned_ut=FIELD_NED_UT), VEHICLE, ANTENNA, 0.65)
+    return StateEstimator(
+        config or EstimateConfig(magnetic_field_ned_ut=FIELD_NED_UT), VEHICLE, ANTENNA, 0.65
+    )
 
 
-def feed(estimator: Estimator, sample: Sample) -> bool:
+def feed(estimator: StateEstimator, sample: Sample) -> bool:
     """Hand a sample to where it belongs."""
     match sample:
         case ImuSample():
@@ -276,7 +278,7 @@ class Errors:
         return float(np.sqrt(np.mean(np.sum(rows.reshape(len(rows), -1) ** 2, axis=1))))
 
 
-def fly(flight: Flight, estimator: Estimator | None = None) -> Errors:
+def fly(flight: Flight, estimator: StateEstimator | None = None) -> Errors:
     """Feed a flight's samples in their order of arrival and compare with the truth at 30 Hz."""
     estimator = estimator or new_estimator()
     errors, next_s = Errors(), 1.0 / 30.0
@@ -288,7 +290,7 @@ def fly(flight: Flight, estimator: Estimator | None = None) -> Errors:
     return errors
 
 
-def _compare(errors: Errors, flight: Flight, estimator: Estimator, now_s: float) -> None:
+def _compare(errors: Errors, flight: Flight, estimator: StateEstimator, now_s: float) -> None:
     vehicle, pad = estimator.vehicle(now_s), estimator.pad(now_s)
     speed = np.array(velocity(flight.path, now_s))
     if vehicle is not None:

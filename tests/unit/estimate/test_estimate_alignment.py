@@ -9,7 +9,7 @@ import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, Vector3, vector3
 from companion.config import AlignmentConfig
-from companion.estimate.ahrs.alignment import Alignment, Block, StaticAligner, StillnessDetector
+from companion.estimate.ahrs.alignment import Block, InitialAlignment, StaticAligner, StillnessDetector
 
 CONFIG = AlignmentConfig(still_s=1.0, timeout_s=4.0)
 BIAS = (0.02, -0.01, 0.005)
@@ -21,7 +21,7 @@ def run(
     rate_noise: float = 0.002,
     moving_until_s: float = 0.0,
     field: bool = True,
-) -> tuple[float, Alignment] | None:
+) -> tuple[float, InitialAlignment] | None:
     rng = np.random.default_rng(1)
     detector, aligner = StillnessDetector(CONFIG), StaticAligner(CONFIG)
     for k in range(int(duration_s * 200)):
@@ -83,7 +83,7 @@ def test_block_judges_spread_and_not_size(rate: Vector3) -> None:
 
 def run_tilting(
     rate_rad_s: float, period_s: float, seconds: float, config: AlignmentConfig = CONFIG
-) -> tuple[float, Alignment] | None:
+) -> tuple[float, InitialAlignment] | None:
     """A deck that rolls to and fro without noise, its greatest rate as given; the field tells the time."""
     detector, aligner = StillnessDetector(config), StaticAligner(config)
     w = math.tau / period_s

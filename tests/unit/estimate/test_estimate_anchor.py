@@ -19,8 +19,13 @@ from companion.base.geometry import (
     rotation_vector_from_quat,
 )
 from companion.base.messages import AutopilotAttitude, ImuSample, PadSighting
-from companion.estimate.estimator import Estimator
-from companion.estimate.vehicle.anchor import Anchor, Own, Word, apart
+from companion.estimate.estimator import StateEstimator
+from companion.estimate.vehicle.attitude_reset import (
+    AttitudeReset,
+    EstimatedAttitude,
+    ReportedAttitude,
+    apart,
+)
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator, slow_turns, smooth
 
 DEGREE = math.radians(1.0)
@@ -40,7 +45,7 @@ def kick(t: float) -> float:
 GAP = (19.05, 19.4)
 FLIGHT = Flight(swing, heading=kick, seed=31, duration_s=24.0, sensors=frozenset({"imu", "mag", "gps"}))
 NORTH_OF_THEIRS = quat_from_euler(0.0, 0.0, 0.4)  # their heading is their own
-SURE = Own(quat_from_euler(0.0, 0.0, 0.4), 0.5 * DEGREE, 0.0)
+SURE = EstimatedAttitude(quat_from_euler(0.0, 0.0, 0.4), 0.5 * DEGREE, 0.0)
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ def fly(*, anchored: bool, gap: tuple[float, float] = GAP, theirs_off: Quaternio
     return run
 
 
-def judge(run: Run, estimator: Estimator, now_s: float) -> None:
+def judge(run: Run, estimator: StateEstimator, now_s: float) -> None:
     run.told.extend(estimator.take_corrections())
     state = estimator.vehicle(now_s)
     if state is not None and now_s > 12.0:
@@ -108,9 +113,13 @@ def test_an_autopilot_that_finds_north_elsewhere_turns_nothing() -> None:
 # ---------------------------------------------------------------- the comparison
 
 
-def words(anchor: Anchor, own: Own, theirs: Quaternion, seconds: float, from_s: float = 0.0) -> list[float]:
+def words(
+    anchor: AttitudeReset, own: EstimatedAttitude, theirs: Quaternion, seconds: float, from_s: float = 0.0
+) -> list[float]:
     """When ours is set right, of words at 30 Hz."""
-    found = [anchor.compare(Word(from_s + k / 30.0, theirs), own) for k in range(round(30 * seconds))]
+    found = [
+        anchor.compare(ReportedAttitude(from_s + k / 30.0, theirs), own) for k in range(round(30 * seconds))
+    ]
     return [correction.time_s for correction in found if correction is not None]
 
 
@@ -119,30 +128,30 @@ def tilted(roll_deg: float) -> Quaternion:
 
 
 def test_horizons_a_little_apart_are_left_alone() -> None:
-    assert words(Anchor(), SURE, tilted(4.0), 10.0) == []
+    assert words(AttitudeReset(), SURE, tilted(4.0), 10.0) == []
 
 
 def test_horizons_far_apart_are_set_right_once_that_lasts() -> None:
-    [first, *_] = words(Anchor(), SURE, tilted(8.0), 1.0)
+    [first, *_] = words(AttitudeReset(), SURE, tilted(8.0), 1.0)
     assert 0.2 <= first < 0.3
 
 
 def test_a_single_word_that_is_off_changes_nothing() -> None:
-    anchor = Anchor()
+    anchor = AttitudeReset()
     for k in range(60):
         theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
-        assert anchor.compare(Word(k / 30.0, theirs), SURE) is None
+        assert anchor.compare(ReportedAttitude(k / 30.0, theirs), SURE) is None
 
 
 def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
     turning = SURE._replace(turning_rad_s=5.0)
-    assert words(Anchor(), turning, tilted(8.0), 2.0) == []
+    assert words(AttitudeReset(), turning, tilted(8.0), 2.0) == []
 
 
 def test_what_is_set_right_keeps_our_own_heading() -> None:
-    anchor = Anchor()
+    anchor = AttitudeReset()
     assert words(anchor, SURE, tilted(0.0), 2.0) == []
-    found = [anchor.compare(Word(3.0 + k / 30.0, tilted(10.0)), SURE) for k in range(30)]
+    found = [anchor.compare(ReportedAttitude(3.0 + k / 30.0, tilted(10.0)), SURE) for k in range(30)]
     first = next(correction for correction in found if correction is not None)
     tilt_rad, heading_rad = apart(first.attitude, tilted(10.0))
     assert tilt_rad == pytest.approx(0.0, abs=1e-6)
@@ -151,14 +160,14 @@ def test_what_is_set_right_keeps_our_own_heading() -> None:
 
 def test_an_attitude_that_is_poorly_known_is_taken_from_the_autopilot_at_once() -> None:
     poor = SURE._replace(tilt_std_rad=15.0 * DEGREE)
-    assert words(Anchor(), poor, tilted(10.0), 0.1)[0] == 0.0
+    assert words(AttitudeReset(), poor, tilted(10.0), 0.1)[0] == 0.0
 
 
 def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
-    anchor = Anchor()
-    anchor.hear(Word(1.0, tilted(0.0)))
+    anchor = AttitudeReset()
+    anchor.hear(ReportedAttitude(1.0, tilted(0.0)))
     assert anchor.due(0.99) is None
-    assert anchor.due(1.0) == Word(1.0, tilted(0.0))
+    assert anchor.due(1.0) == ReportedAttitude(1.0, tilted(0.0))
     assert anchor.due(2.0) is None
 
 

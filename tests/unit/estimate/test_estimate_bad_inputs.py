@@ -19,7 +19,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.estimate.vehicle.fix_watch import FixWatch
-from companion.estimate.vehicle.vibration_monitor import Shaking
+from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
 
 FLOWN = Flight(path=circle(8.0, 4.0), duration_s=36.0)
@@ -149,7 +149,7 @@ def test_one_suspicion_has_time_to_take_effect() -> None:
 
 
 def shaken(std_m_s2: float, motion_m_s2: Callable[[float], float]) -> float:
-    rng, shaking = np.random.default_rng(1), Shaking()
+    rng, shaking = np.random.default_rng(1), VibrationMonitor()
     for k in range(400):
         noise = std_m_s2 * rng.standard_normal(3)
         shaking.add(vector3(noise + np.array([motion_m_s2(0.005 * k), 0.0, -9.8])), 0.005)

@@ -25,7 +25,8 @@ from companion.base.geometry import (
 )
 from companion.config import EkfConfig
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf import GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 
 FIELD = (20.9, 0.6, 42.9)

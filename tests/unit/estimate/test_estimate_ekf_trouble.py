@@ -29,7 +29,8 @@ from companion.base.geometry import (
 from companion.config import EkfConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.vehicle import ekf_model as model
-from companion.estimate.vehicle.ekf import GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 

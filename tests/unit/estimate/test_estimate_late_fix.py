@@ -11,7 +11,8 @@ import pytest
 from companion.base.geometry import GRAVITY_M_S2, IDENTITY, ZERO3
 from companion.config import EkfConfig
 from companion.estimate.gating import Timeline
-from companion.estimate.vehicle.ekf import EkfInput, GpsStep, ImuStep, VehicleEkf
+from companion.estimate.vehicle.ekf import VehicleEkf
+from companion.estimate.vehicle.ekf_inputs import EkfInput, GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
 
 DOWN_FORCE = (0.0, 0.0, -GRAVITY_M_S2)

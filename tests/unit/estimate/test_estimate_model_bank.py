@@ -15,7 +15,7 @@ from companion.config import PadFilterConfig
 from companion.estimate.pad.model_bank import (
     BankState,
     ModelBank,
-    Step,
+    ModelTransition,
     advance,
     blend,
     change_chances,
@@ -29,7 +29,7 @@ NO_TURN = Turn(0.0, 0.0, 0.0)
 START = np.array([1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def bank_and_step() -> tuple[ModelBank, Step, FloatArray]:
+def bank_and_step() -> tuple[ModelBank, ModelTransition, FloatArray]:
     models = HorizontalModels(PadFilterConfig())
     covariances = np.tile(np.diag([0.1, 0.1, 4.0, 4.0, 0.5, 0.5, 1.0, 1.0]), (4, 1, 1))
     bank = ModelBank(np.full(4, 0.25), DWELL_S, 8, seen=2)

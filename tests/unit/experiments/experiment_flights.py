@@ -9,14 +9,14 @@ import numpy as np
 from companion.base.geometry import IDENTITY, ZERO3, Vector3, geodetic_from_ned, vector3
 from companion.base.messages import GpsFix, Outcome, Phase, PlanStep, Truth, VehicleState
 from companion.flightlog.result import (
+    CameraResult,
     EstimateResult,
+    FirstContact,
     Latency,
     PadResult,
+    PhaseTimes,
     Result,
     SimResult,
-    Times,
-    Touchdown,
-    VisionResult,
 )
 from sitl.run.simulation import HOME
 
@@ -27,7 +27,7 @@ def result(outcome: Outcome = Outcome.LANDED) -> Result:
         scenario="made up",
         seed=5,
         outcome=outcome,
-        touchdown=Touchdown(
+        touchdown=FirstContact(
             lateral_error_m=0.03,
             vertical_speed_m_s=0.2,
             horizontal_speed_m_s=0.0,
@@ -35,8 +35,8 @@ def result(outcome: Outcome = Outcome.LANDED) -> Result:
             yaw_error_deg=0.0,
         ),
         pad=PadResult(speed_m_s=1.0),
-        time=Times(search_s=0.0, approach_s=0.0, descent_s=0.0, total_s=0.0),
-        vision=VisionResult(frames=0, frames_with_pad=0, relative_position_rmse_m=None),
+        time=PhaseTimes(search_s=0.0, approach_s=0.0, descent_s=0.0, total_s=0.0),
+        vision=CameraResult(frames=0, frames_with_pad=0, relative_position_rmse_m=None),
         estimate=EstimateResult(attitude_rmse_deg=None, velocity_rmse_m_s=None, pad_velocity_rmse_m_s=None),
         latency_ms=Latency(exposure_to_setpoint_p50=None, exposure_to_setpoint_p99=None),
         sim=SimResult(real_time_factor=1.0),

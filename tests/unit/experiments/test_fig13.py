@@ -8,7 +8,7 @@ import pytest
 from companion.base.geometry import Vector3, add
 from companion.config import ConfigError
 from companion.research import fig13
-from companion.research.flown import Flown
+from companion.research.flown import EndedFlight
 from tests.unit.experiments.experiment_flights import fix, result, state, truth
 
 FAR_ORIGIN = (40.0, -30.0, 2.0)
@@ -18,7 +18,7 @@ def _path(time_s: float) -> Vector3:
     return (2.0 * time_s, 0.5 * time_s, -5.0)
 
 
-def _flown(gps_noise_m: float, ekf_noise_m: float, offset: Vector3 = (1.0, 0.0, 0.0)) -> Flown:
+def _flown(gps_noise_m: float, ekf_noise_m: float, offset: Vector3 = (1.0, 0.0, 0.0)) -> EndedFlight:
     """20 s in the air; the fixes jump by their noise from one to the next, the EKF is off by an offset."""
     times = np.arange(0.0, 20.0, 0.05).tolist()
     records = [truth(t, _path(t)) for t in times]
@@ -31,7 +31,7 @@ def _flown(gps_noise_m: float, ekf_noise_m: float, offset: Vector3 = (1.0, 0.0, 
         state(t, add(add(_path(t), offset), (ekf_noise_m * (-1.0) ** (k // 4), 0.0, 0.0)), FAR_ORIGIN)
         for k, t in enumerate(times)
     ]
-    return Flown(
+    return EndedFlight(
         result(),
         [truth(-1.0, _path(0.0), touching=True), *records, landed],
         {"gps": fixes, "vehicle": estimates},
@@ -61,10 +61,10 @@ def test_an_observer_that_shakes_with_the_fixes_fails() -> None:
 def test_only_the_flight_counts() -> None:
     flown = _flown(0.4, 0.0)
     late = [*flown.kept["gps"], fix(25.0, (900.0, 0.0, 0.0))]
-    observed = fig13.observe(Flown(flown.result, flown.truth, {**flown.kept, "gps": late}))
+    observed = fig13.observe(EndedFlight(flown.result, flown.truth, {**flown.kept, "gps": late}))
     assert observed.gps.time_s.max() < 20.0
     with pytest.raises(ConfigError, match="never got into the air"):
-        fig13.observe(Flown(flown.result, flown.truth[:1], flown.kept))
+        fig13.observe(EndedFlight(flown.result, flown.truth[:1], flown.kept))
 
 
 def test_the_figure_is_drawn(tmp_path: Path) -> None:

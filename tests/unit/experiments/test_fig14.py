@@ -13,15 +13,15 @@ from typer.testing import CliRunner
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.research.command import app
 from companion.research.fig14 import figure as fig14
-from companion.research.fig14.figure import BY_NAME, Result, flight_of, judge, load_settings
-from companion.research.fig14.flight import Track, fly
+from companion.research.fig14.figure import BY_NAME, FlightScore, flight_of, judge, load_settings
+from companion.research.fig14.flight import FlownTrack, fly
 from companion.research.fig14.pilots import (
     FLIP,
     KEPT_CLEAR_M,
     PILOTS,
     PLANES,
     VEHICLE_RADIUS_M,
-    Flight,
+    PilotKnowledge,
     outward,
     rows_of,
     surroundings,
@@ -41,11 +41,11 @@ SEED = 4
 
 
 @pytest.fixture(scope="module")
-def flight() -> Flight:
+def flight() -> PilotKnowledge:
     return flight_of(load_settings(), *draw_scene(SEED))
 
 
-def flown(flight: Flight, pilot: str, seconds: float, case: str = "nominal") -> Track:
+def flown(flight: PilotKnowledge, pilot: str, seconds: float, case: str = "nominal") -> FlownTrack:
     return fly(pilot, flight, load_settings().body, BY_NAME[case], seconds)
 
 
@@ -55,7 +55,7 @@ def test_a_seed_is_a_world() -> None:
     assert one.pad.at(7.0) == same.pad.at(7.0) != other.pad.at(7.0)
 
 
-def test_the_reference_goes_round_with_margin_and_arrives(flight: Flight) -> None:
+def test_the_reference_goes_round_with_margin_and_arrives(flight: PilotKnowledge) -> None:
     world, reference = flight.world, flight.reference
     assert closest_m(reference, world) >= LEAST_CLEAR_M - 0.05
     pad = world.pad.at(FLOWN_S - 0.2).position_ned_m
@@ -64,7 +64,7 @@ def test_the_reference_goes_round_with_margin_and_arrives(flight: Flight) -> Non
     assert -0.45 < gap[2] < -0.2
 
 
-def test_replanning_makes_no_step(flight: Flight) -> None:
+def test_replanning_makes_no_step(flight: PilotKnowledge) -> None:
     """Position, velocity and acceleration go on from one iteration's course to the next's."""
     for before, after in zip(flight.reference.courses, flight.reference.courses[1:], strict=False):
         now_s = after.start_s
@@ -75,7 +75,7 @@ def test_replanning_makes_no_step(flight: Flight) -> None:
     assert flight.reference.courses[1].start_s == pytest.approx(ITERATION_S)
 
 
-def test_a_world_without_a_way_has_no_reference(flight: Flight) -> None:
+def test_a_world_without_a_way_has_no_reference(flight: PilotKnowledge) -> None:
     pad = flight.world.pad.at(FLOWN_S / 2.0).position_ned_m
     wall = Obstacle(pad[0], pad[1], 15.0, 15.0, 0.0, 0.0, -50.0)
     assert plan_reference(replace(flight.world, obstacles=(wall,))) is None
@@ -89,7 +89,7 @@ def test_a_case_disturbs_mass_and_inertia_by_up_to_a_fifth() -> None:
     assert disturbed(body, BY_NAME["gust"], 1) == body
 
 
-def test_half_spaces_stand_between_the_row_and_its_obstacle(flight: Flight) -> None:
+def test_half_spaces_stand_between_the_row_and_its_obstacle(flight: PilotKnowledge) -> None:
     rows = rows_of(flight, 2.0)
     around = surroundings(rows, flight.world.obstacles)
     points = rows.position_m[1:]
@@ -108,7 +108,7 @@ def test_outward_is_away_from_the_surface() -> None:
 
 
 @pytest.mark.parametrize(("pilot", "within_m"), [("pid", 0.15), ("riccati", 0.05), ("mpc", 0.02)])
-def test_each_pilot_follows(flight: Flight, pilot: str, within_m: float) -> None:
+def test_each_pilot_follows(flight: PilotKnowledge, pilot: str, within_m: float) -> None:
     track = flown(flight, pilot, 1.5)
     assert not track.lost
     assert not track.touched
@@ -116,13 +116,13 @@ def test_each_pilot_follows(flight: Flight, pilot: str, within_m: float) -> None
     assert track.violation(flight.full.limits) == 0.0
 
 
-def test_the_same_seed_is_the_same_flight(flight: Flight) -> None:
+def test_the_same_seed_is_the_same_flight(flight: PilotKnowledge) -> None:
     first, second = (flown(flight, "pid", 1.0, "all") for _ in range(2))
     assert np.array_equal(first.states, second.states)
     assert not np.array_equal(first.states, flown(flight, "pid", 1.0).states)
 
 
-def test_what_flies_into_an_obstacle_has_touched_it(flight: Flight) -> None:
+def test_what_flies_into_an_obstacle_has_touched_it(flight: PilotKnowledge) -> None:
     start = flight.reference.at(0.0).position_m
     pole = Obstacle(start[0], start[1] + 0.5, 0.0, 0.0, 0.0, 0.2, -20.0)
     track = flown(replace(flight, world=replace(flight.world, obstacles=(pole,))), "pid", 0.2)
@@ -130,11 +130,11 @@ def test_what_flies_into_an_obstacle_has_touched_it(flight: Flight) -> None:
     assert track.touched
 
 
-def results(change: Callable[[Result], Result] = lambda r: r) -> list[Result]:
+def results(change: Callable[[FlightScore], FlightScore] = lambda r: r) -> list[FlightScore]:
     errors = {"mpc": 0.01, "riccati": 0.03, "riccati + push": 0.01, "pid": 0.05}
     return [
         change(
-            Result(
+            FlightScore(
                 s,
                 c.name,
                 p,
@@ -165,7 +165,7 @@ def test_the_bars_hold_and_fail_one_by_one() -> None:
     assert all(other.values())
 
 
-def test_table_line_and_picture(flight: Flight, tmp_path: Path) -> None:
+def test_table_line_and_picture(flight: PilotKnowledge, tmp_path: Path) -> None:
     assert table(results()).row_count == len(CASES) * len(PILOTS)
     assert "N = 100: mpc 2.0 ms (p99 2.0)" in step_line({"mpc": np.array([0.002])})
     path = tmp_path / "fig14.png"

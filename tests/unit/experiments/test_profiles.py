@@ -9,20 +9,20 @@ import pytest
 
 from companion.base.messages import Outcome, Phase, Truth
 from companion.research import profiles
-from companion.research.flown import Flown
+from companion.research.flown import EndedFlight
 from companion.research.profiles import Descent
 from tests.unit.experiments.experiment_flights import plans, result, truth
 
 SPEED = 0.5
 
 
-def _descent() -> Flown:
+def _descent() -> EndedFlight:
     """From 6 m straight down at 0.5 m/s, swinging sideways with the pad's drive; contact after 12 s."""
     times = np.arange(0.0, 12.0, 0.04).tolist()
     records = [_record(t) for t in times]
     landed = truth(12.0, (0.0, 12.0, 0.0), touching=True)
     kept = {"plan": plans((0.0, Phase.SEARCH), (2.0, Phase.APPROACH), (6.0, Phase.DESCEND))}
-    return Flown(result(), [truth(-0.04, (0.0, 0.0, 0.0), touching=True), *records, landed], kept)
+    return EndedFlight(result(), [truth(-0.04, (0.0, 0.0, 0.0), touching=True), *records, landed], kept)
 
 
 def _record(t: float) -> Truth:
@@ -45,7 +45,7 @@ def test_a_descent_is_measured_from_taking_the_pad_up() -> None:
 
 def test_a_flight_that_never_saw_the_pad_has_no_figures() -> None:
     flown = _descent()
-    lost = Flown(result(Outcome.ABORTED), flown.truth, {"plan": plans((0.0, Phase.SEARCH))})
+    lost = EndedFlight(result(Outcome.ABORTED), flown.truth, {"plan": plans((0.0, Phase.SEARCH))})
     measured = profiles.measure(lost, "fixed")
     assert not measured.landed
     assert math.isnan(measured.seconds)

@@ -1,4 +1,4 @@
-"""Packed messages of an autopilot's sensors, and an OnboardSensors whose clock has settled."""
+"""Packed messages of an autopilot's sensors, and a TelemetrySensors whose clock has settled."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
 from companion.config import AutopilotSensorsConfig, SenseConfig
 from companion.link.codec import Codec, Message, mavlink
-from companion.link.telemetry.autopilot_sensors import OnboardSensors
+from companion.link.telemetry.autopilot_sensors import TelemetrySensors
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync
 
@@ -72,7 +72,7 @@ class Onboard:
         self.timesync = TimeSync()
         exact = {"imu_latency_s": 0.0, "gps_latency_s": 0.0}
         config = SenseConfig(source="autopilot", autopilot=AutopilotSensorsConfig(**{**exact, **settings}))
-        self.sensors = OnboardSensors(config, BootClock(self.timesync))
+        self.sensors = TelemetrySensors(config, BootClock(self.timesync))
         self.offset_s = OFFSET_S
         if settled:
             self.synchronise()

@@ -13,8 +13,9 @@ from companion.base.messages import Action, ActionKind, ActionResult, Manner, Pa
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.codec import Codec, mavlink
+from companion.link.inbox import memory_pair
 from companion.link.session import Session
-from companion.link.transport import Transport, memory_pair
+from companion.link.transport import Transport
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
 

@@ -19,8 +19,8 @@ from companion.link.actions import mavsdk_link
 from companion.link.actions.mavsdk_link import MavsdkActions
 from companion.link.actions.performing import Refused
 from companion.link.codec import mavlink
+from companion.link.inbox import memory_pair
 from companion.link.session import Session
-from companion.link.transport import memory_pair
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
 MANNERS: list[Manner] = ["px4", "ardupilot"]

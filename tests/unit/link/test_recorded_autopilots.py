@@ -18,7 +18,7 @@ from companion.base.geometry import norm
 from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
 from companion.config import CONFIG_FOLDER, SenseConfig
 from companion.link.codec import Codec, mavlink
-from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, OnboardSensors, Sample
+from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync
 
@@ -57,7 +57,7 @@ def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
         if m.get_msgId() == imu_message or m.get_msgId() not in IMU.values()
     ]
     timesync, start_s = TimeSync(), recorded[0][0]
-    sensors = OnboardSensors(SenseConfig(source="autopilot"), BootClock(timesync))
+    sensors = TelemetrySensors(SenseConfig(source="autopilot"), BootClock(timesync))
     samples: dict[type, list[Sample]] = {kind: [] for kind in (ImuSample, MagSample, GpsFix, RangeSample)}
     stamps = np.array([(t, m.time_usec * 1e-6 - t) for t, m in recorded if m.get_msgId() == imu_message])
     answered_s = -math.inf

@@ -11,7 +11,7 @@ from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadBeacon, Setpoint
 from companion.config import LinkConfig
 from companion.link.codec import Codec, Message, heartbeat, mavlink, status_texts, timesync
-from companion.link.commands import NO_ANSWER, Command
+from companion.link.commands import NO_ANSWER, VehicleCommand
 from companion.link.session import Session
 from companion.link.streams import TELEMETRY_RATES_HZ
 from tests.unit.link.fake_autopilot import FakeAutopilot
@@ -320,7 +320,7 @@ def test_texts_of_the_autopilot_are_kept_and_counted() -> None:
 
 # ---------------------------------------------------------------- commands
 
-ARM = Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
+ARM = VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
 
 
 def test_an_accepted_command_is_sent_once() -> None:
@@ -395,7 +395,7 @@ def test_in_progress_means_wait_and_do_not_repeat() -> None:
 
 def test_commands_of_the_same_number_go_one_after_the_other() -> None:
     session = Session(LinkConfig())
-    first, second = session.command(ARM), session.command(Command(ARM.number, (0.0, 0.0)))
+    first, second = session.command(ARM), session.command(VehicleCommand(ARM.number, (0.0, 0.0)))
     sent = [m for m in Codec(1).decode(session.tick(0.0)) if m.get_type() == "COMMAND_LONG"]
     assert [m.param1 for m in sent] == [1.0]
     session.receive(ack(0, (1, 191)), 0.1)
@@ -419,7 +419,7 @@ def test_a_late_answer_to_a_withdrawn_command_is_not_the_next_ones() -> None:
     first = session.command(ARM)
     session.tick(0.0)
     session.withdraw(first)
-    second = session.command(Command(ARM.number, (0.0, 0.0)))
+    second = session.command(VehicleCommand(ARM.number, (0.0, 0.0)))
     session.tick(0.1)
     session.receive(ack(mavlink.MAV_RESULT_DENIED, (1, 191)), 0.2)
     assert second.outcome is None

@@ -13,14 +13,9 @@ import pytest
 from companion.base.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
-from companion.link.transport import (
-    SerialTransport,
-    TcpTransport,
-    UdpTransport,
-    backlog_read,
-    memory_pair,
-    open_transport,
-)
+from companion.link.inbox import memory_pair
+from companion.link.serial_transport import SerialTransport
+from companion.link.transport import TcpTransport, UdpTransport, backlog_read, open_transport
 
 
 async def read_count(transport: UdpTransport | SerialTransport, count: int) -> bytes:

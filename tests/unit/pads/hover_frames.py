@@ -11,7 +11,7 @@ from companion.base.messages import Frame, PadPrior
 from companion.config import CameraConfig, VehicleConfig, VisionConfig, find_file, load_model
 from companion.pad import Pad
 from companion.sense.vision.pipeline import Vision
-from companion.tools.pads.coverage import HOVER, Spread
+from companion.tools.pads.coverage import HOVER, HoverSpread
 from sitl.camera.camera import CameraModel, ScenePose
 from sitl.camera.exposure import ImagingSettings
 
@@ -21,7 +21,7 @@ BOARD = (0.0, 0.0, -0.1)
 class Hover:
     """A camera that hovers over a pad, and the eyes that look for it where it is expected, as in flight."""
 
-    def __init__(self, pad: Pad, camera_name: str, seed: int, spread: Spread = HOVER) -> None:
+    def __init__(self, pad: Pad, camera_name: str, seed: int, spread: HoverSpread = HOVER) -> None:
         self._camera = load_model(CameraConfig, find_file("cameras", camera_name))
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", "x500"))
         self._rng, self._spread = np.random.default_rng(seed), spread

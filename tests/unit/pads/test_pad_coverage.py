@@ -9,13 +9,13 @@ import pytest
 
 from companion.config import CameraConfig, find_file, load_model
 from companion.pad import Marker, Pad, load_pad
-from companion.tools.pads.coverage import HOVER, SMALL_LENS, Spread, predict, seen_between
+from companion.tools.pads.coverage import HOVER, SMALL_LENS, HoverSpread, predict, seen_between
 from companion.tools.pads.recall import FITTED, Optics, RecallModel
 from tests.unit.pads.hover_frames import Hover
 
 CERTAIN = RecallModel(0.01, 50.0, 50.0, 50.0, 1.0)
 HALF = RecallModel(0.01, 50.0, 50.0, 50.0, 0.5)
-STILL = Spread(0.0, 0.0, 0.0, 0.0)
+STILL = HoverSpread(0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -62,12 +62,12 @@ def test_a_marker_is_seen_from_the_height_at_which_it_is_whole_in_the_image(came
 def test_what_moves_or_is_out_of_focus_is_read_less(camera: CameraConfig) -> None:
     pad = pad_of((0.0, 0.0, "C"))
 
-    def recall(spread: Spread, optics: Optics = SMALL_LENS) -> float:
+    def recall(spread: HoverSpread, optics: Optics = SMALL_LENS) -> float:
         return float(predict(pad, camera, spread, np.array([0.4]), optics).pad[0])
 
     assert recall(STILL) > 0.99
     # cells of 17 mm: 8 m/s smear 32 mm in 4 ms
-    assert recall(Spread(0.0, 0.0, 0.0, 8.0)) < 0.2
+    assert recall(HoverSpread(0.0, 0.0, 0.0, 8.0)) < 0.2
     assert recall(STILL, Optics(aperture_m=0.1)) < 0.1
 
 
@@ -75,7 +75,8 @@ def test_off_the_middle_less_is_in_view(camera: CameraConfig) -> None:
     pad = pad_of((0.0, 0.0, "C"))
     heights = np.array([0.3])
     centred, aside = (
-        float(predict(pad, camera, Spread(offset, 0.0, 0.0, 0.0), heights).pad[0]) for offset in (0.0, 0.1)
+        float(predict(pad, camera, HoverSpread(offset, 0.0, 0.0, 0.0), heights).pad[0])
+        for offset in (0.0, 0.1)
     )
     assert centred > 0.98
     assert aside < 0.6

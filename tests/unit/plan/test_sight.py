@@ -1,7 +1,7 @@
 import pytest
 
 from companion.base.messages import PadState
-from companion.plan.landing.relative_state import PadKnowledge, Sightings, pad_motion, predicted
+from companion.plan.landing.relative_state import PadKnowledge, SteadySightings, pad_motion, predicted
 from tests.unit.plan.plan_harness import ORIGIN_NED_M, World, still
 
 
@@ -55,7 +55,7 @@ def test_the_pad_in_our_frame_is_where_it_truly_is() -> None:
 
 
 def test_steady_means_so_many_sightings_within_a_window() -> None:
-    s = Sightings(3, 0.5)
+    s = SteadySightings(3, 0.5)
     for t in (1.0, 1.1):
         s.note(pad(t, t))
         s.note(pad(t + 0.03, t))  # the same sighting, predicted on

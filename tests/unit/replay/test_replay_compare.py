@@ -8,7 +8,7 @@ import pytest
 from companion.base.geometry import IDENTITY, Quaternion, quat_from_euler, quat_multiply
 from companion.base.messages import ImuSample
 from companion.flightlog.replay.compare import attitude_errors_deg
-from companion.flightlog.replay.flight_record import Ask, Event, Track, track_of
+from companion.flightlog.replay.flight_record import Ask, RecordedEvent, RecordedTrack, track_of
 from companion.flightlog.replay.run import asked_regularly
 
 
@@ -39,7 +39,7 @@ def test_the_sign_of_a_quaternion_means_nothing() -> None:
 
 
 def test_a_track_knows_nothing_within_its_gaps() -> None:
-    track = Track(
+    track = RecordedTrack(
         [0.0, 0.2, 3.0, 3.2], [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [30.0, 0.0, 0.0], [32.0, 0.0, 0.0]]
     )
     times = np.array([-0.1, 0.0, 0.1, 0.2, 1.0, 3.0, 3.1, 3.3])
@@ -49,13 +49,13 @@ def test_a_track_knows_nothing_within_its_gaps() -> None:
 
 def test_a_track_turns_the_short_way_round() -> None:
     before, after = quat_from_euler(0.0, 0.0, 3.1), quat_from_euler(0.0, 0.0, -3.1)
-    track = Track([0.0, 0.1], [before, after])
+    track = RecordedTrack([0.0, 0.1], [before, after])
     middle = tuple(track.at(np.array([0.05]))[0].tolist())
     assert errors_deg(middle, quat_from_euler(0.0, 0.0, math.pi))[0] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_samples_may_repeat_a_time_and_come_in_any_order() -> None:
-    track = Track([1.0, 0.0, 1.0], [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    track = RecordedTrack([1.0, 0.0, 1.0], [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
     assert track.time_s.tolist() == [0.0, 1.0]
     assert track.values[1, 0] == 5.0
     assert track_of([(0.0, (1.0, 2.0, 3.0))]) is None
@@ -63,7 +63,7 @@ def test_samples_may_repeat_a_time_and_come_in_any_order() -> None:
 
 def test_a_log_is_asked_at_a_fixed_rate_but_not_within_a_gap() -> None:
     times = [*np.arange(0.0, 1.0, 0.005), *np.arange(1000.0, 1001.0, 0.005)]
-    samples = [Event(float(t), ImuSample(float(t), (0, 0, 0), (0, 0, -9.8), 20.0)) for t in times]
+    samples = [RecordedEvent(float(t), ImuSample(float(t), (0, 0, 0), (0, 0, -9.8), 20.0)) for t in times]
     events = list(asked_regularly(samples, 30.0))
     asks = [event.arrival_s for event in events if isinstance(event.item, Ask)]
     assert len(asks) == pytest.approx(60, abs=2)

@@ -13,7 +13,7 @@ from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
 from companion.flightlog.replay.compare import Comparison, Errors
 from companion.flightlog.replay.dataflash import read_dataflash
-from companion.flightlog.replay.flight_record import Event, FlightRecord, Sample
+from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent, Sample
 from companion.flightlog.replay.run import replay
 from companion.flightlog.replay.settings import choose
 from companion.flightlog.replay.ulog import read_ulog
@@ -33,7 +33,7 @@ def record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return read(write(tmp_path_factory.mktemp("logs") / "a.log"))
 
 
-def of_kind(record: FlightRecord, kind: type[Sample]) -> list[Event]:
+def of_kind(record: FlightRecord, kind: type[Sample]) -> list[RecordedEvent]:
     return [event for event in record.events if isinstance(event.item, kind)]
 
 

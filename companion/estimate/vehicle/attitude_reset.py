@@ -37,14 +37,14 @@ WORDS_KEPT: Final = 20
 _DOWN: Final = (0.0, 0.0, 1.0)
 
 
-class Word(NamedTuple):
+class ReportedAttitude(NamedTuple):
     """What the autopilot said of its attitude."""
 
     time_s: float
     attitude: Quaternion
 
 
-class Own(NamedTuple):
+class EstimatedAttitude(NamedTuple):
     """Ours at a time, its horizon's standard deviation (rad), and how fast it turned (rad/s)."""
 
     attitude: Quaternion
@@ -62,11 +62,11 @@ class Correction(NamedTuple):
     why: str
 
 
-class Anchor:
+class AttitudeReset:
     """Compares word by word; each waits until our own samples have come as far."""
 
     def __init__(self) -> None:
-        self._words: tuple[Word, ...] = ()
+        self._words: tuple[ReportedAttitude, ...] = ()
         self._heading_rad: float | None = None  # ours less theirs
         self._learnt_s = 0.0
         self._wrong_since_s: float | None = None
@@ -76,18 +76,18 @@ class Anchor:
         """Our stream goes on at time_s, after nothing had come for so long."""
         self._gap = (time_s, lasted_s)
 
-    def hear(self, word: Word) -> None:
+    def hear(self, word: ReportedAttitude) -> None:
         """Take a word in."""
         self._words = (*self._words, word)[-WORDS_KEPT:]
 
-    def due(self, newest_s: float) -> Word | None:
+    def due(self, newest_s: float) -> ReportedAttitude | None:
         """The next word that our samples have come up to."""
         if not self._words or self._words[0].time_s > newest_s:
             return None
         word, self._words = self._words[0], self._words[1:]
         return word
 
-    def compare(self, word: Word, own: Own) -> Correction | None:
+    def compare(self, word: ReportedAttitude, own: EstimatedAttitude) -> Correction | None:
         """Ours set right by a word, if that has to be."""
         tilt_rad, heading_rad = apart(own.attitude, word.attitude)
         if self._heading_rad is None:
@@ -107,7 +107,7 @@ class Anchor:
             return None
         return self._correction(word, self._wrong_since_s, tilt_rad, "its horizon is another")
 
-    def _after_gap(self, word: Word, tilt_rad: float, off_rad: float) -> Correction | None:
+    def _after_gap(self, word: ReportedAttitude, tilt_rad: float, off_rad: float) -> Correction | None:
         assert self._gap is not None
         end_s, lasted_s = self._gap
         if word.time_s < end_s:
@@ -118,7 +118,7 @@ class Anchor:
         why = f"{1e3 * lasted_s:.0f} ms of the IMU's stream are missing"
         return self._correction(word, end_s, math.hypot(tilt_rad, off_rad), why)
 
-    def _correction(self, word: Word, since_s: float, apart_rad: float, why: str) -> Correction:
+    def _correction(self, word: ReportedAttitude, since_s: float, apart_rad: float, why: str) -> Correction:
         self._wrong_since_s = None
         turned = quat_from_euler(0.0, 0.0, self._heading_rad or 0.0)
         return Correction(word.time_s, since_s, quat_multiply(turned, word.attitude), apart_rad, why)

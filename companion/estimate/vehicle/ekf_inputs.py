@@ -1,0 +1,69 @@
+"""What the EKF takes in: steps of the IMU, fixes, and corrections from outside. NED and FRD, SI units, µT."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from companion.base.geometry import Quaternion, Vector3, ned_from_geodetic
+from companion.base.messages import GpsFix
+from companion.config import EkfConfig
+from companion.estimate.vehicle.gyro_bias_check import BiasStep
+
+
+@dataclass(frozen=True, slots=True)
+class ImuStep:
+    """The mean of a few IMU samples at their mean time, and what else is known at that time.
+
+    `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_doubt_m_s2` is
+    by how much the specific force may be off for a second or so. `span_s` is how long it has lasted by the
+    sensor's own clock; None: since the step before.
+    """
+
+    rate_body_rad_s: Vector3
+    specific_force_body_m_s2: Vector3
+    samples: int = 1
+    field_body_ut: Vector3 | None = None
+    attitude: Quaternion | None = None
+    tilt_noise_rad: float = 0.2
+    heading_noise_rad: float = 0.35
+    still: bool = False
+    at_rest: bool = False
+    force_doubt_m_s2: float = 0.0
+    span_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GpsStep:
+    """A fix in the EKF's NED: where the antenna was, and how fast."""
+
+    position_ned_m: Vector3
+    velocity_ned_m_s: Vector3
+    position_std_m: Vector3
+    velocity_std_m_s: Vector3
+
+
+class AttitudeStep(NamedTuple):
+    """The attitude is off: `turn` (about NED axes) puts it right, to these standard deviations (rad)."""
+
+    turn: Quaternion
+    tilt_std_rad: float
+    heading_std_rad: float
+
+
+EkfInput = ImuStep | GpsStep | BiasStep | AttitudeStep
+
+
+def gps_step(fix: GpsFix, origin: Vector3, config: EkfConfig) -> GpsStep:
+    """A fix in NED about the origin (latitude deg, longitude deg, altitude m), with the noise to expect."""
+    factor = config.gps_accuracy_factor
+    across = max(factor * fix.horizontal_accuracy_m, config.gps_position_noise_m)
+    along = max(factor * fix.vertical_accuracy_m, 1.5 * config.gps_position_noise_m)
+    speed = max(factor * fix.speed_accuracy_m_s, config.gps_velocity_noise_m_s)
+    climb = max(factor * (fix.vertical_speed_accuracy_m_s or 0.0), 1.4 * speed)
+    return GpsStep(
+        position_ned_m=ned_from_geodetic(fix.latitude_deg, fix.longitude_deg, fix.altitude_m, origin),
+        velocity_ned_m_s=fix.velocity_ned_m_s,
+        position_std_m=(across, across, along),
+        velocity_std_m_s=(speed, speed, climb),
+    )

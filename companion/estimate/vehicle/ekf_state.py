@@ -1,0 +1,218 @@
+"""State and covariance of the 31-state EKF: prediction and correction (eq. 17), and how it is put back.
+
+`x` and `P` are replaced and never changed in place, so that a snapshot costs nothing. NED and FRD, SI, µT.
+
+The IMU drives attitude, velocity and position; its noise enters there. White noise also drives the rate,
+the acceleration, the biases and the field.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from companion.base.geometry import FloatArray, Quaternion, euler_from_quat, quat_normalise
+from companion.config import EkfConfig
+from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
+from companion.estimate.vehicle import ekf_model as model
+from companion.estimate.vehicle.ekf_start import (
+    TINY_VARIANCE,
+    InitialState,
+    initial_covariance,
+    initial_state,
+    noise_density,
+)
+from companion.estimate.vehicle.fix_watch import FixWatch
+
+LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
+UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
+UNSEEN_ACCELERATION_M_S2: Final = 4.0
+UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
+UNSEEN_JERK_M_S3: Final = 6.0
+DOUBT_S: Final = 1.0  # a doubtful force stays off for so long
+EYE3: Final = np.eye(3)
+EYE4: Final = np.eye(4)
+EYE: Final = np.eye(model.STATES)
+
+
+class EkfSnapshot(NamedTuple):
+    """All of the filter; the arrays are never written to again.
+
+    `moved` (31, 31) is how an error before the last input has become one after it; None when the input has
+    set states anew, so that none has.
+    """
+
+    time_s: float
+    x: FloatArray
+    P: FloatArray
+    gates: dict[str, Gate]
+    has_position: bool
+    gps_time_s: float
+    fix_watch: FixWatch
+    moved: FloatArray | None
+
+
+class EkfState:
+    """x and P of the filter with its gates; `ekf_model` has the state's order."""
+
+    def __init__(self, config: EkfConfig, start: InitialState) -> None:
+        self._config = config
+        self._noise = noise_density(config)
+        self.time_s = start.time_s
+        self.x = initial_state(start)
+        self.P = initial_covariance(config, start)
+        self.gates: dict[str, Gate] = {}
+        self.has_position = False
+        self.gps_time_s = -math.inf
+        self.fix_watch = FixWatch()
+        self._moved: FloatArray | None = EYE
+
+    def snapshot(self) -> EkfSnapshot:
+        """The whole state; cheap, since nothing is changed in place."""
+        return EkfSnapshot(
+            *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch),
+            self._moved,
+        )
+
+    def restore(self, snapshot: EkfSnapshot) -> None:
+        """Go on from a snapshot."""
+        self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
+        self.gps_time_s, self.fix_watch, self._moved = snapshot[5:]
+
+    @property
+    def attitude(self) -> Quaternion:
+        """Body to NED."""
+        return model.quaternion_of(self.x)
+
+    def rotation_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the attitude as a small rotation about NED axes (rad²)."""
+        return model.rotation_covariance(self.attitude, self.P[model.QUATERNION, model.QUATERNION])
+
+    def motion_covariance(self) -> FloatArray:
+        """Covariance (9, 9): small rotation about NED axes (rad), velocity NED (m/s), position NED (m)."""
+        states = [*range(model.STATES)[model.VELOCITY], *range(model.STATES)[model.POSITION]]
+        J = np.zeros((9, model.STATES))
+        J[0:3, model.QUATERNION] = model.rotation_from_quaternion(self.attitude)
+        J[range(3, 9), states] = 1.0
+        covariance: FloatArray = J @ self.P @ J.T
+        return covariance
+
+    # ------------------------------------------------------------ eq. 17
+
+    def predict(
+        self,
+        time_s: float,
+        u: model.InertialInput,
+        samples: int = 1,
+        force_doubt_m_s2: float = 0.0,
+        span_s: float | None = None,
+    ) -> None:
+        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing.
+
+        What moves meanwhile moves for `span_s`, when that is told.
+        """
+        if time_s <= self.time_s:
+            return
+        dt_s = time_s - self.time_s if span_s is None else span_s
+        n, m = model.MOVING, model.COUPLED
+        P = self.P.copy()
+        turn_variance, push_variance = self._inertial_noise(u, dt_s, samples)
+        q = self.x[model.QUATERNION]
+        P[model.QUATERNION, model.QUATERNION] += 0.25 * turn_variance * (EYE4 - np.outer(q, q))
+        diagonal = P.reshape(-1)[:: model.STATES + 1]
+        diagonal[model.VELOCITY] += push_variance + force_doubt_m_s2**2 * DOUBT_S * dt_s
+        diagonal += self._noise * dt_s
+        self.x, A = model.transition(self.x, u, dt_s, self._config.acceleration_time_constant_s)
+        P[:n] = A @ P[:m]
+        P[:, :n] = P[:, :m] @ A.T
+        diagonal[:7] += TINY_VARIANCE
+        self.P = P
+        self._moved = EYE.copy()
+        self._moved[:n, :m] = A
+        self.time_s = time_s
+
+    def _inertial_noise(self, u: model.InertialInput, dt_s: float, samples: int) -> tuple[float, float]:
+        """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
+
+        Scale errors and misalignment are proportional to the rate; a motion keeps its direction for about
+        a second. A step longer than any in a healthy stream has seen only its ends: what lies between them
+        may differ the more the longer it took.
+        """
+        config = self._config
+        unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
+        x, y, z = u.rate_body_rad_s
+        scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
+        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
+        push = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
+        rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
+        acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
+        return turn + (rate * unseen_s) ** 2, push + (acceleration * unseen_s) ** 2
+
+    def _update(
+        self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, doubt: FloatArray | None
+    ) -> bool:
+        """An update with noise R; False when the innovation fails its chi-square test with noise `doubt`.
+
+        The two differ where R is larger to make up for errors that are alike in many samples.
+        """
+        PCt = self.P @ C.T
+        S = C @ PCt
+        if doubt is not None:
+            test = normalised_innovation_squared(innovation, S + doubt)
+            passed = test <= CHI_SQUARE_999[len(innovation)]
+            self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
+            if not passed:
+                return False
+        self._correct(innovation, C, PCt, S + R)
+        return True
+
+    def _correct(self, innovation: FloatArray, C: FloatArray, PCt: FloatArray, S: FloatArray) -> None:
+        """x⁺ = x⁻ + K y, P⁺ = P⁻ - K S Kᵀ, K = P Cᵀ S⁻¹; then the quaternion's share is put right.
+
+        Raises:
+            numpy.linalg.LinAlgError: S is not positive definite.
+        """
+        _, Kt, failed = dposv(S, PCt.T)
+        if failed:
+            raise np.linalg.LinAlgError(f"innovation covariance: {failed}")
+        x, P, L = self.x + innovation @ Kt, self.P - PCt @ Kt, EYE - Kt.T @ C
+        J = self._normalise(x)
+        P[model.QUATERNION] = J @ P[model.QUATERNION]
+        P[:, model.QUATERNION] = P[:, model.QUATERNION] @ J.T
+        P = 0.5 * (P + P.T)
+        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
+        self.x, self.P = x, P
+        if self._moved is not None:
+            L[model.QUATERNION] = J @ L[model.QUATERNION]
+            self._moved = L @ self._moved
+
+    @staticmethod
+    def _normalise(x: FloatArray) -> FloatArray:
+        """Quaternion to unit length, and what that does to its errors: J (4, 4) = (I - q qᵀ) / |q|."""
+        w, i, j, k = x[model.QUATERNION].tolist()
+        size = math.sqrt(w * w + i * i + j * j + k * k)
+        unit = quat_normalise((w, i, j, k))
+        q = np.array(unit)
+        x[model.ATTITUDE] = (*unit, *euler_from_quat(unit))
+        return np.asarray((EYE4 - q[:, None] * q) / size)
+
+    def _doubt_rotation(self, rotation_variance: FloatArray) -> None:
+        """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
+        P, q = self.P.copy(), self.attitude
+        J = np.vstack((EYE4, model.euler_jacobian(q)))
+        P[:7, :7] += J @ model.attitude_covariance(q, rotation_variance) @ J.T
+        P.reshape(-1)[: 7 * (model.STATES + 1) : model.STATES + 1] += TINY_VARIANCE
+        self.P = P
+
+    def _start_attitude(self, attitude: Quaternion, rotation_variance: FloatArray) -> None:
+        """Take another attitude: the filter's own has proved wrong."""
+        x, P = self.x.copy(), self.P.copy()
+        x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
+        P[:7, :] = P[:, :7] = 0.0
+        self.x, self.P, self._moved = x, P, None
+        self._doubt_rotation(rotation_variance)
+        gate = self.gates.get("orientation", Gate())
+        self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}

@@ -1,0 +1,93 @@
+"""How the vehicle moves from one IMU sample to the next, by the newest biases: body FRD and NED, SI units."""
+
+from __future__ import annotations
+
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    IDENTITY,
+    ZERO3,
+    Quaternion,
+    Vector3,
+    add,
+    norm,
+    quat_integrate,
+    quat_rotate,
+    scale,
+    subtract,
+)
+from companion.base.messages import ImuSample
+from companion.config import EstimateConfig
+from companion.estimate.ahrs.orientation import Orientation
+from companion.estimate.motion import MotionHistory
+
+
+class VectorMean:
+    """The mean of vectors since it was last taken."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._sum: Vector3 = ZERO3
+
+    def add(self, value: Vector3) -> None:
+        """Take one vector in."""
+        self._sum = add(self._sum, value)
+        self.count += 1
+
+    def take(self) -> Vector3:
+        """The mean; then it begins anew."""
+        result = scale(self._sum, 1.0 / self.count)
+        self.count, self._sum = 0, ZERO3
+        return result
+
+
+class InertialMotion:
+    """Attitude, rate and acceleration at the newest sample; each sample goes to the history, too.
+
+    `disturbance_m_s2` is the largest acceleration within the time over which the pre-filter averages.
+    """
+
+    def __init__(self, config: EstimateConfig, history: MotionHistory) -> None:
+        self._config = config
+        self._history = history
+        self.attitude: Quaternion = IDENTITY
+        self.rate_body_rad_s: Vector3 = ZERO3
+        self.acceleration_ned_m_s2: Vector3 = ZERO3
+        self.gyro_bias_rad_s: Vector3 = ZERO3
+        self.accel_bias_m_s2: Vector3 = ZERO3
+        self.disturbance_m_s2 = 0.0
+        self._by_orientation: Vector3 = ZERO3
+
+    def add(
+        self,
+        sample: ImuSample,
+        dt_s: float,
+        mean_rate: Vector3,
+        mean_force: Vector3,
+        orientation: Orientation,
+    ) -> None:
+        """Take a sample, and the means since the one before, dt_s ago; the pre-filter goes along."""
+        turned = subtract(mean_rate, self.gyro_bias_rad_s)
+        self.attitude = quat_integrate(self.attitude, turned, dt_s)
+        orientation.update_imu(turned, subtract(mean_force, self.accel_bias_m_s2), dt_s)
+        self.rate_body_rad_s = subtract(sample.rate_body_rad_s, self.gyro_bias_rad_s)
+        force = subtract(sample.specific_force_body_m_s2, self.accel_bias_m_s2)
+        acceleration = _acceleration(self.attitude, force)
+        span_s = None if sample.interval_s is None else dt_s
+        self._history.add(sample.time_s, self.attitude, acceleration, span_s)
+        k = dt_s / (self._config.acceleration_filter_s + dt_s)
+        self.acceleration_ned_m_s2 = _approached(self.acceleration_ned_m_s2, acceleration, k)
+        # the pre-filter remembers an acceleration for as long as it averages; taken with its own attitude, so
+        # that a wrong one of the EKF does not look like an acceleration and shut out what would correct it
+        own = _acceleration(orientation.attitude, force)
+        self._by_orientation = _approached(self._by_orientation, own, k)
+        fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
+        self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
+
+
+def _acceleration(attitude: Quaternion, specific_force_m_s2: Vector3) -> Vector3:
+    north, east, down = quat_rotate(attitude, specific_force_m_s2)
+    return (north, east, down + GRAVITY_M_S2)
+
+
+def _approached(value: Vector3, goal: Vector3, share: float) -> Vector3:
+    return add(value, scale(subtract(goal, value), share))

@@ -1,0 +1,88 @@
+"""What came over a transport and was not read yet, and the pipe within a process that is made of two."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import Final
+
+READ_QUEUE_BYTES: Final = 1 << 16
+
+
+class Inbox:
+    """What came and was not read yet; for one reader."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._changed = asyncio.Event()
+        self._error: OSError | None = None
+        self.dropped_bytes = 0
+
+    def put(self, data: bytes) -> None:
+        """Take bytes in; those that nobody has read give way when the queue is full."""
+        if len(self._data) + len(data) > READ_QUEUE_BYTES:
+            self.dropped_bytes += len(self._data)
+            self._data.clear()
+        self._data += data
+        self._changed.set()
+
+    def fail(self, error: OSError) -> None:
+        """The transport is gone: who reads gets the error once the queue is empty."""
+        self._error = self._error or error
+        self._changed.set()
+
+    async def read(self) -> bytes:
+        """Wait for one byte or more.
+
+        Raises:
+            OSError: the transport is gone.
+        """
+        while not self._data:
+            if self._error is not None:
+                raise self._error
+            await self._changed.wait()
+            self._changed.clear()
+        data = bytes(self._data)
+        self._data.clear()
+        return data
+
+
+class MemoryTransport:
+    """One end of a pipe within the process: bytes arrive `latency_s` of loop time later, in order."""
+
+    def __init__(self, latency_s: float) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._latency_s = latency_s
+        self._inbox = Inbox()
+        self._under_way: deque[bytes] = deque()
+        self._peer: MemoryTransport | None = None
+
+    async def read(self) -> bytes:
+        """See `Transport`."""
+        return await self._inbox.read()
+
+    def write(self, data: bytes) -> None:
+        """See `Transport`."""
+        peer = self._peer
+        if peer is None or not data:
+            return
+        # the loop does not promise an order among timers due together, so each takes the oldest
+        peer._under_way.append(data)
+        self._loop.call_later(self._latency_s, peer._deliver)
+
+    def close(self) -> None:
+        """Both ends are closed, as when a cable is pulled."""
+        for end in (self, self._peer):
+            if end is not None:
+                end._peer = None
+                end._inbox.fail(OSError("the pipe is closed"))
+
+    def _deliver(self) -> None:
+        self._inbox.put(self._under_way.popleft())
+
+
+def memory_pair(latency_s: float = 0.002) -> tuple[MemoryTransport, MemoryTransport]:
+    """The two ends of an in-process pipe; call it inside the loop."""
+    one, other = MemoryTransport(latency_s), MemoryTransport(latency_s)
+    one._peer, other._peer = other, one
+    return one, other
