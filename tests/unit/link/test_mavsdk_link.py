@@ -16,6 +16,7 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.messages import Action, ActionKind, Manner
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions import mavsdk_link
+from companion.link.actions.actions import PymavlinkActions
 from companion.link.actions.mavsdk_link import MavsdkActions
 from companion.link.actions.performing import Refused
 from companion.link.codec import mavlink
@@ -32,13 +33,13 @@ def autopilot_of(manner: Manner) -> FakeAutopilot:
 
 @asynccontextmanager
 async def connected(
-    autopilot: FakeAutopilot, config: LinkConfig | None = None
-) -> AsyncIterator[MavsdkActions]:
-    """MAVSDK and our session on one line to the autopilot, until its first telemetry is here."""
+    autopilot: FakeAutopilot, config: LinkConfig | None = None, kind: type[Any] = MavsdkActions
+) -> AsyncIterator[Any]:
+    """The actions and our session on one line to the autopilot, once its first telemetry is here."""
     clock, settings = Clock(), config or LinkConfig()
     ours, theirs = memory_pair(0.001)
     session = Session(settings)
-    actions = MavsdkActions(session, ours.write, clock, settings, attitude_setpoints=False)
+    actions = kind(session, ours.write, clock, settings, attitude_setpoints=False)
     await actions.start()
 
     known = asyncio.Event()
@@ -102,6 +103,30 @@ async def test_a_whole_flight_is_accepted(manner: Manner) -> None:
     by = {m.command: m.get_srcComponent() for m in autopilot.heard if m.get_type().startswith("COMMAND_")}
     assert by[mavlink.MAV_CMD_NAV_TAKEOFF] == by[mavlink.MAV_CMD_DO_REPOSITION] == 192
     assert by[mavlink.MAV_CMD_SET_MESSAGE_INTERVAL] in {191, 192}
+
+
+@pytest.mark.parametrize("manner", MANNERS)
+async def test_flights_in_virtual_time_have_the_same_effect_on_the_autopilot(manner: Manner) -> None:
+    """`--fast` performs actions by our own messages, since MAVSDK has threads and a clock of its own."""
+
+    async def effects(kind: type[Any]) -> list[tuple[str, bool]]:
+        autopilot = autopilot_of(manner)
+        states = []
+        async with connected(autopilot, kind=kind) as actions:
+            for action in (
+                Action(ActionKind.ARM),
+                Action(ActionKind.TAKE_OFF, height_m=7.0),
+                Action(ActionKind.GO_TO, position=(47.0001, 8.0, 7.0)),
+                Action(ActionKind.HOLD),
+                Action(ActionKind.TAKE_CONTROL),
+                Action(ActionKind.LAND),
+            ):
+                result = await asyncio.wait_for(actions.perform(action), 10.0)
+                assert (action.kind, result.accepted, result.text) == (action.kind, True, "")
+                states.append((autopilot.mode, autopilot.armed))
+        return states
+
+    assert await effects(MavsdkActions) == await effects(PymavlinkActions)
 
 
 @pytest.mark.parametrize("manner", MANNERS)
