@@ -131,6 +131,8 @@ class FakeAutopilot:
             self.mode = self._mode(int(command.param2), int(command.param3))
         elif number == mavlink.MAV_CMD_NAV_TAKEOFF:
             self.believes_in_air = True
+        elif number == mavlink.MAV_CMD_NAV_LAND:
+            self.mode = "LAND" if self.manner == "ardupilot" else "AUTO.LAND"
         elif number == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.rates_hz[int(command.param1)] = 1e6 / command.param2
             return []

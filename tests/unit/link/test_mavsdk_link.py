@@ -123,6 +123,7 @@ async def test_flights_in_virtual_time_have_the_same_effect_on_the_autopilot(man
             ):
                 result = await asyncio.wait_for(actions.perform(action), 10.0)
                 assert (action.kind, result.accepted, result.text) == (action.kind, True, "")
+                await asyncio.sleep(0.1)
                 states.append((autopilot.mode, autopilot.armed))
         return states
 
