@@ -20,7 +20,7 @@ THRUST_IS_THRUST: Final = 8  # GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET's thrust 
 
 @dataclass(slots=True, eq=False)
 class ParameterRequest:
-    """A parameter to read, or to set to `wanted`; `value` is the autopilot's newest word on it.
+    """A parameter to read, or to set to `wanted`; `value` is the autopilot's newest answer.
 
     `outcome` is None until it ends: "accepted", "withdrawn" or "no answer" (none that has the wanted value).
     """

@@ -77,9 +77,9 @@ class Mpc:
         stopwatch: Callable[[], float] | None = None,
         hover_thrust: float = 0.5,
     ) -> None:
-        """`lags_s` are `flight_model.lags`; `stopwatch` tells seconds, by which a solve may come to its end.
+        """`lags_s` are `flight_model.lags`; `stopwatch` gives seconds, by which a solve may come to its end.
 
-        `hover_thrust` is the share of full thrust that carries the weight, until a target tells it.
+        `hover_thrust` is the share of full thrust that carries the weight, until a target gives it.
         """
         self._limits = config.limits
         self._stopwatch = stopwatch or (lambda: 0.0)

@@ -95,7 +95,7 @@ def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -
 
 
 class HeadingReference:
-    """Follows the plan's heading no faster than allowed, and tells the rate at which it turns (rad/s)."""
+    """Follows the plan's heading no faster than allowed, and gives the rate at which it turns (rad/s)."""
 
     def __init__(self, maximum_rate_rad_s: float) -> None:
         self._maximum_rate_rad_s = maximum_rate_rad_s

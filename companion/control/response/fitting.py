@@ -3,7 +3,7 @@
 The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
 frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far
 below the ringing as the square of its peak says: what is fed back of velocity and of tilt peaks there, too.
-`margins` tells what is left. SI units.
+`margins` shows what is left. SI units.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far the loop is from swinging: its margins, from the very controller that flies.
+"""How far the loop is from oscillating: its margins, from the very controller that flies.
 
 The controller (with the MPC's answer free of constraints, the paper's recursion on the same weights) flies a
 linear vehicle: the command is held over a period, reaches the tilt or the thrust after a dead time and at
@@ -47,7 +47,7 @@ FREQUENCIES: Final = 2000
 
 @dataclass(frozen=True)
 class MarginCase:
-    """A loop: settings, whose autopilot, the axis, the response, and how far off what is believed it is."""
+    """A loop: settings, whose autopilot, the axis, the response, and how far off the assumed one it is."""
 
     control: ControlConfig
     vehicle: VehicleConfig

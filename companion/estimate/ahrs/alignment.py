@@ -105,7 +105,7 @@ class StaticAligner:
             self._restart()
             if not late or self._last_field is None:
                 return None
-            # no stand-still comes: what is felt now, for a mean over a motion is the attitude of no instant
+            # no stand-still comes: the present sample, for a mean over a motion is the attitude of no instant
             return InitialAlignment(
                 block.rate_body_rad_s, block.specific_force_body_m_s2, self._last_field, block.samples, False
             )

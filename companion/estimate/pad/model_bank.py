@@ -1,4 +1,4 @@
-"""Interacting multiple models (IMM) on filterpy: several Kalman filters of one state that share their doubts.
+"""Interacting multiple models (IMM) on filterpy: Kalman filters of one state that share their uncertainty.
 
 Every model has the same state and sees the same measurement, but moves it by its own F and Q. Before a step
 each model starts from the blend of all that the chance of a change to it gives; after a measurement the

@@ -20,7 +20,7 @@ TINY_VARIANCE: Final = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class InitialState:
-    """What standing still before the flight has told."""
+    """What standing still before the flight has shown."""
 
     time_s: float
     attitude: Quaternion
@@ -34,7 +34,7 @@ class InitialState:
 def start_state(
     time_s: float, found: InitialAlignment, attitude: Quaternion, config: EstimateConfig
 ) -> InitialState:
-    """What the alignment tells; one in motion tells little."""
+    """What the alignment shows; one in motion shows little."""
     gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
     return InitialState(
         time_s=time_s,

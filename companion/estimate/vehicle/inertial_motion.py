@@ -34,7 +34,7 @@ class VectorMean:
         self.count += 1
 
     def take(self) -> Vector3:
-        """The mean; then it begins anew."""
+        """The mean; then it starts again."""
         result = scale(self._sum, 1.0 / self.count)
         self.count, self._sum = 0, ZERO3
         return result

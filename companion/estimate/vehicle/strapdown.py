@@ -1,8 +1,9 @@
 """A few IMU samples summed up as one step of constant rate and specific force.
 
 The sum is exact where averages are not: turns about changing axes do not commute (coning), and a force
-felt while turning points elsewhere at the end than at the start (sculling). Between two samples, which are
-the sensor's filtered output at their instants, both are taken as linear. Body FRD, SI units, plain floats.
+measured while turning points elsewhere at the end than at the start (sculling). Between two samples, which
+are the sensor's filtered output at their instants, both are taken as linear. Body FRD, SI units, plain
+floats.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Strapdown:
         self.samples += 1
 
     def take(self) -> Increment:
-        """What was collected, and begin anew.
+        """What was collected, and start again.
 
         Raises:
             ZeroDivisionError: nothing was collected.

@@ -38,7 +38,7 @@ from companion.estimate.ahrs.orientation import (
     tilt_noise_rad,
 )
 from companion.estimate.gating import Timeline
-from companion.estimate.motion import FORETOLD_S, MotionHistory
+from companion.estimate.motion import PREDICTED_S, MotionHistory
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.attitude_reset import (
     GAP_S,
@@ -46,7 +46,6 @@ from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
     Correction,
     EstimatedAttitude,
-    ReportedAttitude,
 )
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
@@ -57,8 +56,8 @@ from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMea
 from companion.estimate.vehicle.strapdown import Strapdown
 from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 
-IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
-LOST_S = 2.0  # and after so long it begins anew: where it has turned meanwhile is anyone's guess
+IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to report
+LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -82,8 +81,8 @@ class VehicleEstimator:
         self.newest_s = -math.inf
         self._strapdown, self._fields = Strapdown(), VectorMean()
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._second_gyro, self._vibration, self._anchor = SecondGyro(), VibrationMonitor(), AttitudeReset()
-        self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet told
+        self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
+        self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial = InertialMotion(config, motion)
@@ -111,7 +110,7 @@ class VehicleEstimator:
                 self._resting &= block.still
             self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
             if dt_s > GAP_S:
-                self._anchor.note_gap(sample.time_s, dt_s)
+                self._reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
             self._collect(sample)
         elif block is not None:
@@ -154,7 +153,7 @@ class VehicleEstimator:
         if self._timeline is None or self._orientation is None:
             return False
         if sample.same_imu:
-            self._hold_to(ReportedAttitude(sample.time_s, sample.attitude))
+            self._reset_to(sample)
             return True
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
@@ -164,16 +163,16 @@ class VehicleEstimator:
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
 
-    def _hold_to(self, word: ReportedAttitude) -> None:
-        """Set the attitude right by the autopilot's, where that has to be."""
+    def _reset_to(self, report: AutopilotAttitude) -> None:
+        """Correct the attitude by the autopilot's, where that has to be."""
         assert self._ekf is not None
-        self._anchor.hear(word)
-        while (due := self._anchor.due(self.newest_s)) is not None:
+        self._reset.take(report)
+        while (due := self._reset.due(self.newest_s)) is not None:
             ours = self.motion.attitude(due.time_s)
             if ours is None:
                 continue
             x, y, z = self._ekf.rotation_covariance().diagonal().tolist()
-            correction = self._anchor.compare(
+            correction = self._reset.compare(
                 due, EstimatedAttitude(ours, math.sqrt(x + y), norm(self._inertial.rate_body_rad_s))
             )
             if correction is not None:
@@ -229,7 +228,7 @@ class VehicleEstimator:
         return VehicleState(
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
-            rate_body_rad_s=self._inertial.rate_body_rad_s if imu_age_s <= FORETOLD_S else ZERO3,
+            rate_body_rad_s=self._inertial.rate_body_rad_s if imu_age_s <= PREDICTED_S else ZERO3,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
             acceleration_ned_m_s2=self._inertial.acceleration_ned_m_s2,
@@ -272,7 +271,7 @@ class VehicleEstimator:
         self._aligner = StaticAligner(self._config.alignment)
         self._orientation = self._ekf = self._timeline = self._last_raw = None
         self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
-        self._second_gyro, self._vibration, self._anchor = SecondGyro(), VibrationMonitor(), AttitudeReset()
+        self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
 
     @property
     def aligned(self) -> bool:
@@ -308,14 +307,14 @@ class VehicleEstimator:
         assert self._timeline is not None
         assert self._ekf is not None
         assert self._orientation is not None
-        time_s, felt, config = sample.time_s, self._strapdown.take(), self._config.ekf
+        time_s, mean, config = sample.time_s, self._strapdown.take(), self._config.ekf
         with_attitude = time_s - self._orientation_step_s >= 1.0 / config.orientation_rate_hz
         settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
-            rate_body_rad_s=felt.rate_body_rad_s,
-            specific_force_body_m_s2=felt.specific_force_body_m_s2,
-            samples=felt.samples,
-            force_doubt_m_s2=self._vibration.doubt_m_s2(config.shaking_bound_m_s2, config.shaking_share),
+            rate_body_rad_s=mean.rate_body_rad_s,
+            specific_force_body_m_s2=mean.specific_force_body_m_s2,
+            samples=mean.samples,
+            force_error_m_s2=self._vibration.error_m_s2(config.shaking_bound_m_s2, config.shaking_share),
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=tilt_noise_rad(
@@ -348,9 +347,9 @@ class VehicleEstimator:
         return quat_rotate_inverse(self._inertial.attitude, self._fields.take())
 
     def _attitude_near(self, time_s: float) -> Quaternion:
-        """Attitude at a time near the newest sample's; further on nobody knows how it turns."""
+        """Attitude at a time near the newest sample's; further on its rotation is unknown."""
         return quat_integrate(
-            self._inertial.attitude, self._inertial.rate_body_rad_s, min(time_s - self.newest_s, FORETOLD_S)
+            self._inertial.attitude, self._inertial.rate_body_rad_s, min(time_s - self.newest_s, PREDICTED_S)
         )
 
     def _orientation_at(self, time_s: float) -> Quaternion:

@@ -198,7 +198,7 @@ class TelemetrySensors:
     def watch(self, now_s: float) -> str | None:
         """What is missing and what was expected, in one line; None when all is well. Call it at 1 Hz or so.
 
-        A silent link is told elsewhere: without heartbeats nothing is said here.
+        A silent link is reported elsewhere: without heartbeats nothing is said here.
         """
         self._measure_rate(now_s)
         manner = self._manner

@@ -1,4 +1,4 @@
-"""Where the 12-state model is and what pushes it besides its inputs: a Kalman filter for noisy measurements.
+"""State of the 12-state model and what disturbs it besides its inputs, by a Kalman filter.
 
 For each axis and each angle y: y'' = f(X, U) + push, push a slow random walk (eq. 38 with w = push), y and y'
 measured with noise; the gain is the stationary one (eq. 17 at its limit). The inputs are those flown, after

@@ -2,8 +2,8 @@
 
 Linearised along the reference's flat trajectory (`nominal.py`), which the estimated push of the air enters,
 so that nothing lasting is left over. Bounds on tilt, velocity, rates and height over the pad, and half-spaces
-clear of obstacles, are soft and dear; what the rotors can do is hard. Solved by OSQP: the structure is set up
-once, a step changes values, and starts from the last solution. Deterministic: iterations bound the work.
+clear of obstacles, are soft and costly; what the rotors can do is hard. Solved by OSQP: the structure is set
+up once, a step changes values, and starts from the last solution. Deterministic: iterations bound the work.
 
 `FullRiccatiTracker` is the paper's own recursion with the same weights, model and reference, unconstrained.
 Axes: the paper's z-up ones, SI units.
