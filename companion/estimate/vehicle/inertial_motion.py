@@ -83,6 +83,10 @@ class InertialMotion:
         fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
         self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
 
+    def turned(self, attitude: Quaternion, dt_s: float) -> Quaternion:
+        """An attitude after dt_s at the newest sample's rate."""
+        return quat_integrate(attitude, self.rate_body_rad_s, dt_s)
+
 
 def _acceleration(attitude: Quaternion, specific_force_m_s2: Vector3) -> Vector3:
     north, east, down = quat_rotate(attitude, specific_force_m_s2)

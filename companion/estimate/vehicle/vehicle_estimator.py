@@ -19,7 +19,6 @@ from companion.base.geometry import (
     norm,
     quat_conjugate,
     quat_from_rotation_vector,
-    quat_integrate,
     quat_multiply,
     quat_normalise,
     quat_rotate,
@@ -29,8 +28,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 from companion.config import EstimateConfig
-from companion.estimate.ahrs.alignment import Block, InitialAlignment, StaticAligner, StillnessDetector
-from companion.estimate.ahrs.madgwick import align
+from companion.estimate.ahrs.alignment import Block, StaticAligner, StillnessDetector
 from companion.estimate.ahrs.orientation import (
     Orientation,
     heading_noise_rad,
@@ -49,7 +47,7 @@ from companion.estimate.vehicle.attitude_reset import (
 )
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
-from companion.estimate.vehicle.ekf_start import InitialState, start_state
+from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
 from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
@@ -146,7 +144,7 @@ class VehicleEstimator:
         return True
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
-        """Take the autopilot's attitude: an anchor of ours if both go by the same IMU.
+        """Take the autopilot's attitude: ours is reset by it if both go by the same IMU.
 
         Otherwise only its turns count, against a step of our gyroscope's bias.
         """
@@ -188,7 +186,7 @@ class VehicleEstimator:
         self.motion.turn(correction.since_s, step.turn)
         self._read_ekf()
         self._orientation.attitude = self._inertial.attitude
-        words = f"attitude set right by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
+        words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
         self.corrections = (*self.corrections, f"{words}: {correction.why}")
 
     # ------------------------------------------------------------ outputs
@@ -247,21 +245,13 @@ class VehicleEstimator:
 
     def _try_to_align(self, time_s: float, block: Block) -> None:
         found = self._aligner.add_block(time_s, block)
-        if found is None:
+        start = None if found is None else start_state(time_s, found, self._config)
+        if found is None or start is None:
             return
-        field = self._config.magnetic_field_ned_ut
-        declination_rad = math.atan2(field[1], field[0])
-        try:
-            attitude = align(found.specific_force_body_m_s2, found.field_body_ut, declination_rad)
-        except ValueError:
-            return  # a dead sensor: go on collecting
-        self._start(time_s, found, attitude)
-
-    def _start(self, time_s: float, found: InitialAlignment, attitude: Quaternion) -> None:
-        start = start_state(time_s, found, attitude, self._config)
-        self._inertial.gyro_bias_rad_s = start.gyro_bias_rad_s
-        self._begin(start)
-        self._inertial.attitude = attitude
+        self._orientation = new_orientation(self._config, start.attitude)
+        self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
+        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
+        self._inertial.gyro_bias_rad_s, self._inertial.attitude = start.gyro_bias_rad_s, start.attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
@@ -277,12 +267,6 @@ class VehicleEstimator:
     def aligned(self) -> bool:
         """Whether there is an attitude, from an alignment that still holds."""
         return self._ekf is not None
-
-    def _begin(self, start: InitialState) -> None:
-        """Make what there is only after the alignment."""
-        self._orientation = new_orientation(self._config, start.attitude)
-        self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
-        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
 
     # ------------------------------------------------------------ IMU
 
@@ -334,9 +318,7 @@ class VehicleEstimator:
         assert self._ekf is not None
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self._inertial.attitude = quat_integrate(
-            self._ekf.attitude, self._inertial.rate_body_rad_s, self.newest_s - self._ekf.time_s
-        )
+        self._inertial.attitude = self._inertial.turned(self._ekf.attitude, self.newest_s - self._ekf.time_s)
 
     def _field_at(self, time_s: float) -> Vector3 | None:
         """The field since the last time, averaged in NED and seen by the body now; None out of turn."""
@@ -348,13 +330,9 @@ class VehicleEstimator:
 
     def _attitude_near(self, time_s: float) -> Quaternion:
         """Attitude at a time near the newest sample's; further on its rotation is unknown."""
-        return quat_integrate(
-            self._inertial.attitude, self._inertial.rate_body_rad_s, min(time_s - self.newest_s, PREDICTED_S)
-        )
+        return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, PREDICTED_S))
 
     def _orientation_at(self, time_s: float) -> Quaternion:
         assert self._orientation is not None
         self._orientation_step_s = time_s
-        return quat_integrate(
-            self._orientation.attitude, self._inertial.rate_body_rad_s, time_s - self.newest_s
-        )
+        return self._inertial.turned(self._orientation.attitude, time_s - self.newest_s)

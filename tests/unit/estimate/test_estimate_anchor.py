@@ -93,7 +93,7 @@ def test_after_a_gap_in_the_imus_stream_the_attitude_is_the_autopilots() -> None
     assert anchored.worst_deg(GAP[1] + 0.1) < 3.5
     assert alone.worst_deg(GAP[1] + 0.1) > 15.0
     [told] = anchored.told
-    assert told.startswith("attitude set right by")
+    assert told.startswith("attitude corrected by")
     assert told.endswith("350 ms of the IMU's stream are missing")
 
 
