@@ -88,7 +88,7 @@ class Controller:
 
         `stopwatch` gives seconds, to bound the solver's.
 
-        In virtual time it stands still while the solver works: then iterations alone bound it.
+        In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
         setup = setup or AutopilotSetup()
         config = resolved(config, manner)
@@ -271,7 +271,7 @@ class Controller:
         )
 
     def _boost(self, motion: Motion, solution: TrackingSolution) -> float:
-        """What thrust lacks while the tilt lags; by velocity the autopilot tilts as it wants."""
+        """The thrust missing while the tilt lags; by velocity setpoints the autopilot chooses it."""
         if self._stopped or self._config.setpoint == "velocity":
             return 1.0
         asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2

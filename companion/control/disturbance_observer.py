@@ -2,7 +2,7 @@
 
 - The wind's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
   accelerates beyond what its tilt makes is the wind's doing. Both are measured and made equally late; no
-  model of the autopilot stands between, and no loop closes through one.
+  model of the autopilot comes between, and no loop closes through one.
 - What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
   not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a loop through
   the autopilot's lag, so it is trusted slowly: `margins` shows how slowly.
@@ -38,7 +38,7 @@ class _Axis:
 
     def predict(self, wanted_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
         _, gained, self.made = advance_axis((0.0, 0.0, self.made), wanted_m_s2, duration_s, tau_s)
-        # the mean of so short a time stands for its course
+        # over so short a time the mean is enough
         self.made_late += _share(duration_s / sensor_lag_s) * (gained / duration_s - self.made_late)
 
     def correct(

@@ -261,7 +261,7 @@ class Session:
         return self._request_parameter(ParameterRequest(name, wanted=value))
 
     def withdraw(self, pending: Pending | ParameterRequest) -> None:
-        """Stop repeating what nobody waits for any more."""
+        """Stop repeating what is no longer waited for."""
         if isinstance(pending, ParameterRequest):
             self._parameters.withdraw(pending)
         else:

@@ -38,7 +38,7 @@ class Transport(Protocol):
         """
 
     def write(self, data: bytes) -> None:
-        """Send without waiting; dropped when nobody can take it."""
+        """Send without waiting; dropped when there is no receiver."""
 
     def close(self) -> None:
         """Give the port back; a waiting `read` ends with OSError."""

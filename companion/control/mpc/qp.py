@@ -62,7 +62,7 @@ class QuadraticProgram:
 
 @dataclass(frozen=True)
 class QpLayout:
-    """Where things stand among the variables and rows, for N steps."""
+    """Where things are among the variables and rows, for N steps."""
 
     steps: int
 
@@ -134,7 +134,7 @@ def step_matrices(step_s: float, lags_s: Vector3) -> tuple[FloatArray, FloatArra
 def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> sparse.csc_matrix:
     """P, upper triangle, of 1/2 z'Pz + q'z.
 
-    The terminal cost covers the last change's memory: it stands on x_N and u_{N-1} and replaces no stage's.
+    The terminal cost covers the last change's memory: it is on x_N and u_{N-1} and replaces no stage's.
     """
     layout = QpLayout(steps)
     P = sparse.lil_matrix((layout.variables, layout.variables))

@@ -23,7 +23,7 @@ HEADING_RATE_SMOOTHING_S = 0.4
 def sample(reference: Reference, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and acceleration (n, 3) of the reference at `times_s` (n,).
 
-    Beyond its last row the reference goes straight on; before its first it stands at that row.
+    Beyond its last row the reference goes straight on; before its first it is at rest at that row.
     """
     last_row = len(reference.position_m) - 1
     rows = np.hstack([reference.position_m, reference.velocity_m_s, reference.acceleration_m_s2])

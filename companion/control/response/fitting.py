@@ -47,7 +47,7 @@ def fitted(
 def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner) -> float:
     """The share of full thrust to begin with: ArduPilot's, which has learnt it, else the vehicle's file's.
 
-    PX4 keeps what it learns to itself; its parameter is what somebody has typed.
+    PX4 does not report what it learns; its parameter is what a person has entered.
     """
     told = setup.hover_thrust
     learnt = manner == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER

@@ -8,8 +8,8 @@ attitude setpoints K = 0 and u is what attitude and thrust make.
 The flight is cut into windows of 1 s (over longer ones d does not keep, and as setpoints answer the
 disturbance, the lag would come out too long). What each begins with (v, a) and its d are free and enter
 linearly, so they are projected out; K and tau are those with the least squares of what is left of the
-velocity. North and east share theirs. Standard deviations let residuals within a window hang together. NED,
-SI units.
+velocity. North and east share theirs. Standard deviations allow for correlated residuals within a window.
+NED, SI units.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The vehicle under its autopilot, as far as control knows it.
+"""The vehicle under its autopilot, as control models it.
 
 What was commanded, what disturbs it, what thrust is worth: joins the command history, the disturbance
 observer and the thrust scale. NED and FRD, SI units.

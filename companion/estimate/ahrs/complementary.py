@@ -98,7 +98,7 @@ class OrientationFilter:
             turn = shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0))
             before = q
             q = blend(q, quat_multiply(turn, q), self._config.gyro_error_rate, dt_s)
-            # the average lives in the frame that has just been turned
+            # the average is in the frame that has just been turned
             undone = quat_multiply(q, (before[0], -before[1], -before[2], -before[3]))
             self._force_ned_m_s2 = quat_rotate(undone, force)
         self.attitude = q

@@ -32,7 +32,7 @@ from companion.estimate.motion import MotionHistory
 APART_S: Final = 0.13  # long against the noise of a sighting, short against a pad's manoeuvres
 NEAR_S: Final = 0.04  # a sighting this near to that distance will do
 RATE_SPAN_S: Final = 0.01
-LARGEST_S: Final = 0.03  # a pad that sways at the vehicle's own pace looks like more
+LARGEST_S: Final = 0.03  # a pad that oscillates at the vehicle's own period looks like more
 FORGETTING_S: Final = 60.0
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 PAD_ACCELERATION_M_S2: Final = 1.0

@@ -40,7 +40,7 @@ from companion.estimate.pad.pad_types import (
 __all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "PadMeasurement", "PadSnapshot"]
 
 _EYE3: Final = np.eye(3)
-# where the banks' states stand in (position, velocity, acceleration) of all three axes
+# where the banks' states are in (position, velocity, acceleration) of all three axes
 _HORIZONTAL_ROWS: Final = np.array([0, 1, 3, 4, 6, 7])
 _VERTICAL_ROWS: Final = np.array([2, 5, 8])
 

@@ -7,7 +7,7 @@ jerk, and j plays no part, for
     steady     small and short-lived: constant velocity
     manoeuvre  large, fading in a second or two: constant acceleration
     turn       lasting, and turning with the course: coordinated turn
-    sway       waves, as below: what a sea does to a pad sideways
+    sway       waves, as below: horizontal motion of a pad at sea
 
 That a turn is written as jerk = omega x a, rather than as a = omega x v, keeps it free of the pad's absolute
 velocity, hence of GPS: only the turn rate, a scalar, has to be known.
@@ -217,7 +217,7 @@ def _fading(
 
 
 def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:
-    """A and W (4, 4) of an acceleration that swings at w0 (rad/s), with this variance when left alone."""
+    """A and W (4, 4) of an acceleration that oscillates at w0 (rad/s), with this stationary variance."""
     A = np.eye(4, k=1)
     A[3, 2], A[3, 3] = -w0 * w0, -2.0 * damping * w0
     return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])

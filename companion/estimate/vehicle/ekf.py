@@ -38,7 +38,7 @@ from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 
-UNKNOWN_SPEED_M_S: Final = 10.0  # a fix whose velocity component is more uncertain does not know it
+UNKNOWN_SPEED_M_S: Final = 10.0  # a fix whose velocity component is more uncertain does not count
 STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
 STEP_TURN_STD_RAD: Final = math.radians(0.5)
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
@@ -227,7 +227,7 @@ class VehicleEkf(EkfState):
         R *= self.fix_watch.noise_factor
         fits = self._update("gps_velocity", innovation, C, R, R)
         expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
-        # the error of a position wanders slowly: so many fixes in a row show no more than one
+        # the error of a position drifts slowly: so many fixes in a row show no more than one
         alike = max(2.0 * self._config.gps_wander_s / max(time_s - self.gps_time_s, 0.05), 1.0)
         R = np.diag(np.square(fix.position_std_m))
         innovation = np.array(fix.position_ned_m) - expected
@@ -261,8 +261,8 @@ class VehicleEkf(EkfState):
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.
 
-        A component of the velocity that the fix does not know stays as it is; with keep_speed also one that
-        it knows less well than we.
+        A component of the velocity that the fix does not contain stays as it is; with keep_speed also one
+        that it gives less accurately than the filter.
         """
         q, x = self.attitude, self.x.copy()
         own = np.sqrt(self.P.diagonal()[model.VELOCITY])

@@ -36,7 +36,7 @@ from companion.base.geometry import (
 
 STATES: Final = 31
 MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
-COUPLED: Final = 25  # and what they change by stands in the first columns, up to the gyroscope's bias
+COUPLED: Final = 25  # and what they change by is in the first columns, up to the gyroscope's bias
 QUATERNION: Final = slice(0, 4)
 EULER: Final = slice(4, 7)
 RATE: Final = slice(7, 10)

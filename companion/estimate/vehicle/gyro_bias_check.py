@@ -1,7 +1,7 @@
 """The autopilot as a second gyroscope: has the bias of ours stepped?
 
 A step of 2 deg/s (a shock, a supply that sags) turns the attitude away faster than GPS and
-magnetometer correct it: their own errors want slow corrections. The autopilot has an IMU of its own, and what
+magnetometer correct it: their own errors need slow corrections. The autopilot has an IMU of its own, and what
 it says of its attitude holds how far the vehicle has turned in a window of time. Compared with our gyroscope
 that gives our bias to 0.3 deg/s within a second. Only turns are compared: the autopilot's heading and horizon
 are its own. With `sense.source: autopilot` both are the same sensor, and nothing is found.
@@ -148,7 +148,7 @@ class SecondGyro:
             return None
         theirs = quat_multiply(quat_conjugate(start.attitude), end.attitude)
         excess = rotation_vector_from_quat(quat_multiply(quat_conjugate(theirs), ours))
-        # it stands in the axes of the end, a constant bias in those of the middle
+        # it is in the axes of the end, a constant bias in those of the middle
         middle = quat_from_rotation_vector(scale(rotation_vector_from_quat(ours), 0.5))
         return scale(quat_rotate(middle, excess), 1.0 / (end.time_s - start.time_s))
 

@@ -59,7 +59,7 @@ class Strapdown:
             ZeroDivisionError: nothing was collected.
         """
         rate = scale(rotation_vector_from_quat(self._turn), 1.0 / self._span_s)
-        # the sum stands in the axes of the start, a constant force in those of the middle
+        # the sum is in the axes of the start, a constant force in those of the middle
         middle = quat_from_rotation_vector(scale(rate, 0.5 * self._span_s))
         force = scale(quat_rotate_inverse(middle, self._push), 1.0 / self._span_s)
         result = Increment(self._span_s, self.samples, rate, force)

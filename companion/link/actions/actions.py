@@ -225,7 +225,7 @@ class PymavlinkActions:
         return self._session.state.home
 
     def _ground_altitude_m(self) -> float:
-        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming sets anew."""
+        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming resets."""
         present = self._session.state.global_position
         return self.home()[2] if present is None else present[2]
 

@@ -27,7 +27,7 @@ _GPS: Final = mavlink.MAVLINK_MSG_ID_GPS_RAW_INT
 _RANGE: Final = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 SENSOR_MESSAGES: Final = frozenset({_HIGHRES, _RAW, _SCALED, _GPS, _RANGE})
 # best first; PX4's RAW_IMU is in counts, and its SCALED_IMU has the field in the compass's own axes.
-# ArduPilot's HIGHRES_IMU is not in every firmware, and stands for RAW_IMU where somebody else asked for it
+# ArduPilot's HIGHRES_IMU is not in every firmware, and replaces RAW_IMU where another client asked for it
 IMU_MESSAGES: Final[dict[Manner, tuple[int, ...]]] = {
     "px4": (_HIGHRES,),
     "ardupilot": (_RAW, _SCALED, _HIGHRES),

@@ -1,6 +1,6 @@
 """The autopilot's stamps, counted from its boot, as times of ours: each measurement's own instant. Pure.
 
-`TimeSync` says where its clock stands against ours, and corrects itself with every answer. A small correction
+`TimeSync` gives the offset of its clock from ours, and corrects itself with every answer. A small correction
 is followed bit by bit; where that clock has stood still, the times jump ahead with it. They never go back:
 what is newer by its stamp is newer by its time, and nothing is refused because the mapping was corrected.
 Until TIMESYNC has settled, and from a restart of the autopilot until it has settled again, there are no

@@ -2,7 +2,7 @@
 
 A round trip from a to b of our time in which that clock told c bounds its offset, c - b <= offset <= c - a,
 whatever delayed it on its way. Within these bounds a Kalman filter of offset and rate weighs the quickest
-trips most: delays only ever add, so the trip that took longest knows least. An estimate outside the bounds is
+trips most: delays only ever add, so the longest trip is the least accurate. An estimate outside the bounds is
 not noise. A little outside, the clock's rate has changed; far outside, that clock has stood still or was set
 (a simulator on a busy machine does both), and the offset starts again with the rate kept.
 """

@@ -50,7 +50,7 @@ class TimeSync:
         return ts1_ns
 
     def answered(self, tc1_ns: int, ts1_ns: int, now_s: float) -> bool:
-        """Take a reply; False when it answers nobody's question of ours (others on the link ask too)."""
+        """Take a reply; False when it answers no question of ours (others on the link ask too)."""
         if ts1_ns not in self._asked_ns:
             return False
         self._asked_ns.remove(ts1_ns)

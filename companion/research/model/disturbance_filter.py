@@ -1,7 +1,7 @@
 """State of the 12-state model and what disturbs it besides its inputs, by a Kalman filter.
 
 For each axis and each angle y: y'' = f(X, U) + disturbance, disturbance a slow random walk (eq. 38 with w =
-disturbance), y and y' measured with noise; the gain is the stationary one (eq. 17 at its limit). The inputs
+disturbance), y and y' measured with noise; the gain is the stationary one (eq. 17 in the limit). The inputs
 are those flown, after the motors' lag, or every change of thrust would look like a disturbance. A mass or
 inertia that is off appears here too, as the acceleration that it takes or adds now. Axes: the paper's z-up
 ones.

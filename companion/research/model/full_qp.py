@@ -25,7 +25,7 @@ SOFT = len(BOUNDED)
 
 @dataclass(frozen=True)
 class FullLayout:
-    """Where things stand among the variables and rows, for N steps and so many half-spaces a step."""
+    """Where things are among the variables and rows, for N steps and so many half-spaces a step."""
 
     steps: int
     planes: int

@@ -1,4 +1,4 @@
-"""Finds the pad's markers in an image: the one file that knows OpenCV's ArUco interface.
+"""Finds the pad's markers in an image: the one file that uses OpenCV's ArUco interface.
 
 Shapes and names are those of OpenCV 5.0 (ids are (n,), corners a tuple of (1, 4, 2)). Dictionaries are
 cut to the ids that are printed on the pad, and few bit errors are forgiven: that is faster, and a
