@@ -50,7 +50,7 @@ from companion.control.tracking import TrackingSolution
 RESTART_AFTER_S = 0.5
 # states are to be fresh; older ones are carried on for no longer than this
 LONGEST_PREDICTION_S = 0.4
-# without the IMU for longer the vehicle is told not to accelerate
+# without the IMU for longer the vehicle is commanded not to accelerate
 BLIND_S = 0.1
 # after so many solves in a row without a solution the old plan is worth nothing
 FAILURES_TO_STOP = 10
@@ -86,9 +86,9 @@ class Controller:
     ) -> None:
         """`manner` is that of the autopilot that will obey, `setup` what its parameters say.
 
-        `stopwatch` tells seconds, to bound the solver's.
+        `stopwatch` gives seconds, to bound the solver's.
 
-        In virtual time it stands still while the solver works: then iterations alone bound it.
+        In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
         setup = setup or AutopilotSetup()
         config = resolved(config, manner)
@@ -120,8 +120,8 @@ class Controller:
         """The setpoint that leaves at `now_s`; None when the plan has no reference.
 
         `vehicle` and `pad` are the estimates carried to about now. A reference in the pad's frame without a
-        pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to hear some
-        before it does), each step begins anew from how the vehicle moves: what was asked for in vain
+        pad is answered by a stop. While the autopilot does not obey setpoints yet (PX4 wants to receive some
+        before it does), each step starts again from how the vehicle moves: what was asked for in vain
         explains nothing, and the take-over is without a jump.
         """
         if plan.reference is None:
@@ -145,7 +145,7 @@ class Controller:
         return setpoint, replace(report, obeyed=obeyed)
 
     def _elapsed(self, vehicle: VehicleState, now_s: float) -> float:
-        """Time (s) since the last step; 0 after a pause, from which all begins anew."""
+        """Time (s) since the last step; 0 after a pause, from which all starts again."""
         last_s, self._stepped_s = self._stepped_s, now_s
         if last_s is not None and 0.0 <= now_s - last_s < RESTART_AFTER_S:
             return now_s - last_s
@@ -163,7 +163,7 @@ class Controller:
     def _wait_for_imu(
         self, reference: Reference, vehicle: VehicleState, pad: PadState | None, now_s: float
     ) -> tuple[Setpoint, ControlReport]:
-        """Until the IMU is heard again or the estimate is given up; how it moves by now nobody knows."""
+        """Until IMU samples come again or the estimate is given up; its motion is unknown meanwhile."""
         plant, self._flying = self._plant, False
         setpoint = blind_setpoint(
             now_s,
@@ -271,7 +271,7 @@ class Controller:
         )
 
     def _boost(self, motion: Motion, solution: TrackingSolution) -> float:
-        """What thrust lacks while the tilt lags; by velocity the autopilot tilts as it wants."""
+        """The thrust missing while the tilt lags; by velocity setpoints the autopilot chooses it."""
         if self._stopped or self._config.setpoint == "velocity":
             return 1.0
         asked, disturbance = vector3(solution.inputs_m_s2[0].tolist()), self._plant.disturbance_ned_m_s2
@@ -285,7 +285,7 @@ class Controller:
 
 
 def _seen(setpoint: Setpoint, reference: Reference, pad: PadState | None) -> Setpoint:
-    """Tell by which exposure the setpoint goes, when it goes by the pad."""
+    """Name the exposure by which the setpoint goes, when it goes by the pad."""
     if reference.origin != "pad" or pad is None:
         return setpoint
     return replace(setpoint, exposure_time_s=pad.seen_time_s)

@@ -1,11 +1,11 @@
-"""What disturbs the vehicle besides the command, by what is measured and how fast that may be believed.
+"""What disturbs the vehicle besides the command, by what is measured and how fast that may be trusted.
 
 - The wind's disturbance sideways (`WindObserver`): a multirotor's thrust lies along its up axis, so what it
   accelerates beyond what its tilt makes is the wind's doing. Both are measured and made equally late; no
-  model of the autopilot stands between, and no loop closes through one.
+  model of the autopilot comes between, and no loop closes through one.
 - What is left between the command and what the thrust makes (`LastingObserver`): the autopilot's attitude is
-  not quite ours, its integrals wind up, thrust is not worth what was believed. That closes a loop through
-  the autopilot's lag, so it is believed slowly: `margins` tells how slowly.
+  not quite ours, its integrals wind up, thrust differs from what was assumed. That closes a loop through
+  the autopilot's lag, so it is trusted slowly: `margins` shows how slowly.
 
 NED axes, SI units.
 """
@@ -38,7 +38,7 @@ class _Axis:
 
     def predict(self, wanted_m_s2: float, duration_s: float, tau_s: float, sensor_lag_s: float) -> None:
         _, gained, self.made = advance_axis((0.0, 0.0, self.made), wanted_m_s2, duration_s, tau_s)
-        # the mean of so short a time stands for its course
+        # over so short a time the mean is enough
         self.made_late += _share(duration_s / sensor_lag_s) * (gained / duration_s - self.made_late)
 
     def correct(
@@ -60,7 +60,7 @@ class LastingObserver:
     def __init__(
         self, lags_s: Vector3, sensor_lag_s: float, maximum_m_s2: float, bandwidths_rad_s: Vector3
     ) -> None:
-        """`lags_s` from command to acceleration; `bandwidths_rad_s`: how fast what lasts is believed."""
+        """`lags_s` from command to acceleration; `bandwidths_rad_s`: how fast what lasts is trusted."""
         self._lags_s, self._sensor_lag_s = lags_s, sensor_lag_s
         self._maximum_m_s2 = maximum_m_s2
         self._bandwidths_rad_s = bandwidths_rad_s
@@ -69,7 +69,7 @@ class LastingObserver:
     def start(
         self, velocity_ned_m_s: Vector3, made_ned_m_s2: Vector3, lasting_ned_m_s2: Vector3 = ZERO3
     ) -> None:
-        """Begin anew from what the thrust makes by now, all of it as commanded, and a guess of what lasts."""
+        """Start again from what the thrust makes by now, all as commanded, and an estimate of what lasts."""
         x, y, z = map(_Axis, self._bandwidths_rad_s, velocity_ned_m_s, made_ned_m_s2, lasting_ned_m_s2)
         self._axes = (x, y, z)
 
@@ -126,7 +126,7 @@ class WindObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: the first measurement is taken as it is."""
+        """Start again: the first measurement is taken as it is."""
         self._late: Vector3 | None = None
         self.thrust_ned_m_s2: Vector3 = ZERO3
         self.late_thrust_ned_m_s2: Vector3 = ZERO3

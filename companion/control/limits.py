@@ -48,7 +48,7 @@ class LimitsGate:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: the next setpoint is bounded in size, and in change from nothing."""
+        """Start again: the next setpoint is bounded in size, and in change from nothing."""
         self._last: Setpoint | None = None
         self._last_by_tilt: Vector3 | None = None
 
@@ -57,7 +57,7 @@ class LimitsGate:
     ) -> tuple[Setpoint, tuple[str, ...]]:
         """The setpoint within all bounds, stamped `now_s`, and the names of the bounds that it broke.
 
-        `on_ground` lifts the least thrust: there none at all is what tells the autopilot that it has landed.
+        `on_ground` lifts the least thrust: there none at all is what shows the autopilot that it has landed.
 
         The stamp never runs backwards. After a `reset` nothing is known to have been sent, and the bounds on
         change (jerk, heading rate) do not apply to the first setpoint.

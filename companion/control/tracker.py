@@ -36,7 +36,7 @@ def make_tracker(
 ) -> Tracker:
     """The tracker that the settings choose, for a vehicle with these lags (s, see `flight_model.lags`).
 
-    `stopwatch` tells seconds: the MPC's search ends at `control.solve_limit_s` by it.
+    `stopwatch` gives seconds: the MPC's search ends at `control.solve_limit_s` by it.
     """
     if config.controller == "mpc":
         return Mpc(config, lags_s, stopwatch)

@@ -55,7 +55,7 @@ from companion.estimate.vehicle.vehicle_estimator import FUTURE_S, VehicleEstima
 
 READOUT_S = 0.02  # about what a camera takes from its first row to its last
 CALIBRATION_SHARE = 0.99  # of a sighting's least variance, at most; the rest keeps its covariance positive
-LARGEST_RATE_RAD_S = 70.0  # an MPU9250 tells 35 rad/s and 157 m/s² at most: more is a fault of the line
+LARGEST_RATE_RAD_S = 70.0  # an MPU9250 measures 35 rad/s and 157 m/s² at most: more is a fault of the line
 LARGEST_FORCE_M_S2 = 320.0
 
 
@@ -122,7 +122,7 @@ class StateEstimator:
         return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
     def take_corrections(self) -> tuple[str, ...]:
-        """How the attitude has been set right since the last call, in words."""
+        """How the attitude has been corrected since the last call, in words."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
         return corrections
 
@@ -134,8 +134,8 @@ class StateEstimator:
         tilt_rad = tilt_from_quat(attitude)
         if tilt_rad > math.radians(self._config.pad.range_maximum_tilt_deg):
             return self._count("range", False)
-        # a wide beam hears the nearest point, a narrow one the point on its axis: believe the height
-        # under the axis, and doubt it by the difference
+        # a wide beam measures to the nearest point, a narrow one the point on its axis: take the height
+        # under the axis, with the difference as its noise
         height_m = sample.distance_m * math.cos(tilt_rad)
         noise_m = math.hypot(self._config.pad.range_noise_m, sample.distance_m - height_m)
         measurement = HeightMeasurement(height_m, quat_rotate(attitude, self._range_position_body_m), noise_m)

@@ -1,9 +1,9 @@
 """Innovation tests, and measurements that arrive late or out of order.
 
-A measurement is believed when its normalised innovation squared stays below a chi-square bound.
+A measurement is accepted when its normalised innovation squared stays below a chi-square bound.
 A late one is fused at its own time: the filter goes back to how it stood before that time, takes the
 measurement, and everything newer once more. So a late measurement gives exactly the result that the
-same measurement would have given on time. A filter that knows how its errors move on
+same measurement would have given on time. A filter that can propagate its errors
 (`LateUpdatePropagator`) need not take the newer ones again: it propagates what the measurement has changed.
 """
 

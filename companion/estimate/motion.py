@@ -22,7 +22,7 @@ from companion.base.geometry import (
     scale,
 )
 
-FORETOLD_S = 0.1  # beyond the newest sample its acceleration goes on for so long, and then there is none
+PREDICTED_S = 0.1  # beyond the newest sample its acceleration goes on for so long, and then there is none
 
 
 class MotionHistory:
@@ -50,7 +50,7 @@ class MotionHistory:
     ) -> None:
         """Append one sample, newer than the last; between samples the acceleration is linear.
 
-        It has acted for `span_s`, when that is told, whatever the times differ by.
+        It has acted for `span_s`, when it is given, whatever the times differ by.
         """
         if not self._times_s:
             self._append(time_s, attitude, ZERO3, ZERO3)
@@ -119,7 +119,7 @@ class MotionHistory:
         """Velocity and position integrals at a time; beyond the newest sample its acceleration goes on."""
         if not self._times_s:
             return ZERO3, ZERO3
-        known_s = self._times_s[-1] + FORETOLD_S
+        known_s = self._times_s[-1] + PREDICTED_S
         if time_s > known_s:
             speed, (x, y, z) = self._at(known_s)
             dt = time_s - known_s

@@ -23,7 +23,7 @@ class SetupReader:
         self._asked: dict[str, ParameterRequest] = {}
 
     def begin(self, manner: Manner | None) -> None:
-        """An autopilot has been heard; another one is asked anew."""
+        """An autopilot has been received; another one is asked again."""
         if manner is None or manner == self._manner:
             return
         self._manner = manner

@@ -1,7 +1,7 @@
 """The pad's own position over MAVLink: FOLLOW_TARGET to PadBeacon. Pure.
 
 Metres, not centimetres; velocity in NED, m/s. Whoever sends it leads the vehicle, so what cannot be is
-refused here, and whose word counts is the session's business.
+refused here, and who is accepted is the session's business.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _DATE_LINE_E7: Final = 1_800_000_000
 
 
 def pad_beacon(message: Message, time_s: float, maximum_speed_m_s: float) -> PadBeacon | None:
-    """The beacon in a FOLLOW_TARGET that came at `time_s`; None when it holds nothing to be believed.
+    """The beacon in a FOLLOW_TARGET that came at `time_s`; None when it holds nothing plausible.
 
     That is: no position, the zero of a receiver without a fix, a place that is not on Earth, a number that
     is none, a speed that no pad has. The sender's clock is not ours, so the time of arrival counts. An

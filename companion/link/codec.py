@@ -1,4 +1,4 @@
-"""MAVLink 2 bytes <-> messages: framing, the messages we build. Pure; alone knows pymavlink.
+"""MAVLink 2 bytes <-> messages: framing, the messages we build. Pure; the only module that uses pymavlink.
 
 Both sides of the link use it: the app and the bundled simulator. The dialect is `ardupilotmega`:
 `common`, and what an ArduPilot says besides. It is untyped, so it gets its names here once: `mavlink`, and

@@ -1,8 +1,8 @@
 """Commands to the autopilot: sent, acknowledged, repeated, given up. Pure (sans I/O).
 
-MAVLink's command protocol: COMMAND_LONG or COMMAND_INT is answered by COMMAND_ACK of the same number;
-without an answer it is repeated with `confirmation` counted up; IN_PROGRESS means wait. Two commands of the
-same number to the same target cannot be told apart by their answers, so they go one after the other; after a
+MAVLink's command protocol: COMMAND_LONG or COMMAND_INT is answered by COMMAND_ACK of the same number; without
+an answer it is repeated with `confirmation` counted up; IN_PROGRESS means wait. Two commands of the same
+number to the same target cannot be distinguished by their answers, so they go one after the other; after a
 withdrawn one the next answer is taken for its answer, as long as that may still come.
 """
 

@@ -19,7 +19,7 @@ class Inbox:
         self.dropped_bytes = 0
 
     def put(self, data: bytes) -> None:
-        """Take bytes in; those that nobody has read give way when the queue is full."""
+        """Take bytes in; unread ones are dropped when the queue is full."""
         if len(self._data) + len(data) > READ_QUEUE_BYTES:
             self.dropped_bytes += len(self._data)
             self._data.clear()

@@ -46,7 +46,7 @@ CONTROL_MODE: Final[dict[Manner, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDE
 HOLD_MODE: Final[dict[Manner, str]] = {"px4": "AUTO.LOITER", "ardupilot": "BRAKE"}
 LAND_MODE: Final[dict[Manner, str]] = {"px4": "AUTO.LAND", "ardupilot": "LAND"}
 
-# flown by hand: once one of these is heard, the vehicle is somebody else's
+# flown by hand: once one of these is received, another pilot has the vehicle
 STICK_MODES: Final[dict[Manner, frozenset[str]]] = {
     "px4": frozenset({"MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED"}),
     "ardupilot": frozenset({"STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "POSHOLD"}),

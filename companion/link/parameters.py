@@ -2,7 +2,7 @@
 
 PARAM_REQUEST_READ and PARAM_SET are both answered by PARAM_VALUE of the same name, and not at all for a name
 that the autopilot does not have. Values go as ArduPilot sends them: integers as numbers, not as bytes in a
-float's place (PX4's way, whose parameters nobody here needs).
+float's place (as PX4 does, whose parameters are not needed here).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ THRUST_IS_THRUST: Final = 8  # GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET's thrust 
 
 @dataclass(slots=True, eq=False)
 class ParameterRequest:
-    """A parameter to read, or to set to `wanted`; `value` is the autopilot's newest word on it.
+    """A parameter to read, or to set to `wanted`; `value` is the autopilot's newest answer.
 
     `outcome` is None until it ends: "accepted", "withdrawn" or "no answer" (none that has the wanted value).
     """

@@ -1,9 +1,9 @@
 """The conversation with the autopilot, sans I/O: bytes in, bytes out, time as an argument.
 
 `receive` takes what came; `tick` returns what is due (call it after every `receive` and at 20 Hz or more):
-heartbeats, clock synchronisation, rate requests, commands and their repeats. Only one autopilot is believed:
-component 1 of `config.system_id`, or the first one heard when that is 0. A pad's beacon leads the vehicle, so
-it is taken from the ground station of `config.ground_system_id` alone.
+heartbeats, clock synchronisation, rate requests, commands and their repeats. Only one autopilot is accepted:
+component 1 of `config.system_id`, or the first one received when that is 0. A pad's beacon leads the vehicle,
+so it is taken from the ground station of `config.ground_system_id` alone.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Session:
     def __init__(
         self, config: LinkConfig, sense: SenseConfig | None = None, *, reads_setup: bool = False
     ) -> None:
-        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is heard."""
+        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is received."""
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
         self.alignment = HeadingAlignment()
@@ -112,7 +112,7 @@ class Session:
 
     @property
     def system_id(self) -> int:
-        """The vehicle's system id, which is ours too; 0 while none has been heard and none is set."""
+        """The vehicle's system id, which is ours too; 0 while none has been received and none is set."""
         return self._system_id
 
     @property
@@ -135,7 +135,7 @@ class Session:
                 self._hear_autopilot(message, message_id, now_s)
 
     def _is_our_autopilot(self, message: Message) -> bool:
-        """Whether to believe it; the first autopilot is adopted when no system id is set."""
+        """Whether to accept it; the first autopilot is adopted when no system id is set."""
         if message.get_srcComponent() != AUTOPILOT_COMPONENT:
             return False
         system_id = message.get_srcSystem()
@@ -181,7 +181,7 @@ class Session:
         if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
             self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
-            self._home_due_s = now_s  # arming sets home anew
+            self._home_due_s = now_s  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
             if self._reads_setup:
@@ -232,7 +232,7 @@ class Session:
         return b"".join(self._codec.encode(message) for message in messages)
 
     def align(self, attitude: Quaternion, time_s: float) -> None:
-        """Tell our own attitude, often: setpoints are turned into the autopilot's heading by it."""
+        """Take our own attitude, often: setpoints are turned into the autopilot's heading by it."""
         state = self.state
         if state.attitude is not None:
             self.alignment.update(state.attitude, state.attitude_time_s, attitude, time_s)
@@ -249,11 +249,11 @@ class Session:
         return b"".join(self._codec.encode(message) for message in messages)
 
     def command(self, command: VehicleCommand) -> Pending:
-        """Start a command; `tick` sends it, `Pending.outcome` tells its end."""
+        """Start a command; `tick` sends it, `Pending.outcome` gives its end."""
         return self._commands.submit(command)
 
     def read_parameter(self, name: str) -> ParameterRequest:
-        """Ask for an ArduPilot's parameter; `tick` sends it while the autopilot is heard."""
+        """Ask for an ArduPilot's parameter; `tick` sends it while the autopilot is connected."""
         return self._request_parameter(ParameterRequest(name))
 
     def set_parameter(self, name: str, value: float) -> ParameterRequest:
@@ -261,7 +261,7 @@ class Session:
         return self._request_parameter(ParameterRequest(name, wanted=value))
 
     def withdraw(self, pending: Pending | ParameterRequest) -> None:
-        """Stop repeating what nobody waits for any more."""
+        """Stop repeating what is no longer waited for."""
         if isinstance(pending, ParameterRequest):
             self._parameters.withdraw(pending)
         else:
@@ -278,7 +278,7 @@ class Session:
             self.state = replace(state, time_s=now_s, landed=LandedState.UNDEFINED)
 
     def _watch_connection(self, now_s: float) -> None:
-        """Forget, at a loss, all that may have changed unseen; mode and armed stay as last heard.
+        """Forget, at a loss, all that may have changed unseen; mode and armed stay as last received.
 
         They hold nothing without `connected`; "disarmed" or another mode made up here would be news of a
         landing or of a pilot.

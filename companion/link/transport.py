@@ -38,7 +38,7 @@ class Transport(Protocol):
         """
 
     def write(self, data: bytes) -> None:
-        """Send without waiting; dropped when nobody can take it."""
+        """Send without waiting; dropped when there is no receiver."""
 
     def close(self) -> None:
         """Give the port back; a waiting `read` ends with OSError."""
@@ -48,7 +48,7 @@ class UdpTransport(asyncio.DatagramProtocol):
     """UDP: calling a fixed peer, or listening for one. Made by `open_transport`.
 
     A listener's peer is the first address that an autopilot's heartbeat comes from (of `system_id`; 0: of
-    any). Others are neither heard nor answered, or setpoints would go to whoever spoke last; once the peer
+    any). Others are neither received nor answered, or setpoints would go to whoever spoke last; once the peer
     has been silent for 3 s, as when a router has restarted at another port, the next such address follows.
     """
 
@@ -98,7 +98,7 @@ class UdpTransport(asyncio.DatagramProtocol):
         return await self._inbox.read()
 
     def write(self, data: bytes) -> None:
-        """See `Transport`; a listener that has heard nobody has nobody to tell."""
+        """See `Transport`; a listener that has no peer yet drops it."""
         if self._socket is None or not data or self._socket.is_closing():
             return
         if self._calls:
@@ -178,7 +178,7 @@ async def backlog_read(heard: Callable[[], int]) -> None:
 async def open_transport(spec: str, system_id: int = 0) -> Transport:
     """Open `serial:PATH:BAUD`; `udp:HOST:PORT` or `tcp:HOST:PORT` (we call); `udpin:HOST:PORT` (we listen).
 
-    A listener takes the autopilot of `system_id` for its peer; 0 takes the first one heard.
+    A listener takes the autopilot of `system_id` for its peer; 0 takes the first one received.
 
     Raises:
         ConfigError: the form is none of these, or the port cannot be opened; one line that says why.

@@ -84,7 +84,7 @@ def pad_recall_command(
     seed: Seed = 0,
     output: Picture = Path("pad-recall.png"),
 ) -> None:
-    """Fit how surely the eyes read a marker: what `companion pad --coverage` goes by."""
+    """Fit how surely vision reads a marker: what `companion pad --coverage` goes by."""
     writable(output, ".png", "--output")
     console = Console()
     looks = pad_recall.look(camera, frames, seed)

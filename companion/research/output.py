@@ -8,7 +8,7 @@ from companion.config import ConfigError
 
 
 def writable(path: Path, suffix: str, option: str) -> None:
-    """Make sure by opening it: permissions tell nothing of a folder by that name or a read-only disk.
+    """Make sure by opening it: permissions show nothing of a folder by that name or a read-only disk.
 
     Raises:
         ConfigError: it cannot be written, or has another suffix.

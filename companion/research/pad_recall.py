@@ -1,4 +1,4 @@
-"""How surely the eyes read one marker, by the size and the sharpness of its cells: the fit behind coverage.
+"""How surely vision reads one marker, by the size and the sharpness of its cells: the fit behind coverage.
 
 Single markers of each dictionary are shown to `companion.sense.vision.pipeline.Vision` through the simulated
 camera (rolling shutter, noise, ground around the board), at random sizes, angles, speeds and blurs, expected
@@ -71,7 +71,7 @@ class Looks:
 
 
 def look(camera_name: str, frames: int, seed: int) -> Looks:
-    """Show `frames` frames of each marker and lens to the eyes.
+    """Show `frames` frames of each marker and lens to vision.
 
     Raises:
         ConfigError: there is no such camera.
@@ -123,7 +123,7 @@ def _look_at(
 def _picture(
     model: CameraModel, vehicle: VehicleConfig, height_m: float, speed_m_s: float, rng: np.random.Generator
 ) -> tuple[Frame, PadPrior]:
-    """A frame of the board, and where the eyes expect it: as in flight, not quite there."""
+    """A frame of the board, and where vision expects it: as in flight, not quite there."""
     roll, pitch = rng.normal(0.0, math.radians(TILT_STD_DEG), 2).tolist()
     yaw, heading, course = rng.uniform(-math.pi, math.pi, 3).tolist()
     attitude = quat_from_euler(roll, pitch, yaw)

@@ -3,7 +3,7 @@
 The vehicle is the simulator's (rigid body, rotors, drag, wind) under its simulated PX4, which takes setpoints
 of the kind that the settings choose for it late, as over the link. The app's controller flies it along a
 minimum-jerk way from 8 m over and 3 m beside the pad to 1.5 m over its middle, and stays there. What the
-controller is told of vehicle and pad is the truth with noise, a velocity bias and none of a camera's gaps:
+controller receives of vehicle and pad is the truth with noise, a velocity bias and none of a camera's gaps:
 this measures tracking, not seeing.
 
 NED, SI units.

@@ -48,7 +48,7 @@ companion identify flights/circle
 companion identify flights/circle --check flights/line
 """
 TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
-# low over the ground, or on it, other things push than what the model knows
+# low over the ground, or on it, other forces act than the model knows
 IN_THE_AIR: Final = {Phase.ROUTE.value, Phase.SEARCH.value, Phase.APPROACH.value, Phase.DESCEND.value}
 LONGEST_STEP_S: Final = 0.2
 DIRECTIONS: Final[dict[str, tuple[int, ...]]] = {"sideways": (0, 1), "down": (2,)}
@@ -81,7 +81,7 @@ class IdentificationLog:
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """What one flight tells; a text where it does not tell."""
+    """What one flight shows; a text where it does not show."""
 
     responses: dict[str, ResponseEstimate | str]
     hover: tuple[float, float] | str
@@ -99,7 +99,7 @@ def identify_command(
     """Read, fit and show.
 
     Raises:
-        ConfigError: something the user can mend; also when the flight tells nothing at all.
+        ConfigError: something the user can correct; also when the flight shows nothing at all.
     """
     record = read_flight(log)
     found = identify(record, log)
@@ -114,7 +114,7 @@ def identify_command(
 
 
 def read_flight(path: Path) -> IdentificationLog:
-    """Read the topics that tell how the vehicle answered.
+    """Read the topics that show how the vehicle answered.
 
     Raises:
         ConfigError: it is not a flight of ours.
@@ -138,7 +138,7 @@ def read_flight(path: Path) -> IdentificationLog:
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
     vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
-    # in a flight by `auto` the setpoints tell whose autopilot it was: PX4 is sent no attitudes then
+    # in a flight by `auto` the setpoints show whose autopilot it was: PX4 is sent no attitudes then
     by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
     manner: Manner = "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
     return IdentificationLog(resolved(config.control, manner), vehicle, messages, manner)
@@ -191,10 +191,10 @@ def _pieces(time_s: FloatArray, obeyed_s: FloatArray) -> tuple[tuple[int, int], 
 
 
 def identify(record: IdentificationLog, path: Path) -> IdentificationResult:
-    """All that a flight tells.
+    """All that a flight shows.
 
     Raises:
-        ConfigError: it tells nothing.
+        ConfigError: it shows nothing.
     """
     data, responses = flown(record, path), dict[str, ResponseEstimate | str]()
     for name, axes in DIRECTIONS.items():

@@ -33,10 +33,10 @@ class ControlReport:
     """How a setpoint came about: for the log and the status line.
 
     Not `solved`: the last plan was flown on; `late`: the clock ended the search; `stopped`: for want of a
-    plan the vehicle was told to stand still. `hover_thrust` is the share of full thrust that carries the
-    weight, as learnt by then; while not `obeyed`, the autopilot hears setpoints without following them.
-    `blind`: for want of IMU samples the vehicle was told not to accelerate. `cycle_late_s` is how much later
-    than due the cycle began: the event loop's delay.
+    plan the vehicle was commanded to stand still. `hover_thrust` is the share of full thrust that carries the
+    weight, as learnt by then; while not `obeyed`, the autopilot receives setpoints without following them.
+    `blind`: for want of IMU samples the vehicle was commanded not to accelerate. `cycle_late_s` is how much
+    later than due the cycle began: the event loop's delay.
     """
 
     time_s: float

@@ -14,7 +14,7 @@ class VehicleState:
     """The vehicle at time_s by the 31-state EKF.
 
     `position_ned_m` counts from `origin` (latitude deg, longitude deg, altitude m), which is the first GPS
-    fix and None before it. Of the time since the newest IMU sample, `imu_age_s`, it is foretold.
+    fix and None before it. Over the time since the newest IMU sample, `imu_age_s`, it is predicted.
     """
 
     time_s: float

@@ -13,7 +13,7 @@ Manner = AutopilotKind
 
 @dataclass(frozen=True, slots=True)
 class AutopilotSetup:
-    """What the autopilot's parameters say of how it obeys; None: not told.
+    """What the autopilot's parameters say of how it obeys; None: unknown.
 
     `acceleration_m_s2` and `jerk_m_s3` bind velocity setpoints sideways.
     """
@@ -40,7 +40,7 @@ class AutopilotState:
 
     `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
-    nothing of the kind is told (PX4).
+    nothing of the kind is reported (PX4).
     """
 
     time_s: float

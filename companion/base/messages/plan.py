@@ -54,7 +54,7 @@ class Action:
     """One request to the autopilot or the ground station.
 
     `position` is latitude (deg), longitude (deg) and height over home (m). `force` lets a DISARM through
-    that the autopilot refuses because it believes itself in the air: in the air it drops the vehicle, so
+    that the autopilot refuses because it considers itself in the air: in the air it drops the vehicle, so
     only a touchdown that several signs have confirmed for seconds may ask for it.
     """
 
@@ -67,7 +67,7 @@ class Action:
 
 @dataclass(frozen=True, slots=True)
 class ActionResult:
-    """How an action ended; a refused one carries the autopilot's words."""
+    """How an action ended; a refused one carries the autopilot's text."""
 
     time_s: float
     kind: ActionKind

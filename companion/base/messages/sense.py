@@ -41,7 +41,7 @@ class MagSample:
 class GpsFix:
     """One three-dimensional fix (no fix is no message).
 
-    `vertical_speed_accuracy_m_s` is told when it differs from `speed_accuracy_m_s`: a source without a
+    `vertical_speed_accuracy_m_s` is given when it differs from `speed_accuracy_m_s`: a source without a
     vertical speed gives 0 with an accuracy that says so.
     """
 

@@ -3,7 +3,7 @@
 Per axis, u = a_ref + K_p e + K_d e' + integral of K_i e, with e the target's position minus the vehicle's
 where the command takes effect: the same prediction past the delay, the same reference with its velocity
 and acceleration fed forward, the same drawing near of far targets as the others get. A disturbance is met by
-the integral alone; it stands still while the command is at its bound and the error would drive it further
+the integral alone; it is held while the command is at its bound and the error would drive it further
 (clamping), and is bounded itself. Gains: `control.pid`, from `companion-experiments tune-flight-pid`.
 
 Frame: as the MPC's, NED axes that do not accelerate; SI units.
@@ -26,7 +26,7 @@ class PidTracker:
     """Three PIDs. Keeps the integrals."""
 
     def __init__(self, config: ControlConfig, lags_s: Vector3) -> None:
-        """`lags_s` are `flight_model.lags`, for the predicted states that are told."""
+        """`lags_s` are `flight_model.lags`, for the predicted states that are reported."""
         sideways, upright = config.pid.horizontal, config.pid.vertical
         self._gains = (sideways, sideways, upright)
         self._steps, self._step_s = config.horizon_steps, config.step_s
@@ -89,7 +89,7 @@ class PidTracker:
         )
 
     def _rollout(self, start: Motion, rows: list[list[float]]) -> TrackingSolution:
-        """Inputs and states of the law on the model; the integral stands, as if it met what pushes."""
+        """Inputs and states of the law on the model; the integral is constant, against the disturbance."""
         push = (-self._integral[0], -self._integral[1], -self._integral[2])
         motion, inputs, states = start, [], []
         for row in rows[: self._steps]:

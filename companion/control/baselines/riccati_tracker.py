@@ -64,7 +64,7 @@ def _with_memory(A: FloatArray, B: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(config: ControlConfig, lags_s: Vector3) -> Weights:
-    """The MPC's: a deviation that has been flown stands in the state, so its price moves into Q."""
+    """The MPC's: a deviation that has been flown is in the state, so its cost moves into Q."""
     costs = axis_costs(config, lags_s)
     Q, S = np.zeros((12, 12)), np.zeros((12, 12))
     for axis, cost in enumerate(costs):

@@ -1,4 +1,4 @@
-"""The MPC's optimum without its inequalities: a first guess that is exact wherever no constraint binds.
+"""The MPC's optimum without its inequalities: a start that is exact wherever no constraint binds.
 
 Solves eq. 39 under eq. 38 alone: P z + q + A'y = 0, A z = b, by a factorisation that is made once.
 """

@@ -1,12 +1,13 @@
 """Model predictive control (eqs. 38 and 39, with constraints): the next accelerations to command.
 
 Frame: NED axes, at rest or in straight unaccelerated motion; the controller puts the pad's own motion into
-the reference, so that nothing here knows of pads. SI units. Solved by OSQP: the matrices are set up once, a
-step changes vectors only (and the cone's slope, when that changes) and starts from the last solution; the
-first starts from the optimum without constraints.
+the reference, so that nothing here depends on the pad. SI units. Solved by OSQP: the matrices are set up
+once, a step changes vectors only (and the cone's slope, when that changes) and starts from the last solution;
+the first starts from the optimum without constraints.
 
 Iterations bound the work, in slices; between two of them a stopwatch, when there is one, may say that the
-time is up. Past either bound an answer that is not nearly there gives way to the last solution, moved on.
+time is up. Past either bound an answer that is not nearly converged is replaced by the last solution, moved
+on.
 """
 
 from __future__ import annotations
@@ -77,9 +78,9 @@ class Mpc:
         stopwatch: Callable[[], float] | None = None,
         hover_thrust: float = 0.5,
     ) -> None:
-        """`lags_s` are `flight_model.lags`; `stopwatch` tells seconds, by which a solve may come to its end.
+        """`lags_s` are `flight_model.lags`; `stopwatch` gives seconds, by which a solve may come to its end.
 
-        `hover_thrust` is the share of full thrust that carries the weight, until a target tells it.
+        `hover_thrust` is the share of full thrust that carries the weight, until a target gives it.
         """
         self._limits = config.limits
         self._stopwatch = stopwatch or (lambda: 0.0)

@@ -2,11 +2,11 @@
 
 Variables, in this order, for N steps: states x_1..x_N (9 each: position, velocity, acceleration, NED),
 inputs u_0..u_{N-1} (3 each), velocity slacks (3 each), floor slacks and cone slacks (1 each). The slacks are
-free and dear, so that a vehicle that already breaks a bound on its state still has a solution.
+free and costly, so that a vehicle that already breaks a bound on its state still has a solution.
 
 Rows, in this order: dynamics (9N, equalities), inputs (`input_bounds`: 17N), input change (3N), speed octagon
 (4N), vertical speed (N), floor (N), descent cone (8N). The flown acceleration needs no rows: behind a lag it
-stays between where it starts and the bounds of the inputs, plus what pushes.
+stays between where it starts and the bounds of the inputs, plus the disturbance.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class QuadraticProgram:
 
 @dataclass(frozen=True)
 class QpLayout:
-    """Where things stand among the variables and rows, for N steps."""
+    """Where things are among the variables and rows, for N steps."""
 
     steps: int
 
@@ -134,7 +134,7 @@ def step_matrices(step_s: float, lags_s: Vector3) -> tuple[FloatArray, FloatArra
 def cost_matrix(costs: tuple[AxisCost, AxisCost, AxisCost], steps: int) -> sparse.csc_matrix:
     """P, upper triangle, of 1/2 z'Pz + q'z.
 
-    The terminal cost covers the last change's memory: it stands on x_N and u_{N-1} and replaces no stage's.
+    The terminal cost covers the last change's memory: it is on x_N and u_{N-1} and replaces no stage's.
     """
     layout = QpLayout(steps)
     P = sparse.lil_matrix((layout.variables, layout.variables))

@@ -23,7 +23,7 @@ HEADING_RATE_SMOOTHING_S = 0.4
 def sample(reference: Reference, times_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and acceleration (n, 3) of the reference at `times_s` (n,).
 
-    Beyond its last row the reference goes straight on; before its first it stands at that row.
+    Beyond its last row the reference goes straight on; before its first it is at rest at that row.
     """
     last_row = len(reference.position_m) - 1
     rows = np.hstack([reference.position_m, reference.velocity_m_s, reference.acceleration_m_s2])
@@ -95,7 +95,7 @@ def stop_reference(time_s: float, position_ned_m: Vector3, heading_rad: float) -
 
 
 class HeadingReference:
-    """Follows the plan's heading no faster than allowed, and tells the rate at which it turns (rad/s)."""
+    """Follows the plan's heading no faster than allowed, and gives the rate at which it turns (rad/s)."""
 
     def __init__(self, maximum_rate_rad_s: float) -> None:
         self._maximum_rate_rad_s = maximum_rate_rad_s

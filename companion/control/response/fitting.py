@@ -3,7 +3,7 @@
 The weights of `control` are those for a response as quick as `QUICK_S`. For a slower one the loop's own
 frequency goes down in proportion, so that the same phase is lost in it. For one that rings it stays as far
 below the ringing as the square of its peak says: what is fed back of velocity and of tilt peaks there, too.
-`margins` tells what is left. SI units.
+`margins` shows what is left. SI units.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def fitted(
 def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner) -> float:
     """The share of full thrust to begin with: ArduPilot's, which has learnt it, else the vehicle's file's.
 
-    PX4 keeps what it learns to itself; its parameter is what somebody has typed.
+    PX4 does not report what it learns; its parameter is what a person has entered.
     """
     told = setup.hover_thrust
     learnt = manner == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER

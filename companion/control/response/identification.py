@@ -2,13 +2,14 @@
 
 The model is `flight_model`'s, with the autopilot's velocity loop closed around it: per axis
     v' = a,  a' = (u + K (v_sp - v) + d - a) / tau
-with u and v_sp the setpoint's acceleration and velocity as they left `delay_s` before, d what pushes. By
+with u and v_sp the setpoint's acceleration and velocity as they left `delay_s` before, d the disturbance. By
 attitude setpoints K = 0 and u is what attitude and thrust make.
 
-The flight is cut into windows of 1 s (over longer ones d does not keep, and as setpoints answer what pushes,
-the lag would come out too long). What each begins with (v, a) and its d are free and enter linearly,
-so they are projected out; K and tau are those with the least squares of what is left of the velocity. North
-and east share theirs. Standard deviations let residuals within a window hang together. NED, SI units.
+The flight is cut into windows of 1 s (over longer ones d does not keep, and as setpoints answer the
+disturbance, the lag would come out too long). What each begins with (v, a) and its d are free and enter
+linearly, so they are projected out; K and tau are those with the least squares of what is left of the
+velocity. North and east share theirs. Standard deviations allow for correlated residuals within a window.
+NED, SI units.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ FREE: Final = 3  # v, a and d of each window
 
 
 class TooLittleError(ValueError):
-    """The flight does not tell: it is too short, or nothing in it moves enough."""
+    """The flight does not show: it is too short, or nothing in it moves enough."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ def _answers(cut: Windows, response: IdentifiedResponse) -> tuple[FloatArray, Fl
     A, B = moved[:2, :2], moved[:2, 2]
     wanted = cut.command_acceleration_m_s2 + K * cut.command_velocity_m_s
     steps, count = wanted.shape
-    # the free answers go along as three more windows: v, a and a constant push
+    # the free answers go along as three more windows: v, a and a constant disturbance
     push = np.hstack([wanted, np.tile([0.0, 0.0, 1.0], (steps, 1))])
     state = np.zeros((2, count + FREE))
     state[0, count], state[1, count + 1] = 1.0, 1.0
@@ -165,7 +166,7 @@ def residuals(cut: Windows, response: IdentifiedResponse) -> FloatArray:
 
 
 def prediction_error_m_s(cut: Windows, response: IdentifiedResponse) -> float:
-    """Root mean square error (m/s) of a window's second half, predicted by what its first half told."""
+    """Root mean square error (m/s) of a window's second half, predicted by what its first half gave."""
     forced, free = _answers(cut, response)
     half = len(forced) // 2
     left = cut.velocity_m_s - forced
@@ -174,7 +175,7 @@ def prediction_error_m_s(cut: Windows, response: IdentifiedResponse) -> float:
 
 
 def fit(cut: Windows, start: IdentifiedResponse) -> ResponseEstimate:
-    """Gain and lag by least squares from a first guess; a gain of 0 stays.
+    """Gain and lag by least squares from a start; a gain of 0 stays.
 
     A setpoint that carries the predicted velocity asks little of the autopilot's gain: where the flight
     leaves that open, it stays as guessed (its deviation is then infinite), and the lag is what fits to it.
@@ -219,7 +220,7 @@ def _uncertainty(jacobian: FloatArray, left: FloatArray, shape: tuple[int, int])
     """Relative standard deviations of the numbers, by how their windows disagree."""
     steps, count = shape
     per_window = (jacobian * left[:, None]).reshape(steps, count, -1).sum(axis=0)
-    # windows overlap by half: each is only half a witness
+    # windows overlap by half: each counts by half
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     covariance = 2.0 * bread @ (per_window.T @ per_window) @ bread
     shares: FloatArray = np.sqrt(np.diag(covariance))

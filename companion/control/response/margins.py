@@ -1,9 +1,9 @@
-"""How far the loop is from swinging: its margins, from the very controller that flies.
+"""How far the loop is from oscillating: its margins, from the very controller that flies.
 
 The controller (with the MPC's answer free of constraints, the paper's recursion on the same weights) flies a
 linear vehicle: the command is held over a period, reaches the tilt or the thrust after a dead time and at
 second order, as identified, and integrates to velocity and place. Into what the vehicle gets, one period's
-kick is added that the controller knows nothing of. With D the kick's transform and U that of what the
+impulse is added that the controller does not know of. With D the impulse's transform and U that of what the
 controller answers, the loop's transfer at the vehicle's input is L = -U / (D + U): observers, prediction
 over the delay, gate and all, exactly as they run, sampled at `rate_hz`.
 
@@ -47,7 +47,7 @@ FREQUENCIES: Final = 2000
 
 @dataclass(frozen=True)
 class MarginCase:
-    """A loop: settings, whose autopilot, the axis, the response, and how far off what is believed it is."""
+    """A loop: settings, whose autopilot, the axis, the response, and how far off the assumed one it is."""
 
     control: ControlConfig
     vehicle: VehicleConfig
@@ -60,7 +60,7 @@ class MarginCase:
 
 @dataclass(frozen=True)
 class Margins:
-    """What the loop bears before it swings for ever: of phase, delay, and of gain either way (as factors).
+    """The loop's margins: of phase, delay, and of gain either way (as factors).
 
     `crossover_rad_s` is the highest frequency at which the loop's gain is one.
     """

@@ -1,4 +1,4 @@
-"""The vehicle under its autopilot, as far as control knows it.
+"""The vehicle under its autopilot, as control models it.
 
 What was commanded, what disturbs it, what thrust is worth: joins the command history, the disturbance
 observer and the thrust scale. NED and FRD, SI units.
@@ -17,7 +17,7 @@ from companion.control.response.fitting import loop_rad_s
 from companion.control.response.flight_model import velocity_gains
 from companion.control.response.history import CommandHistory, SentCommand
 
-# how fast what no wind explains is believed, as a share of the loop's own frequency: see `margins`
+# how fast what no wind explains is trusted, as a share of the loop's own frequency: see `margins`
 LASTING_SHARE: Final = 0.25
 LASTING_DOWN_SHARE: Final = 0.3
 
@@ -70,7 +70,7 @@ class Plant:
         return self._nominal_hover_thrust * self._thrust_scale.factor
 
     def begin(self, vehicle: VehicleState) -> None:
-        """Begin anew, nothing commanded: the tilt it has is against the wind, or into a turn.
+        """Start again, nothing commanded: the tilt it has is against the wind, or into a turn.
 
         With velocity setpoints the autopilot's own integral goes on to meet that wind.
         """

@@ -1,7 +1,7 @@
 """Standing still: the detector, and the first attitude and gyroscope bias from the mean of a few seconds.
 
 Samples are judged in blocks of 0.1 s by the standard deviation within the block, so that a constant bias
-does not look like motion. FRD, SI units, µT.
+is not taken for motion. FRD, SI units, µT.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class StillnessDetector:
 
 @dataclass(frozen=True, slots=True)
 class InitialAlignment:
-    """Mean readings of the stand-still; `still` False: the time ran out first and they are worth little."""
+    """Mean readings of the stand-still; `still` False: the time ran out first and they are inaccurate."""
 
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
@@ -105,7 +105,7 @@ class StaticAligner:
             self._restart()
             if not late or self._last_field is None:
                 return None
-            # no stand-still comes: what is felt now, for a mean over a motion is the attitude of no instant
+            # no stand-still comes: the present sample, for a mean over a motion is the attitude of no instant
             return InitialAlignment(
                 block.rate_body_rad_s, block.specific_force_body_m_s2, self._last_field, block.samples, False
             )
@@ -121,7 +121,7 @@ class StaticAligner:
         return InitialAlignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
 
     def _stands(self, block: Block) -> bool:
-        """Still within the block, and the same as in the blocks before: a slow sway is quiet, but changes."""
+        """Still within the block, and the same as in the blocks before: a slow oscillation changes the mean."""
         config = self._config
         if not block.still or norm(block.rate_body_rad_s) > LARGEST_BIAS_RAD_S:
             return False

@@ -6,7 +6,7 @@ q_ω is the integrated gyroscope, and e_ω the rate (1/s) at which its error tur
 q_am is q_ω turned the shortest way until it agrees with the reference at hand: gravity for the
 accelerometer, magnetic north for the magnetometer. With both it is the attitude of eq. 13; with one alone
 (the two sensors come at their own rates, and either may be gated out) it changes nothing the other should
-tell. e_am = |q_am - q_ω| / dt is the rate of that correction, so a step never turns faster than e_ω: a
+show. e_am = |q_am - q_ω| / dt is the rate of that correction, so a step never turns faster than e_ω: a
 burst of acceleration or a passing car moves the estimate no faster than the gyroscope could have erred.
 
 The accelerometer counts only as far as it measures gravity: the specific force is averaged in NED, where
@@ -68,7 +68,7 @@ def shortest_turn(start: Vector3, end: Vector3) -> Quaternion:
 class OrientationFilter:
     """Attitude and heading from the IMU and the magnetometer alone, without GPS.
 
-    `gravity_error_m_s2` and `mag_trusted` tell the EKF how far to believe the output.
+    `gravity_error_m_s2` and `mag_trusted` show the EKF how far to trust the output.
     """
 
     def __init__(self, config: OrientationConfig, field_ned_ut: Vector3, attitude: Quaternion) -> None:
@@ -98,7 +98,7 @@ class OrientationFilter:
             turn = shortest_turn(scale(force, 1.0 / size), (0.0, 0.0, -1.0))
             before = q
             q = blend(q, quat_multiply(turn, q), self._config.gyro_error_rate, dt_s)
-            # the average lives in the frame that has just been turned
+            # the average is in the frame that has just been turned
             undone = quat_multiply(q, (before[0], -before[1], -before[2], -before[3]))
             self._force_ned_m_s2 = quat_rotate(undone, force)
         self.attitude = q

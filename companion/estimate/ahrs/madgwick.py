@@ -31,7 +31,7 @@ def align(specific_force_m_s2: Vector3, field_body_ut: Vector3, declination_rad:
     atan2(-m_y', m_x') + declination (rad, east positive).
 
     Raises:
-        ValueError: no specific force (free fall), or no horizontal field to tell north by.
+        ValueError: no specific force (free fall), or no horizontal field to find north by.
     """
     size = norm(specific_force_m_s2)
     if size < 1e-6:
@@ -115,7 +115,7 @@ class MadgwickFilter:
     sample without a new field descends on gravity alone.
     """
 
-    # it has no gates: it believes both sensors always, at its slow gain
+    # it has no gates: it trusts both sensors always, at its slow gain
     gravity_error_m_s2 = 0.0
     mag_trusted = True
 
@@ -145,7 +145,7 @@ class MadgwickFilter:
         return (gw, gx, gy, gz)
 
     def update_mag(self, field_body_ut: Vector3, dt_s: float) -> Quaternion:
-        """Keep one magnetometer sample for the next of the IMU; a zero field tells nothing."""
+        """Keep one magnetometer sample for the next of the IMU; a zero field shows nothing."""
         size = norm(field_body_ut)
         self._field_direction = scale(field_body_ut, 1.0 / size) if size > 1e-6 else None
         return self.attitude

@@ -15,7 +15,7 @@ SETTLING_NOISE_RAD: Final = 1.0
 
 
 class Orientation(Protocol):
-    """What the pre-filters have in common; the two properties tell the EKF how far to believe one."""
+    """What the pre-filters have in common; the two properties show the EKF how far to trust one."""
 
     attitude: Quaternion
 

@@ -8,7 +8,7 @@ at times a < b < c, each some hundred milliseconds apart, that jump is what is l
 
 when the vehicle's own motion between them, which the IMU has measured, is taken off: a pad that drives
 straight on has no part in it, one that accelerates little. The remainder is -d W, W the same difference of
-w x r; d is its least-squares estimate with a prior, forgetting slowly. A vehicle that does not turn tells
+w x r; d is its least-squares estimate with a prior, forgetting slowly. A vehicle that does not turn shows
 nothing, and then nothing changes. SI units.
 """
 
@@ -32,11 +32,11 @@ from companion.estimate.motion import MotionHistory
 APART_S: Final = 0.13  # long against the noise of a sighting, short against a pad's manoeuvres
 NEAR_S: Final = 0.04  # a sighting this near to that distance will do
 RATE_SPAN_S: Final = 0.01
-LARGEST_S: Final = 0.03  # a pad that sways at the vehicle's own pace looks like more
+LARGEST_S: Final = 0.03  # a pad that oscillates at the vehicle's own period looks like more
 FORGETTING_S: Final = 60.0
 SLEW: Final = 0.01  # s a second: what is corrected moves slowly, so that sightings stay in order
 PAD_ACCELERATION_M_S2: Final = 1.0
-SHARED: Final = 3.0  # each sighting is in three differences: they tell a third of what they seem to
+SHARED: Final = 3.0  # each sighting is in three differences: they show a third of what they seem to
 OUTLIER: Final = 4.0  # standard deviations, with the prior's share
 
 

@@ -1,11 +1,11 @@
-"""Interacting multiple models (IMM) on filterpy: several Kalman filters of one state that share their doubts.
+"""Interacting multiple models (IMM) on filterpy: Kalman filters of one state that share their uncertainty.
 
 Every model has the same state and sees the same measurement, but moves it by its own F and Q. Before a step
 each model starts from the blend of all that the chance of a change to it gives; after a measurement the
 models' probabilities follow from how well each expected it (Bar-Shalom, Li and Kirubarajan 2001, 11.6.6).
 
 filterpy's cost is in its calls, not in its sums, and its own `IMMEstimator` blends in Python loops. So the
-models stand here side by side in one `KalmanFilter` whose matrices are block-diagonal, and are blended by
+models are combined here in one `KalmanFilter` whose matrices are block-diagonal, and are blended by
 array operations: the same numbers (a test compares them with `IMMEstimator`'s) at a fraction of the time.
 
 Arrays: m models of an n-state, means (m, n), covariances (m, n, n), probabilities (m,). Nothing that a

@@ -4,7 +4,7 @@ State: relative position (pad - vehicle's reference point, m), relative velocity
 acceleration (m/s²). Two banks of models (`pad_models`), one for the plane and one for the vertical, which
 hardly depend on one another. The vehicle's acceleration, measured by the IMU, is a known input; GPS never
 enters the state, so that neither its noise nor its jumps reach the landing. The vehicle's velocity serves
-for a first guess and for the rate at which the pad's course turns, and there an error does little.
+for a start and for the rate at which the pad's course turns, and there an error does little.
 Sightings are fused at their exposure, echoes at their time; `gating.Timeline` puts late ones in place.
 """
 
@@ -40,7 +40,7 @@ from companion.estimate.pad.pad_types import (
 __all__ = ["CombinedEstimate", "HeightMeasurement", "PadFilter", "PadInput", "PadMeasurement", "PadSnapshot"]
 
 _EYE3: Final = np.eye(3)
-# where the banks' states stand in (position, velocity, acceleration) of all three axes
+# where the banks' states are in (position, velocity, acceleration) of all three axes
 _HORIZONTAL_ROWS: Final = np.array([0, 1, 3, 4, 6, 7])
 _VERTICAL_ROWS: Final = np.array([2, 5, 8])
 
@@ -104,7 +104,8 @@ class PadFilter:
     def predicted(self, snapshot: PadSnapshot, time_s: float) -> CombinedEstimate | None:
         """The state at a time not before the snapshot's; None when there is no pad in the snapshot.
 
-        Unseen, models go their own ways and are blended at the end: how they differ is part of the doubt.
+        Unseen, models go their own ways and are blended at the end: how they differ is part of the
+        uncertainty.
         """
         if snapshot.horizontal is None or snapshot.vertical is None:
             return None

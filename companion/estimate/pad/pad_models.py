@@ -7,7 +7,7 @@ jerk, and j plays no part, for
     steady     small and short-lived: constant velocity
     manoeuvre  large, fading in a second or two: constant acceleration
     turn       lasting, and turning with the course: coordinated turn
-    sway       waves, as below: what a sea does to a pad sideways
+    sway       waves, as below: horizontal motion of a pad at sea
 
 That a turn is written as jerk = omega x a, rather than as a = omega x v, keeps it free of the pad's absolute
 velocity, hence of GPS: only the turn rate, a scalar, has to be known.
@@ -61,11 +61,11 @@ def course_turn(
     heading_rate_rad_s: float,
     heading_rate_variance: float,
 ) -> Turn:
-    """How the course turns, by three witnesses weighed: v x a, the heading's rate, and that most go straight.
+    """How the course turns, by three weighted estimates: v x a, the heading's rate, and straight on.
 
     Args:
         velocity_m_s: of the pad over ground, north and east. An error dv of it makes one of about
-            |omega dv / v|, which is why GPS may have a word here.
+            |omega dv / v|, which is why GPS may contribute here.
         acceleration_m_s2: of the pad, north and east.
         acceleration_variance: of either component, (m/s²)².
         heading_rate_rad_s: of the pad.
@@ -73,14 +73,14 @@ def course_turn(
     """
     (vn, ve), (an, ae) = velocity_m_s, acceleration_m_s2
     speed_squared = vn * vn + ve * ve + MINIMUM_SPEED_M_S**2
-    witnesses = (
+    estimates = (
         ((vn * ae - ve * an) / speed_squared, max(acceleration_variance / speed_squared, 1e-4)),
         (heading_rate_rad_s, heading_rate_variance + HEADING_IS_COURSE_RAD_S**2),
         (0.0, STRAIGHT_ON_RAD_S**2),
     )
-    weight = sum(1.0 / variance for _, variance in witnesses)
+    weight = sum(1.0 / variance for _, variance in estimates)
     return Turn(
-        sum(rate / variance for rate, variance in witnesses) / weight, 1.0 / weight, math.hypot(an, ae)
+        sum(rate / variance for rate, variance in estimates) / weight, 1.0 / weight, math.hypot(an, ae)
     )
 
 
@@ -217,7 +217,7 @@ def _fading(
 
 
 def _waving(w0: float, damping: float, variance: float, vehicle: float) -> tuple[FloatArray, FloatArray]:
-    """A and W (4, 4) of an acceleration that swings at w0 (rad/s), with this variance when left alone."""
+    """A and W (4, 4) of an acceleration that oscillates at w0 (rad/s), with this stationary variance."""
     A = np.eye(4, k=1)
     A[3, 2], A[3, 3] = -w0 * w0, -2.0 * damping * w0
     return A, np.diag([0.0, vehicle, 0.0, 4.0 * damping * w0**3 * variance])

@@ -1,4 +1,4 @@
-"""What goes into the pad filter, what it stands at, and what it says: plain data.
+"""What goes into the pad filter, its state, and its output: plain data.
 
 NED, SI units. A snapshot is never written to again.
 """
@@ -97,7 +97,7 @@ class CombinedEstimate:
         """Of relative position and velocity (6, 6), with the errors that no averaging takes away.
 
         A horizon that is off (rotation_covariance (3, 3), about NED axes, rad²) turns position and velocity
-        alike. One that wanders, and a calibration that is off, lend a standing vehicle a velocity.
+        alike. One that wanders, and a calibration that is off, give a vehicle at rest a velocity.
         """
         position, velocity = self.x[0:3], self.x[3:6]
         swings = np.vstack((_lever(position), _lever(velocity)))

@@ -1,4 +1,4 @@
-"""The autopilot's attitude as an anchor of ours, where both go by the same IMU.
+"""Our attitude reset by the autopilot's, where both go by the same IMU.
 
 With the autopilot's own sensors by telemetry its filter has every sample, ours what the link brings. After a
 gap in the stream ours has missed a turn, the autopilot has not: ours is then set by it. So it is when ours
@@ -22,6 +22,7 @@ from companion.base.geometry import (
     quat_multiply,
     quat_rotate_inverse,
 )
+from companion.base.messages import AutopilotAttitude
 
 GAP_S: Final = 0.05  # between two samples: more is a gap
 THEIR_STD_RAD: Final = math.radians(1.0)  # of their horizon, in flight
@@ -30,18 +31,11 @@ LEAST_APART_RAD: Final = math.radians(5.0)  # in a steady stream
 AFTER_GAP_RAD: Final = math.radians(1.5)
 POORLY_KNOWN_RAD: Final = math.radians(4.0)  # our horizon's deviation, as after a start in motion
 HEADING_AFTER_GAP_RAD: Final = math.radians(4.0)
-MISTIMED_S: Final = 0.03  # their words and our samples: a turn makes that much of difference
+MISTIMED_S: Final = 0.03  # their reports and our samples: a turn makes that much of difference
 PERSISTS_S: Final = 0.2
 LEARNING_S: Final = 5.0
-WORDS_KEPT: Final = 20
+REPORTS_KEPT: Final = 20
 _DOWN: Final = (0.0, 0.0, 1.0)
-
-
-class ReportedAttitude(NamedTuple):
-    """What the autopilot said of its attitude."""
-
-    time_s: float
-    attitude: Quaternion
 
 
 class EstimatedAttitude(NamedTuple):
@@ -63,10 +57,10 @@ class Correction(NamedTuple):
 
 
 class AttitudeReset:
-    """Compares word by word; each waits until our own samples have come as far."""
+    """Compares report by report; each waits until our own samples have come as far."""
 
     def __init__(self) -> None:
-        self._words: tuple[ReportedAttitude, ...] = ()
+        self._reports: tuple[AutopilotAttitude, ...] = ()
         self._heading_rad: float | None = None  # ours less theirs
         self._learnt_s = 0.0
         self._wrong_since_s: float | None = None
@@ -76,52 +70,54 @@ class AttitudeReset:
         """Our stream goes on at time_s, after nothing had come for so long."""
         self._gap = (time_s, lasted_s)
 
-    def hear(self, word: ReportedAttitude) -> None:
-        """Take a word in."""
-        self._words = (*self._words, word)[-WORDS_KEPT:]
+    def take(self, report: AutopilotAttitude) -> None:
+        """Take a report in."""
+        self._reports = (*self._reports, report)[-REPORTS_KEPT:]
 
-    def due(self, newest_s: float) -> ReportedAttitude | None:
-        """The next word that our samples have come up to."""
-        if not self._words or self._words[0].time_s > newest_s:
+    def due(self, newest_s: float) -> AutopilotAttitude | None:
+        """The next report that our samples have come up to."""
+        if not self._reports or self._reports[0].time_s > newest_s:
             return None
-        word, self._words = self._words[0], self._words[1:]
-        return word
+        report, self._reports = self._reports[0], self._reports[1:]
+        return report
 
-    def compare(self, word: ReportedAttitude, own: EstimatedAttitude) -> Correction | None:
-        """Ours set right by a word, if that has to be."""
-        tilt_rad, heading_rad = apart(own.attitude, word.attitude)
+    def compare(self, report: AutopilotAttitude, own: EstimatedAttitude) -> Correction | None:
+        """Ours corrected by a report, if that has to be."""
+        tilt_rad, heading_rad = apart(own.attitude, report.attitude)
         if self._heading_rad is None:
-            self._heading_rad, self._learnt_s = heading_rad, word.time_s
+            self._heading_rad, self._learnt_s = heading_rad, report.time_s
         off_rad = math.remainder(heading_rad - self._heading_rad, math.tau)
         limit_rad = DEVIATIONS * math.hypot(own.tilt_std_rad, THEIR_STD_RAD) + MISTIMED_S * own.turning_rad_s
         if self._gap is not None:
-            return self._after_gap(word, tilt_rad, off_rad)
+            return self._after_gap(report, tilt_rad, off_rad)
         if own.tilt_std_rad > POORLY_KNOWN_RAD and tilt_rad > AFTER_GAP_RAD:
-            return self._correction(word, word.time_s, tilt_rad, "ours was not known well")
+            return self._correction(report, report.time_s, tilt_rad, "ours was not known well")
         if tilt_rad <= max(limit_rad, LEAST_APART_RAD):
             self._wrong_since_s = None
-            self._learn(word.time_s, off_rad)
+            self._learn(report.time_s, off_rad)
             return None
-        self._wrong_since_s = word.time_s if self._wrong_since_s is None else self._wrong_since_s
-        if word.time_s - self._wrong_since_s < PERSISTS_S:
+        self._wrong_since_s = report.time_s if self._wrong_since_s is None else self._wrong_since_s
+        if report.time_s - self._wrong_since_s < PERSISTS_S:
             return None
-        return self._correction(word, self._wrong_since_s, tilt_rad, "its horizon is another")
+        return self._correction(report, self._wrong_since_s, tilt_rad, "its horizon is another")
 
-    def _after_gap(self, word: ReportedAttitude, tilt_rad: float, off_rad: float) -> Correction | None:
+    def _after_gap(self, report: AutopilotAttitude, tilt_rad: float, off_rad: float) -> Correction | None:
         assert self._gap is not None
         end_s, lasted_s = self._gap
-        if word.time_s < end_s:
+        if report.time_s < end_s:
             return None
         self._gap = None
         if tilt_rad <= AFTER_GAP_RAD and abs(off_rad) <= HEADING_AFTER_GAP_RAD:
             return None
         why = f"{1e3 * lasted_s:.0f} ms of the IMU's stream are missing"
-        return self._correction(word, end_s, math.hypot(tilt_rad, off_rad), why)
+        return self._correction(report, end_s, math.hypot(tilt_rad, off_rad), why)
 
-    def _correction(self, word: ReportedAttitude, since_s: float, apart_rad: float, why: str) -> Correction:
+    def _correction(
+        self, report: AutopilotAttitude, since_s: float, apart_rad: float, why: str
+    ) -> Correction:
         self._wrong_since_s = None
         turned = quat_from_euler(0.0, 0.0, self._heading_rad or 0.0)
-        return Correction(word.time_s, since_s, quat_multiply(turned, word.attitude), apart_rad, why)
+        return Correction(report.time_s, since_s, quat_multiply(turned, report.attitude), apart_rad, why)
 
     def _learn(self, time_s: float, off_rad: float) -> None:
         assert self._heading_rad is not None

@@ -38,13 +38,13 @@ from companion.estimate.vehicle.ekf_start import InitialState
 from companion.estimate.vehicle.ekf_state import EYE, EYE3, EkfSnapshot, EkfState
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
 
-UNKNOWN_SPEED_M_S: Final = 10.0  # a fix that doubts a component of its velocity by more does not know it
-STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope tells
+UNKNOWN_SPEED_M_S: Final = 10.0  # a fix whose velocity component is more uncertain does not count
+STEP_STD_RAD_S: Final = math.radians(0.3)  # of a bias that a second gyroscope shows
 STEP_TURN_STD_RAD: Final = math.radians(0.5)
 SUSPECTED_BIAS_RAD_S: Final = math.radians(1.5)
 SUSPECTED_TURN_RAD: Final = math.radians(2.0)
 LARGEST_CARRIED: Final = 0.02  # of a quaternion's component, by a late fix: 2 deg
-WRONG_FOR_S: Final = 0.2  # before it is set right
+WRONG_FOR_S: Final = 0.2  # before it is corrected
 
 
 class VehicleEkf(EkfState):
@@ -54,7 +54,7 @@ class VehicleEkf(EkfState):
         super().__init__(config, start)
         self._antenna_body_m = antenna_body_m
         self._imu_noise = np.diag([config.gyro_noise_rad_s**2] * 3 + [config.accel_noise_m_s2**2] * 3)
-        self._mag_doubt = config.mag_noise_ut**2 * EYE3
+        self._mag_gate_noise = config.mag_noise_ut**2 * EYE3
         self._still_noise = np.diag([0.002**2] * 3)
         self._unaided_noise = np.diag([config.unaided_speed_m_s**2] * 3)
         self._rest_noise = np.diag([0.05**2] * 3)
@@ -72,7 +72,7 @@ class VehicleEkf(EkfState):
             self._take_anchor(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples, item.force_doubt_m_s2, item.span_s)
+        self.predict(time_s, u, item.samples, item.force_error_m_s2, item.span_s)
         self._take_imu(item)
 
     def carried(
@@ -83,7 +83,7 @@ class VehicleEkf(EkfState):
         What the fix changes at its time moves on as errors do: x by a product of Jacobians, P on both sides.
         The gains of the newer inputs stay as they were, a little larger than they would have been: P is that
         of the estimate so made. None for a first fix, for one that turns the attitude by more than the
-        Jacobians hold, and when something newer has set states anew or is a fix itself.
+        Jacobians hold, and when something newer has reset states or is a fix itself.
         """
         if not isinstance(item, GpsStep) or not base.has_position:
             return None
@@ -126,9 +126,9 @@ class VehicleEkf(EkfState):
         innovation = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2) - expected
         PCt = self.P @ C.T
         S = C @ PCt + self._imu_noise / step.samples
-        if step.force_doubt_m_s2 > 0.0:
-            S[3:, 3:] += step.force_doubt_m_s2**2 * EYE3
-        self._allow_blows(innovation, S)
+        if step.force_error_m_s2 > 0.0:
+            S[3:, 3:] += step.force_error_m_s2**2 * EYE3
+        self._limit_outliers(innovation, S)
         self._correct(innovation, C, PCt, S)
         if step.field_body_ut is not None:
             self._take_field(step.field_body_ut)
@@ -142,11 +142,11 @@ class VehicleEkf(EkfState):
             self._take_zero(model.VELOCITY, self._rest_noise)
 
     @staticmethod
-    def _allow_blows(innovation: FloatArray, S: FloatArray) -> None:
-        """Enlarge S for a specific force that does not fit: a blow, or a sensor that clips.
+    def _limit_outliers(innovation: FloatArray, S: FloatArray) -> None:
+        """Enlarge S for a specific force that does not fit: an impact, or a sensor that clips.
 
-        The innovation then counts as if it lay on the bound of its test (Huber's way): a blow cannot throw
-        the attitude, and a force that stays is still believed in the end.
+        The innovation then counts as if it lay on the bound of its test (Huber's method): an impact cannot
+        upset the attitude, and a force that stays still counts in the end.
         """
         excess = normalised_innovation_squared(innovation[3:], S[3:, 3:]) / CHI_SQUARE_999[3]
         if excess > 1.0:
@@ -167,11 +167,11 @@ class VehicleEkf(EkfState):
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)
         innovation, east = np.array(field_body_ut) - expected, self._magnetic_east()
-        self._update("mag", innovation, C, self._mag_noise(east), self._mag_doubt)
+        self._update("mag", innovation, C, self._mag_noise(east), self._mag_gate_noise)
         gate = self.gates["mag"]
         if gate.shut_out(self.time_s, self._config.mag_patience_s):
             # a field that fits in size and dip for so long is right, and the heading wrong
-            self._doubt_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
+            self._inflate_rotation(np.diag((0.0, 0.0, math.radians(30.0) ** 2)))
             self.gates = {**self.gates, "mag": Gate(gate.accepted, gate.refused)}
 
     def _magnetic_east(self) -> FloatArray:
@@ -181,9 +181,9 @@ class VehicleEkf(EkfState):
         return np.array(quat_rotate_inverse(self.attitude, (-east / size, north / size, 0.0)))
 
     def _mag_noise(self, east: FloatArray) -> FloatArray:
-        """R (3, 3) in µT²: what is wrong with a field stays, so that many samples tell little more than one.
+        """R (3, 3) in µT²: what is wrong with a field stays, so that many samples show little more than one.
 
-        Indoors and near iron size and dip err by more than the tilt: a field tells the heading alone.
+        Indoors and near iron size and dip err by more than the tilt: a field shows the heading alone.
         """
         config = self._config
         alike = max(2.0 * config.mag_wander_s * config.mag_rate_hz, 1.0)
@@ -193,13 +193,13 @@ class VehicleEkf(EkfState):
 
     def _suspect_bias(self) -> None:
         """Open the filter for another bias of the gyroscope, and for the turn it has made already."""
-        self._doubt_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
+        self._inflate_rotation(SUSPECTED_TURN_RAD**2 * EYE3)
         P = self.P.copy()
         P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * EYE3
         self.P, self.fix_watch = P, self.fix_watch.suspected(self.time_s)
 
     def _take_anchor(self, step: AttitudeStep) -> None:
-        """Turn the attitude; what was felt by the wrong one has gone into the velocity."""
+        """Turn the attitude; what was measured with the wrong one has gone into the velocity."""
         tilt, heading = step.tilt_std_rad**2, step.heading_std_rad**2
         attitude = quat_normalise(quat_multiply(step.turn, self.attitude))
         self._start_attitude(attitude, np.diag((tilt, tilt, heading)))
@@ -227,7 +227,7 @@ class VehicleEkf(EkfState):
         R *= self.fix_watch.noise_factor
         fits = self._update("gps_velocity", innovation, C, R, R)
         expected, C = model.gps_position_model(self.x, self._antenna_body_m, later_s)
-        # the error of a position wanders slowly: so many fixes in a row tell no more than one
+        # the error of a position drifts slowly: so many fixes in a row show no more than one
         alike = max(2.0 * self._config.gps_wander_s / max(time_s - self.gps_time_s, 0.05), 1.0)
         R = np.diag(np.square(fix.position_std_m))
         innovation = np.array(fix.position_ned_m) - expected
@@ -247,7 +247,7 @@ class VehicleEkf(EkfState):
             self._suspect_bias()
 
     def _take_bias_step(self, step: BiasStep) -> None:
-        """Take the bias that a second gyroscope tells, and turn back what the old one has turned."""
+        """Take the bias that a second gyroscope shows, and turn back what the old one has turned."""
         x, P = self.x.copy(), self.P.copy()
         x[model.GYRO_BIAS] = step.gyro_bias_rad_s
         turn = quat_from_rotation_vector(scale(step.turned_rad, -1.0))
@@ -256,13 +256,13 @@ class VehicleEkf(EkfState):
         P[model.GYRO_BIAS, :] = P[:, model.GYRO_BIAS] = 0.0
         P[model.GYRO_BIAS, model.GYRO_BIAS] = STEP_STD_RAD_S**2 * EYE3
         self.x, self.P, self._moved = x, P, None
-        self._doubt_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * EYE3)
+        self._inflate_rotation(((0.3 * norm(step.turned_rad)) ** 2 + STEP_TURN_STD_RAD**2) * EYE3)
 
     def _start_from(self, time_s: float, fix: GpsStep, keep_speed: bool) -> None:
         """Take position and velocity from the fix alone: at first, or when the old ones proved wrong.
 
-        A component of the velocity that the fix does not know stays as it is; with keep_speed also one that
-        it knows less well than we.
+        A component of the velocity that the fix does not contain stays as it is; with keep_speed also one
+        that it gives less accurately than the filter.
         """
         q, x = self.attitude, self.x.copy()
         own = np.sqrt(self.P.diagonal()[model.VELOCITY])

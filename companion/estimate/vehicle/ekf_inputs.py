@@ -15,7 +15,7 @@ from companion.estimate.vehicle.gyro_bias_check import BiasStep
 class ImuStep:
     """The mean of a few IMU samples at their mean time, and what else is known at that time.
 
-    `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_doubt_m_s2` is
+    `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_error_m_s2` is
     by how much the specific force may be off for a second or so. `span_s` is how long it has lasted by the
     sensor's own clock; None: since the step before.
     """
@@ -29,7 +29,7 @@ class ImuStep:
     heading_noise_rad: float = 0.35
     still: bool = False
     at_rest: bool = False
-    force_doubt_m_s2: float = 0.0
+    force_error_m_s2: float = 0.0
     span_s: float | None = None
 
 
@@ -44,7 +44,7 @@ class GpsStep:
 
 
 class AttitudeStep(NamedTuple):
-    """The attitude is off: `turn` (about NED axes) puts it right, to these standard deviations (rad)."""
+    """The attitude is off: `turn` (about NED axes) corrects it, to these standard deviations (rad)."""
 
     turn: Quaternion
     tilt_std_rad: float

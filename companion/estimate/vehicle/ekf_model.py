@@ -5,8 +5,8 @@ quaternion 0:4, Euler angles 4:7 (rad), angular velocity 7:10 (body, rad/s), pos
 velocity 13:16, acceleration 16:19, accelerometer bias 19:22 (m/s²), gyroscope bias 22:25 (rad/s),
 geomagnetic field 25:28 (NED, µT), magnetometer bias 28:31 (body, µT). (The table counts from 1.)
 
-The IMU does two things: as the input u it turns and pushes attitude, velocity and position, and as a
-measurement it tells angular velocity and acceleration, a random walk and a first-order Markov process.
+The IMU does two things: as the input u it drives attitude, velocity and position, and as a
+measurement it shows angular velocity and acceleration, a random walk and a first-order Markov process.
 The Euler angles are a function of the quaternion: in the transition their rows are the quaternion's rows
 times d(Euler)/d(quaternion), so that state and covariance stay consistent.
 Every function returns plain values and Jacobians; none changes its arguments.
@@ -36,7 +36,7 @@ from companion.base.geometry import (
 
 STATES: Final = 31
 MOVING: Final = 19  # the first rows change by themselves, the biases and the field after them do not
-COUPLED: Final = 25  # and what they change by stands in the first columns, up to the gyroscope's bias
+COUPLED: Final = 25  # and what they change by is in the first columns, up to the gyroscope's bias
 QUATERNION: Final = slice(0, 4)
 EULER: Final = slice(4, 7)
 RATE: Final = slice(7, 10)
@@ -157,8 +157,8 @@ def _turned(q: Quaternion, rotation: Vector3, scale_by: float) -> tuple[Quaterni
 
 @dataclass(frozen=True, slots=True)
 class InertialInput:
-    """What the IMU felt over a step, u of eq. 17: the constant rate and specific force (body) that would
-    have turned and pushed the vehicle as the samples did."""
+    """What the IMU measured over a step, u of eq. 17: the constant rate and specific force (body) that would
+    have turned and accelerated the vehicle as the samples did."""
 
     rate_body_rad_s: Vector3
     specific_force_body_m_s2: Vector3
@@ -169,7 +169,7 @@ def transition(
 ) -> tuple[FloatArray, FloatArray]:
     """State (31,) after dt_s, and A (19, 25): the Jacobian of its first 19 rows by its first 25 (eq. 17).
 
-    The other rows stay. Attitude, velocity and position are turned and pushed by the IMU less its biases
+    The other rows stay. Attitude, velocity and position are driven by the IMU less its biases
     (strapdown): no model of how fast a rate may change stands between the gyroscope and the attitude. The
     states of rate and acceleration, which the IMU measures, are a random walk and a Markov process.
     """
@@ -182,17 +182,17 @@ def transition(
     q_mid, turning_half = _turned((qw, qx, qy, qz), (0.5 * rx, 0.5 * ry, 0.5 * rz), -0.5 * dt_s)
     q_after = quat_normalise(q_after)
     an, ae, ad = quat_rotate(q_mid, force)
-    push = np.array((an * dt_s, ae * dt_s, (ad + GRAVITY_M_S2) * dt_s))
+    gained = np.array((an * dt_s, ae * dt_s, (ad + GRAVITY_M_S2) * dt_s))
     fade = math.exp(-dt_s / accel_tau_s)
     after = x.copy()
     after[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
-    after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * push)
-    after[VELOCITY] += push
+    after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * gained)
+    after[VELOCITY] += gained
     after[ACCELERATION] *= fade
     A = _A_CONSTANT.copy()
-    pushing = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
+    accelerating = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
     showing = euler_jacobian(q_after) @ turning
-    for rows, jacobian in ((QUATERNION, turning), (EULER, showing), (VELOCITY, pushing)):
+    for rows, jacobian in ((QUATERNION, turning), (EULER, showing), (VELOCITY, accelerating)):
         A[rows, QUATERNION], A[rows, GYRO_BIAS] = jacobian[:, :4], jacobian[:, 4:]
     A[VELOCITY, ACCEL_BIAS] = _inverse_rotation(q_mid).T * -dt_s
     A[POSITION] = (0.5 * dt_s) * A[VELOCITY]

@@ -11,6 +11,7 @@ import numpy as np
 from companion.base.geometry import ZERO3, FloatArray, Quaternion, Vector3, euler_from_quat
 from companion.config import EkfConfig, EstimateConfig
 from companion.estimate.ahrs.alignment import InitialAlignment
+from companion.estimate.ahrs.madgwick import align
 from companion.estimate.vehicle import ekf_model as model
 
 # keeps the covariance positive definite along the quaternion's length and the Euler angles, which are
@@ -20,7 +21,7 @@ TINY_VARIANCE: Final = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class InitialState:
-    """What standing still before the flight has told."""
+    """What standing still before the flight has shown."""
 
     time_s: float
     attitude: Quaternion
@@ -31,16 +32,20 @@ class InitialState:
     gyro_bias_std_rad_s: float
 
 
-def start_state(
-    time_s: float, found: InitialAlignment, attitude: Quaternion, config: EstimateConfig
-) -> InitialState:
-    """What the alignment tells; one in motion tells little."""
+def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) -> InitialState | None:
+    """What the alignment shows; one in motion shows little. None when a sensor is dead."""
+    field = config.magnetic_field_ned_ut
+    declination_rad = math.atan2(field[1], field[0])
+    try:
+        attitude = align(found.specific_force_body_m_s2, found.field_body_ut, declination_rad)
+    except ValueError:
+        return None
     gyro_std = config.ekf.gyro_noise_rad_s / math.sqrt(found.samples) + 2e-4
     return InitialState(
         time_s=time_s,
         attitude=attitude,
         gyro_bias_rad_s=found.rate_body_rad_s if found.still else ZERO3,
-        field_ned_ut=config.magnetic_field_ned_ut,
+        field_ned_ut=field,
         tilt_std_rad=math.radians(2.0 if found.still else 15.0),
         heading_std_rad=math.radians(4.0 if found.still else 40.0),
         gyro_bias_std_rad_s=gyro_std if found.still else math.radians(1.0),

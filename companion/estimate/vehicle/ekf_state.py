@@ -32,7 +32,7 @@ UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the 
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
 UNSEEN_TURN_RAD_S2: Final = 1.5  # and how fast that changes
 UNSEEN_JERK_M_S3: Final = 6.0
-DOUBT_S: Final = 1.0  # a doubtful force stays off for so long
+FORCE_ERROR_S: Final = 1.0  # an erroneous force stays off for so long
 EYE3: Final = np.eye(3)
 EYE4: Final = np.eye(4)
 EYE: Final = np.eye(model.STATES)
@@ -42,7 +42,7 @@ class EkfSnapshot(NamedTuple):
     """All of the filter; the arrays are never written to again.
 
     `moved` (31, 31) is how an error before the last input has become one after it; None when the input has
-    set states anew, so that none has.
+    reset states, so that none has.
     """
 
     time_s: float
@@ -107,23 +107,23 @@ class EkfState:
         time_s: float,
         u: model.InertialInput,
         samples: int = 1,
-        force_doubt_m_s2: float = 0.0,
+        force_error_m_s2: float = 0.0,
         span_s: float | None = None,
     ) -> None:
         """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing.
 
-        What moves meanwhile moves for `span_s`, when that is told.
+        What moves meanwhile moves for `span_s`, when it is given.
         """
         if time_s <= self.time_s:
             return
         dt_s = time_s - self.time_s if span_s is None else span_s
         n, m = model.MOVING, model.COUPLED
         P = self.P.copy()
-        turn_variance, push_variance = self._inertial_noise(u, dt_s, samples)
+        turn_variance, velocity_variance = self._inertial_noise(u, dt_s, samples)
         q = self.x[model.QUATERNION]
         P[model.QUATERNION, model.QUATERNION] += 0.25 * turn_variance * (EYE4 - np.outer(q, q))
         diagonal = P.reshape(-1)[:: model.STATES + 1]
-        diagonal[model.VELOCITY] += push_variance + force_doubt_m_s2**2 * DOUBT_S * dt_s
+        diagonal[model.VELOCITY] += velocity_variance + force_error_m_s2**2 * FORCE_ERROR_S * dt_s
         diagonal += self._noise * dt_s
         self.x, A = model.transition(self.x, u, dt_s, self._config.acceleration_time_constant_s)
         P[:n] = A @ P[:m]
@@ -146,22 +146,22 @@ class EkfState:
         x, y, z = u.rate_body_rad_s
         scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
-        push = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
+        velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
         acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
-        return turn + (rate * unseen_s) ** 2, push + (acceleration * unseen_s) ** 2
+        return turn + (rate * unseen_s) ** 2, velocity + (acceleration * unseen_s) ** 2
 
     def _update(
-        self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, doubt: FloatArray | None
+        self, kind: str, innovation: FloatArray, C: FloatArray, R: FloatArray, gate_noise: FloatArray | None
     ) -> bool:
-        """An update with noise R; False when the innovation fails its chi-square test with noise `doubt`.
+        """An update with noise R; False when the innovation fails its test with noise `gate_noise`.
 
         The two differ where R is larger to make up for errors that are alike in many samples.
         """
         PCt = self.P @ C.T
         S = C @ PCt
-        if doubt is not None:
-            test = normalised_innovation_squared(innovation, S + doubt)
+        if gate_noise is not None:
+            test = normalised_innovation_squared(innovation, S + gate_noise)
             passed = test <= CHI_SQUARE_999[len(innovation)]
             self.gates = {**self.gates, kind: self.gates.get(kind, Gate()).after(passed, self.time_s)}
             if not passed:
@@ -170,7 +170,7 @@ class EkfState:
         return True
 
     def _correct(self, innovation: FloatArray, C: FloatArray, PCt: FloatArray, S: FloatArray) -> None:
-        """x⁺ = x⁻ + K y, P⁺ = P⁻ - K S Kᵀ, K = P Cᵀ S⁻¹; then the quaternion's share is put right.
+        """x⁺ = x⁻ + K y, P⁺ = P⁻ - K S Kᵀ, K = P Cᵀ S⁻¹; then the quaternion's share is corrected.
 
         Raises:
             numpy.linalg.LinAlgError: S is not positive definite.
@@ -199,7 +199,7 @@ class EkfState:
         x[model.ATTITUDE] = (*unit, *euler_from_quat(unit))
         return np.asarray((EYE4 - q[:, None] * q) / size)
 
-    def _doubt_rotation(self, rotation_variance: FloatArray) -> None:
+    def _inflate_rotation(self, rotation_variance: FloatArray) -> None:
         """Add variance (3, 3) of a small rotation about NED axes (rad²) to quaternion and Euler angles."""
         P, q = self.P.copy(), self.attitude
         J = np.vstack((EYE4, model.euler_jacobian(q)))
@@ -213,6 +213,6 @@ class EkfState:
         x[model.QUATERNION], x[model.EULER] = attitude, euler_from_quat(attitude)
         P[:7, :] = P[:, :7] = 0.0
         self.x, self.P, self._moved = x, P, None
-        self._doubt_rotation(rotation_variance)
+        self._inflate_rotation(rotation_variance)
         gate = self.gates.get("orientation", Gate())
         self.gates = {**self.gates, "orientation": Gate(gate.accepted, gate.refused)}

@@ -1,6 +1,6 @@
 """Fix after fix off to the same side: the attitude errs, by a gyroscope's bias that has changed.
 
-A bias that steps tilts the estimate, and a tilt pushes the velocity away from the fixes in one direction for
+A bias that steps tilts the estimate, and a tilt drives the velocity away from the fixes in one direction for
 seconds. Noise, however large, has no direction; a receiver that hangs or jumps is refused by its own test.
 So the excess alone says nothing: it has to last in one direction, of fixes that are still taken.
 An excess without a direction is noise that is larger than claimed, or of a time that is uncertain: it makes
@@ -18,7 +18,7 @@ EXCESS_SHARE: Final = 0.35  # of a new fix in the fading mean of the tests
 SCATTER_SHARE: Final = 0.1  # the same, for the noise
 DIRECTION_SHARE: Final = 0.2  # and in that of the direction
 BOUND: Final = 4.5  # of the tests' mean, a degree of freedom; 1 when all is well
-WILD: Final = 10.0  # one wild fix counts as no more
+LARGEST_TEST: Final = 10.0  # one outlier counts as no more
 ONE_SIDED: Final = 0.75  # the mean's square against the mean square: 1 when all point the same way
 PAUSE_S: Final = 3.0  # for the last suspicion to have its effect
 MOST_REFUSED: Final = 5  # in a row; a jump needs more to show its direction
@@ -38,8 +38,8 @@ class FixWatch(NamedTuple):
         mean = add(self.mean_m_s, scale(subtract(innovation_m_s, self.mean_m_s), DIRECTION_SHARE))
         square = dot(innovation_m_s, innovation_m_s)
         return FixWatch(
-            excess=self.excess + EXCESS_SHARE * (min(test, WILD) - self.excess),
-            scatter=self.scatter + SCATTER_SHARE * (min(test, WILD) - self.scatter),
+            excess=self.excess + EXCESS_SHARE * (min(test, LARGEST_TEST) - self.excess),
+            scatter=self.scatter + SCATTER_SHARE * (min(test, LARGEST_TEST) - self.scatter),
             mean_m_s=mean,
             mean_square=self.mean_square + DIRECTION_SHARE * (square - self.mean_square),
             suspected_s=self.suspected_s,
@@ -55,7 +55,7 @@ class FixWatch(NamedTuple):
         return dot(self.mean_m_s, self.mean_m_s) > ONE_SIDED * self.mean_square
 
     def suspicious(self, time_s: float, refused_in_a_row: int) -> bool:
-        """Whether the attitude is to be doubted; the fixes themselves have been refused so often."""
+        """Whether the attitude is suspect; the fixes themselves have been refused so often."""
         return (
             self.excess > BOUND
             and self._one_sided
@@ -64,5 +64,5 @@ class FixWatch(NamedTuple):
         )
 
     def suspected(self, time_s: float) -> FixWatch:
-        """After the attitude has been doubted."""
+        """After the attitude was suspected."""
         return self._replace(excess=0.0, suspected_s=time_s)

@@ -1,14 +1,14 @@
 """The autopilot as a second gyroscope: has the bias of ours stepped?
 
-A step of 2 deg/s (a shock, a supply that sags) turns the attitude away faster than GPS and magnetometer
-mend it: their own errors want slow corrections. The autopilot has an IMU of its own, and what it says of
-its attitude holds how far the vehicle has turned in a window of time. Compared with our gyroscope that
-gives our bias to 0.3 deg/s within a second. Only turns are compared: the autopilot's heading and horizon
+A step of 2 deg/s (a shock, a supply that sags) turns the attitude away faster than GPS and
+magnetometer correct it: their own errors need slow corrections. The autopilot has an IMU of its own, and what
+it says of its attitude holds how far the vehicle has turned in a window of time. Compared with our gyroscope
+that gives our bias to 0.3 deg/s within a second. Only turns are compared: the autopilot's heading and horizon
 are its own. With `sense.source: autopilot` both are the same sensor, and nothing is found.
 
 Other things look like a bias too. A wrong time does while the rate changes, two IMUs that do not lie quite
-alike do in a turn: what they may explain is no step. A heading set anew turns at once what a bias turns bit
-by bit. An attitude that repeats itself is no news: a living sensor's noise never does.
+alike do in a turn: what they may explain is no step. A heading that is reset turns at once what a bias turns
+bit by bit. An attitude that repeats itself is no news: a living sensor's noise never does.
 
 Body FRD, rad/s, plain floats.
 """
@@ -36,15 +36,16 @@ from companion.base.geometry import (
     scale,
     subtract,
 )
+from companion.base.messages import AutopilotAttitude
 
 WINDOW_S: Final = 0.75
 STRIDE_S: Final = 0.25  # from one window's start to the next's
-LONGEST_GAP_S: Final = 0.6  # in the autopilot's words
+LONGEST_GAP_S: Final = 0.6  # in the autopilot's reports
 REMEMBER_S: Final = 2.0
-STEP_RAD_S: Final = math.radians(0.7)  # from the bias believed, to be a step
+STEP_RAD_S: Final = math.radians(0.7)  # from the present bias, to be a step
 AGREE_RAD_S: Final = math.radians(0.5)  # of two windows, one after the other
 LARGEST_RAD_S: Final = math.radians(5.0)  # more is no bias
-WRONG_TIME_S: Final = 0.05  # of the autopilot's words
+WRONG_TIME_S: Final = 0.05  # of the autopilot's reports
 SKEW: Final = 0.02  # of a turn: how far the two IMUs may lie askew (rad), and differ in scale
 LEAST_SHARE: Final = 0.25  # of a window's change, in each of its strides
 
@@ -56,13 +57,6 @@ class BiasStep(NamedTuple):
     turned_rad: Vector3
 
 
-class Told(NamedTuple):
-    """The autopilot's attitude at a time."""
-
-    time_s: float
-    attitude: Quaternion
-
-
 class SecondGyro:
     """Compares the turns of both in overlapping windows."""
 
@@ -70,8 +64,8 @@ class SecondGyro:
         self._turn: Quaternion = IDENTITY
         self._times_s: list[float] = []
         self._turns: list[Quaternion] = []
-        self._anchors: list[Told] = []
-        self._newest: Told | None = None
+        self._anchors: list[AutopilotAttitude] = []
+        self._newest: AutopilotAttitude | None = None
         self._last: Vector3 | None = None
 
     def add_rate(self, time_s: float, rate_body_rad_s: Vector3, dt_s: float) -> None:
@@ -90,17 +84,17 @@ class SecondGyro:
         """
         if self._newest is not None and attitude == self._newest.attitude:
             return None
-        waiting, self._newest = self._newest, Told(time_s, attitude)
+        waiting, self._newest = self._newest, AutopilotAttitude(time_s, attitude)
         return None if waiting is None else self._compare(waiting, gyro_bias_rad_s)
 
-    def _compare(self, told: Told, gyro_bias_rad_s: Vector3) -> BiasStep | None:
-        time_s, anchors = told.time_s, self._anchors
+    def _compare(self, report: AutopilotAttitude, gyro_bias_rad_s: Vector3) -> BiasStep | None:
+        time_s, anchors = report.time_s, self._anchors
         if anchors and abs(time_s - anchors[-1].time_s) >= LONGEST_GAP_S:
             anchors.clear()
             self._last = None
         if anchors and time_s - anchors[-1].time_s < STRIDE_S:
             return None
-        anchors.append(told)
+        anchors.append(report)
         if time_s - anchors[0].time_s < WINDOW_S:
             return None
         window = anchors.copy()
@@ -116,17 +110,17 @@ class SecondGyro:
         turned = add(scale(change, time_s - window[0].time_s), scale(earlier, STRIDE_S))
         return BiasStep(bias, turned)
 
-    def _is_step(self, window: list[Told], last: Vector3, bias: Vector3, believed: Vector3) -> bool:
+    def _is_step(
+        self, window: list[AutopilotAttitude], last: Vector3, bias: Vector3, assumed: Vector3
+    ) -> bool:
         if norm(subtract(bias, last)) > AGREE_RAD_S or norm(bias) > LARGEST_RAD_S:
             return False
-        change, earlier = subtract(bias, believed), subtract(last, believed)
+        change, earlier = subtract(bias, assumed), subtract(last, assumed)
         if min(norm(change), norm(earlier)) < STEP_RAD_S:
             return False
-        return self._unexplained_rad_s(window, change) > STEP_RAD_S and self._goes_on(
-            window, change, believed
-        )
+        return self._unexplained_rad_s(window, change) > STEP_RAD_S and self._goes_on(window, change, assumed)
 
-    def _unexplained_rad_s(self, window: list[Told], change: Vector3) -> float:
+    def _unexplained_rad_s(self, window: list[AutopilotAttitude], change: Vector3) -> float:
         """How much of a change a wrong time and IMUs that lie askew do not make of the motion."""
         start_s, end_s = window[0].time_s, window[-1].time_s
         ours = self._turned_between(start_s, end_s)
@@ -139,22 +133,22 @@ class SecondGyro:
         left = subtract(change, scale(delay, min(max(share, -1.0), 1.0)))
         return norm(left) - SKEW * norm(rotation_vector_from_quat(ours)) / (end_s - start_s)
 
-    def _goes_on(self, window: list[Told], change: Vector3, believed: Vector3) -> bool:
+    def _goes_on(self, window: list[AutopilotAttitude], change: Vector3, assumed: Vector3) -> bool:
         """Whether each stride has its share of the change."""
         for start, end in pairwise(window):
             bias = self._bias(start, end)
-            if bias is None or dot(subtract(bias, believed), change) < LEAST_SHARE * dot(change, change):
+            if bias is None or dot(subtract(bias, assumed), change) < LEAST_SHARE * dot(change, change):
                 return False
         return True
 
-    def _bias(self, start: Told, end: Told) -> Vector3 | None:
+    def _bias(self, start: AutopilotAttitude, end: AutopilotAttitude) -> Vector3 | None:
         """By how much faster our gyroscope turned than the autopilot; None when too old or too new."""
         ours = self._turned_between(start.time_s, end.time_s)
         if ours is None:
             return None
         theirs = quat_multiply(quat_conjugate(start.attitude), end.attitude)
         excess = rotation_vector_from_quat(quat_multiply(quat_conjugate(theirs), ours))
-        # it stands in the axes of the end, a constant bias in those of the middle
+        # it is in the axes of the end, a constant bias in those of the middle
         middle = quat_from_rotation_vector(scale(rotation_vector_from_quat(ours), 0.5))
         return scale(quat_rotate(middle, excess), 1.0 / (end.time_s - start.time_s))
 

@@ -34,7 +34,7 @@ class VectorMean:
         self.count += 1
 
     def take(self) -> Vector3:
-        """The mean; then it begins anew."""
+        """The mean; then it starts again."""
         result = scale(self._sum, 1.0 / self.count)
         self.count, self._sum = 0, ZERO3
         return result
@@ -82,6 +82,10 @@ class InertialMotion:
         self._by_orientation = _approached(self._by_orientation, own, k)
         fade = 1.0 - min(dt_s / max(self._config.orientation.accel_average_s, dt_s), 1.0)
         self.disturbance_m_s2 = max(norm(self._by_orientation), self.disturbance_m_s2 * fade)
+
+    def turned(self, attitude: Quaternion, dt_s: float) -> Quaternion:
+        """An attitude after dt_s at the newest sample's rate."""
+        return quat_integrate(attitude, self.rate_body_rad_s, dt_s)
 
 
 def _acceleration(attitude: Quaternion, specific_force_m_s2: Vector3) -> Vector3:

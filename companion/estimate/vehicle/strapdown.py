@@ -1,8 +1,9 @@
 """A few IMU samples summed up as one step of constant rate and specific force.
 
 The sum is exact where averages are not: turns about changing axes do not commute (coning), and a force
-felt while turning points elsewhere at the end than at the start (sculling). Between two samples, which are
-the sensor's filtered output at their instants, both are taken as linear. Body FRD, SI units, plain floats.
+measured while turning points elsewhere at the end than at the start (sculling). Between two samples, which
+are the sensor's filtered output at their instants, both are taken as linear. Body FRD, SI units, plain
+floats.
 """
 
 from __future__ import annotations
@@ -52,13 +53,13 @@ class Strapdown:
         self.samples += 1
 
     def take(self) -> Increment:
-        """What was collected, and begin anew.
+        """What was collected, and start again.
 
         Raises:
             ZeroDivisionError: nothing was collected.
         """
         rate = scale(rotation_vector_from_quat(self._turn), 1.0 / self._span_s)
-        # the sum stands in the axes of the start, a constant force in those of the middle
+        # the sum is in the axes of the start, a constant force in those of the middle
         middle = quat_from_rotation_vector(scale(rate, 0.5 * self._span_s))
         force = scale(quat_rotate_inverse(middle, self._push), 1.0 / self._span_s)
         result = Increment(self._span_s, self.samples, rate, force)

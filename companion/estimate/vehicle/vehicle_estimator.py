@@ -19,7 +19,6 @@ from companion.base.geometry import (
     norm,
     quat_conjugate,
     quat_from_rotation_vector,
-    quat_integrate,
     quat_multiply,
     quat_normalise,
     quat_rotate,
@@ -29,8 +28,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import AutopilotAttitude, GpsFix, ImuSample, MagSample, VehicleState
 from companion.config import EstimateConfig
-from companion.estimate.ahrs.alignment import Block, InitialAlignment, StaticAligner, StillnessDetector
-from companion.estimate.ahrs.madgwick import align
+from companion.estimate.ahrs.alignment import Block, StaticAligner, StillnessDetector
 from companion.estimate.ahrs.orientation import (
     Orientation,
     heading_noise_rad,
@@ -38,7 +36,7 @@ from companion.estimate.ahrs.orientation import (
     tilt_noise_rad,
 )
 from companion.estimate.gating import Timeline
-from companion.estimate.motion import FORETOLD_S, MotionHistory
+from companion.estimate.motion import PREDICTED_S, MotionHistory
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.attitude_reset import (
     GAP_S,
@@ -46,19 +44,18 @@ from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
     Correction,
     EstimatedAttitude,
-    ReportedAttitude,
 )
 from companion.estimate.vehicle.ekf import VehicleEkf
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuStep, gps_step
-from companion.estimate.vehicle.ekf_start import InitialState, start_state
+from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
 from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
 from companion.estimate.vehicle.strapdown import Strapdown
 from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 
-IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to tell
-LOST_S = 2.0  # and after so long it begins anew: where it has turned meanwhile is anyone's guess
+IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to report
+LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -82,8 +79,8 @@ class VehicleEstimator:
         self.newest_s = -math.inf
         self._strapdown, self._fields = Strapdown(), VectorMean()
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._second_gyro, self._vibration, self._anchor = SecondGyro(), VibrationMonitor(), AttitudeReset()
-        self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet told
+        self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
+        self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
         self._inertial = InertialMotion(config, motion)
@@ -111,7 +108,7 @@ class VehicleEstimator:
                 self._resting &= block.still
             self._span_s = None if sample.interval_s is None else (self._span_s or 0.0) + dt_s
             if dt_s > GAP_S:
-                self._anchor.note_gap(sample.time_s, dt_s)
+                self._reset.note_gap(sample.time_s, dt_s)
             self._move(sample, dt_s)
             self._collect(sample)
         elif block is not None:
@@ -147,14 +144,14 @@ class VehicleEstimator:
         return True
 
     def add_autopilot_attitude(self, sample: AutopilotAttitude) -> bool:
-        """Take the autopilot's attitude: an anchor of ours if both go by the same IMU.
+        """Take the autopilot's attitude: ours is reset by it if both go by the same IMU.
 
         Otherwise only its turns count, against a step of our gyroscope's bias.
         """
         if self._timeline is None or self._orientation is None:
             return False
         if sample.same_imu:
-            self._hold_to(ReportedAttitude(sample.time_s, sample.attitude))
+            self._reset_to(sample)
             return True
         step = self._second_gyro.add_attitude(sample.time_s, sample.attitude, self._inertial.gyro_bias_rad_s)
         if step is not None:
@@ -164,16 +161,16 @@ class VehicleEstimator:
             self._orientation.attitude = quat_normalise(quat_multiply(self._orientation.attitude, back))
         return True
 
-    def _hold_to(self, word: ReportedAttitude) -> None:
-        """Set the attitude right by the autopilot's, where that has to be."""
+    def _reset_to(self, report: AutopilotAttitude) -> None:
+        """Correct the attitude by the autopilot's, where that has to be."""
         assert self._ekf is not None
-        self._anchor.hear(word)
-        while (due := self._anchor.due(self.newest_s)) is not None:
+        self._reset.take(report)
+        while (due := self._reset.due(self.newest_s)) is not None:
             ours = self.motion.attitude(due.time_s)
             if ours is None:
                 continue
             x, y, z = self._ekf.rotation_covariance().diagonal().tolist()
-            correction = self._anchor.compare(
+            correction = self._reset.compare(
                 due, EstimatedAttitude(ours, math.sqrt(x + y), norm(self._inertial.rate_body_rad_s))
             )
             if correction is not None:
@@ -189,7 +186,7 @@ class VehicleEstimator:
         self.motion.turn(correction.since_s, step.turn)
         self._read_ekf()
         self._orientation.attitude = self._inertial.attitude
-        words = f"attitude set right by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
+        words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
         self.corrections = (*self.corrections, f"{words}: {correction.why}")
 
     # ------------------------------------------------------------ outputs
@@ -229,7 +226,7 @@ class VehicleEstimator:
         return VehicleState(
             time_s=now_s,
             attitude=self._attitude_near(max(now_s, self.newest_s)),
-            rate_body_rad_s=self._inertial.rate_body_rad_s if imu_age_s <= FORETOLD_S else ZERO3,
+            rate_body_rad_s=self._inertial.rate_body_rad_s if imu_age_s <= PREDICTED_S else ZERO3,
             position_ned_m=add(position, place),
             velocity_ned_m_s=add(velocity, speed),
             acceleration_ned_m_s2=self._inertial.acceleration_ned_m_s2,
@@ -248,21 +245,13 @@ class VehicleEstimator:
 
     def _try_to_align(self, time_s: float, block: Block) -> None:
         found = self._aligner.add_block(time_s, block)
-        if found is None:
+        start = None if found is None else start_state(time_s, found, self._config)
+        if found is None or start is None:
             return
-        field = self._config.magnetic_field_ned_ut
-        declination_rad = math.atan2(field[1], field[0])
-        try:
-            attitude = align(found.specific_force_body_m_s2, found.field_body_ut, declination_rad)
-        except ValueError:
-            return  # a dead sensor: go on collecting
-        self._start(time_s, found, attitude)
-
-    def _start(self, time_s: float, found: InitialAlignment, attitude: Quaternion) -> None:
-        start = start_state(time_s, found, attitude, self._config)
-        self._inertial.gyro_bias_rad_s = start.gyro_bias_rad_s
-        self._begin(start)
-        self._inertial.attitude = attitude
+        self._orientation = new_orientation(self._config, start.attitude)
+        self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
+        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
+        self._inertial.gyro_bias_rad_s, self._inertial.attitude = start.gyro_bias_rad_s, start.attitude
         self._resting = found.still
         self._mag_trusted_s = time_s
         self._settled_s = time_s if found.still else time_s + SETTLING_S
@@ -272,18 +261,12 @@ class VehicleEstimator:
         self._aligner = StaticAligner(self._config.alignment)
         self._orientation = self._ekf = self._timeline = self._last_raw = None
         self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
-        self._second_gyro, self._vibration, self._anchor = SecondGyro(), VibrationMonitor(), AttitudeReset()
+        self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
 
     @property
     def aligned(self) -> bool:
         """Whether there is an attitude, from an alignment that still holds."""
         return self._ekf is not None
-
-    def _begin(self, start: InitialState) -> None:
-        """Make what there is only after the alignment."""
-        self._orientation = new_orientation(self._config, start.attitude)
-        self._ekf = VehicleEkf(self._config.ekf, self._antenna_body_m, start)
-        self._timeline = Timeline(self._ekf, self._config.ekf.remember_s)
 
     # ------------------------------------------------------------ IMU
 
@@ -308,14 +291,14 @@ class VehicleEstimator:
         assert self._timeline is not None
         assert self._ekf is not None
         assert self._orientation is not None
-        time_s, felt, config = sample.time_s, self._strapdown.take(), self._config.ekf
+        time_s, mean, config = sample.time_s, self._strapdown.take(), self._config.ekf
         with_attitude = time_s - self._orientation_step_s >= 1.0 / config.orientation_rate_hz
         settled, trusted = time_s >= self._settled_s, time_s - self._mag_trusted_s < MAG_TIMEOUT_S
         step = ImuStep(
-            rate_body_rad_s=felt.rate_body_rad_s,
-            specific_force_body_m_s2=felt.specific_force_body_m_s2,
-            samples=felt.samples,
-            force_doubt_m_s2=self._vibration.doubt_m_s2(config.shaking_bound_m_s2, config.shaking_share),
+            rate_body_rad_s=mean.rate_body_rad_s,
+            specific_force_body_m_s2=mean.specific_force_body_m_s2,
+            samples=mean.samples,
+            force_error_m_s2=self._vibration.error_m_s2(config.shaking_bound_m_s2, config.shaking_share),
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=tilt_noise_rad(
@@ -335,9 +318,7 @@ class VehicleEstimator:
         assert self._ekf is not None
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
-        self._inertial.attitude = quat_integrate(
-            self._ekf.attitude, self._inertial.rate_body_rad_s, self.newest_s - self._ekf.time_s
-        )
+        self._inertial.attitude = self._inertial.turned(self._ekf.attitude, self.newest_s - self._ekf.time_s)
 
     def _field_at(self, time_s: float) -> Vector3 | None:
         """The field since the last time, averaged in NED and seen by the body now; None out of turn."""
@@ -348,14 +329,10 @@ class VehicleEstimator:
         return quat_rotate_inverse(self._inertial.attitude, self._fields.take())
 
     def _attitude_near(self, time_s: float) -> Quaternion:
-        """Attitude at a time near the newest sample's; further on nobody knows how it turns."""
-        return quat_integrate(
-            self._inertial.attitude, self._inertial.rate_body_rad_s, min(time_s - self.newest_s, FORETOLD_S)
-        )
+        """Attitude at a time near the newest sample's; further on its rotation is unknown."""
+        return self._inertial.turned(self._inertial.attitude, min(time_s - self.newest_s, PREDICTED_S))
 
     def _orientation_at(self, time_s: float) -> Quaternion:
         assert self._orientation is not None
         self._orientation_step_s = time_s
-        return quat_integrate(
-            self._orientation.attitude, self._inertial.rate_body_rad_s, time_s - self.newest_s
-        )
+        return self._inertial.turned(self._orientation.attitude, time_s - self.newest_s)

@@ -1,7 +1,7 @@
-"""How hard the accelerometer is shaken: beyond a bound its mean is not to be relied on.
+"""How strong the accelerometer's vibration is: beyond a bound its mean is not reliable.
 
-An element that saturates, or that rectifies what it is shaken by, shifts its mean by a share of the shaking,
-and for as long as that lasts. What swings from sample to sample is no motion of the vehicle, so the shaking
+An element that saturates, or that rectifies vibration, shifts its mean by a share of the vibration, and for
+as long as that lasts. What alternates from sample to sample is no motion of the vehicle, so the vibration
 shows in the second difference of three samples. Plain floats, body FRD, m/s².
 """
 
@@ -13,12 +13,12 @@ from typing import Final
 from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
 
 MEMORY_S: Final = 0.2
-LARGEST_DOUBT_M_S2: Final = 3.0
+LARGEST_ERROR_M_S2: Final = 3.0
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 
 
 class VibrationMonitor:
-    """The root mean square of what swings from sample to sample, all axes together."""
+    """The root mean square of what alternates from sample to sample, all axes together."""
 
     def __init__(self) -> None:
         self._last: Vector3 = ZERO3
@@ -35,7 +35,7 @@ class VibrationMonitor:
             k = dt_s / (MEMORY_S + dt_s)
             self._mean_square += k * (dot(swing, swing) / _SECOND_DIFFERENCE_VARIANCE - self._mean_square)
 
-    def doubt_m_s2(self, bound_m_s2: float, share: float) -> float:
+    def error_m_s2(self, bound_m_s2: float, share: float) -> float:
         """By how much the mean may be off: a share of what exceeds the bound."""
         excess = math.sqrt(self._mean_square) - bound_m_s2
-        return min(max(share * excess, 0.0), LARGEST_DOUBT_M_S2)
+        return min(max(share * excess, 0.0), LARGEST_ERROR_M_S2)

@@ -49,7 +49,7 @@ def replay_command(
     """Read, replay, compare and show.
 
     Raises:
-        ConfigError: something the user can mend.
+        ConfigError: something the user can correct.
     """
     console = Console()
     record = read_log(log)

@@ -1,7 +1,7 @@
 """What a replay came to: errors against the recording and the truth, as the contract of `replay.json`.
 
 Attitude errors are BROAD's (Laidig et al. 2021): the rotation between the two in NED, and its parts about
-the vertical (heading) and off it (inclination). A position whose origin the log does not tell is compared
+the vertical (heading) and off it (inclination). A position whose origin the log does not show is compared
 in shape: without the mean difference.
 """
 

@@ -210,7 +210,7 @@ def _states_reference(states: list[VehicleState | PadState]) -> RecordedReferenc
 
 
 def _truth_reference(truth: list[Truth]) -> RecordedReference:
-    """The truth in the air: on the ground the estimators are not what the vehicle stands by."""
+    """The truth in the air: on the ground the vehicle does not use the estimates."""
     flown = [record for record in truth if not record.in_contact]
     return RecordedReference(
         _tracks(

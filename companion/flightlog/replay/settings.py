@@ -1,7 +1,7 @@
 """Under which settings a log is replayed.
 
 A flight of ours holds its own. For an autopilot's log it is a settings file, and what that does not set
-the log tells: the antenna's place, and the place and date by which the Earth's field is known.
+the log shows: the antenna's place, and the place and date by which the Earth's field is known.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def choose(record: FlightRecord, config_path: Path | None) -> Choice:
 
 
 def _fitted(config: CompanionConfig, record: FlightRecord, field: Vector3) -> CompanionConfig:
-    """The settings with the Earth's field, and the antenna where the autopilot believes it to be."""
+    """The settings with the Earth's field, and the antenna where the autopilot assumes it."""
     estimate = config.estimate.model_copy(update={"magnetic_field_ned_ut": field})
     sense = config.sense
     if "antenna_position_body_m" not in sense.gps.model_fields_set:

@@ -118,7 +118,7 @@ class _Reading:
             yield from _mag_events(_times(data), self._calibrated(rows, int(data["device_id"][0])))
 
     def _combined_mag(self, data: Columns) -> Iterator[RecordedEvent]:
-        """A field is repeated with every IMU sample until a new one comes; its age tells them apart."""
+        """A field is repeated with every IMU sample until a new one comes; its age distinguishes them."""
         ages = np.asarray(data["magnetometer_timestamp_relative"], dtype=np.int64)
         measured = np.asarray(data["timestamp"], dtype=np.int64) + ages
         known = np.flatnonzero(ages != NO_TIMESTAMP)

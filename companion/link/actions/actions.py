@@ -28,7 +28,7 @@ _FORCE: Final = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: whatever the 
 
 
 class VehicleActions(Protocol):
-    """Asks the autopilot or the ground station for something and tells how it went."""
+    """Asks the autopilot or the ground station for something and reports how it went."""
 
     async def start(self) -> None:
         """Make ready; before the first `receive`."""
@@ -53,7 +53,7 @@ class VehicleActions(Protocol):
 class PymavlinkActions:
     """Actions as MAVLink commands of our own session.
 
-    `send` takes the bytes to the transport; `attitude_setpoints` tells that the setpoints will be attitude
+    `send` takes the bytes to the transport; `attitude_setpoints` shows that the setpoints will be attitude
     and thrust, for which an ArduPilot must be set up. Runs on any loop, in virtual time too.
     """
 
@@ -196,7 +196,7 @@ class PymavlinkActions:
         """See to it that an attitude setpoint's thrust is thrust: to ArduPilot it is a climb rate by default.
 
         Raises:
-            Refused: it is a climb rate, and may not be or was not changed; or the autopilot does not tell.
+            Refused: it is a climb rate, and may not be or was not changed; or it is not reported.
         """
         if not self._attitude_setpoints or self.dialogue.manner() != "ardupilot":
             return
@@ -225,7 +225,7 @@ class PymavlinkActions:
         return self._session.state.home
 
     def _ground_altitude_m(self) -> float:
-        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming sets anew."""
+        """Altitude (m AMSL) where it stands: its present one, fresher than home, which arming resets."""
         present = self._session.state.global_position
         return self.home()[2] if present is None else present[2]
 

@@ -1,6 +1,6 @@
 """Asking the autopilot or the ground station for something and waiting for the answer.
 
-On top of the session, which sends, repeats and hears: here are the waiting, the refusals in words, and the
+On top of the session, which sends, repeats and receives: here are the waiting, the refusals in words, and the
 end of the waiting when what was asked for is void.
 """
 
@@ -21,7 +21,7 @@ from companion.link.parameters import ParameterRequest
 from companion.link.session import Session
 
 _POLL_S: Final = 0.01
-_CONFIRM_S: Final = 2.5  # some autopilots tell a new mode only in the next heartbeat, at 1 Hz
+_CONFIRM_S: Final = 2.5  # some autopilots report a new mode only in the next heartbeat, at 1 Hz
 
 
 def _wanted_still() -> str:
@@ -111,12 +111,12 @@ class Dialogue:
             await self._clock.sleep_until(self._clock.now_s() + _POLL_S)
 
     def ask_for_heartbeat(self) -> None:
-        """Have the new mode told now instead of within a second; nothing is lost when it is not."""
+        """Have the new mode reported now instead of within a second; nothing is lost when it is not."""
         self._session.command(request_message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, self._session.system_id))
         self._send(self._session.tick(self._clock.now_s()))
 
     async def parameter(self, request: ParameterRequest) -> int:
-        """The autopilot's newest word on an integer parameter.
+        """The autopilot's newest answer for an integer parameter.
 
         Raises:
             Refused: it said nothing.

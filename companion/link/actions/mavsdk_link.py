@@ -215,7 +215,7 @@ class MavsdkActions:
             await self._own.dialogue.confirm(lambda: not self._session.state.armed, "disarmed")
         except Refused:
             if self._session.state.mode != before:
-                raise  # somebody else has the vehicle by now
+                raise  # another pilot has the vehicle by now
             await self._own.disarm(action)
 
     # ------------------------------------------------------------ MAVSDK
@@ -257,7 +257,7 @@ class MavsdkActions:
         self._calls.discard(future)
         self._withdrawn_calls.discard(future)
         if not future.cancelled():
-            future.exception()  # looked at here, in case nobody waits for it any more
+            future.exception()  # looked at here, in case it is no longer waited for
 
     def _pass_out(self, data: bytes) -> None:
         if self._mavsdk is None or (self._withdrawn_calls and has_command(data)):

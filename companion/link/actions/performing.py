@@ -33,7 +33,7 @@ class Performances:
         self._under_way: list[asyncio.Task[ActionResult]] = []
 
     async def perform(self, handler: Handler, action: Action) -> ActionResult:
-        """Run a handler and tell how it went; "withdrawn" after `cancel`, whatever it was at."""
+        """Run a handler and report how it went; "withdrawn" after `cancel`, whatever it was at."""
         work = asyncio.create_task(self._result(handler, action))
         self._under_way.append(work)
         try:
@@ -51,7 +51,7 @@ class Performances:
             work.cancel()
 
     async def _result(self, handler: Handler, action: Action) -> ActionResult:
-        """How a handler ends; a refusal carries the autopilot's words of that time."""
+        """How a handler ends; a refusal carries the autopilot's text of that time."""
         session, clock = self._session, self._clock
         heard_before = session.texts_heard
         try:

@@ -1,1 +1,1 @@
-"""What the autopilot tells: state, readings, its own sensors."""
+"""What the autopilot reports: state, readings, its own sensors."""

@@ -27,7 +27,7 @@ _GPS: Final = mavlink.MAVLINK_MSG_ID_GPS_RAW_INT
 _RANGE: Final = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 SENSOR_MESSAGES: Final = frozenset({_HIGHRES, _RAW, _SCALED, _GPS, _RANGE})
 # best first; PX4's RAW_IMU is in counts, and its SCALED_IMU has the field in the compass's own axes.
-# ArduPilot's HIGHRES_IMU is not in every firmware, and stands for RAW_IMU where somebody else asked for it
+# ArduPilot's HIGHRES_IMU is not in every firmware, and replaces RAW_IMU where another client asked for it
 IMU_MESSAGES: Final[dict[Manner, tuple[int, ...]]] = {
     "px4": (_HIGHRES,),
     "ardupilot": (_RAW, _SCALED, _HIGHRES),
@@ -198,7 +198,7 @@ class TelemetrySensors:
     def watch(self, now_s: float) -> str | None:
         """What is missing and what was expected, in one line; None when all is well. Call it at 1 Hz or so.
 
-        A silent link is told elsewhere: without heartbeats nothing is said here.
+        A silent link is reported elsewhere: without heartbeats nothing is said here.
         """
         self._measure_rate(now_s)
         manner = self._manner

@@ -24,7 +24,7 @@ from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, scale
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.link.codec import Message, mavlink
 
-UNKNOWN_SPEED_M_S: Final = 50.0  # accuracy of what a fix does not tell
+UNKNOWN_SPEED_M_S: Final = 50.0  # accuracy of what a fix does not report
 _MILLI_G: Final = 1e-3 * GRAVITY_M_S2
 _GAUSS_UT: Final = 100.0
 _MILLIGAUSS_UT: Final = 0.1
@@ -35,7 +35,7 @@ _SATURATED: Final = 32767
 _RATE_BITS, _FORCE_BITS, _FIELD_BITS = 0b111_000, 0b111, 0b111_000_000
 _TEMPERATURE_BIT: Final = 1 << 12
 _UNKNOWN_U8, _UNKNOWN_U16 = 0xFF, 0xFFFF
-_RANGE_ERROR_M: Final = 2.5  # of a receiver that tells its dilution alone
+_RANGE_ERROR_M: Final = 2.5  # of a receiver that reports its dilution alone
 _UNTOLD_DILUTION: Final = 4.0
 _UNTOLD_SPEED_ACCURACY_M_S: Final = 0.5
 _SIGNAL_INVALID: Final = 1  # 0 is "unknown": PX4's simulator and older autopilots never fill it in
@@ -126,7 +126,7 @@ def looks_down(message: Message) -> bool:
 
 
 def _is_the_first(message: Message) -> bool:
-    """Whether it tells of the autopilot's first IMU; SCALED_IMU does (its `id` is pymavlink's, no field)."""
+    """Whether it is of the autopilot's first IMU; SCALED_IMU does (its `id` is pymavlink's, no field)."""
     return bool(message.get_msgId() == mavlink.MAVLINK_MSG_ID_SCALED_IMU or message.id == 0)
 
 

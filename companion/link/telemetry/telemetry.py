@@ -145,7 +145,7 @@ def _local_position(state: AutopilotState, message: Message, time_s: float) -> A
 
 def _global_position(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     if message.lat == 0 and message.lon == 0:
-        return state  # ArduPilot's way of saying that it does not know yet
+        return state  # ArduPilot's value for unknown
     position = vector3((message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3))
     return replace(state, time_s=time_s, global_position=position)
 

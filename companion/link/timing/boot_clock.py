@@ -1,6 +1,6 @@
 """The autopilot's stamps, counted from its boot, as times of ours: each measurement's own instant. Pure.
 
-`TimeSync` says where its clock stands against ours, and corrects itself with every answer. A small correction
+`TimeSync` gives the offset of its clock from ours, and corrects itself with every answer. A small correction
 is followed bit by bit; where that clock has stood still, the times jump ahead with it. They never go back:
 what is newer by its stamp is newer by its time, and nothing is refused because the mapping was corrected.
 Until TIMESYNC has settled, and from a restart of the autopilot until it has settled again, there are no
@@ -39,7 +39,7 @@ class BootClock:
     def __init__(self, timesync: TimeSync) -> None:
         self._timesync = timesync
         self._line: ClockLine | None = None
-        self._ahead_s = 0.0  # by how much the times told are ahead of the line's
+        self._ahead_s = 0.0  # by how much the times given are ahead of the line's
         self._followed_s = 0.0  # by their clock
         self._last: dict[str, tuple[float, float]] = {}
 
@@ -49,7 +49,7 @@ class BootClock:
         return self._timesync.settled
 
     def instant(self, stream: str, stamp_s: float, now_s: float) -> Instant | None:
-        """Of a stamp (s since boot) heard now, rising strictly within a stream; None also when repeated."""
+        """Of a stamp (s since boot) received now, rising strictly in a stream; None also when repeated."""
         unwrapped_s = self._unwrapped_s(stamp_s, now_s)
         last = self._last.get(stream)
         passed_s = None if last is None else unwrapped_s - last[0]
@@ -66,7 +66,7 @@ class BootClock:
         return Instant(time_s, passed_s)
 
     def time_s(self, stamp_s: float, now_s: float) -> float | None:
-        """Our time of a stamp (s since boot) heard now; None: unknown clock, or impossible."""
+        """Our time of a stamp (s since boot) received now; None: unknown clock, or impossible."""
         line = self._timesync.line
         if line is None or not self._timesync.settled:
             self._line = None

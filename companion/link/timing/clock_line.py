@@ -2,9 +2,9 @@
 
 A round trip from a to b of our time in which that clock told c bounds its offset, c - b <= offset <= c - a,
 whatever delayed it on its way. Within these bounds a Kalman filter of offset and rate weighs the quickest
-trips most: delays only ever add, so the trip that took longest knows least. An estimate outside the bounds is
+trips most: delays only ever add, so the longest trip is the least accurate. An estimate outside the bounds is
 not noise. A little outside, the clock's rate has changed; far outside, that clock has stood still or was set
-(a simulator on a busy machine does both), and the offset begins anew with the rate kept.
+(a simulator on a busy machine does both), and the offset starts again with the rate kept.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 _QUICKEST_OF: Final = 50  # trips: 10 s at 5 Hz
-_LONG_S: Final = 0.05  # a trip longer than the quickest by more tells only its bounds
+_LONG_S: Final = 0.05  # a trip longer than the quickest by more gives only its bounds
 _FLOOR_S: Final = 0.0005  # of a trip's standard deviation
 _UNLIKE: Final = 0.1  # by which share of the quickest trips the two ways may differ
 _RATE_STD: Final = 0.005  # at first: crystals differ by 1e-4, a simulator's clock by a few percent
@@ -62,12 +62,12 @@ class ClockLine:
         return self.offset_s + self.rate * (ours_s - self.at_s)
 
     def to_ours(self, theirs_s: float) -> float:
-        """Our time of a moment told in theirs."""
+        """Our time of a moment given in theirs."""
         return self.at_s + (theirs_s - self.offset_s - self.at_s) / (1.0 + self.rate)
 
 
 class ClockFilter:
-    """Takes trips in the order of their answers; `line` is what they have told by now."""
+    """Takes trips in the order of their answers; `line` is what they give by now."""
 
     def __init__(self, first: Trip) -> None:
         self.line = ClockLine(first.middle_s, first.offset_s, 0.0)
@@ -124,7 +124,7 @@ class ClockFilter:
         return math.copysign(max(abs(off_s) - reach_s, 0.0), off_s)
 
     def _jump(self, trip: Trip, outside_s: float) -> None:
-        """Begin anew at the nearest offset that the trip allows."""
+        """Start again at the nearest offset that the trip allows."""
         self._move(-outside_s)
         self._pp, self._pr = (0.5 * trip.length_s + _FLOOR_S) ** 2, 0.0
         self._lean_on(trip)

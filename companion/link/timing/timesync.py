@@ -1,7 +1,7 @@
 """The autopilot's clock against ours by MAVLink's TIMESYNC: offset and rate. Pure.
 
 We send our time ts1; the autopilot answers with its own, tc1, and ts1 again: a round trip, and `clock_line`
-makes of trips what they can tell. A clock that goes back has been started anew: until enough answers have
+makes of trips what they can show. A clock that goes back has been restarted: until enough answers have
 come it is unknown again.
 """
 
@@ -50,7 +50,7 @@ class TimeSync:
         return ts1_ns
 
     def answered(self, tc1_ns: int, ts1_ns: int, now_s: float) -> bool:
-        """Take a reply; False when it answers nobody's question of ours (others on the link ask too)."""
+        """Take a reply; False when it answers no question of ours (others on the link ask too)."""
         if ts1_ns not in self._asked_ns:
             return False
         self._asked_ns.remove(ts1_ns)
@@ -66,7 +66,7 @@ class TimeSync:
         return True
 
     def forget(self) -> None:
-        """The autopilot was lost: its clock may start anew."""
+        """The autopilot was lost: its clock may restart."""
         self._filter = self._newest = None
         self._asked_ns.clear()
         self._answers = 0

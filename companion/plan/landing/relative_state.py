@@ -60,7 +60,7 @@ class SteadySightings:
             self._times_s.append(pad.seen_time_s)
 
     def forget(self) -> None:
-        """Begin to count anew."""
+        """Count from zero again."""
         self._times_s.clear()
 
     def steady(self, now_s: float) -> bool:

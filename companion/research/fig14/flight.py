@@ -25,7 +25,7 @@ from companion.research.fig14.world import (
     Noise,
     disturbed,
 )
-from companion.research.model.disturbance_filter import PushObserver
+from companion.research.model.disturbance_filter import DisturbanceFilter
 from companion.research.model.full_mpc import FullLimits
 from companion.research.model.mixer import ThrustMixer
 from companion.research.model.quadrotor import ANGLES, POSITION, RATES, STATES, VELOCITY, state_from_ned
@@ -88,7 +88,7 @@ def fly(
     seed = flight.world.seed
     pilot = PILOTS[pilot_name](flight)
     mixer = ThrustMixer(flight.model, PERIOD_S, LEAD)
-    observer = PushObserver(flight.full.push, flight.model, PERIOD_S)
+    observer = DisturbanceFilter(flight.full.push, flight.model, PERIOD_S)
     air = Wind(WIND, np.random.default_rng((seed, 30))) if case.gusts else None
     noise = np.random.default_rng((seed, 40))
     plant = Quadrotor(disturbed(parameters, case, seed))
@@ -107,7 +107,7 @@ def fly(
             break
         estimated = observer.step(_measured(state, case.noise, noise), mixer.flown)
         began_s = wall_clock_s()
-        inputs = pilot.step(estimated, time_s, observer.push)
+        inputs = pilot.step(estimated, time_s, observer.disturbance)
         spent_s = wall_clock_s() - began_s
         if time_s >= -1e-9:
             rows.append((time_s, state, error, vehicle.thrust_share, spent_s))

@@ -2,7 +2,7 @@
 
 They get the reference in NED and give U1..U4. MPC and recursion see the plan over their horizon, as the
 paper has it; PID gets its position, velocity and acceleration now. The recursion has the MPC's weights and
-model and no estimate of the push, as in the paper; "riccati + push" has that too.
+model and no estimate of the disturbance, as in the paper; "riccati + push" has that too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.research.fig14.reference import PlannedReference
 from companion.research.fig14.world import SURFACE_HEIGHT_M, LandingScene
 from companion.research.model.full_mpc import FullMpc, FullMpcConfig, FullRiccatiTracker, ObstacleBounds
-from companion.research.model.nominal import NO_PUSH, HorizonReference
+from companion.research.model.nominal import NO_DISTURBANCE, HorizonReference
 from companion.research.model.pid import CascadedPid, CascadeGains
 from companion.research.model.quadrotor import QuadrotorModel, flipped
 
@@ -37,8 +37,8 @@ FLIP: Final = np.array([1.0, -1.0, -1.0])
 class Pilot(Protocol):
     """A controller of the comparison."""
 
-    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
-        """U (4,) from the estimated state (12,) and push (6,)."""
+    def step(self, state: FloatArray, time_s: float, disturbance: FloatArray) -> FloatArray:
+        """U (4,) from the estimated state (12,) and disturbance (6,)."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class PidPilot:
         self._reference = flight.reference
         self._pid = CascadedPid(flight.gains, flight.model, math.radians(flight.full.limits.lean_deg))
 
-    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, time_s: float, disturbance: FloatArray) -> FloatArray:
         """U (4,)."""
         now = self._reference.at(time_s)
         target = Motion(flipped(now.position_m), flipped(now.velocity_m_s), flipped(now.acceleration_m_s2))
@@ -69,29 +69,31 @@ class PidPilot:
 class RiccatiPilot:
     """The paper's recursion."""
 
-    def __init__(self, flight: PilotKnowledge, *, with_push: bool = False) -> None:
+    def __init__(self, flight: PilotKnowledge, *, with_disturbance: bool = False) -> None:
         self._flight = flight
         self._tracker = FullRiccatiTracker(flight.full, flight.model)
-        self._with_push = with_push
+        self._with_disturbance = with_disturbance
 
-    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, time_s: float, disturbance: FloatArray) -> FloatArray:
         """U (4,)."""
         rows = rows_of(self._flight, time_s)
-        return self._tracker.solve(state, rows, push if self._with_push else NO_PUSH).first
+        return self._tracker.solve(
+            state, rows, disturbance if self._with_disturbance else NO_DISTURBANCE
+        ).first
 
 
 class MpcPilot:
-    """The constrained MPC with its estimate of the push."""
+    """The constrained MPC with its estimate of the disturbance."""
 
     def __init__(self, flight: PilotKnowledge) -> None:
         self._flight = flight
         self._mpc = FullMpc(flight.full, flight.model, PLANES)
         self.unsolved = 0
 
-    def step(self, state: FloatArray, time_s: float, push: FloatArray) -> FloatArray:
+    def step(self, state: FloatArray, time_s: float, disturbance: FloatArray) -> FloatArray:
         """U (4,)."""
         rows = rows_of(self._flight, time_s)
-        found = self._mpc.solve(state, rows, surroundings(rows, self._flight.world.obstacles), push)
+        found = self._mpc.solve(state, rows, surroundings(rows, self._flight.world.obstacles), disturbance)
         self.unsolved += not found.solved
         return found.first
 
@@ -99,7 +101,7 @@ class MpcPilot:
 PILOTS: Final[dict[str, Callable[[PilotKnowledge], Pilot]]] = {
     "mpc": MpcPilot,
     "riccati": RiccatiPilot,
-    "riccati + push": lambda flight: RiccatiPilot(flight, with_push=True),
+    "riccati + push": lambda flight: RiccatiPilot(flight, with_disturbance=True),
     "pid": PidPilot,
 }
 

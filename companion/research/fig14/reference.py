@@ -146,12 +146,12 @@ def _comfortable(reference: PlannedReference, world: LandingScene) -> bool:
     """Arrived for the last 2 s, never faster or harder than a landing is flown, and nowhere too low."""
     motions = [reference.at(t) for t in np.arange(0.0, FLOWN_S, 0.1)]
     speed = max(norm(m.velocity_m_s) for m in motions)
-    push = max(norm(m.acceleration_m_s2) for m in motions)
+    acceleration = max(norm(m.acceleration_m_s2) for m in motions)
     late = (reference.at(t).position_m for t in (FLOWN_S - 2.0, FLOWN_S - 0.1))
     pads = (_target(world, t).position_m for t in (FLOWN_S - 2.0, FLOWN_S - 0.1))
     away = max(math.dist(p, q) for p, q in zip(late, pads, strict=True))
     lowest_m = min(-m.position_m[2] for m in motions) - SURFACE_HEIGHT_M
-    within = speed <= FASTEST_M_S and push <= HARDEST_M_S2
+    within = speed <= FASTEST_M_S and acceleration <= HARDEST_M_S2
     return within and away <= ARRIVED_M and lowest_m >= FOLLOWED_AT_M - DIPS_M
 
 

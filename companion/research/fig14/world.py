@@ -1,6 +1,6 @@
 """The world of Fig. 14 by seed: a moving pad, obstacles before it, and what disturbs whom.
 
-NED, SI. The pad and the wind are the simulator's; obstacles are drawn anew until the pad's way and the start
+NED, SI. The pad and the wind are the simulator's; obstacles are drawn again until the pad's way and the start
 are clear of them and there is something to go round.
 """
 

@@ -1,9 +1,10 @@
 """Model predictive control on the paper's 12 states and U1..U4 (eqs. 38 and 39, with constraints).
 
-Linearised along the reference's flat trajectory (`nominal.py`), which the estimated push of the air enters,
-so that nothing lasting is left over. Bounds on tilt, velocity, rates and height over the pad, and half-spaces
-clear of obstacles, are soft and dear; what the rotors can do is hard. Solved by OSQP: the structure is set up
-once, a step changes values, and starts from the last solution. Deterministic: iterations bound the work.
+Linearised along the reference's flat trajectory (`nominal.py`), which the estimated disturbance of the air
+enters, so that nothing lasting is left over. Bounds on tilt, velocity, rates and height over the pad, and
+half-spaces clear of obstacles, are soft and costly; what the rotors can do is hard. Solved by OSQP: the
+structure is set up once, a step changes values, and starts from the last solution. Deterministic: iterations
+bound the work.
 
 `FullRiccatiTracker` is the paper's own recursion with the same weights, model and reference, unconstrained.
 Axes: the paper's z-up ones, SI units.
@@ -23,9 +24,9 @@ from pydantic import Field
 from companion.base.geometry import FloatArray
 from companion.config import StrictModel, find_file, load_model
 from companion.control.baselines import riccati
-from companion.research.model.disturbance_filter import PushConfig
+from companion.research.model.disturbance_filter import DisturbanceFilterConfig
 from companion.research.model.full_qp import BOUNDED, SOFT, ConstraintMatrix, FullLayout, cost_matrix
-from companion.research.model.nominal import NO_PUSH, HorizonReference, Nominal, along
+from companion.research.model.nominal import NO_DISTURBANCE, HorizonReference, Nominal, along
 from companion.research.model.quadrotor import (
     ANGLES,
     INPUTS,
@@ -81,7 +82,7 @@ class FullMpcConfig(StrictModel):
     maximum_iterations: int = Field(default=400, ge=50, le=10000)
     weights: FullWeights
     limits: FullLimits
-    push: PushConfig
+    push: DisturbanceFilterConfig
 
 
 def load_full(name: str | Path) -> FullMpcConfig:
@@ -145,10 +146,10 @@ class FullRiccatiTracker:
         self._weights = eq39_weights(config, model)
 
     def solve(
-        self, state: FloatArray, reference: HorizonReference, push: FloatArray = NO_PUSH
+        self, state: FloatArray, reference: HorizonReference, disturbance: FloatArray = NO_DISTURBANCE
     ) -> FullSolution:
-        """The best inputs from a state (12,) without bounds; the paper has no push."""
-        nominal = along(reference, self._model, self._step_s, push)
+        """The best inputs from a state (12,) without bounds; the paper has no disturbance."""
+        nominal = along(reference, self._model, self._step_s, disturbance)
         A, B = self._model.linearise(nominal.states[:-1], nominal.inputs, self._step_s)
         found = riccati.solve_tracking(
             state - nominal.states[0],
@@ -221,7 +222,7 @@ class FullMpc:
         state: FloatArray,
         reference: HorizonReference,
         surroundings: ObstacleBounds,
-        push: FloatArray = NO_PUSH,
+        disturbance: FloatArray = NO_DISTURBANCE,
     ) -> FullSolution:
         """The best inputs from a state (12,) within the bounds; the last plan, then hover, if there are none.
 
@@ -229,12 +230,12 @@ class FullMpc:
             state: now (12,).
             reference: rows 0..N at multiples of the step from now.
             surroundings: the floor and the half-spaces of rows 1..N.
-            push: estimated accelerations (6,), see `nominal.along`.
+            disturbance: estimated accelerations (6,), see `nominal.along`.
         """
-        if not (np.isfinite(state).all() and np.isfinite(push).all()):
+        if not (np.isfinite(state).all() and np.isfinite(disturbance).all()):
             return self._fall_back(0)
         near = within_reach(reference, state[POSITION], self._config.reach_m)
-        nominal = along(near, self._model, self._config.step_s, push)
+        nominal = along(near, self._model, self._config.step_s, disturbance)
         A, B = self._model.linearise(nominal.states[:-1], nominal.inputs, self._config.step_s)
         self._update_bounds(A[0] @ (state - nominal.states[0]), nominal, surroundings)
         values = self._constraints.values(A, B, surroundings.normals)

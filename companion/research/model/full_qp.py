@@ -2,7 +2,7 @@
 
 Everything counts from a nominal trajectory (`nominal.py`). Variables, in this order, for N steps: states
 x_1..x_N (12 each), inputs u_0..u_{N-1} (4 each), slacks (SOFT and one for each half-space). The slacks are
-free and dear, so that a vehicle that already breaks a bound on its state still has a solution.
+free and costly, so that a vehicle that already breaks a bound on its state still has a solution.
 
 Rows, in this order: dynamics (12N, equalities), rotor thrusts (4N, hard), bounds on the state by step (roll,
 pitch, three velocities, three rates, height: SOFT each), half-spaces (obstacles by step).
@@ -25,7 +25,7 @@ SOFT = len(BOUNDED)
 
 @dataclass(frozen=True)
 class FullLayout:
-    """Where things stand among the variables and rows, for N steps and so many half-spaces a step."""
+    """Where things are among the variables and rows, for N steps and so many half-spaces a step."""
 
     steps: int
     planes: int

@@ -1,7 +1,7 @@
 """What the 12-state model has to do to fly a reference: the trajectory that it is linearised along.
 
-A multirotor's position and heading are flat outputs: position, velocity and acceleration with the push of
-the air give tilt and thrust, their changes give rates and torques. Axes: the paper's z-up ones, SI units.
+A multirotor's position and heading are flat outputs: position, velocity and acceleration with the disturbance
+of the air give tilt and thrust, their changes give rates and torques. Axes: the paper's z-up ones, SI units.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from companion.research.model.quadrotor import (
     QuadrotorModel,
 )
 
-NO_PUSH: FloatArray = np.zeros(6)
+NO_DISTURBANCE: FloatArray = np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,10 @@ class Nominal:
 
 
 def along(
-    reference: HorizonReference, model: QuadrotorModel, step_s: float, push: FloatArray = NO_PUSH
+    reference: HorizonReference,
+    model: QuadrotorModel,
+    step_s: float,
+    disturbance: FloatArray = NO_DISTURBANCE,
 ) -> Nominal:
     """The flat trajectory of a reference.
 
@@ -53,24 +56,25 @@ def along(
         reference: rows 0..N at multiples of the step.
         model: the airframe.
         step_s: the step (s).
-        push: lasting accelerations besides the inputs (6,): along the axes (m/s²), of the angles (rad/s²).
+        disturbance: lasting accelerations besides the inputs (6,): along the axes (m/s²), of the angles
+            (rad/s²).
     """
-    states = _states(reference, step_s, push)
-    inputs = _inputs(states, reference.acceleration_m_s2, model, step_s, push)
-    after = model.advance(states[:-1], inputs, step_s) + push_effect(push, step_s)
+    states = _states(reference, step_s, disturbance)
+    inputs = _inputs(states, reference.acceleration_m_s2, model, step_s, disturbance)
+    after = model.advance(states[:-1], inputs, step_s) + disturbance_effect(disturbance, step_s)
     return Nominal(states, inputs, after - states[1:])
 
 
-def push_effect(push: FloatArray, step_s: float) -> FloatArray:
+def disturbance_effect(disturbance: FloatArray, step_s: float) -> FloatArray:
     """What accelerations (6,) add to the state (12,) over a step."""
     effect = np.zeros(STATES)
-    effect[VELOCITY + RATES] = push * step_s
-    effect[POSITION + ANGLES] = push * (0.5 * step_s * step_s)
+    effect[VELOCITY + RATES] = disturbance * step_s
+    effect[POSITION + ANGLES] = disturbance * (0.5 * step_s * step_s)
     return effect
 
 
-def _states(reference: HorizonReference, step_s: float, push: FloatArray) -> FloatArray:
-    force = reference.acceleration_m_s2 - push[:3]
+def _states(reference: HorizonReference, step_s: float, disturbance: FloatArray) -> FloatArray:
+    force = reference.acceleration_m_s2 - disturbance[:3]
     cp, sp = np.cos(reference.heading_rad), np.sin(reference.heading_rad)
     forward, left = cp * force[:, 0] + sp * force[:, 1], cp * force[:, 1] - sp * force[:, 0]
     lift = force[:, 2] + GRAVITY_M_S2
@@ -84,11 +88,15 @@ def _states(reference: HorizonReference, step_s: float, push: FloatArray) -> Flo
 
 
 def _inputs(
-    states: FloatArray, acceleration: FloatArray, model: QuadrotorModel, step_s: float, push: FloatArray
+    states: FloatArray,
+    acceleration: FloatArray,
+    model: QuadrotorModel,
+    step_s: float,
+    disturbance: FloatArray,
 ) -> FloatArray:
-    force = acceleration - push[:3] + [0.0, 0.0, GRAVITY_M_S2]
+    force = acceleration - disturbance[:3] + [0.0, 0.0, GRAVITY_M_S2]
     inputs = np.empty((len(states) - 1, INPUTS))
     inputs[:, 0] = model.mass_kg * np.linalg.norm(0.5 * (force[1:] + force[:-1]), axis=1)
-    turning = np.diff(states[:, RATES], axis=0) / step_s - push[3:]
+    turning = np.diff(states[:, RATES], axis=0) / step_s - disturbance[3:]
     inputs[:, 1:] = turning * model.inertia_kg_m2
     return inputs

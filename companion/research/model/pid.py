@@ -97,7 +97,7 @@ class PositionPid:
         return (command[0], command[1], command[2])
 
     def clipped(self, asked_m_s2: Vector3, given_m_s2: Vector3) -> None:
-        """Tell what limits left of a command: the integral does not grow further towards what they cut."""
+        """Take what limits left of a command: the integral does not grow further towards what they cut."""
         cuts = [asked - given for asked, given in zip(asked_m_s2, given_m_s2, strict=True)]
         x, y, z = (0 if abs(cut) < 1e-9 else 1 if cut > 0.0 else -1 for cut in cuts)
         self._held = (x, y, z)

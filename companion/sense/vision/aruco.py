@@ -1,4 +1,4 @@
-"""Finds the pad's markers in an image: the one file that knows OpenCV's ArUco interface.
+"""Finds the pad's markers in an image: the one file that uses OpenCV's ArUco interface.
 
 Shapes and names are those of OpenCV 5.0 (ids are (n,), corners a tuple of (1, 4, 2)). Dictionaries are
 cut to the ids that are printed on the pad, and few bit errors are forgiven: that is faster, and a
@@ -56,7 +56,7 @@ class SearchPass:
 class Detection:
     """One marker that was read: corners (4, 3) on the pad (m), and (4, 2) in pixels of the whole image.
 
-    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides tell, and
+    `corner_std_px` is the standard deviation of each corner in each direction, as far as its sides show, and
     `offset_share` the share of its square by which a side errs as a whole, and not by being turned;
     `shrunk_std_px` that of how far all sides lie too far in, alike for all markers of an over-exposed frame.
     """
@@ -168,7 +168,7 @@ class CodeReader:
             if number in found:
                 twice.add(number)
             found[number] = corners
-        # a code seen at two places is a reflection or a forgery: neither is believed
+        # a code seen at two places is a reflection or a forgery: neither is trusted
         return [Code(k, found[k]) for k in sorted(found) if k not in twice]
 
 

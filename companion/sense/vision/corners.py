@@ -50,7 +50,7 @@ BOW: Final = 0.03
 # and what is left of it when the lens is known, times the length^2: a rolling shutter bends what moves
 BOW_LEFT_PER_PX: Final = 2e-7
 PLACE_STD_PX: Final = 0.1
-# a normal with less than this share of its marker's contrast tells nothing: glare, dirt, something in the way
+# a normal with less than this share of its marker's contrast shows nothing: glare, dirt, something in the way
 LEAST_CONTRAST: Final = 0.4
 OUTLIER_SIGMA: Final = 3.0
 REFITS: Final = 1
@@ -68,7 +68,7 @@ PARAMETERS: Final = 10
 # by as much more, half
 CROWDED_CELL: Final = 0.2
 CROWDED_SHARE: Final = 0.5
-# the least share of an edge's way that is believed to be seen through the window
+# the least share of an edge's way that is trusted to be seen through the window
 LEAST_GAIN: Final = 0.4
 
 _TAPS: Final = np.linspace(-1.0, 1.0, TAPS, dtype=np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig
 
-# a lens is believed up to this tangent of the angle to the axis, and farther where its image is wider, but
+# a lens is trusted up to this tangent of the angle to the axis, and farther where its image is wider, but
 # nowhere beyond the angle from which on its polynomial turns back: that would fold the pad into the image
 USUAL_TANGENT: Final = 1.2
 WIDEST_TANGENT: Final = 4.0

@@ -1,4 +1,4 @@
-"""The eyes' step: one frame in, one sighting of the pad out, in body axes.
+"""The vision stage: one frame in, one sighting of the pad out, in body axes.
 
 The camera sits on the airframe at `camera_position_body_m`, turned by `camera_yaw_deg` (clockwise seen
 from above; 0: the image's top edge is forward) after being tilted by `camera_tilt_deg` (positive: it
@@ -102,7 +102,7 @@ class Vision:
     def _pose(
         self, frame: Frame, found: list[Detection], down: Vector3 | None, climb_m_s: float, rate: Vector3
     ) -> PoseFit | None:
-        """The pose as the settings have it; one marker alone is believed when the print about it fits."""
+        """The pose as the settings have it; one marker alone is trusted when the print about it fits."""
         if self._config.pose == "paper":
             return paper_pose(found, self._lens, self._config)
         pose = estimate_pose(found, self._lens, self._config, down, climb_m_s, rate)

@@ -9,8 +9,8 @@ A rolling shutter exposes rows one after another, so that what moves through the
 motion shears it by 25 px at 0.25 m and 1 m/s, and a climb of 0.1 m/s at 0.15 m looks like a tilt of half a
 degree. The fit therefore has twelve unknowns: position, rotation, and velocity and rate of turn during the
 readout, which what is known of the motion bounds: a camera that turns at 0.5 rad/s sees what is 8 m off pass
-at 4 m/s, and its gyroscope tells how it turns. The position holds at the time of the mean row of the
-corners. What the rotors shake is quicker than that: corners of the same rows are shaken alike, however many
+at 4 m/s, and its gyroscope shows how it turns. The position holds at the time of the mean row of the
+corners. The rotors' vibration is quicker than that: it moves the corners of the same rows alike, however many
 they are. It is fitted too, as a shift of the image that goes to and fro at the rotors' frequencies.
 
 The fit is Gauss-Newton (section 2's Levenberg-Marquardt; from this start it needs no damping) on the
@@ -45,10 +45,10 @@ from companion.sense.vision.aruco import Detection
 from companion.sense.vision.lens import NEAREST_M, Lens
 from companion.sense.vision.pose_noise import (
     edge_std_px,
-    shaking,
     shrinking,
     side_noise_px,
     unseen_m2,
+    vibration,
     whitening,
 )
 
@@ -87,7 +87,7 @@ class _Problem:
     """What is fitted: rays of points on the pad, gravity in camera axes if known, how certain each thing is.
 
     `rate` (3,) is how the camera is known to turn. `delay_s` is when each point's row is exposed, after the
-    mean row; `shared` how what the rays' errors have in common (the rotors' shaking, sides that lie too far
+    mean row; `shared` how what the rays' errors have in common (the rotors' vibration, sides that lie too far
     in) moves them. `weight` (6 + c,) holds the inverse variances of velocity, rate of turn and these.
     """
 
@@ -162,12 +162,12 @@ def _problem(
 ) -> _Problem:
     pixels = np.concatenate([d.corners_px for d in detections])
     delay_s = (pixels[:, 1] - pixels[:, 1].mean()) * (lens.readout_s / lens.size_px[1])
-    shake, rays = shaking(delay_s), lens.undistort(pixels)
+    vibrating, rays = vibration(delay_s), lens.undistort(pixels)
     shrunk = shrinking(rays, np.array([edge_std_px(d) for d in detections]) / lens.focal_px)
     speed = config.relative_speed_std_m_s
     climb = math.hypot(_climb_std_m_s(detections, lens, config), climb_m_s)
-    doubt = [speed, speed, climb] + [config.turn_rate_std_rad_s] * 3
-    doubt += [1e-3 * config.vibration_mrad] * shake.shape[1] + [1.0]
+    spread = [speed, speed, climb] + [config.turn_rate_std_rad_s] * 3
+    spread += [1e-3 * config.vibration_mrad] * vibrating.shape[1] + [1.0]
     return _Problem(
         points=np.concatenate([d.corners_pad_m for d in detections]),
         rays=rays,
@@ -175,8 +175,8 @@ def _problem(
         down=None if down_camera is None else np.array(down_camera),
         whitening=whitening(rays, np.array([side_noise_px(d, config) for d in detections]) / lens.focal_px),
         level_sigma=math.radians(config.level_std_deg),
-        shared=np.concatenate((shake, shrunk), axis=1),
-        weight=np.array(doubt) ** -2,
+        shared=np.concatenate((vibrating, shrunk), axis=1),
+        weight=np.array(spread) ** -2,
         rate=np.array(rate_camera_rad_s),
         focal_px=lens.focal_px,
     )
@@ -195,7 +195,7 @@ def _climb_std_m_s(detections: list[Detection], lens: Lens, config: VisionConfig
 def _accept(
     problem: _Problem, fit: _Fit, used: list[Detection], errors_px: FloatArray, config: VisionConfig
 ) -> PoseFit:
-    """The pose with its covariance: the corners' noise as observed, and what they do not tell.
+    """The pose with its covariance: the corners' noise as observed, and what they do not show.
 
     The stated noise and the misses are weighed against each other: a single marker fits itself well, and many
     that miss by more or less than was stated say how large the noise is.

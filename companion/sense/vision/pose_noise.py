@@ -1,8 +1,8 @@
 """How the corners of one frame err: what of it is independent, and what corners have in common.
 
-A marker's corners are where its sides meet, and it is the sides that are measured. What the rotors shake is
-the same for all corners of a row, however many there are, and white that is over-exposed eats into all
-markers alike. Rays are ideal image coordinates (x/z, y/z), stacked as all u and then all v.
+A marker's corners are where its sides meet, and it is the sides that are measured. The rotors' vibration
+is the same for all corners of a row, however many there are, and white that is over-exposed eats into
+all markers alike. Rays are ideal image coordinates (x/z, y/z), stacked as all u and then all v.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from companion.sense.vision.aruco import STRAIGHT_SHARE, Detection
 
 # how far all sides of all markers may lie too far in or out: black and white blur unlike
 EDGE_STD_PX: Final = 0.006
-# a shift of the whole picture that no corner tells, and how hard the camera is pushed during the readout
+# a shift of the whole picture that no corner shows, and how hard the camera is accelerated during the readout
 SHIFT_STD_PX: Final = 0.003
-PUSH_STD_M_S2: Final = 0.4
-# rotors shake at some frequency between 40 and 160 Hz: more are told apart the longer the readout is
+ACCELERATION_STD_M_S2: Final = 0.4
+# rotors vibrate at some frequency between 40 and 160 Hz: more are distinguished the longer the readout is
 ROTOR_HZ: Final = ((100.0,), (70.0, 130.0), (60.0, 100.0, 140.0))
 APART_S: Final = 0.005
 
 
 def side_noise_px(detection: Detection, config: VisionConfig) -> tuple[float, float]:
-    """By which a side errs as a whole, and its ends by its turn: what it tells, and what it cannot."""
-    share, told = detection.offset_share, detection.corner_std_px**2
-    untold = config.corner_noise_px**2
-    offset = share * told + STRAIGHT_SHARE * untold
-    return math.sqrt(offset), math.sqrt(told + untold - offset)
+    """By which a side errs as a whole, and its ends by its turn: what it shows, and what it cannot."""
+    share, stated = detection.offset_share, detection.corner_std_px**2
+    unstated = config.corner_noise_px**2
+    offset = share * stated + STRAIGHT_SHARE * unstated
+    return math.sqrt(offset), math.sqrt(stated + unstated - offset)
 
 
 def edge_std_px(detection: Detection) -> float:
@@ -71,20 +71,20 @@ def shrinking(rays: FloatArray, std: FloatArray) -> FloatArray:
 
 
 def unseen_m2(distance_m: float, delay_s: FloatArray, focal_px: float) -> float:
-    """Variance (m2) of the place, along each axis, of what no fit to the corners can tell.
+    """Variance (m2) of the place, along each axis, of what no fit to the corners can show.
 
-    The picture as a whole may be shifted. And what is pushed by a does not keep its velocity through the
-    readout: about its mean over rows that are read in a time T, a t^2 / 2 comes to a T^2 / 24.
+    The picture as a whole may be shifted. And a camera accelerated by a does not keep its velocity through
+    the readout: about its mean over rows that are read in a time T, a t^2 / 2 comes to a T^2 / 24.
     """
     span_s = float(delay_s.max() - delay_s.min())
-    return (SHIFT_STD_PX * distance_m / focal_px) ** 2 + (PUSH_STD_M_S2 * span_s**2 / 24.0) ** 2
+    return (SHIFT_STD_PX * distance_m / focal_px) ** 2 + (ACCELERATION_STD_M_S2 * span_s**2 / 24.0) ** 2
 
 
-def shaking(delay_s: FloatArray) -> FloatArray:
-    """How what the rotors shake moves the rays (2n, 4k): sine and cosine of k frequencies, right and down.
+def vibration(delay_s: FloatArray) -> FloatArray:
+    """How the rotors' vibration moves the rays (2n, 4k): sine and cosine of k frequencies, right and down.
 
     At each moment they add up to the variance that each column is given. The shift at the mean row is not
-    among them: the pose holds at its time, shaken as the camera is then.
+    among them: the pose holds at its time, with the camera displaced as it is then.
     """
     span_s = float(delay_s.max() - delay_s.min())
     frequencies = ROTOR_HZ[min(int(span_s / APART_S), len(ROTOR_HZ) - 1)]

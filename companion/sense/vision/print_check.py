@@ -22,7 +22,7 @@ from companion.sense.vision.pose import PoseFit
 
 # correlation of brightness and print over a marker's cells
 LIKENESS: Final = 0.5
-# markers whose cells are smaller in the image cannot be told
+# markers whose cells are smaller in the image cannot be distinguished
 CELL_PX: Final = 2.0
 
 

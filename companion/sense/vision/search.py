@@ -2,7 +2,7 @@
 
 Far markers (F) are read from afar, medium (M) and close ones (C) as they grow; a group that is seen
 whole, with cells of a few pixels after shrinking the image, is enough. What is hardly legible is looked at
-enlarged as well, and the next smaller group is the last look, so that there is no height at which the eyes
+enlarged as well, and the next smaller group is the last look, so that there is no height at which vision
 depend on a single group.
 """
 
@@ -61,7 +61,7 @@ class SearchPlanner:
     def whole_frame(self, turn: int, *, near: bool = False) -> tuple[SearchPass, ...]:
         """Looks over the whole frame when no marker is expected in it: in turn for what is far and is near.
 
-        In full for what is far, and that dear look leaves the close markers out: where they are that
+        In full for what is far, and that costly look leaves the close markers out: where they are that
         small the medium ones are in view. Shrunk for what is near. Half of the cost a frame, and the pad
         is found a frame later at worst. A pad that is known to be `near` is looked for in every frame.
         """
@@ -116,7 +116,7 @@ class SearchPlanner:
         nearest = max(float(depth.min()), 0.05)
         margin = self._config.region_margin_sigma * position_std_m * self._lens.focal_px / nearest
         pixels = pixels.reshape(-1, 4, 2)
-        # what should be cut off by the frame's edge may be whole by the expectation's doubt
+        # what should be cut off by the frame's edge may be whole within the expectation's uncertainty
         views = self._views(pixels, 0.0) or self._views(pixels, margin)
         good = [v for v in views if len(v.whole) >= ENOUGH_MARKERS]
         first = good[0] if good else (views[0] if views else None)

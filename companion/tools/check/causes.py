@@ -1,8 +1,9 @@
-"""What is likely to be wrong, with the setting that mends it: from all findings together. Pure.
+"""What is likely to be wrong, with the setting that corrects it: from all findings together. Pure.
 
 A camera that is mounted turned by ψ more than the vehicle's file says shows every level direction turned by
 -ψ. A chip that is mounted otherwise shows gravity and all rotations turned alike, by one of the 24 rotations
-that take axes to axes. Two heights tell an offset from a scale, and the IMU's way up tells whose scale.
+that take axes to axes. Two heights distinguish an offset from a scale, and the IMU's way up shows whose scale
+it is.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ _ADVICE: Final[dict[Part, str]] = {
 
 
 def likely_cause(part: Part, evidence: Evidence, mounting: Mounting) -> str:
-    """One line: what is likely wrong with a part, and the setting to mend."""
+    """One line: what is likely wrong with a part, and the setting to correct."""
     match part:
         case "camera":
             return camera_cause(evidence, mounting)

@@ -67,7 +67,7 @@ def check_command(
     """Check, show and write.
 
     Raises:
-        ConfigError: something the user can mend.
+        ConfigError: something the user can correct.
         Exit: with 1 when something is not well.
     """
     if not pad:

@@ -20,7 +20,7 @@ def report_table(report: Report) -> Table:
 
 
 def cause_lines(report: Report) -> list[str]:
-    """What to mend, one line a cause, with the questions that it answers."""
+    """What to correct, one line a cause, with the questions that it answers."""
     questions: dict[str, list[str]] = {}
     for name, cause in report.causes.items():
         questions.setdefault(cause, []).append(name)

@@ -1,7 +1,7 @@
 """Held still: when a vehicle in somebody's hands counts as at rest, and what its sensors say then.
 
-The camera tells rest from motion: a slow move is hidden from an accelerometer by the hand's tremor, a pad in
-the image shows it at once. Body axes FRD, SI, field µT.
+The camera distinguishes rest from motion: a slow move is hidden from an accelerometer by the hand's tremor, a
+pad in the image shows it at once. Body axes FRD, SI, field µT.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the sensors have told lately, by kind and in order: all that the check over the pad looks at.
+"""What the sensors have measured lately, by kind and in order: all that the check over the pad looks at.
 
 Body axes are FRD, units SI, field µT; times are of measurement. Stands where the estimator stands in flight
 (`companion.app.sensing.Estimates`): the check wants the sensors as they are, not what a filter makes of them.
@@ -55,7 +55,7 @@ class RecentSamples:
         """Nor does this."""
 
     def pad_prior(self, time_s: float) -> PadPrior | None:
-        """Nothing is expected: gravity by a sensor that may be mounted wrongly must not guide the eyes."""
+        """Nothing is expected: gravity by a sensor that may be mounted wrongly must not guide vision."""
         return None
 
 

@@ -36,7 +36,7 @@ from companion.pad import load_pad
 from companion.sense.camera.keeper import KeptCamera
 from companion.sense.vision.pipeline import Vision
 from companion.tools.check.causes import Mounting
-from companion.tools.check.eyes import CheckingEyes
+from companion.tools.check.mirror import MirrorWatch
 from companion.tools.check.picture import draw
 from companion.tools.check.samples import RecentSamples
 from companion.tools.check.steps import Say
@@ -81,7 +81,7 @@ class PadCheck:
         camera = load_model(CameraConfig, find_file("cameras", config.camera))
         self._pad = load_pad(config.pad)
         self._vision = Vision(self._pad, camera, vehicle, config.sense.vision)
-        self._eyes = CheckingEyes(self._vision)
+        self._eyes = MirrorWatch(self._vision)
         self._samples = RecentSamples() if samples is None else samples
         by_telemetry = config.sense.source == "autopilot"
         self._session = Session(config.link, config.sense if by_telemetry else None)
@@ -204,7 +204,7 @@ class PadCheck:
                 page.show(draw(frame, seen.sighting, self._vision, self._pad, self._wizard))
 
     async def _guard(self, name: str, work: Callable[[], Awaitable[None]]) -> None:
-        """A device that is gone is told; the wizard says what it lacks."""
+        """A device that is gone is reported; the wizard says what it lacks."""
         try:
             await work()
         except OSError as error:

@@ -268,7 +268,7 @@ class Wizard:
     # ------------------------------------------------------------ time
 
     def _watch(self, samples: RecentSamples, now_s: float) -> None:
-        """Remind, tell what is missing, and go on when it takes too long."""
+        """Remind, show what is missing, and go on when it takes too long."""
         if self.finished:
             return
         missing = missing_part(samples, now_s)

@@ -46,7 +46,7 @@ class HoverSpread:
 
     @property
     def words(self) -> str:
-        """As it is told beside a prediction."""
+        """As it stands beside a prediction."""
         return (
             f"{100 * self.offset_m:g} cm and {100 * self.offset_share:g} % of the height off the middle, "
             f"{self.tilt_deg:g}° of tilt (standard deviations), {self.speed_m_s:g} m/s"

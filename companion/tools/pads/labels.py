@@ -1,6 +1,6 @@
 """Where on a board there is room for what a marker is called: outside every quiet zone.
 
-Pad frame (x up the page, y to the right), metres. Markers in a dense grid have no such place; they are told
+Pad frame (x up the page, y to the right), metres. Markers in a dense grid have no such place; they are listed
 in the sheet's foot.
 """
 
@@ -76,7 +76,7 @@ def _free(box: Corners, taken: list[Corners], pad: Pad, tiling: Tiling) -> bool:
 
 
 def grouped(markers: list[Marker]) -> list[str]:
-    """Markers told together: "5x5_50 33 mm: 12-47"."""
+    """Markers listed together: "5x5_50 33 mm: 12-47"."""
     kinds: dict[str, list[int]] = {}
     for marker in markers:
         kinds.setdefault(f"{marker.dictionary} {1e3 * marker.side_m:g} mm", []).append(marker.id)

@@ -4,7 +4,7 @@ What counts is the cell of the code: how many pixels wide its image is, and what
 probability is a constant times two logistic curves in logarithms, one of the cell's width and one of the
 blur's share of it. Blur is one standard deviation: of the lens and its focus as a Gauss bell, of motion as a
 stroke (its length over sqrt(12)). The numbers are fitted, not assumed: `companion-experiments pad-recall`
-shows single markers to the eyes through the simulated camera, and prints them.
+shows single markers to vision through the simulated camera, and prints them.
 """
 
 from __future__ import annotations

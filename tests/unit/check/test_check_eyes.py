@@ -8,7 +8,7 @@ import numpy as np
 
 from companion.base.messages import Frame, PadPrior
 from companion.sense.vision.pipeline import VisionResult
-from companion.tools.check.eyes import CheckingEyes
+from companion.tools.check.mirror import MirrorWatch
 
 IMAGE = np.tile(np.arange(64, dtype=np.uint8), (48, 1))
 
@@ -29,7 +29,7 @@ class CountingVision:
 
 def test_a_mirrored_pad_is_looked_for_far_and_near() -> None:
     vision: Any = CountingVision()
-    eyes = CheckingEyes(vision)
+    eyes = MirrorWatch(vision)
     for k in range(60):
         eyes.step(Frame(k / 30, k / 30, k, IMAGE), None)
     turns = [turn % 2 for turn in vision.mirrored_at]

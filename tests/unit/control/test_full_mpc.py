@@ -17,7 +17,7 @@ from companion.research.model.full_mpc import (
     load_full,
     within_reach,
 )
-from companion.research.model.nominal import NO_PUSH, HorizonReference, along, push_effect
+from companion.research.model.nominal import NO_DISTURBANCE, HorizonReference, along, disturbance_effect
 from companion.research.model.quadrotor import (
     ANGLES,
     PHI,
@@ -94,36 +94,36 @@ def test_the_nominal_is_flown_by_its_own_inputs() -> None:
 
 
 def test_a_push_leans_the_nominal_against_it() -> None:
-    push = np.array([1.5, 0.0, -2.0, 0.0, 0.3, 0.0])
-    nominal = along(waiting(), MODEL, CONFIG.step_s, push)
+    disturbance = np.array([1.5, 0.0, -2.0, 0.0, 0.3, 0.0])
+    nominal = along(waiting(), MODEL, CONFIG.step_s, disturbance)
     lift = 9.80665 + 2.0
     assert nominal.states[0, THETA] == pytest.approx(math.atan2(-1.5, lift))
     assert nominal.inputs[0, 0] == pytest.approx(MODEL.mass_kg * math.hypot(1.5, lift))
     assert np.abs(nominal.remainder).max() < 1e-3
-    assert np.allclose(push_effect(push, 0.1)[VELOCITY], [0.15, 0.0, -0.2])
+    assert np.allclose(disturbance_effect(disturbance, 0.1)[VELOCITY], [0.15, 0.0, -0.2])
 
 
 def test_bounds_that_bind_are_solved_within_the_iterations() -> None:
     """Wind that the lean cannot stand against, as at a gust's height."""
-    push = np.array([-6.5, -2.3, -2.4, -0.3, 0.2, -0.2])
+    disturbance = np.array([-6.5, -2.3, -2.4, -0.3, 0.2, -0.2])
     mpc, state = FullMpc(CONFIG, MODEL), state_at(waiting())
     iterations = []
     for k in range(80):
-        grown = min(1.0, k / 40) * push
+        grown = min(1.0, k / 40) * disturbance
         found = mpc.solve(state, waiting(), nothing_around(), grown)
         iterations.append(found.iterations)
         assert found.solved
-        state = MODEL.advance(state, found.first, 0.02) + push_effect(grown, 0.02)
+        state = MODEL.advance(state, found.first, 0.02) + disturbance_effect(grown, 0.02)
     assert np.abs(state[ANGLES[:2]]).max() > 0.9 * math.radians(CONFIG.limits.lean_deg)
     assert max(iterations) < CONFIG.maximum_iterations
 
 
 def test_a_known_push_leaves_no_offset() -> None:
-    reference, push = waiting(), np.array([1.5, -1.0, -1.0, 0.0, 0.0, 0.0])
+    reference, disturbance = waiting(), np.array([1.5, -1.0, -1.0, 0.0, 0.0, 0.0])
     mpc, state = FullMpc(CONFIG, MODEL), state_at(waiting())
     for _ in range(150):
-        inputs = mpc.solve(state, reference, nothing_around(), push).first
-        state = MODEL.advance(state, inputs, 0.02) + push_effect(push, 0.02)
+        inputs = mpc.solve(state, reference, nothing_around(), disturbance).first
+        state = MODEL.advance(state, inputs, 0.02) + disturbance_effect(disturbance, 0.02)
     assert np.abs(state[POSITION] - [0.0, 0.0, 5.0]).max() < 2e-3
 
 
@@ -194,7 +194,7 @@ def test_a_hundred_steps_of_an_x_frame_are_solved() -> None:
     model = QuadrotorModel(MODEL.config.model_copy(update={"layout": "x"}))
     reference = swinging(long)
     around = ObstacleBounds(np.full(100, -1e3), np.zeros((100, 0, 3)), np.zeros((100, 0)))
-    found = FullMpc(long, model).solve(state_at(reference), reference, around, NO_PUSH)
+    found = FullMpc(long, model).solve(state_at(reference), reference, around, NO_DISTURBANCE)
     assert found.solved
     assert np.abs(found.states[:, POSITION] - reference.position_m).max() < 0.05
     assert np.abs(found.states[:, PHI]).max() < 0.5

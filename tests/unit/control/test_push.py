@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from companion.base.geometry import FloatArray
-from companion.research.model.disturbance_filter import PushObserver, stationary_gain
+from companion.research.model.disturbance_filter import DisturbanceFilter, stationary_gain
 from companion.research.model.full_mpc import load_full
-from companion.research.model.nominal import push_effect
+from companion.research.model.nominal import disturbance_effect
 from companion.research.model.quadrotor import PSI, STATES, load_quadrotor
 
 MODEL = load_quadrotor("x500")
@@ -16,14 +16,16 @@ CONFIG = load_full("full").push
 PERIOD_S = 0.02
 
 
-def observed(push: FloatArray, steps: int = 150, thrust_share: float = 1.0) -> FloatArray:
+def observed(disturbance: FloatArray, steps: int = 150, thrust_share: float = 1.0) -> FloatArray:
     """What is estimated of a vehicle that hovers by its inputs and is pushed."""
-    observer, state = PushObserver(CONFIG, MODEL, PERIOD_S), np.zeros(STATES)
+    observer, state = DisturbanceFilter(CONFIG, MODEL, PERIOD_S), np.zeros(STATES)
     for _ in range(steps):
         observer.step(state, MODEL.hover)
-        state = MODEL.advance(state, thrust_share * MODEL.hover, PERIOD_S) + push_effect(push, PERIOD_S)
-        state[6:] = 0.0 if not push[3:].any() else state[6:]
-    return observer.push
+        state = MODEL.advance(state, thrust_share * MODEL.hover, PERIOD_S) + disturbance_effect(
+            disturbance, PERIOD_S
+        )
+        state[6:] = 0.0 if not disturbance[3:].any() else state[6:]
+    return observer.disturbance
 
 
 def test_a_force_is_found() -> None:
@@ -61,7 +63,7 @@ def test_noise_is_filtered_and_a_half_turn_is_no_innovation() -> None:
     std[[6, 8, 10]], std[[7, 9, 11]] = CONFIG.angle_noise_rad, CONFIG.rate_noise_rad_s
     truth = np.zeros(STATES)
     truth[PSI] = np.pi
-    observer, off = PushObserver(CONFIG, MODEL, PERIOD_S), []
+    observer, off = DisturbanceFilter(CONFIG, MODEL, PERIOD_S), []
     for _ in range(500):
         measured = truth + std * rng.standard_normal(STATES)
         measured[PSI] = np.arctan2(np.sin(measured[PSI]), np.cos(measured[PSI]))

@@ -1,4 +1,4 @@
-"""The autopilot's attitude as an anchor of ours, and what is told when the IMU's stream has a gap."""
+"""The autopilot's attitude as an reset of ours, and what is told when the IMU's stream has a gap."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from companion.estimate.estimator import StateEstimator
 from companion.estimate.vehicle.attitude_reset import (
     AttitudeReset,
     EstimatedAttitude,
-    ReportedAttitude,
     apart,
 )
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator, slow_turns, smooth
@@ -94,7 +93,7 @@ def test_after_a_gap_in_the_imus_stream_the_attitude_is_the_autopilots() -> None
     assert anchored.worst_deg(GAP[1] + 0.1) < 3.5
     assert alone.worst_deg(GAP[1] + 0.1) > 15.0
     [told] = anchored.told
-    assert told.startswith("attitude set right by")
+    assert told.startswith("attitude corrected by")
     assert told.endswith("350 ms of the IMU's stream are missing")
 
 
@@ -114,11 +113,11 @@ def test_an_autopilot_that_finds_north_elsewhere_turns_nothing() -> None:
 
 
 def words(
-    anchor: AttitudeReset, own: EstimatedAttitude, theirs: Quaternion, seconds: float, from_s: float = 0.0
+    reset: AttitudeReset, own: EstimatedAttitude, theirs: Quaternion, seconds: float, from_s: float = 0.0
 ) -> list[float]:
     """When ours is set right, of words at 30 Hz."""
     found = [
-        anchor.compare(ReportedAttitude(from_s + k / 30.0, theirs), own) for k in range(round(30 * seconds))
+        reset.compare(AutopilotAttitude(from_s + k / 30.0, theirs), own) for k in range(round(30 * seconds))
     ]
     return [correction.time_s for correction in found if correction is not None]
 
@@ -137,10 +136,10 @@ def test_horizons_far_apart_are_set_right_once_that_lasts() -> None:
 
 
 def test_a_single_word_that_is_off_changes_nothing() -> None:
-    anchor = AttitudeReset()
+    reset = AttitudeReset()
     for k in range(60):
         theirs = tilted(30.0) if k % 10 == 0 else tilted(0.0)
-        assert anchor.compare(ReportedAttitude(k / 30.0, theirs), SURE) is None
+        assert reset.compare(AutopilotAttitude(k / 30.0, theirs), SURE) is None
 
 
 def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() -> None:
@@ -149,9 +148,9 @@ def test_a_fast_turn_may_hide_as_much_as_it_makes_in_the_time_that_may_be_off() 
 
 
 def test_what_is_set_right_keeps_our_own_heading() -> None:
-    anchor = AttitudeReset()
-    assert words(anchor, SURE, tilted(0.0), 2.0) == []
-    found = [anchor.compare(ReportedAttitude(3.0 + k / 30.0, tilted(10.0)), SURE) for k in range(30)]
+    reset = AttitudeReset()
+    assert words(reset, SURE, tilted(0.0), 2.0) == []
+    found = [reset.compare(AutopilotAttitude(3.0 + k / 30.0, tilted(10.0)), SURE) for k in range(30)]
     first = next(correction for correction in found if correction is not None)
     tilt_rad, heading_rad = apart(first.attitude, tilted(10.0))
     assert tilt_rad == pytest.approx(0.0, abs=1e-6)
@@ -164,11 +163,11 @@ def test_an_attitude_that_is_poorly_known_is_taken_from_the_autopilot_at_once() 
 
 
 def test_words_wait_until_our_own_samples_have_come_as_far() -> None:
-    anchor = AttitudeReset()
-    anchor.hear(ReportedAttitude(1.0, tilted(0.0)))
-    assert anchor.due(0.99) is None
-    assert anchor.due(1.0) == ReportedAttitude(1.0, tilted(0.0))
-    assert anchor.due(2.0) is None
+    reset = AttitudeReset()
+    reset.take(AutopilotAttitude(1.0, tilted(0.0)))
+    assert reset.due(0.99) is None
+    assert reset.due(1.0) == AutopilotAttitude(1.0, tilted(0.0))
+    assert reset.due(2.0) is None
 
 
 # ---------------------------------------------------------------- late, and silent
@@ -193,7 +192,7 @@ def test_a_sighting_waits_for_the_imu_to_come_up_to_its_exposure() -> None:
     assert told.relative_position_ned_m == pytest.approx(expected.relative_position_ned_m, abs=0.02)
 
 
-def test_when_the_imu_falls_silent_only_a_tenth_of_a_second_is_foretold() -> None:
+def test_when_the_imu_falls_silent_only_a_tenth_of_a_second_is_predicted() -> None:
     estimator = new_estimator()
     for _, sample in FLIGHT.samples:
         feed(estimator, sample)

@@ -10,7 +10,7 @@ import pytest
 from companion.config import VisionConfig
 from companion.pad import Pad
 from companion.sense.vision.aruco import Detection
-from companion.sense.vision.pose_noise import shaking, side_noise_px, whitening
+from companion.sense.vision.pose_noise import side_noise_px, vibration, whitening
 
 
 def test_errors_of_sides_are_white_after_whitening() -> None:
@@ -44,7 +44,7 @@ def test_a_sides_noise_is_what_it_tells_and_a_little_more(pad: Pad) -> None:
 @pytest.mark.parametrize("span_s", [0.004, 0.008, 0.012, 0.018])
 def test_what_rotors_shake_is_as_large_between_rows_as_it_is_at_them(span_s: float) -> None:
     delay_s = np.linspace(-0.5, 0.5, 61) * span_s
-    columns = shaking(delay_s)[: len(delay_s)]
+    columns = vibration(delay_s)[: len(delay_s)]
     variance = (columns**2).sum(axis=1)
     # from the mean row's: nothing there, and twice its own variance half a wave later
     assert variance[30] == pytest.approx(0.0)
@@ -58,7 +58,7 @@ def test_what_rotors_shake_is_as_large_between_rows_as_it_is_at_them(span_s: flo
 @pytest.mark.parametrize("span_s", [0.004, 0.012, 0.018])
 def test_shaking_at_any_frequency_of_rotors_is_fitted(rotor_hz: float, span_s: float) -> None:
     delay_s = np.linspace(-0.5, 0.5, 61) * span_s
-    columns = shaking(delay_s)
+    columns = vibration(delay_s)
     for phase in np.linspace(0.0, math.pi, 7):
         shaken = np.sin(math.tau * rotor_hz * delay_s + phase) - math.sin(phase)
         told = np.concatenate((shaken, 0.5 * shaken))

@@ -1,4 +1,4 @@
-"""The app's eyes, and a watch on whether they are shown a mirror image. Pure."""
+"""The app's vision, and a watch on whether it is shown a mirror image. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EVERY: Final = 4
 ENOUGH: Final = 4
 
 
-class CheckingEyes:
+class MirrorWatch:
     """Vision as in flight. A printed code is no code in a mirror: only a flipped frame shows it then."""
 
     def __init__(self, vision: Vision) -> None:
