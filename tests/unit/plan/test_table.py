@@ -19,6 +19,7 @@ from companion.plan.mission.table import (
     follows,
     impossible,
 )
+from docs import state_machine
 
 E, S = MissionEvent, State
 FLYING = Circumstances(authority=Authority.OURS)
@@ -165,6 +166,20 @@ def test_what_should_not_happen_returns_control_to_the_autopilot() -> None:
         assert branch.to is S.HOLD
         assert kinds(branch) == [ActionKind.HOLD]
         assert branch.authority is Authority.RELEASED
+
+
+def test_the_page_with_the_diagram_is_the_tables() -> None:
+    page = state_machine.PAGE.read_text(encoding="utf-8")
+    assert page == state_machine.page_text(), "run: python -m docs.state_machine"
+
+
+def test_the_diagram_shows_every_change_of_state_but_the_failsafes_from_each() -> None:
+    drawn = set("\n".join(state_machine.diagram()).splitlines())
+    for row in ROWS:
+        for state, branch in product(row.states, row.branches):
+            if branch.to is not None and row.event not in state_machine.FAILSAFES:
+                arrow = f"    {state.value} --> {branch.to.value}: "
+                assert any(row.event.replace("_", " ") in line for line in drawn if line.startswith(arrow))
 
 
 def test_a_state_is_a_part_of_a_phase() -> None:
