@@ -15,8 +15,7 @@ from companion.base.messages import DescentCone, PadState
 from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
 from companion.plan.landing.relative_state import PadKnowledge
-from companion.plan.landing.touchdown import Finding
-from companion.plan.mission.table import Event
+from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.trajectory.guidance import Guide
 
 _CENTRED_MARGIN_M = 0.7
@@ -58,7 +57,7 @@ class Landing:
         self.paused = False
         self._begun_s = now_s
 
-    def approach(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> Finding:
+    def approach(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
         """Towards the point above the pad, down a slope that keeps the pad in view."""
         sight = pad.sight
         if sight is None or min(sight.age_s, now_s - self._begun_s) > self._config.lost_unseen_s:
@@ -68,7 +67,7 @@ class Landing:
         self._go(self._slope_m(sight, now_s), now_s)
         near = abs(sight.height_m - self.goal_m) <= min(_CENTRED_MARGIN_M, 0.25 * self.goal_m)
         if near and self._inside(sight) and sight.lateral_speed_m_s <= _CENTRED_SPEED_M_S:
-            return Event.CENTRED, f"{sight.height_m:.1f} m above the pad"
+            return MissionEvent.CENTRED, f"{sight.height_m:.1f} m above the pad"
         return None
 
     def _slope_m(self, sight: PadState, now_s: float) -> float:
@@ -77,7 +76,7 @@ class Landing:
         aside_m = max(math.hypot(x, y), sight.lateral_m)
         return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
 
-    def descend(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> Finding:
+    def descend(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
         """Straight down to where touchdown starts, only while inside the cone and seeing the pad."""
         sight = pad.sight
         if sight is None or sight.age_s > self._config.lost_unseen_s:
@@ -93,7 +92,7 @@ class Landing:
             self._guide.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
         self.paused = not go_on
         if sight.height_m <= wait_m + _LOW_MARGIN_M:
-            return Event.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
+            return MissionEvent.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
         return None
 
     def minimum_height_m(self, now_s: float) -> float:
@@ -139,7 +138,7 @@ class Landing:
         above_m = max(0.0, sight.height_m - self._leg_m)
         return sight.lateral_m <= share * max(self._config.cone_floor_m, self._config.cone_slope * above_m)
 
-    def _lost(self, sight: PadState | None) -> Finding:
+    def _lost(self, sight: PadState | None) -> DetectedEvent | None:
         if sight is None:
-            return Event.PAD_LOST, "nothing is known of the pad"
-        return Event.PAD_LOST, f"not seen for {sight.age_s:.1f} s"
+            return MissionEvent.PAD_LOST, "nothing is known of the pad"
+        return MissionEvent.PAD_LOST, f"not seen for {sight.age_s:.1f} s"

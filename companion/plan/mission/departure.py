@@ -7,12 +7,18 @@ is not ours; whether the vehicle has arrived is judged by our own. Metres, secon
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from companion.base.geometry import Vector3, geodetic_from_ned, ned_from_geodetic
-from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, Phase, VehicleState
+from companion.base.messages import Action, ActionKind, AutopilotState, LandedState, VehicleState
 from companion.config import MissionConfig
-from companion.plan.landing.touchdown import Finding, Held
-from companion.plan.mission.table import Event
+from companion.plan.debounce import Debounce
+from companion.plan.landing.ground_contact import Ground
+from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import DetectedEvent, MissionEvent, State
+from companion.plan.obstacles.surroundings import Say, Surroundings
+from companion.plan.trajectory.waypoints import Waypoints
 
 _REMIND_S = 10.0
 _NEARLY_UP_M = 0.5
@@ -24,72 +30,91 @@ _SETTLED_S = 1.5
 class Departure:
     """Connect, arm, take off and go to the waypoint."""
 
-    def __init__(self, config: MissionConfig) -> None:
-        self._config = config
-        self._settled = Held()
+    def __init__(
+        self,
+        config: MissionConfig,
+        *,
+        pad: PadKnowledge,
+        ground: Ground,
+        waypoints: Waypoints,
+        surroundings: Surroundings,
+        say: Say,
+    ) -> None:
+        self._config, self._pad, self._ground = config, pad, ground
+        self._waypoints, self._surroundings, self._say = waypoints, surroundings, say
+        self._settled = Debounce()
         self._reminded_s = -math.inf
         self._waypoint: tuple[Vector3, Vector3, Vector3] | None = None
 
-    def action(self, kind: ActionKind, autopilot: AutopilotState) -> Action:
-        """A request of some kind with the mission's numbers in it."""
-        if kind is ActionKind.TAKE_OFF:
-            return Action(kind, height_m=self._config.take_off_height_m)
-        if kind is ActionKind.GO_TO and autopilot.home is not None:
+    def with_numbers(self, action: Action, autopilot: AutopilotState) -> Action:
+        """One of the table's requests with the mission's numbers in it."""
+        if action.kind is ActionKind.TAKE_OFF:
+            return replace(action, height_m=self._config.take_off_height_m)
+        if action.kind is ActionKind.GO_TO and autopilot.home is not None:
             latitude, longitude, _ = self._waypoint_geodetic(autopilot.home)
-            return Action(kind, position=(latitude, longitude, self._config.take_off_height_m))
-        return Action(kind)
+            return replace(action, position=(latitude, longitude, self._config.take_off_height_m))
+        return action
 
     def lift_off(self) -> None:
         """Begin to watch the climb."""
-        self._settled = Held()
+        self._settled = Debounce()
 
-    def step(
-        self,
-        phase: Phase,
-        vehicle: VehicleState | None,
-        autopilot: AutopilotState,
-        height_m: float | None,
-        now_s: float,
-    ) -> tuple[Finding, str]:
-        """What is found in one of these phases, and what to tell of the waiting; height over home."""
-        if phase is Phase.CONNECT:
+    def step(self, state: State, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """What is detected in one of these states."""
+        vehicle, autopilot = inputs.vehicle, inputs.autopilot
+        if state is State.CONNECT:
             return self._connect(vehicle, autopilot, now_s)
-        if phase is Phase.ARM:
+        if state is State.ARM:
             if vehicle is None or not vehicle.aligned:
-                return (Event.ESTIMATE_LOST, "before the autopilot would arm"), ""
-            return ((Event.ARMED, "motors turn") if autopilot.armed else None), ""
-        if phase is Phase.TAKE_OFF:
-            return self._take_off(vehicle, autopilot, height_m, now_s), ""
-        return self._to_waypoint(vehicle, autopilot), ""
+                return MissionEvent.ALIGNMENT_LOST, "before the autopilot would arm"
+            return (MissionEvent.ARMED, "motors turn") if autopilot.armed else None
+        if state is State.TAKE_OFF:
+            return self._take_off(vehicle, autopilot, now_s)
+        if self._pad.steady(now_s):
+            return MissionEvent.PAD_SEEN, "on the way to the waypoint"
+        return self._at_first(vehicle) if self._waypoints.further else self._to_waypoint(vehicle, autopilot)
 
     def _connect(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
-    ) -> tuple[Finding, str]:
+    ) -> DetectedEvent | None:
         if autopilot.connected and autopilot.armed:
-            # after a restart in the air too: whoever flies it, or lands it next, asked for no take-off
-            return (Event.PILOT_TOOK_OVER, "armed already, and not by us"), ""
+            return MissionEvent.ALREADY_ARMED, "not by us"
         missing = [text for text, there in _needs(vehicle, autopilot) if not there]
         if not missing:
-            return (Event.READY, "the autopilot may be armed"), ""
-        if now_s - self._reminded_s < _REMIND_S:
-            return None, ""
-        self._reminded_s = now_s
-        return None, f"waiting for {', '.join(missing)}"
+            return MissionEvent.READY, "the autopilot may be armed"
+        if now_s - self._reminded_s >= _REMIND_S:
+            self._reminded_s = now_s
+            self._say("waiting", f"waiting for {', '.join(missing)}", now_s, "info")
+        return None
 
     def _take_off(
-        self, vehicle: VehicleState | None, autopilot: AutopilotState, height_m: float | None, now_s: float
-    ) -> Finding:
-        wanted_m = self._config.take_off_height_m
+        self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
+    ) -> DetectedEvent | None:
+        height_m, wanted_m = self._ground.over_home_m, self._config.take_off_height_m
         if height_m is None or autopilot.landed is LandedState.ON_GROUND:
             return None
         climb_m_s = 0.0 if vehicle is None else -vehicle.velocity_ned_m_s[2]
         calm = abs(climb_m_s) <= _SETTLED_M_S and height_m >= _SETTLED_SHARE * wanted_m
-        settled = self._settled.for_s(calm, now_s) >= _SETTLED_S
-        if height_m >= wanted_m - min(_NEARLY_UP_M, 0.1 * wanted_m) or settled:
-            return Event.AIRBORNE, f"{height_m:.1f} m up"
-        return None
+        settled = self._settled.held_s(calm, now_s) >= _SETTLED_S
+        if height_m < wanted_m - min(_NEARLY_UP_M, 0.1 * wanted_m) and not settled:
+            return None
+        if vehicle is None or self._surroundings.lost:
+            return (
+                MissionEvent.HOME_UNKNOWN,
+                "no estimate at the take-off: where the obstacles are is not known",
+            )
+        if not self._surroundings.straight_clear(vehicle.position_ned_m, self._waypoints.first_from_home_m):
+            return MissionEvent.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
+        return MissionEvent.AIRBORNE, f"{height_m:.1f} m up"
 
-    def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> Finding:
+    def _at_first(self, vehicle: VehicleState | None) -> DetectedEvent | None:
+        """Whether the autopilot has come to the first of several waypoints, which all count alike."""
+        home_ned_m = self._surroundings.home_ned_m
+        if vehicle is None or home_ned_m is None:
+            return None
+        return self._waypoints.at_first(vehicle_motion(vehicle, vehicle.time_s), home_ned_m)
+
+    def _to_waypoint(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> DetectedEvent | None:
         if vehicle is None or vehicle.origin is None or autopilot.home is None:
             return None
         waypoint = self._waypoint_local(autopilot.home, vehicle.origin)
@@ -97,7 +122,7 @@ class Departure:
         distance_m = math.hypot(p[0] - waypoint[0], p[1] - waypoint[1])
         slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
         if distance_m <= self._config.arrival_radius_m and slow:
-            return Event.ARRIVED, f"{distance_m:.1f} m from the waypoint"
+            return MissionEvent.ARRIVED, f"{distance_m:.1f} m from the waypoint"
         return None
 
     def _waypoint_geodetic(self, home: Vector3) -> Vector3:

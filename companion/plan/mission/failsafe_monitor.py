@@ -1,4 +1,4 @@
-"""What can befall a mission in any phase: stop, pilot, link, estimate, disarming, time.
+"""The failsafes: what can befall a mission in any state. What follows from it stands in the table.
 
 Control is ours from the moment the autopilot granted it and says that it obeys setpoints. When it then
 leaves that mode and we did not ask for it, a pilot (or a failsafe of the autopilot) has taken over, and
@@ -7,14 +7,15 @@ that is final. Before that, a change into one of a pilot's modes means the same.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 from typing import Final
 
-from companion.base.messages import AutopilotState, Manner, Phase, VehicleState
+from companion.base.messages import AutopilotState, Manner, VehicleState
 from companion.config import MissionConfig
-from companion.plan.landing.touchdown import Finding
 from companion.plan.mission.inputs import PlanInputs
-from companion.plan.mission.table import BY_THE_PAD, FINAL, OUR_CONTROL, Event
+from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.states import Authority, DetectedEvent, MissionEvent, State
+from companion.plan.mission.table import FINAL, ON_GROUND
 
 _STALE_ESTIMATE_S = 0.5
 # The modes that we never ask for while we fly, by the autopilots' own names without their prefixes.
@@ -35,115 +36,71 @@ def is_pilots(mode: str, manner: Manner | None) -> bool:
     return manner is not None and name in _PILOT_MODES[manner]
 
 
-class Watch:
+class FailsafeMonitor:
     """Looks at every cycle's inputs before the phase does."""
 
-    def __init__(self, config: MissionConfig) -> None:
-        self._config = config
-        self.in_control = False
-        self.released = False
-        self._pilots_mode = False
-        self._link_awaited = False
-        self._started_s: float | None = None
+    def __init__(self, config: MissionConfig, machine: StateMachine) -> None:
+        self._config, self._machine = config, machine
+        self._in_pilots_mode = False
+        self._took_off_s: float | None = None
+        self._phase_since_s: float | None = None
 
-    def note(self, autopilot: AutopilotState, control_granted: bool) -> bool:
-        """Take in the mode; returns whether a pilot took over with this."""
-        pilots = is_pilots(autopilot.mode, autopilot.manner)
-        entered = pilots and not self._pilots_mode
-        self._pilots_mode = pilots
-        if control_granted and autopilot.offboard:
-            self.in_control = True
-        if self.released:
-            # on the pad we have asked for LAND ourselves; any other mode is somebody's choice
-            return entered and not autopilot.mode.upper().endswith("LAND")
-        return not autopilot.offboard if self.in_control else entered
+    def phase_begins(self, now_s: float) -> None:
+        """Count the new phase's time from now; the mission's own from take-off."""
+        self._phase_since_s = now_s
+        if self._took_off_s is None and self._machine.state not in ON_GROUND:
+            self._took_off_s = now_s
 
-    def let_go(self) -> None:
-        """The vehicle is being handed back for good: from here on a change of mode is no surprise."""
-        self.released = True
-
-    def happened(self, event: Event) -> None:
-        """Take in what the mission made of a cycle: who has the vehicle, and whether the link is awaited."""
-        self._link_awaited = event is Event.LINK_LOST
-        if event in {Event.PILOT_TOOK_OVER, Event.DISARMED}:
-            self.in_control = False
-            self.released = True
-
-    def link_back(self, autopilot: AutopilotState) -> bool:
-        """Whether a link that was lost is there again while control is still ours."""
-        return self._link_awaited and autopilot.connected and self.in_control and not self.released
-
-    def event(
-        self,
-        phase: Phase,
-        since_s: float,
-        inputs: PlanInputs,
-        now_s: float,
-        *,
-        taken_over: bool,
-        on_pad: bool,
-        committed: bool,
-    ) -> Finding:
-        """The gravest thing that happened, if any; nothing any more once the mission has ended."""
+    def detect(self, inputs: PlanInputs, control_granted: bool, now_s: float) -> tuple[DetectedEvent, ...]:
+        """All that holds in this cycle, the gravest first; nothing any more once the mission has ended."""
+        if self._phase_since_s is None:
+            self._phase_since_s = now_s
         autopilot = inputs.autopilot
-        if self._started_s is None:
-            self._started_s = now_s
-        if phase in {Phase.CONNECT, Phase.ARM}:
-            self._started_s = now_s  # waiting on the ground is not flying
-        if phase in FINAL:
-            return None
-        heard, flying = autopilot.connected, _in_air(phase)
+        obeyed = control_granted and autopilot.offboard
+        taken_over = self._taken_over(autopilot, obeyed)
+        if self._machine.state in FINAL:
+            return ()
+        heard = autopilot.connected
         signs = (
-            _motors_off(phase, autopilot, flying, on_pad),
+            (obeyed, MissionEvent.CONTROL_GRANTED, "setpoints are obeyed"),
+            (heard and not autopilot.armed, MissionEvent.DISARMED, "motors off"),
             (
-                heard and taken_over and phase is not Phase.CONNECT,
-                Event.PILOT_TOOK_OVER,
+                heard and taken_over,
+                MissionEvent.PILOT_TOOK_OVER,
                 f"mode {autopilot.mode or 'unknown'} was not asked for",
             ),
-            (inputs.stop_requested and not committed, Event.STOP, "asked for"),
-            (flying and not heard and not on_pad, Event.LINK_LOST, "nothing heard from the autopilot"),
-            (
-                phase in OUR_CONTROL
-                and not on_pad
-                and not _usable(inputs.vehicle, now_s, self._speed_std_m_s(phase)),
-                Event.ESTIMATE_LOST,
-                "the vehicle's own estimate is gone",
-            ),
+            (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
+            (not heard, MissionEvent.LINK_LOST, "nothing heard from the autopilot"),
         )
-        found = next(((event, words) for happened, event, words in signs if happened), None)
-        return found or self._time(phase, since_s, now_s)
+        found = [(event, reason) for holds, event, reason in signs if holds]
+        found += [*self._estimate(inputs.vehicle, now_s), *self._time(now_s)]
+        if heard:
+            found.append((MissionEvent.LINK_UP, "the autopilot is heard again"))
+        return tuple(found)
 
-    def _speed_std_m_s(self, phase: Phase) -> float:
-        """How uncertain our velocity may be: over the pad it is the camera that tells."""
-        return math.inf if phase in BY_THE_PAD else self._config.largest_speed_std_m_s
+    def _taken_over(self, autopilot: AutopilotState, obeyed: bool) -> bool:
+        """Whether a pilot took over with this; call once a cycle."""
+        in_pilots_mode = is_pilots(autopilot.mode, autopilot.manner)
+        entered = in_pilots_mode and not self._in_pilots_mode
+        self._in_pilots_mode = in_pilots_mode
+        if self._machine.authority is Authority.RELEASED or self._machine.state is State.AUTO_LAND:
+            # on the pad we have asked for LAND ourselves; any other mode is somebody's choice
+            return entered and not autopilot.mode.upper().endswith("LAND")
+        if self._machine.authority is Authority.OURS:
+            return not autopilot.offboard
+        return entered and not obeyed
 
-    def _time(self, phase: Phase, since_s: float, now_s: float) -> Finding:
-        assert self._started_s is not None
-        if now_s - self._started_s > self._config.total_timeout_s:
-            return Event.OVERTIME, f"{self._config.total_timeout_s:.0f} s since the start"
+    def _estimate(self, vehicle: VehicleState | None, now_s: float) -> Iterator[DetectedEvent]:
+        if vehicle is None or not vehicle.aligned or now_s - vehicle.time_s > _STALE_ESTIMATE_S:
+            yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of our own"
+        elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:
+            yield MissionEvent.VELOCITY_UNKNOWN, f"our velocity is off by {vehicle.velocity_std_m_s:.1f} m/s"
+
+    def _time(self, now_s: float) -> Iterator[DetectedEvent]:
+        assert self._phase_since_s is not None
+        total_s, phase = self._config.total_timeout_s, self._machine.phase
+        if self._took_off_s is not None and now_s - self._took_off_s > total_s:
+            yield MissionEvent.OVERTIME, f"{total_s:.0f} s since take-off"
         limit_s: float = getattr(self._config.phases, f"{phase.value}_s")
-        if now_s - since_s > limit_s:
-            return Event.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"
-        return None
-
-
-def _in_air(phase: Phase) -> bool:
-    return phase not in FINAL | {Phase.CONNECT, Phase.ARM, Phase.HOLD}
-
-
-def _motors_off(
-    phase: Phase, autopilot: AutopilotState, flying: bool, on_pad: bool
-) -> tuple[bool, Event, str]:
-    off = autopilot.connected and (flying or phase is Phase.HOLD) and not autopilot.armed
-    if phase is Phase.TOUCHDOWN and not on_pad:
-        return off, Event.PILOT_TOOK_OVER, "motors off before the touchdown"
-    return off, Event.DISARMED, "motors off"
-
-
-def _usable(vehicle: VehicleState | None, now_s: float, speed_std_m_s: float) -> bool:
-    return (
-        vehicle is not None
-        and vehicle.aligned
-        and now_s - vehicle.time_s <= _STALE_ESTIMATE_S
-        and vehicle.velocity_std_m_s <= speed_std_m_s
-    )
+        if now_s - self._phase_since_s > limit_s:
+            yield MissionEvent.TIMEOUT, f"{limit_s:.0f} s in {phase.value.replace('_', ' ')}"

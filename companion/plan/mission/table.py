@@ -1,161 +1,237 @@
-"""The mission's state machine as data: (phase, event) -> (next phase, actions asked of the autopilot).
+"""The mission's state machine as data: a state and an event give the next state and what is asked.
 
 Its rules:
-  every pair of a phase and an event has an entry;
-  a pair that should not happen ends in a safe hold by the autopilot itself, and is announced;
-  every phase but the two last (LANDED, ABORT) ends by time;
-  once a pilot has taken over nothing is asked and nothing is sent any more;
-  STOP, a lost estimate and overtime hand the vehicle back holding its position.
-No clock, no I/O: the planner turns what it sees into events and looks here what follows.
+  every pair of a state and an event has one row, or means nothing there, or is impossible;
+  an impossible pair ends in a hold by the autopilot itself, and is announced;
+  every state but the two last (LANDED, ABORT) ends by time;
+  released for good is released: whatever happens then, nothing more is asked of the autopilot;
+  STOP, a lost estimate and overtime return control to the autopilot, which holds its position.
+No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from typing import Final
 
-from companion.base.messages import ActionKind, Phase
-
-
-class Event(StrEnum):
-    """What can happen to a mission."""
-
-    READY = "ready"  # autopilot connected and ready to arm, our estimate aligned
-    ARMED = "armed"
-    AIRBORNE = "airborne"  # take-off height reached
-    ARRIVED = "arrived"  # at the waypoint, slow
-    ONWARD = "onward"  # the same, but further waypoints are ours to fly to
-    BLOCKED = "blocked"  # an obstacle is in the straight way that the autopilot would fly
-    PAD_SEEN = "pad_seen"  # steadily, and setpoints of ours are obeyed where that matters
-    CENTRED = "centred"  # above the pad, within the descent cone
-    LOW = "low"  # at the height from which touchdown is one straight go
-    CONTACT = "contact"  # several signs say that the feet stand on the pad
-    DISARMED = "disarmed"
-    PAD_LOST = "pad_lost"
-    GROUND_NEAR = "ground_near"  # far nearer than the pad is believed to be: that belief is wrong
-    MISALIGNED = "misaligned"  # touchdown cannot be had from here: climb and try again
-    OUT_OF_TRIES = "out_of_tries"
-    CONNECTED = "connected"  # the link is back
-    LINK_LOST = "link_lost"
-    ESTIMATE_LOST = "estimate_lost"
-    REFUSED = "refused"  # an action, as often as it may be asked
-    TIMEOUT = "timeout"  # of the phase
-    OVERTIME = "overtime"  # of the whole mission
-    PILOT_TOOK_OVER = "pilot_took_over"
-    STOP = "stop"
-
-
-@dataclass(frozen=True, slots=True)
-class Transition:
-    """What follows an event. `legal` is False for pairs that should never happen."""
-
-    phase: Phase
-    actions: tuple[ActionKind, ...] = ()
-    legal: bool = True
-
-
-FINAL: Final = frozenset({Phase.LANDED, Phase.ABORT})
-# In these phases the setpoints are ours (or about to be) and our own estimate carries the vehicle.
-OUR_CONTROL: Final = frozenset(
-    {Phase.ROUTE, Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN, Phase.HOLD}
+from companion.base.messages import Action, ActionKind
+from companion.plan.mission.states import (
+    Authority,
+    Branch,
+    Circumstances,
+    Effect,
+    Guard,
+    MissionEvent,
+    State,
+    TableRow,
 )
-# In these phases control is asked for.
-TAKES_CONTROL: Final = frozenset({Phase.ROUTE, Phase.SEARCH})
-# In these phases the pad's estimate carries the vehicle.
-BY_THE_PAD: Final = frozenset({Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN})
 
-_C, _A, _T, _W = Phase.CONNECT, Phase.ARM, Phase.TAKE_OFF, Phase.WAYPOINT
-_R, _S, _AP, _D, _TD = Phase.ROUTE, Phase.SEARCH, Phase.APPROACH, Phase.DESCEND, Phase.TOUCHDOWN
-_ASK_PAD = (ActionKind.REQUEST_PAD_POSITION,)
-_HAND_BACK: Final = Transition(Phase.ABORT, (ActionKind.HOLD,))
-_SAFE_HOLD: Final = Transition(Phase.HOLD, (ActionKind.HOLD,), legal=False)
-_LET_GO: Final = Transition(Phase.ABORT)
+E, S = MissionEvent, State
+FINAL: Final = frozenset({S.LANDED, S.ABORT})
+LIVE: Final = frozenset(State) - FINAL
+ON_GROUND: Final = frozenset({S.CONNECT, S.ARM})
+IN_AIR: Final = LIVE - ON_GROUND
+BY_AUTOPILOT: Final = frozenset({S.TAKE_OFF, S.WAYPOINT})
+OVER_PAD: Final = frozenset({S.WAIT, S.RISE})  # waiting for a moment to land
+ON_PAD: Final = frozenset({S.STAND, S.AUTO_LAND})
+COMMITTED: Final = ON_PAD | {S.SINK}
+TOUCHDOWN: Final = OVER_PAD | COMMITTED
+HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
+# the pad's estimate carries the vehicle
+BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
+# what may be detected in any state: a row or a reason against it for each
+ANYWHERE: Final = (
+    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP),
+    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.OVERTIME, E.TIMEOUT),
+)
 
-# The good flight, and what may befall it, phase by phase.
-_OWN: dict[tuple[Phase, Event], Transition] = {
-    (_C, Event.READY): Transition(_A, (ActionKind.ARM,)),
-    (_C, Event.TIMEOUT): _LET_GO,
-    (_C, Event.CONNECTED): Transition(_C),
-    (_A, Event.ARMED): Transition(_T, (ActionKind.TAKE_OFF,)),
-    (_A, Event.REFUSED): _LET_GO,
-    # a refused arming is no event: it is asked for again until the time is up
-    (_A, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.DISARM,)),
-    (_T, Event.AIRBORNE): Transition(_W, (ActionKind.GO_TO,)),
-    (_T, Event.BLOCKED): Transition(_R),
+_ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
+_TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
+_LAND, _DISARM = Action(ActionKind.LAND), Action(ActionKind.DISARM)
+# In the air it drops the vehicle: only for one that is shown to stand.
+_FORCE_DISARM = Action(ActionKind.DISARM, force=True)
+
+
+def _row(
+    event: MissionEvent,
+    states: State | Collection[State],
+    *branches: Branch,
+    except_: Mapping[State, str] | None = None,
+) -> TableRow:
+    listed = frozenset({states}) if isinstance(states, State) else frozenset(states)
+    return TableRow(event, listed - set(except_ or ()), branches, except_ or {})
+
+
+def _end(*actions: Action, guard: Guard = Guard.ALWAYS) -> Branch:
+    return Branch(S.ABORT, actions, Authority.RELEASED, guard=guard)
+
+
+def _all(states: Iterable[State], reason: str) -> dict[State, str]:
+    return dict.fromkeys(states, reason)
+
+
+_GIVE_UP: Final = _end()
+_GONE: Final = Branch(S.ABORT, (), Authority.RELEASED, (Effect.STOP_SETPOINTS,))
+# Control goes back to the autopilot; one that stands would lift off again to hold a position.
+_HAND_BACK: Final = (_end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
+_RESEARCH: Final = Branch(S.SEARCH, effects=(Effect.ASK_PAD_POSITION,))
+_NEXT_TRY: Final = (
+    Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),
+    Branch(S.HOLD, effects=(Effect.COUNT_TRY,)),
+)
+# LAND was asked for already: a try that begins then is no longer ours
+_NEXT_TRY_RELEASED: Final = tuple(replace(branch, authority=Authority.RELEASED) for branch in _NEXT_TRY)
+IMPOSSIBLE: Final = (
+    Branch(S.HOLD, (_LAND,), Authority.RELEASED, guard=Guard.ON_SURFACE),
+    Branch(S.HOLD, (_HOLD,), Authority.RELEASED),
+)
+
+_NOT_YET = "on the ground, before take-off"
+_FLIES_ITSELF = "the autopilot navigates"
+_FINISHES = "committed: to finish is gentler than to break off"
+_STANDS = "it stands on the pad"
+
+ROWS: Final = (
+    # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
+    _row(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
+    # after a restart in the air too: whoever flies it, or lands it next, asked for no take-off
+    _row(E.ALREADY_ARMED, S.CONNECT, _GONE),
+    _row(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
+    _row(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
+    _row(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),
+    _row(E.BLOCKED, S.TAKE_OFF, Branch(S.ROUTE)),
+    _row(E.HOME_UNKNOWN, S.TAKE_OFF, _end(_LAND, _DISARM)),
+    _row(E.ONWARD, S.WAYPOINT, Branch(S.ROUTE)),
+    _row(E.ARRIVED, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
+    # ---- control
+    _row(E.STREAMING, {S.ROUTE, S.SEARCH}, Branch(None, (_TAKE_CONTROL,))),
+    _row(
+        E.CONTROL_GRANTED,
+        {S.ROUTE, S.SEARCH},
+        Branch(None, authority=Authority.OURS, guard=Guard.CONTROL_NONE),
+    ),
+    # ---- to the pad
+    _row(E.PAD_SEEN, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
+    _row(E.PAD_SEEN, S.SEARCH, Branch(S.APPROACH)),
+    _row(E.CENTRED, S.APPROACH, Branch(S.DESCEND)),
+    _row(E.LOW, S.DESCEND, Branch(S.WAIT)),
+    _row(E.PAD_LOST, {S.APPROACH, S.DESCEND}, _RESEARCH),
+    _row(E.PAD_LOST, OVER_PAD | {S.SINK}, *_NEXT_TRY),
+    _row(E.GROUND_NEAR, {S.APPROACH, S.DESCEND} | OVER_PAD, _RESEARCH),
+    # ---- onto the pad
+    _row(E.COMMIT, OVER_PAD, Branch(S.SINK)),
+    _row(E.BREAK_OFF, S.SINK, Branch(S.RISE)),
+    _row(E.RISEN, S.RISE, Branch(S.WAIT)),
+    _row(E.MISALIGNED, OVER_PAD | {S.SINK}, *_NEXT_TRY),
+    _row(E.CONTACT, S.SINK, Branch(S.STAND)),
+    # PX4 takes nothing for landed that rides along with a pad, and its LAND mode brakes against the pad: it
+    # leans until it tips over. So LAND is asked for only where nothing shows the feet down.
+    _row(E.LANDING_DETECTED, ON_PAD, Branch(None, (_DISARM,))),
+    _row(E.AT_REST, ON_PAD, Branch(None, (_FORCE_DISARM,))),
+    _row(
+        E.UNPROVEN,
+        ON_PAD,
+        Branch(S.AUTO_LAND, (_LAND,), guard=Guard.DISARM_NOT_ASKED),
+        except_={S.AUTO_LAND: "LAND is asked for already"},
+    ),
+    _row(E.OFF_PAD, S.STAND, *_NEXT_TRY),
+    _row(E.OFF_PAD, S.AUTO_LAND, *_NEXT_TRY_RELEASED),
+    # ---- refused as often as it may be asked
     # if only the answer was lost it may be climbing: landing is right in the air and on the ground, where
     # the disarming, refused in the air, ends it at once
-    (_T, Event.REFUSED): Transition(Phase.ABORT, (ActionKind.LAND, ActionKind.DISARM)),
-    (_T, Event.TIMEOUT): Transition(Phase.ABORT, (ActionKind.LAND,)),
-    (_W, Event.ARRIVED): Transition(_S),
-    (_W, Event.ONWARD): Transition(_R),
-    (_W, Event.PAD_SEEN): Transition(_S),
-    # not arrived, or not allowed to go: look from here, the beacon may lead on
-    (_W, Event.REFUSED): Transition(_S),
-    (_W, Event.TIMEOUT): Transition(_S),
-    (_R, Event.ARRIVED): Transition(_S),
-    (_R, Event.PAD_SEEN): Transition(_S),
-    (_R, Event.TIMEOUT): Transition(_S),
-    (_R, Event.REFUSED): _HAND_BACK,
-    (_S, Event.PAD_SEEN): Transition(_AP),
-    (_S, Event.REFUSED): _HAND_BACK,
-    (_S, Event.TIMEOUT): _HAND_BACK,
-    (_AP, Event.CENTRED): Transition(_D),
-    (_AP, Event.PAD_LOST): Transition(_S, _ASK_PAD),
-    (_AP, Event.TIMEOUT): Transition(_S, _ASK_PAD),
-    (_D, Event.LOW): Transition(_TD),
-    (_D, Event.PAD_LOST): Transition(_S, _ASK_PAD),
-    (_AP, Event.GROUND_NEAR): Transition(_S, _ASK_PAD),
-    (_D, Event.GROUND_NEAR): Transition(_S, _ASK_PAD),
-    (_TD, Event.GROUND_NEAR): Transition(_S, _ASK_PAD),
-    (_D, Event.MISALIGNED): Transition(_AP),
-    (_D, Event.TIMEOUT): Transition(_AP),
-    (_D, Event.OUT_OF_TRIES): Transition(Phase.HOLD),
-    (_TD, Event.CONTACT): Transition(_TD),
-    (_TD, Event.PAD_LOST): Transition(_AP),
-    (_TD, Event.MISALIGNED): Transition(_AP),
-    (_TD, Event.OUT_OF_TRIES): Transition(Phase.HOLD),
-    (_TD, Event.TIMEOUT): _HAND_BACK,
-    (_TD, Event.REFUSED): Transition(Phase.ABORT, (ActionKind.LAND,)),
-    (_TD, Event.DISARMED): Transition(Phase.LANDED),
-    (Phase.HOLD, Event.CONNECTED): Transition(_S),
-    (Phase.HOLD, Event.REFUSED): _HAND_BACK,
-    (Phase.HOLD, Event.TIMEOUT): _HAND_BACK,
-}
+    _row(E.REFUSED, S.TAKE_OFF, _end(_LAND, _DISARM)),
+    # not allowed to go: look from here, the beacon may lead on
+    _row(E.REFUSED, S.WAYPOINT, Branch(S.SEARCH)),
+    _row(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_HAND_BACK),
+    _row(E.REFUSED, TOUCHDOWN, _end(_LAND)),
+    # ---- the time of a phase
+    _row(E.TIMEOUT, S.CONNECT, _GIVE_UP),
+    _row(E.TIMEOUT, S.ARM, _end(_DISARM)),
+    _row(E.TIMEOUT, S.TAKE_OFF, _end(_LAND)),
+    _row(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
+    _row(E.TIMEOUT, S.APPROACH, _RESEARCH),
+    _row(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
+    _row(E.TIMEOUT, HOLDING | (TOUCHDOWN - {S.AUTO_LAND}) | {S.SEARCH}, *_HAND_BACK),
+    _row(E.TIMEOUT, S.AUTO_LAND, _GIVE_UP),
+    # ---- anywhere
+    _row(E.OVERTIME, IN_AIR - {S.AUTO_LAND}, *_HAND_BACK, except_=_all(ON_GROUND, _NOT_YET)),
+    _row(E.OVERTIME, S.AUTO_LAND, _GIVE_UP),
+    _row(E.STOP, S.CONNECT, _GIVE_UP),
+    _row(E.STOP, S.ARM, _end(_DISARM)),
+    _row(E.STOP, IN_AIR, *_HAND_BACK, except_={S.SINK: _FINISHES, **_all(ON_PAD, _STANDS)}),
+    _row(E.PILOT_TOOK_OVER, LIVE, _GONE, except_={S.CONNECT: "nothing asked yet; armed ends it in any mode"}),
+    _row(E.DISARMED, IN_AIR - ON_PAD, _GONE, except_=_all(ON_GROUND, _NOT_YET)),
+    _row(E.DISARMED, ON_PAD, replace(_GONE, to=S.LANDED)),
+    _row(
+        E.LINK_LOST,
+        IN_AIR,
+        Branch(S.AWAIT_LINK),
+        except_={
+            **_all(ON_GROUND, _NOT_YET),
+            **_all(HOLDING, "it holds already"),
+            **_all(ON_PAD, _STANDS),
+        },
+    ),
+    _row(
+        E.LINK_UP,
+        S.AWAIT_LINK,
+        Branch(S.SEARCH, guard=Guard.CONTROL_OURS),
+        except_=_all(LIVE - {S.AWAIT_LINK}, "no link is awaited"),
+    ),
+    _row(
+        E.ESTIMATE_LOST,
+        IN_AIR,
+        *_HAND_BACK,
+        except_={
+            **_all(ON_GROUND, _NOT_YET),
+            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
+            **_all(ON_PAD, _STANDS),
+        },
+    ),
+    _row(
+        E.VELOCITY_UNKNOWN,
+        IN_AIR,
+        *_HAND_BACK,
+        except_={
+            **_all(ON_GROUND, _NOT_YET),
+            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
+            **_all(BY_THE_PAD, "over the pad the camera tells"),
+        },
+    ),
+)
 
 
-def _anywhere(phase: Phase) -> dict[Event, Transition]:
-    """What these events mean in any phase that is not final."""
-    on_ground = phase in {_C, _A}
-    return {
-        Event.PILOT_TOOK_OVER: _LET_GO,
-        Event.DISARMED: _LET_GO,
-        Event.STOP: _hand_back(phase),
-        Event.OVERTIME: _hand_back(phase),
-        Event.ESTIMATE_LOST: _hand_back(phase),
-        Event.LINK_LOST: Transition(phase) if on_ground else Transition(Phase.HOLD),
-    }
+def _table(rows: Iterable[TableRow]) -> dict[tuple[State, MissionEvent], tuple[Branch, ...]]:
+    """Branches by state and event; none: it means nothing there.
 
-
-def _hand_back(phase: Phase) -> Transition:
-    if phase is _C:
-        return _LET_GO
-    return Transition(Phase.ABORT, (ActionKind.DISARM,)) if phase is _A else _HAND_BACK
-
-
-def _table() -> dict[tuple[Phase, Event], Transition]:
-    table = {}
-    for phase in Phase:
-        anywhere = _anywhere(phase)
-        for event in Event:
-            default = Transition(phase) if phase in FINAL else anywhere.get(event, _SAFE_HOLD)
-            table[phase, event] = _OWN.get((phase, event), default)
+    Raises:
+        ValueError: a pair stands in the table twice.
+    """
+    table: dict[tuple[State, MissionEvent], tuple[Branch, ...]] = {}
+    for row in rows:
+        for state in (*row.states, *row.except_):
+            if (state, row.event) in table:
+                raise ValueError(f"{state} and {row.event} stand in the table twice")
+            table[state, row.event] = row.branches if state in row.states else ()
+    for state in State:
+        for event in MissionEvent:
+            table.setdefault((state, event), () if state in FINAL else IMPOSSIBLE)
     return table
 
 
-TRANSITIONS: Final = _table()
+TABLE: Final = _table(ROWS)
 
 
-def transition(phase: Phase, event: Event) -> Transition:
-    """What follows an event in a phase; every pair is defined."""
-    return TRANSITIONS[phase, event]
+def impossible(state: State, event: MissionEvent) -> bool:
+    """Whether an event cannot arise in a state."""
+    return TABLE[state, event] is IMPOSSIBLE
+
+
+def follows(state: State, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
+    """What follows an event; None: it means nothing in this state. Released, nothing is asked any more."""
+    branches = TABLE[state, event]
+    branch = next((b for b in branches if circumstances.allow(b.guard)), None)
+    if branch is not None and circumstances.authority is Authority.RELEASED:
+        return replace(branch, actions=())
+    return branch

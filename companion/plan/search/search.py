@@ -13,8 +13,8 @@ from companion.base.geometry import Vector3
 from companion.base.messages import PadBeacon, PadState
 from companion.base.motion import Motion
 from companion.config import SearchConfig
+from companion.plan.debounce import Debounce
 from companion.plan.landing.relative_state import PadKnowledge
-from companion.plan.landing.touchdown import Held
 from companion.plan.search.pad_locator import Lead, Whereabouts
 from companion.plan.trajectory.guidance import Guide
 
@@ -46,9 +46,9 @@ def square_spiral(corner: int, spacing_m: float) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class SearchStep:
-    """What a cycle of searching asks for."""
+    """What a cycle of searching asks for; `streaming`: setpoints have left for long enough to be obeyed."""
 
-    ask_for_control: bool = False
+    streaming: bool = False
     request_pad: bool = False
     worth_telling: bool = False
     seen: bool = False
@@ -66,7 +66,7 @@ class Search:
         self._arrived_s: float | None = None
         self._begun_s = self._control_s = self._next_request_s = self._told_s = self._turned_s = -math.inf
         self._had_control = False
-        self._in_view = Held()
+        self._in_view = Debounce()
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
         """Take in the beacon; one that is far from where the pad was thought starts the spiral again."""
@@ -91,7 +91,7 @@ class Search:
         self._most_up_m = self._down_m - self._config.climb_m
         self._corner, self._arrived_s = 0, None
         self._begun_s, self._told_s = now_s, -math.inf
-        self._in_view = Held()
+        self._in_view = Debounce()
         return climb_m
 
     def keep_above(self, lowest_down_m: float) -> float:
@@ -123,7 +123,7 @@ class Search:
     def _takes_up(self, pad: PadKnowledge, now_s: float) -> bool:
         """Whether the pad is in view and will stay so: its velocity known, and no overshoot out of view."""
         steady = pad.steady(now_s)
-        long = self._in_view.for_s(steady, now_s) >= _LONG_IN_VIEW_S
+        long = self._in_view.held_s(steady, now_s) >= _LONG_IN_VIEW_S
         # a pad that turns as fast as we can fly is never met with little overshoot: then any sight will do
         late = now_s - self._begun_s >= _ANY_SIGHT_AFTER_S
         return steady and pad.sight is not None and (long or late or self._stays_in_view(pad.sight))
@@ -141,7 +141,7 @@ class Search:
         if not in_control:
             # setpoints first, then the question: PX4 wants to see them before it obeys
             self._had_control = False
-            return SearchStep(ask_for_control=now_s - self._begun_s >= self._config.stream_s)
+            return SearchStep(streaming=now_s - self._begun_s >= self._config.stream_s)
         if not self._had_control:
             self._had_control, self._control_s = True, now_s
             self._guide.take_up(actual, now_s)

@@ -171,7 +171,7 @@ class Guide:
 
         A `rise` is flown to its end first.
         """
-        if not self._rising(now_s):
+        if not self.rising(now_s):
             self._fly_to(target, now_s, level=False)
 
     def _fly_to(self, target: Motion, now_s: float, *, level: bool) -> None:
@@ -230,7 +230,7 @@ class Guide:
         Once level, it climbs to `lowest_down_m` (of the present frame) if it is lower than that; returns the
         climb (m) that begins with this cycle, else 0. A `rise` is flown to its end first.
         """
-        if self._rising(now_s):
+        if self.rising(now_s):
             return 0.0
         climb_m = 0.0
         start, level = self.at(now_s), self._level
@@ -267,7 +267,8 @@ class Guide:
         self._rise = plan(start, Motion(place, (0.0, 0.0, -_RISES_M_S)), now_s, _RISES_WITHIN_S)
         self._follow(self._rise, now_s)
 
-    def _rising(self, now_s: float) -> bool:
+    def rising(self, now_s: float) -> bool:
+        """Whether the climb that `rise` began still lasts."""
         rise = self._rise
         return rise is not None and self._trajectory is rise and now_s < rise.end_s
 

@@ -14,8 +14,7 @@ import numpy as np
 from companion.base.geometry import Vector3, add, norm
 from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
-from companion.plan.landing.touchdown import Finding
-from companion.plan.mission.table import Event
+from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
 from companion.plan.trajectory.guidance import Guide
 
@@ -78,19 +77,19 @@ class Waypoints:
         self._left = _places(self._config)[0 if with_first else 1 :]
         self._last = self._left[-1] if self._left else None
 
-    def at_first(self, actual: Motion, home_ned_m: Vector3) -> Finding:
+    def at_first(self, actual: Motion, home_ned_m: Vector3) -> DetectedEvent | None:
         """Whether the vehicle is at the first waypoint, slow; in the EKF's NED."""
         first, v = add(self.first_from_home_m, home_ned_m), actual.velocity_m_s
         distance_m = math.dist(actual.position_m[:2], first[:2])
         slow = math.hypot(v[0], v[1]) <= self._config.arrival_speed_m_s
         if distance_m <= self._config.arrival_radius_m and slow:
-            return Event.ONWARD, f"{distance_m:.1f} m from the first waypoint"
+            return MissionEvent.ONWARD, f"{distance_m:.1f} m from the first waypoint"
         return None
 
-    def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> Finding:
+    def step(self, actual: Motion, home_ned_m: Vector3, now_s: float) -> DetectedEvent | None:
         """One cycle with control ours; `actual` and home are in the EKF's NED."""
         if self._last is None:
-            return Event.ARRIVED, "no further waypoints"
+            return MissionEvent.ARRIVED, "no further waypoints"
         reference = self._guide.at(now_s).position_m
         while self._left and math.dist(reference, add(self._left[0], home_ned_m)) <= _PASSED_M:
             self._left.pop(0)
@@ -99,5 +98,5 @@ class Waypoints:
         slow = norm(actual.velocity_m_s) <= self._config.arrival_speed_m_s
         distance_m = math.dist(actual.position_m, last)
         if not self._left and slow and distance_m <= self._config.arrival_radius_m:
-            return Event.ARRIVED, f"{distance_m:.1f} m from the last waypoint"
+            return MissionEvent.ARRIVED, f"{distance_m:.1f} m from the last waypoint"
         return None

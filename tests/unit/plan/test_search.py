@@ -172,7 +172,7 @@ def test_no_more_acceleration_is_followed_than_a_vehicle_can_lean_for() -> None:
 def test_setpoints_stream_before_control_is_asked_for() -> None:
     search, guide = searching()
     here = guide.at(0.0)
-    asked = [t / 30.0 for t in range(30) if search.step(here, False, UNSEEN, t / 30.0).ask_for_control]
+    asked = [t / 30.0 for t in range(30) if search.step(here, False, UNSEEN, t / 30.0).streaming]
     assert asked[0] == pytest.approx(CONFIG.stream_s, abs=0.04)
     assert guide.active
 

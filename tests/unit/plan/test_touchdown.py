@@ -3,11 +3,16 @@ import math
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import LandedState, PadState, RangeSample
+from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
-from companion.plan.landing.touchdown import Held, Touchdown, aligned, contact_signs, gentle
-from companion.plan.mission.table import Event
+from companion.plan.debounce import Debounce
+from companion.plan.landing.contact import contact_signs
+from companion.plan.landing.tolerance import aligned, gentle
+from companion.plan.landing.touchdown import TouchdownSequence
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import Circumstances, DetectedEvent, MissionEvent, State
+from companion.plan.mission.table import COMMITTED, ON_PAD, TOUCHDOWN, follows
 from companion.plan.trajectory.guidance import Guide
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
@@ -29,15 +34,53 @@ def sight(
     return PadState(0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0, seen_time_s=-age)
 
 
-def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Touchdown:
+class Attempt:
+    """A try that goes from state to state as the table says; `step` returns what ends it, and a contact."""
+
+    def __init__(self, sequence: TouchdownSequence, guide: Guide) -> None:
+        self._sequence, self._guide = sequence, guide
+        self.state = State.WAIT
+        self.broken_off_by = ""
+        self.contact_s = math.nan
+        self.note_lean, self.level_off = sequence.note_lean, sequence.level_off
+
+    @property
+    def committed(self) -> bool:
+        return self.state in COMMITTED
+
+    @property
+    def on_pad(self) -> bool:
+        return self.state in ON_PAD
+
+    def step(
+        self, seen: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float
+    ) -> DetectedEvent | None:
+        inputs = PlanInputs(None, None, AutopilotState(now_s, landed=landed), range=echo)
+        detected = self._sequence.step(self.state, seen, inputs, now_s)
+        if detected is None:
+            return None
+        branch = follows(self.state, detected[0], Circumstances())
+        if branch is None or branch.to not in TOUCHDOWN:
+            return detected
+        self.state = branch.to
+        self._sequence.enter(self.state, now_s)
+        if self.state is State.RISE:
+            self.broken_off_by = detected[1]
+        if self.state is State.STAND:
+            self.contact_s = now_s
+            return detected
+        return None
+
+
+def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Attempt:
     guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
     guide.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
-    touchdown = Touchdown(config, VEHICLE, 0.35, guide)
-    touchdown.begin(0.0, slack)
-    return touchdown
+    sequence = TouchdownSequence(config, VEHICLE, 0.35, guide)
+    sequence.begin(0.0, slack)
+    return Attempt(sequence, guide)
 
 
-def wait(touchdown: Touchdown, seen: PadState, until_s: float) -> tuple[float, Event | None]:
+def wait(touchdown: Attempt, seen: PadState, until_s: float) -> tuple[float, MissionEvent | None]:
     """Step until it commits or finds something; the time and what."""
     k = 0
     while k * CYCLE_S < until_s:
@@ -97,7 +140,7 @@ def test_a_little_aside_is_accepted_late_and_far_aside_never() -> None:
     assert found is None
     assert at == pytest.approx(2.0 * CONFIG.patience_s + CONFIG.settled_s, abs=0.08)
     at, found = wait(fresh(), sight(aside=0.2), 40.0)
-    assert found is Event.MISALIGNED
+    assert found is MissionEvent.MISALIGNED
     assert at == pytest.approx(6.0 * CONFIG.patience_s, abs=0.08)
 
 
@@ -106,10 +149,10 @@ def test_the_last_try_has_more_slack() -> None:
 
 
 def test_a_pad_unseen_while_waiting_is_lost() -> None:
-    assert wait(fresh(), sight(age=CONFIG.blind_s + 0.01), 5.0) == (0.0, Event.PAD_LOST)
+    assert wait(fresh(), sight(age=CONFIG.blind_s + 0.01), 5.0) == (0.0, MissionEvent.PAD_LOST)
 
 
-def sinking() -> Touchdown:
+def sinking() -> Attempt:
     touchdown = fresh()
     wait(touchdown, sight(), 5.0)
     assert touchdown.committed
@@ -121,13 +164,13 @@ def test_half_a_second_of_blindness_on_the_last_way_down_is_borne_and_two_are_no
     assert touchdown.step(sight(height=0.4, age=1.4), None, LandedState.IN_AIR, 1.0) is None
     found = touchdown.step(sight(height=0.4, age=1.6), None, LandedState.IN_AIR, 1.1)
     assert found is not None
-    assert found[0] is Event.PAD_LOST
+    assert found[0] is MissionEvent.PAD_LOST
 
 
 def test_far_aside_on_the_last_way_down_it_climbs_while_still_high_only() -> None:
     high = sinking().step(sight(aside=0.19, height=0.4), None, LandedState.IN_AIR, 1.0)
     assert high is not None
-    assert high[0] is Event.MISALIGNED
+    assert high[0] is MissionEvent.MISALIGNED
     assert sinking().step(sight(aside=0.17, height=0.4), None, LandedState.IN_AIR, 1.0) is None
     assert sinking().step(sight(aside=0.19, height=0.21), None, LandedState.IN_AIR, 1.0) is None
 
@@ -140,7 +183,7 @@ def test_no_contact_long_after_it_was_due_is_a_miss() -> None:
         k += 1
         found = touchdown.step(sight(height=0.45), None, LandedState.IN_AIR, k * CYCLE_S)
     assert found is not None
-    assert found[0] is Event.MISALIGNED
+    assert found[0] is MissionEvent.MISALIGNED
     # 0.35 m at the contact's speed with a blend of 0.8 s, then the patience
     speed_m_s = CONFIG.contact_speed_m_s
     due_s = CONFIG.blend_s + (0.35 - 0.5 * CONFIG.blend_s * speed_m_s) / speed_m_s
@@ -212,7 +255,7 @@ def test_contact_needs_two_signs_for_a_moment() -> None:
         if found:
             break
     assert found is not None
-    assert found[0] is Event.CONTACT
+    assert found[0] is MissionEvent.CONTACT
     assert touchdown.contact_s == pytest.approx(1.0 + 30 * CYCLE_S + CONFIG.contact_s, abs=0.05)
 
 
@@ -228,18 +271,18 @@ def test_standing_ends_only_when_the_pad_is_seen_well_below() -> None:
     for k in range(15):
         found = found or touchdown.step(sight(height=0.5), None, LandedState.IN_AIR, 4.0 + k * CYCLE_S)
     assert found is not None
-    assert found[0] is Event.MISALIGNED
+    assert found[0] is MissionEvent.OFF_PAD
 
 
-def test_held_counts_from_the_last_break() -> None:
-    held = Held()
-    assert held.for_s(True, 1.0) == 0.0
-    assert held.for_s(True, 1.5) == 0.5
-    assert held.for_s(False, 1.6) < 0.0
-    assert held.for_s(True, 2.0) == 0.0
+def test_a_debounce_counts_from_the_last_break() -> None:
+    held = Debounce()
+    assert held.held_s(True, 1.0) == 0.0
+    assert held.held_s(True, 1.5) == 0.5
+    assert held.held_s(False, 1.6) < 0.0
+    assert held.held_s(True, 2.0) == 0.0
 
 
-def descent(touchdown: Touchdown, lags_m: float, sink_m_s: float, count: int = 15) -> Guide:
+def descent(touchdown: Attempt, lags_m: float, sink_m_s: float, count: int = 15) -> Guide:
     """Cycles of a vehicle that is so much above the reference and sinks at its own speed."""
     guide = touchdown._guide
     for k in range(count):
@@ -338,10 +381,10 @@ def leaning(acceleration_m_s2: float) -> Quaternion:
     return quat_from_euler(math.atan(acceleration_m_s2 / GRAVITY_M_S2), 0.0, 1.0)
 
 
-def waited(touchdown: Touchdown, lean_m_s2: float, from_s: float, until_s: float) -> None:
+def waited(touchdown: Attempt, lean_m_s2: float, from_s: float, until_s: float) -> None:
     for k in range(round((until_s - from_s) / CYCLE_S)):
         now_s = from_s + k * CYCLE_S
-        touchdown.feel(leaning(lean_m_s2), now_s)
+        touchdown.note_lean(leaning(lean_m_s2), now_s)
         touchdown.step(sight(), None, LandedState.IN_AIR, now_s)
 
 
@@ -365,7 +408,7 @@ def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
     touchdown, told = fresh(), 0
     for k in range(round(29.0 / CYCLE_S)):
         was = touchdown.committed
-        touchdown.feel(leaning(3.0), k * CYCLE_S)
+        touchdown.note_lean(leaning(3.0), k * CYCLE_S)
         touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
         told += touchdown.committed is not was
         if touchdown.committed:
@@ -399,7 +442,7 @@ def test_a_break_off_keeps_room_for_the_foot_that_hangs_lower(lean_deg: float, b
     # GIVEN 9 cm under the feet, of which a sink of 0.2 m/s takes 5 before it ends
     low = sight(0.1, LEG_M + 0.09, velocity=(0.0, 0.0, 0.2))
     for k in range(6):
-        touchdown.feel(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
+        touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
         touchdown.step(low, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
     assert touchdown.committed is not broken
 
@@ -467,7 +510,7 @@ def test_the_most_patient_of_tries_goes_on_from_no_farther_aside_than_twelve_cen
 def test_it_does_not_start_down_from_where_it_would_break_off() -> None:
     touchdown = fresh(slack=1.6)
     at, found = wait(touchdown, sight(0.13), 40.0)
-    assert found is Event.MISALIGNED
+    assert found is MissionEvent.MISALIGNED
     assert at == pytest.approx(CONFIG.giving_up_s, abs=0.08)
 
 
@@ -487,12 +530,12 @@ def test_each_break_off_uses_up_the_same_try() -> None:
         was = touchdown.committed
         seen = sight(0.2, LEG_M + 0.2) if was else sight()
         found = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
-        found = None if found and found[0] is Event.MISALIGNED and was else found
+        found = None if found and found[0] is MissionEvent.MISALIGNED and was else found
         commits += touchdown.committed and not was
         k += 1
     assert commits > 5
     assert found is not None
-    assert found[0] is Event.MISALIGNED
+    assert found[0] is MissionEvent.MISALIGNED
     assert k * CYCLE_S == pytest.approx(CONFIG.giving_up_s, abs=0.6)
 
 
@@ -537,7 +580,7 @@ def test_who_gives_the_last_way_down_up_climbs_at_once(lateral_m: float) -> None
     low = sight(lateral_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.19))
     found = touchdown.step(low, None, LandedState.IN_AIR, late_s)
     assert found is not None
-    assert found[0] is Event.MISALIGNED
+    assert found[0] is MissionEvent.MISALIGNED
     # WHEN the landing flies back to over the pad from the next cycle on
     before = touchdown._guide.at(late_s)
     touchdown._guide.fly_to(Motion((0.0, 0.0, -LEG_M - 1.5)), late_s + CYCLE_S)
@@ -547,12 +590,12 @@ def test_who_gives_the_last_way_down_up_climbs_at_once(lateral_m: float) -> None
 
 
 def test_leaning_back_from_far_aside_a_low_foot_is_no_contact() -> None:
-    for aside_m, found in ((0.25, Event.MISALIGNED), (0.08, Event.CONTACT)):
+    for aside_m, found in ((0.25, MissionEvent.MISALIGNED), (0.08, MissionEvent.CONTACT)):
         touchdown, finding = sinking(), None
         low = sight(aside_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.05))
         for k in range(12):
             now_s = 1.0 + k * CYCLE_S
-            touchdown.feel(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
+            touchdown.note_lean(quat_from_euler(math.radians(12.0), 0.0, 0.0), now_s)
             echo = RangeSample(now_s, LEG_M + 0.05 - VEHICLE.range_position_body_m[2])
             finding = finding or touchdown.step(low, echo, LandedState.IN_AIR, now_s)
         assert finding is not None

@@ -1,8 +1,8 @@
-"""How each phase flies: what the reference does on entering a phase and in each of its cycles.
+"""How each state flies: what the reference does on entering it and in each of its cycles.
 
-The mission's table decides which phase; here the phase steers the guide and reports what it finds. In
-SEARCH, HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and TOUCHDOWN it is relative
-to the pad (vehicle minus pad, NED axes). m, s, rad.
+The mission's table decides which state; here the state steers the reference and detects events. In SEARCH,
+HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and the touchdown it is relative to
+the pad (vehicle minus pad, NED axes). m, s, rad.
 """
 
 from __future__ import annotations
@@ -12,26 +12,19 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import (
-    Action,
-    ActionKind,
-    DescentCone,
-    LandedState,
-    LevelOff,
-    Phase,
-    VehicleState,
-)
+from companion.base.messages import Action, ActionKind, DescentCone, LevelOff, Phase
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.approach import Landing, Unseen
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
-from companion.plan.landing.touchdown import Finding, Touchdown
+from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
-from companion.plan.mission.failsafe_monitor import Watch
 from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.requests import Requests
-from companion.plan.mission.table import BY_THE_PAD, Event
+from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
+from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
 from companion.plan.obstacles.surroundings import Say, Surroundings
 from companion.plan.search.search import Search
 from companion.plan.trajectory.guidance import Guide
@@ -39,37 +32,43 @@ from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6
 _WORTH_TELLING_M: Final = 0.2
+_STREAMING: Final = (MissionEvent.STREAMING, "setpoints leave")
 
 
-class Flight:
-    """The phases' hands; shares the guide, the requests and the knowledge of the pad with the planner."""
+class PhaseSteering:
+    """Steers by the machine's state; shares the reference and the knowledge of the pad with the planner."""
 
     def __init__(
         self,
         config: PlanConfig,
         vehicle: VehicleConfig,
         *,
+        machine: StateMachine,
         guide: Guide,
         pad: PadKnowledge,
         ground: Ground,
         requests: Requests,
-        watch: Watch,
         say: Say,
     ) -> None:
         self._config, self._leg_m = config, vehicle.leg_height_m
-        self._guide, self._pad, self._ground = guide, pad, ground
-        self._requests, self._watch, self._say = requests, watch, say
-        self.departure = Departure(config.mission)
+        self._machine, self._guide, self._pad, self._ground = machine, guide, pad, ground
+        self._requests, self._say = requests, say
         self.surroundings = Surroundings(guide, ground, say)
         self._waypoints = Waypoints(config.mission, guide)
+        self.departure = Departure(
+            config.mission,
+            pad=pad,
+            ground=ground,
+            waypoints=self._waypoints,
+            surroundings=self.surroundings,
+            say=say,
+        )
         self.search = Search(config.search, guide)
         self._landing = Landing(config.landing, vehicle, guide)
-        self._touchdown = Touchdown(config.touchdown, vehicle, config.landing.wait_height_m, guide)
-        self._tries = 0
+        self._touchdown = TouchdownSequence(config.touchdown, vehicle, config.landing.wait_height_m, guide)
         self._begun_s = 0.0
         self._retreat: Motion | None = None
-        self._phase = Phase.CONNECT
-        self._flown_by: dict[Phase, Callable[[PlanInputs, float], Finding]] = {
+        self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
             Phase.CONNECT: self._depart,
             Phase.ARM: self._depart,
             Phase.TAKE_OFF: self._depart,
@@ -87,81 +86,73 @@ class Flight:
     @property
     def on_pad(self) -> bool:
         """Whether the feet stand on the pad."""
-        return self._phase is Phase.TOUCHDOWN and self._touchdown.on_pad
+        return self._machine.state in ON_PAD
 
-    @property
-    def committed(self) -> bool:
-        """Whether the vehicle is on its last way down, or down: nothing is gentler than to finish it."""
-        return self._phase is Phase.TOUCHDOWN and self._touchdown.committed
-
-    def fly(self, inputs: PlanInputs, now_s: float) -> Finding:
-        """Let the phase steer the reference for this cycle; returns what it finds."""
-        finding = self._flown_by[self._phase](inputs, now_s)
+    def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Steer the reference for this cycle; returns what is detected."""
+        event = self._steered_by[self._machine.phase](inputs, now_s)
         self.surroundings.tell(now_s)
-        return finding
+        return event
 
     def minimum_height_m(self, now_s: float) -> float | None:
         """What the controller may not go below, over the pad."""
         by_pad = self._guide.active and self._guide.origin == "pad"
-        if by_pad and self._phase in {Phase.APPROACH, Phase.DESCEND}:
+        if by_pad and self._machine.state in {State.APPROACH, State.DESCEND}:
             return self._landing.minimum_height_m(now_s)
         return None
 
     def cone(self) -> DescentCone | None:
         """Where the controller is to keep the vehicle over the pad, until that is committed to land."""
-        descending = self._phase is Phase.DESCEND or (self._phase is Phase.TOUCHDOWN and not self.committed)
+        descending = self._machine.state in OVER_PAD | {State.DESCEND}
         return self._landing.cone if descending and self._guide.origin == "pad" else None
 
     def level_off(self) -> LevelOff | None:
         """When the vehicle is to be level, on its last way down."""
-        return self._touchdown.level_off() if self.committed else None
+        return self._touchdown.level_off() if self._machine.state in COMMITTED else None
 
-    def count_tries(self, event: Event) -> Event:
-        """After so many failed attempts the next one is the mission's end."""
-        missed = self._phase is Phase.TOUCHDOWN and event in {Event.MISALIGNED, Event.PAD_LOST}
-        if not missed and not (self._phase is Phase.DESCEND and event is Event.TIMEOUT):
-            return event
-        self._tries += 1
-        return Event.OUT_OF_TRIES if self._tries > self._config.landing.retries else event
+    # ------------------------------------------------------------ entering a state
 
-    # ------------------------------------------------------------ entering a phase
-
-    def enter(self, phase: Phase, inputs: PlanInputs, now_s: float) -> None:
-        """Go over to another phase."""
-        previous, self._phase = self._phase, phase
-        if self._phase is Phase.TAKE_OFF:
+    def enter(
+        self, branch: Branch, previous: State, had: Authority, inputs: PlanInputs, now_s: float
+    ) -> None:
+        """Begin with the state to which a branch led, from a previous one and from who had the vehicle."""
+        state = self._machine.state
+        if Effect.ASK_PAD_POSITION in branch.effects:
+            self.search.request_now()
+        if Effect.STOP_SETPOINTS in branch.effects:
+            self._guide.stop()
+        elif state is State.TAKE_OFF:
             self._ground.stands_here(inputs.vehicle)
             self.surroundings.stands_here(inputs.vehicle)
             self.departure.lift_off()
-        elif self._phase is Phase.ROUTE:
+        elif state is State.ROUTE:
             self._enter_route(previous, inputs, now_s)
-        elif self._phase is Phase.SEARCH:
+        elif state is State.SEARCH:
             self._enter_search(previous, inputs, now_s)
-        elif self._phase is Phase.APPROACH:
+        elif state is State.APPROACH:
             self._enter_approach(previous, now_s)
-        elif self._phase is Phase.TOUCHDOWN:
-            last = self._tries >= self._config.landing.retries
-            self._touchdown.begin(now_s, _LAST_TRY_SLACK if last else 1.0)
-        elif self._phase in {Phase.HOLD, Phase.ABORT}:
-            self._enter_hold(previous, inputs, now_s)
-        elif self._phase is Phase.LANDED:
-            self._guide.stop()
+        elif state is State.WAIT and previous is State.DESCEND:
+            self._touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
+        elif state.phase is Phase.TOUCHDOWN:
+            self._touchdown.enter(state, now_s)
+        elif state.phase in {Phase.HOLD, Phase.ABORT}:
+            self._enter_hold(previous, had, inputs, now_s)
 
-    def _enter_route(self, previous: Phase, inputs: PlanInputs, now_s: float) -> None:
+    def _enter_route(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
             return  # the estimate's loss ends this in the next cycle
         self._guide.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._begun_s = now_s
         self._stand_still(inputs, now_s)
-        self._waypoints.begin(with_first=previous is Phase.TAKE_OFF)
+        self._waypoints.begin(with_first=previous is State.TAKE_OFF)
 
-    def _enter_search(self, previous: Phase, inputs: PlanInputs, now_s: float) -> None:
+    def _enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
             return  # the estimate's loss ends this in the next cycle
         if not self._guide.active:
             self._guide.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._stand_still(inputs, now_s)
-        missing_m = 0.0 if previous in {Phase.WAYPOINT, Phase.ROUTE} else self._missing_m()
+        missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
         if climb_m > _WORTH_TELLING_M:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
@@ -179,26 +170,27 @@ class Flight:
         down_m = self._ground.floor_down_m(floor_m)
         return math.inf if down_m is None else down_m
 
-    def _enter_approach(self, previous: Phase, now_s: float) -> None:
+    def _enter_approach(self, previous: State, now_s: float) -> None:
         if self._guide.origin == "local" and self._pad.motion is not None:
             self._guide.change_frame("pad", self._pad.motion, now_s)
-        again = previous in {Phase.DESCEND, Phase.TOUCHDOWN}
+        again = previous in BY_THE_PAD
         self._landing.begin(-self._guide.at(now_s).position_m[2], again, now_s)
         if again:
             height_m = self._landing.goal_m - self._leg_m
             self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
 
-    def _enter_hold(self, previous: Phase, inputs: PlanInputs, now_s: float) -> None:
+    def _enter_hold(self, previous: State, had: Authority, inputs: PlanInputs, now_s: float) -> None:
         """Come to rest; a hold just over the pad goes up first, since the pad may move or heave."""
-        low = previous in {Phase.DESCEND, Phase.TOUCHDOWN}
+        low = previous in BY_THE_PAD - {State.APPROACH}
         height_m = self._pad.sight.height_m if self._pad.sight is not None else math.inf
         climb_m = max(0.0, self._leg_m + self._config.landing.retry_height_m - height_m)
         self._retreat = None
-        if not self._watch.in_control or not inputs.autopilot.armed or inputs.vehicle is None:
+        flown = had is Authority.OURS or (had is Authority.RELEASED and self._guide.active)
+        if not flown or not inputs.autopilot.armed or inputs.vehicle is None:
             self._guide.stop()
             return
         self._stand_still(inputs, now_s)
-        if self._phase is Phase.HOLD and low and climb_m > _WORTH_TELLING_M:
+        if self._machine.phase is Phase.HOLD and low and climb_m > _WORTH_TELLING_M:
             x, y, z = self._guide.resting_place_m()
             self._retreat = Motion((x, y, z - climb_m))
             self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
@@ -216,52 +208,25 @@ class Flight:
 
     # ------------------------------------------------------------ the phases
 
-    def _depart(self, inputs: PlanInputs, now_s: float) -> Finding:
-        if self._phase is Phase.WAYPOINT and self._pad.steady(now_s):
-            return Event.PAD_SEEN, "on the way to the waypoint"
-        finding, waiting_for = self.departure.step(
-            self._phase, inputs.vehicle, inputs.autopilot, self._ground.over_home_m, now_s
-        )
-        if waiting_for:
-            self._say("waiting", waiting_for, now_s, "info")
-        if self._phase is Phase.WAYPOINT and self._waypoints.further:
-            return self._at_first(inputs)
-        if finding is not None and finding[0] is Event.AIRBORNE:
-            return self._first_way(inputs.vehicle) or finding
-        return finding
+    def _depart(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        return self.departure.step(self._machine.state, inputs, now_s)
 
-    def _first_way(self, vehicle: VehicleState | None) -> Finding:
-        """What is in the way of the autopilot's own flight to the first waypoint."""
-        if vehicle is None or self.surroundings.lost:
-            return Event.REFUSED, "no estimate at the take-off: where the obstacles are is not known"
-        if not self.surroundings.straight_clear(vehicle.position_ned_m, self._waypoints.first_from_home_m):
-            return Event.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
-        return None
-
-    def _at_first(self, inputs: PlanInputs) -> Finding:
-        """Whether the autopilot has come to the first of several waypoints, which all count alike."""
-        home_ned_m = self.surroundings.home_ned_m
-        if inputs.vehicle is None or home_ned_m is None:
-            return None
-        return self._waypoints.at_first(vehicle_motion(inputs.vehicle, inputs.vehicle.time_s), home_ned_m)
-
-    def _fly_route(self, inputs: PlanInputs, now_s: float) -> Finding:
+    def _fly_route(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Through the waypoints that are ours; the pad in view ends it."""
         home_ned_m = self.surroundings.home_ned_m
         if inputs.vehicle is None or home_ned_m is None or not self._guide.active:
             return None
         if self._pad.steady(now_s):
-            return Event.PAD_SEEN, "on the way through the waypoints"
+            return MissionEvent.PAD_SEEN, "on the way through the waypoints"
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
-        if not self._watch.in_control:
+        if not self._machine.in_control:
             # setpoints first, then the question: PX4 wants to see them before it obeys
-            if now_s - self._begun_s >= self._config.search.stream_s:
-                self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
-            return None
+            streamed_s = now_s - self._begun_s
+            return _STREAMING if streamed_s >= self._config.search.stream_s else None
         return self._waypoints.step(actual, home_ned_m, now_s)
 
-    def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> Finding:
+    def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if inputs.vehicle is None or not self._guide.active:
             return None
         actual = vehicle_motion(inputs.vehicle, now_s)
@@ -269,9 +234,9 @@ class Flight:
         climb_m = self.search.keep_above(self._lowest_down_m())
         if climb_m > 0.0:
             self._say("climb", f"climbing {climb_m:.1f} m: too near to the ground", now_s, "warning")
-        step = self.search.step(actual, self._watch.in_control, self._pad, now_s)
-        if step.ask_for_control:
-            self._requests.ask(Action(ActionKind.TAKE_CONTROL), now_s)
+        step = self.search.step(actual, self._machine.in_control, self._pad, now_s)
+        if step.streaming:
+            return _STREAMING
         if step.request_pad:
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         if step.worth_telling:
@@ -280,24 +245,24 @@ class Flight:
             self._say(
                 "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
             )
-        return (Event.PAD_SEEN, self._pad.in_words()) if step.seen else None
+        return (MissionEvent.PAD_SEEN, self._pad.in_words()) if step.seen else None
 
-    def _come_in(self, inputs: PlanInputs, now_s: float) -> Finding:
+    def _come_in(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         wrong = self._ground_near()
         if wrong is not None:
             return wrong
         self._keep_near_pad(inputs, now_s)
-        fly = self._landing.approach if self._phase is Phase.APPROACH else self._landing.descend
+        fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
         place = self.search.whereabouts.likely(now_s)
-        finding = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
+        event = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         if self._landing.climb_m > _WORTH_TELLING_M:
             climb_m = self._landing.climb_m
             self._say("climb", f"climbing {climb_m:.1f} m while the pad is unseen", now_s, "warning")
-        return finding
+        return event
 
-    def _ground_near(self) -> Finding:
+    def _ground_near(self) -> DetectedEvent | None:
         """Whether the echoes say that there is no room for the pad where it is believed to be."""
         c, surface_m, sight = self._config.landing, self._ground.surface_m, self._pad.sight
         if sight is None or surface_m is None or surface_m > c.ground_near_m:
@@ -306,59 +271,29 @@ class Flight:
             return None
         self._pad.distrust()
         self.search.whereabouts.distrust()
-        return Event.GROUND_NEAR, f"{surface_m:.1f} m below, the pad was thought {sight.height_m:.1f} m below"
+        return (
+            MissionEvent.GROUND_NEAR,
+            f"{surface_m:.1f} m below, the pad was thought {sight.height_m:.1f} m below",
+        )
 
-    def _touch_down(self, inputs: PlanInputs, now_s: float) -> Finding:
-        was_committed = self._touchdown.committed
-        if not was_committed:
+    def _touch_down(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        state = self._machine.state
+        if state not in COMMITTED:
             wrong = self._ground_near()
             if wrong is not None:
                 return wrong
             self._keep_near_pad(inputs, now_s)
-        if inputs.vehicle is not None:
-            self._touchdown.feel(inputs.vehicle.attitude, now_s)
-        finding = self._touchdown.step(self._pad.sight, inputs.range, inputs.autopilot.landed, now_s)
-        if self._touchdown.committed and not was_committed:
-            self._say("commit", "going down", now_s, "info")
-        elif was_committed and not self._touchdown.committed:
-            self._say(
-                "break_off", f"{self._touchdown.broken_off_by}: waiting again over the pad", now_s, "warning"
-            )
-        if self._touchdown.on_pad and finding is None:
-            self._shut_down(inputs, now_s)
-        return finding
+        return self._touchdown.step(state, self._pad.sight, inputs, now_s)
 
-    def _shut_down(self, inputs: PlanInputs, now_s: float) -> None:
-        """On the pad: disarm once the autopilot agrees that it stands, by force once that is sure without it.
-
-        PX4 takes nothing for landed that rides along with a pad, and its LAND mode brakes against the pad: it
-        leans until it tips over. So LAND is asked for only where nothing shows the feet down.
-        """
-        assert self._touchdown.contact_s is not None
-        agrees = inputs.autopilot.landed is LandedState.ON_GROUND
-        down = self._touchdown.still_down(self._pad.sight, inputs.range, now_s)
-        rested_s = self._touchdown.rested_s(inputs.vehicle, now_s, down=down)
-        after_s = self._config.touchdown.land_after_s
-        if agrees or rested_s >= after_s:
-            self._requests.ask(Action(ActionKind.DISARM, force=not agrees), now_s)
-            return
-        stood_s = now_s - self._touchdown.contact_s
-        unshown = self._touchdown.unshown_s(now_s, down=down) >= after_s
-        if stood_s >= 2.0 * after_s and unshown and not self._requests.asked(ActionKind.DISARM):
-            self._watch.let_go()
-            self._requests.ask(Action(ActionKind.LAND), now_s)
-
-    def _hold(self, inputs: PlanInputs, now_s: float) -> Finding:
-        if self._watch.link_back(inputs.autopilot):
-            return Event.CONNECTED, "the autopilot is heard again"
+    def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         if self._retreat is not None and self._guide.active:
             self._guide.fly_to(self._retreat, now_s)
         return self._end(inputs, now_s)
 
-    def _end(self, inputs: PlanInputs, _now_s: float) -> Finding:
+    def _end(self, inputs: PlanInputs, _now_s: float) -> DetectedEvent | None:
         """Hold by our own setpoints until the autopilot has the vehicle."""
-        handed_back = self._requests.granted(ActionKind.HOLD) or self._requests.granted(ActionKind.LAND)
-        if self._watch.released and (handed_back or not inputs.autopilot.offboard):
+        returned = self._requests.granted(ActionKind.HOLD) or self._requests.granted(ActionKind.LAND)
+        if self._machine.authority is Authority.RELEASED and (returned or not inputs.autopilot.offboard):
             self._guide.stop()
         return None
 
@@ -374,10 +309,14 @@ class Flight:
 
     def _keep_near(self, actual: Motion, now_s: float) -> None:
         distance_m = self._guide.keep_near(actual, now_s)
-        if distance_m > 0.0 and self._watch.in_control:
+        if distance_m > 0.0 and self._machine.in_control:
             self._say("strayed", f"{distance_m:.1f} m off the reference: planned anew", now_s, "warning")
 
     def turn(self, now_s: float) -> None:
         """Slew the heading to the pad's over the pad, if so wished."""
-        sight = self._pad.sight if self._phase in BY_THE_PAD and self._config.mission.align_heading else None
+        sight = (
+            self._pad.sight
+            if self._machine.state in BY_THE_PAD and self._config.mission.align_heading
+            else None
+        )
         self._guide.turn(None if sight is None else sight.heading_rad, now_s)

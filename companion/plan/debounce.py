@@ -1,0 +1,19 @@
+"""Debouncing: a condition counts once it has held without a break for a time."""
+
+from __future__ import annotations
+
+
+class Debounce:
+    """How long a condition has held without a break."""
+
+    def __init__(self) -> None:
+        self._since_s: float | None = None
+
+    def held_s(self, condition: bool, now_s: float) -> float:
+        """How long (s) the condition has held; negative when it does not."""
+        if not condition:
+            self._since_s = None
+            return -1.0
+        if self._since_s is None:
+            self._since_s = now_s
+        return now_s - self._since_s

@@ -1,0 +1,132 @@
+"""Contact with the pad: the signs of it, and whether a vehicle that stands may be disarmed.
+
+Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it. m, s.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from companion.base.geometry import GRAVITY_M_S2, norm
+from companion.base.messages import LandedState, PadState, RangeSample, VehicleState
+from companion.base.motion import Motion
+from companion.config import TouchdownConfig, VehicleConfig
+from companion.plan.debounce import Debounce
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import DetectedEvent, MissionEvent
+
+FRESH_S = 0.3
+SIGNS_NEEDED = 2
+_STALLED_M_S = 0.06
+_STALLED_BELOW_M = 0.08
+_AWAY_M = 0.25
+_AWAY_S = 0.3
+# Without thrust it falls at g; a third of that is no deck's motion.
+_FALLS_M_S2 = GRAVITY_M_S2 / 3.0
+_FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
+# Further than this it is not about to stand, whatever is near.
+_MOST_FOOT_LEAN_RAD = math.radians(15.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ContactSigns:
+    """What speaks for standing on the pad."""
+
+    low: bool
+    stalled: bool
+    short_echo: bool
+    landed: bool
+
+    @property
+    def count(self) -> int:
+        """How many agree."""
+        return self.low + self.stalled + self.short_echo + self.landed
+
+    def in_words(self) -> str:
+        """Their names."""
+        names = [name for name in ("low", "stalled", "short_echo", "landed") if getattr(self, name)]
+        return ", ".join(names).replace("_", " ")
+
+
+def contact_signs(
+    sight: PadState | None,
+    reference: Motion,
+    echo: RangeSample | None,
+    landed: LandedState,
+    now_s: float,
+    *,
+    config: TouchdownConfig,
+    vehicle: VehicleConfig,
+    lean_rad: float = 0.0,
+) -> ContactSigns:
+    """Read the signs; `reference` is vehicle minus pad, as `sight` is.
+
+    The lowest foot counts: one that holds a leaning vehicle up is dragged over the pad by what that vehicle
+    does to come back over the middle.
+    """
+    hangs_m = vehicle.foot_reach_m * math.sin(min(lean_rad, _MOST_FOOT_LEAN_RAD))
+    feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
+    low = sight is not None and sight.height_m <= feet_m
+    # the reference goes on down and the vehicle does not
+    stalled = (
+        sight is not None
+        and reference.velocity_m_s[2] >= 0.5 * config.contact_speed_m_s
+        and reference.position_m[2] + sight.height_m >= _STALLED_BELOW_M
+        and abs(sight.sink_m_s) <= _STALLED_M_S
+    )
+    short_echo = _echo_within(echo, feet_m - vehicle.range_position_body_m[2], now_s)
+    return ContactSigns(low, stalled, short_echo, landed is LandedState.ON_GROUND)
+
+
+def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> bool:
+    """Whether a fresh echo came from no farther than that."""
+    return echo is not None and now_s - echo.time_s <= FRESH_S and echo.distance_m <= distance_m
+
+
+class Standing:
+    """A vehicle on the pad, from `begin` on: what shows that it stands, and that it does not."""
+
+    def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig) -> None:
+        self._config, self._vehicle = config, vehicle
+        self.begin(0.0)
+
+    def begin(self, now_s: float) -> None:
+        """The feet are on the pad from now on."""
+        self._since_s = now_s
+        self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
+
+    def off_pad(self, sight: PadState, now_s: float) -> bool:
+        """Whether the pad is seen to be well below after all."""
+        away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
+        return self._away.held_s(away, now_s) >= _AWAY_S
+
+    def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Whether the autopilot agrees that it stands, or that is sure without it, or nothing shows it."""
+        agrees = inputs.autopilot.landed is LandedState.ON_GROUND
+        down = self._shown_down(sight, inputs.range, now_s)
+        rested_s = self._rested_s(inputs.vehicle, now_s, down=down)
+        after_s = self._config.land_after_s
+        if agrees:
+            return MissionEvent.LANDING_DETECTED, "by the autopilot"
+        if rested_s >= after_s:
+            return MissionEvent.AT_REST, f"for {rested_s:.1f} s on the pad"
+        unshown_s = self._unshown.held_s(not down, now_s)
+        if unshown_s >= after_s and now_s - self._since_s >= 2.0 * after_s:
+            return MissionEvent.UNPROVEN, f"nothing shows the feet down for {unshown_s:.1f} s"
+        return None
+
+    def _shown_down(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> bool:
+        """Whether a fresh sight or echo shows the feet on the pad now."""
+        feet_m = self._vehicle.leg_height_m + self._config.contact_margin_m
+        seen = sight is not None and sight.age_s <= FRESH_S and sight.height_m <= feet_m
+        return seen or _echo_within(echo, feet_m - self._vehicle.range_position_body_m[2], now_s)
+
+    def _rested_s(self, vehicle: VehicleState | None, now_s: float, *, down: bool) -> float:
+        """How long (s) it has stood without a break, pressed down; negative when it does not, or may not.
+
+        What is pressed down without thrust, with its feet shown down (`down`), and does not fall, stands.
+        """
+        jolted = vehicle is None or norm(vehicle.acceleration_ned_m_s2) > _FALLS_M_S2
+        falls = self._falling.held_s(jolted, now_s) >= _FALLS_S
+        return self._resting.held_s(down and not falls, now_s)

@@ -1,0 +1,163 @@
+"""The vocabulary of the mission's table: states, events, who has the vehicle, guards, effects, rows.
+
+A state is a phase of the mission, or one of its sub-phases: the touchdown has five, a hold has two. No clock,
+no I/O.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from companion.base.messages import Action, Phase
+
+
+class State(StrEnum):
+    """Where the mission is; `phase` is what the log, the terminal and the time limits call it."""
+
+    CONNECT = "connect"
+    ARM = "arm"
+    TAKE_OFF = "take_off"
+    WAYPOINT = "waypoint"
+    ROUTE = "route"
+    SEARCH = "search"
+    APPROACH = "approach"
+    DESCEND = "descend"
+    WAIT = "wait"  # just over the pad, for a moment to land
+    SINK = "sink"  # committed: down at a constant speed
+    RISE = "rise"  # broken off: back up to where it waits
+    STAND = "stand"  # the feet are on the pad
+    AUTO_LAND = "auto_land"  # on the pad, and the autopilot's LAND mode is to find that out
+    LANDED = "landed"
+    HOLD = "hold"
+    AWAIT_LINK = "await_link"  # a hold that ends when the autopilot is heard again
+    ABORT = "abort"
+
+    @property
+    def phase(self) -> Phase:
+        """The phase that this is, or is a part of."""
+        return _PART_OF.get(self) or Phase(self.value)
+
+
+_PART_OF: Final = {
+    **dict.fromkeys((State.WAIT, State.SINK, State.RISE, State.STAND, State.AUTO_LAND), Phase.TOUCHDOWN),
+    State.AWAIT_LINK: Phase.HOLD,
+}
+
+
+class MissionEvent(StrEnum):
+    """What can happen to a mission."""
+
+    READY = "ready"  # autopilot connected and ready to arm, our estimate aligned
+    ALREADY_ARMED = "already_armed"  # and not by us
+    ALIGNMENT_LOST = "alignment_lost"  # our estimate's, before the autopilot would arm
+    ARMED = "armed"
+    AIRBORNE = "airborne"  # take-off height reached
+    BLOCKED = "blocked"  # the same, but an obstacle is in the straight way that the autopilot would fly
+    HOME_UNKNOWN = "home_unknown"  # the same, but where the obstacles are is not known
+    ARRIVED = "arrived"  # at the waypoint, slow
+    ONWARD = "onward"  # the same, but further waypoints are ours to fly to
+    STREAMING = "streaming"  # setpoints have left for long enough to ask for control
+    CONTROL_GRANTED = "control_granted"  # and the autopilot obeys setpoints
+    PAD_SEEN = "pad_seen"  # steadily, and setpoints of ours are obeyed where that matters
+    CENTRED = "centred"  # above the pad, within the descent cone
+    LOW = "low"  # at the height from which touchdown is one straight go
+    COMMIT = "commit"  # aligned over a pad that is gentle, for a moment
+    BREAK_OFF = "break_off"  # on the last way down, with room to stop
+    RISEN = "risen"  # climbing after a break-off
+    CONTACT = "contact"  # several signs say that the feet stand on the pad
+    LANDING_DETECTED = "landing_detected"  # by the autopilot
+    AT_REST = "at_rest"  # shown to stand on the pad for long enough to need no such word
+    UNPROVEN = "unproven"  # neither, and nothing shows the feet down
+    OFF_PAD = "off_pad"  # the pad is seen well below after all
+    PAD_LOST = "pad_lost"
+    GROUND_NEAR = "ground_near"  # far nearer than the pad is believed to be: that belief is wrong
+    MISALIGNED = "misaligned"  # touchdown cannot be had from here: climb and try again
+    REFUSED = "refused"  # an action, as often as it may be asked
+    TIMEOUT = "timeout"  # of the phase
+    OVERTIME = "overtime"  # of the whole mission, from take-off
+    DISARMED = "disarmed"
+    PILOT_TOOK_OVER = "pilot_took_over"
+    STOP = "stop_requested"
+    LINK_LOST = "link_lost"
+    LINK_UP = "link_up"
+    ESTIMATE_LOST = "estimate_lost"
+    VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
+
+
+# what is detected, and why
+DetectedEvent = tuple[MissionEvent, str]
+
+
+class Authority(StrEnum):
+    """Who commands the vehicle."""
+
+    NONE = "none"  # the autopilot flies by itself; control was not granted yet
+    OURS = "ours"  # our setpoints are obeyed
+    RELEASED = "released"  # returned to the autopilot, or taken by a pilot, for good
+
+
+class Guard(StrEnum):
+    """What else has to hold for a branch to be taken."""
+
+    ALWAYS = "always"
+    CONTROL_NONE = "control not granted yet"
+    CONTROL_OURS = "control is ours"
+    ON_SURFACE = "it stands"  # on the pad by our signs, on the ground by the autopilot's
+    TRIES_LEFT = "tries left"
+    DISARM_NOT_ASKED = "no disarm asked yet"
+
+
+class Effect(StrEnum):
+    """What a branch does besides actions to the autopilot."""
+
+    COUNT_TRY = "count the try"
+    ASK_PAD_POSITION = "ask the ground station for the pad's position"
+    STOP_SETPOINTS = "stop setpoints"
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What guards are judged by."""
+
+    authority: Authority = Authority.NONE
+    tries_left: bool = True
+    on_surface: bool = False
+    disarm_asked: bool = False
+
+    def allow(self, guard: Guard) -> bool:
+        """Whether a guard holds."""
+        return {
+            Guard.ALWAYS: True,
+            Guard.CONTROL_NONE: self.authority is Authority.NONE,
+            Guard.CONTROL_OURS: self.authority is Authority.OURS,
+            Guard.ON_SURFACE: self.on_surface,
+            Guard.TRIES_LEFT: self.tries_left,
+            Guard.DISARM_NOT_ASKED: not self.disarm_asked,
+        }[guard]
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """What follows an event: the next state (None: the same), requests, and who has the vehicle then."""
+
+    to: State | None
+    actions: tuple[Action, ...] = ()
+    authority: Authority | None = None  # None: as before
+    effects: tuple[Effect, ...] = ()
+    guard: Guard = Guard.ALWAYS
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """One event in some states: the first branch whose guard holds; none: the event means nothing.
+
+    `except_` gives the states in which the event may arise and means nothing, with the reason.
+    """
+
+    event: MissionEvent
+    states: frozenset[State]
+    branches: tuple[Branch, ...]
+    except_: Mapping[State, str] = field(default_factory=dict)

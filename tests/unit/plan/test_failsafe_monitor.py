@@ -1,0 +1,182 @@
+from dataclasses import replace
+
+import pytest
+
+from companion.base.messages import AutopilotState, Manner
+from companion.config import MissionConfig, PhaseTimesConfig
+from companion.plan.mission.failsafe_monitor import FailsafeMonitor, is_pilots
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
+from companion.plan.mission.table import FINAL, follows
+from tests.unit.plan.plan_harness import World, still
+
+CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
+FLYING = AutopilotState(0.0, connected=True, manner="px4", armed=True, mode="OFFBOARD", offboard=True)
+HELD = replace(FLYING, mode="LOITER", offboard=False)
+
+
+def inputs(autopilot: AutopilotState = FLYING, stop: bool = False, vehicle: bool = True) -> PlanInputs:
+    w = World(still())
+    w.now_s = 50.0
+    known = w.inputs().vehicle if vehicle else None
+    return PlanInputs(vehicle=known, pad=None, autopilot=autopilot, stop_requested=stop)
+
+
+def monitor(
+    state: State = State.APPROACH, authority: Authority = Authority.OURS
+) -> tuple[FailsafeMonitor, StateMachine]:
+    machine = StateMachine(retries=3)
+    machine.state, machine.authority = state, authority
+    return FailsafeMonitor(CONFIG, machine), machine
+
+
+def gravest(
+    given: PlanInputs, state: State = State.APPROACH, authority: Authority = Authority.OURS
+) -> MissionEvent | None:
+    """The first event that means something in a state; control is not granted anew."""
+    watch, machine = monitor(state, authority)
+    events = [event for event, _ in watch.detect(given, False, 50.0)]
+    circumstances = Circumstances(machine.authority)
+    return next((e for e in events if follows(state, e, circumstances) is not None), None)
+
+
+def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bool = False) -> bool:
+    events = [event for event, _ in watch.detect(inputs(autopilot), granted, 50.0)]
+    return MissionEvent.PILOT_TOOK_OVER in events
+
+
+@pytest.mark.parametrize(
+    ("manner", "mode", "pilots"),
+    [
+        ("px4", "POSCTL", True),
+        ("px4", "posctl", True),
+        ("px4", "AUTO.RTL", True),
+        ("px4", "OFFBOARD", False),
+        ("px4", "LOITER", False),
+        ("px4", "TAKEOFF", False),
+        ("ardupilot", "LOITER", True),
+        ("ardupilot", "Alt Hold", True),
+        ("ardupilot", "GUIDED", False),
+        (None, "MANUAL", False),
+    ],
+)
+def test_which_modes_are_a_pilots(manner: Manner | None, mode: str, pilots: bool) -> None:
+    assert is_pilots(mode, manner) is pilots
+
+
+def test_all_is_well_is_nothing() -> None:
+    assert gravest(inputs()) is None
+
+
+def test_control_is_granted_once_the_autopilot_obeys() -> None:
+    watch, _ = monitor(State.SEARCH, Authority.NONE)
+    for autopilot, granted, found in ((HELD, True, False), (FLYING, False, False), (FLYING, True, True)):
+        events = [event for event, _ in watch.detect(inputs(autopilot), granted, 50.0)]
+        assert (MissionEvent.CONTROL_GRANTED in events) is found
+
+
+def test_with_control_ours_any_other_mode_is_somebody_elses_even_one_that_is_nobodys() -> None:
+    watch, _ = monitor()
+    assert not taken_over(watch, FLYING)
+    assert taken_over(watch, HELD)
+
+
+def test_returned_to_the_autopilot_a_change_of_mode_is_ours() -> None:
+    watch, machine = monitor()
+    assert not taken_over(watch, FLYING)
+    machine.authority = Authority.RELEASED
+    assert not taken_over(watch, HELD)
+
+
+def test_before_control_only_the_change_into_a_pilots_mode_counts() -> None:
+    watch, _ = monitor(State.WAYPOINT, Authority.NONE)
+    manual = replace(FLYING, mode="POSCTL", offboard=False)
+    assert taken_over(watch, manual)
+    assert not taken_over(watch, manual)  # as found: it was like that already
+    assert not taken_over(watch, replace(manual, mode="TAKEOFF"))
+    assert taken_over(watch, manual)
+
+
+@pytest.mark.parametrize(
+    ("given", "state", "event"),
+    [
+        (inputs(replace(FLYING, armed=False)), State.APPROACH, MissionEvent.DISARMED),
+        (inputs(HELD), State.APPROACH, MissionEvent.PILOT_TOOK_OVER),
+        (inputs(stop=True), State.APPROACH, MissionEvent.STOP),
+        (inputs(replace(FLYING, connected=False)), State.APPROACH, MissionEvent.LINK_LOST),
+        (inputs(vehicle=False), State.APPROACH, MissionEvent.ESTIMATE_LOST),
+        (inputs(replace(FLYING, connected=False)), State.STAND, None),
+        (inputs(vehicle=False), State.STAND, None),
+        # a pilot is asked before the one at the keyboard, and a lost link knows no mode
+        (inputs(HELD, stop=True), State.APPROACH, MissionEvent.PILOT_TOOK_OVER),
+        (inputs(replace(HELD, connected=False)), State.APPROACH, MissionEvent.LINK_LOST),
+        # on the last way down a stop waits, and what else is wrong does not
+        (inputs(stop=True), State.WAIT, MissionEvent.STOP),
+        (inputs(stop=True), State.SINK, None),
+        (inputs(vehicle=False, stop=True), State.SINK, MissionEvent.ESTIMATE_LOST),
+        # before take-off being disarmed is no event
+        (inputs(replace(FLYING, armed=False)), State.ARM, None),
+    ],
+)
+def test_the_gravest_event_that_means_something_counts(
+    given: PlanInputs, state: State, event: MissionEvent | None
+) -> None:
+    authority = Authority.NONE if state is State.ARM else Authority.OURS
+    assert gravest(given, state, authority) is event
+
+
+@pytest.mark.parametrize("authority", [Authority.OURS, Authority.RELEASED])
+def test_a_pilot_is_heeded_on_the_pad_too_and_our_own_land_is_not_a_pilot(authority: Authority) -> None:
+    watch, _ = monitor(State.AUTO_LAND, authority)
+    assert not taken_over(watch, replace(FLYING, mode="AUTO.LAND", offboard=False))
+    assert not taken_over(watch, FLYING)
+    assert taken_over(watch, replace(FLYING, mode="POSCTL", offboard=False))
+
+
+def test_a_velocity_that_nobody_knows_ends_a_search_but_not_a_descent() -> None:
+    given = inputs()
+    assert given.vehicle is not None
+    lost = replace(given, vehicle=replace(given.vehicle, velocity_std_m_s=2.0))
+    assert gravest(lost, State.SEARCH) is MissionEvent.VELOCITY_UNKNOWN
+    assert gravest(lost, State.DESCEND) is None
+
+
+@pytest.mark.parametrize("state", sorted(FINAL))
+def test_a_mission_that_has_ended_detects_nothing_more(state: State) -> None:
+    watch, _ = monitor(state)
+    assert watch.detect(inputs(HELD, stop=True), True, 50.0) == ()
+
+
+def test_time_on_both_sides_of_its_bounds() -> None:
+    watch, machine = monitor(State.ARM, Authority.NONE)
+    w = World(still())
+
+    def at(now_s: float) -> list[MissionEvent]:
+        w.now_s = now_s
+        given = replace(inputs(), vehicle=w.inputs().vehicle)
+        late = {MissionEvent.TIMEOUT, MissionEvent.OVERTIME}
+        return [event for event, _ in watch.detect(given, False, now_s) if event in late]
+
+    # waiting on the ground is not flying: the mission's time counts from take-off
+    watch.phase_begins(2.0)
+    machine.state = State.TAKE_OFF
+    watch.phase_begins(10.0)
+    machine.state = State.APPROACH
+    watch.phase_begins(20.0)
+    assert at(49.9) == []
+    assert at(50.1) == [MissionEvent.TIMEOUT]
+    watch.phase_begins(109.0)
+    assert at(109.9) == []
+    assert at(110.1) == [MissionEvent.OVERTIME]
+
+
+def test_an_estimate_that_is_old_counts_as_lost() -> None:
+    given = inputs()
+    assert given.vehicle is not None
+    old = replace(given, vehicle=replace(given.vehicle, time_s=49.4))
+    assert gravest(old) is MissionEvent.ESTIMATE_LOST
+    unaligned = replace(given, vehicle=replace(given.vehicle, aligned=False))
+    assert gravest(unaligned) is MissionEvent.ESTIMATE_LOST
+    # not needed where the autopilot navigates
+    assert gravest(old, State.WAYPOINT, Authority.NONE) is None

@@ -1,0 +1,290 @@
+"""The mission's table, walked: every pair of state and event, every guard, every action."""
+
+from itertools import product
+
+import pytest
+
+from companion.base.messages import ActionKind, Phase
+from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, MissionEvent, State
+from companion.plan.mission.table import (
+    ANYWHERE,
+    FINAL,
+    IN_AIR,
+    LIVE,
+    ON_PAD,
+    ROWS,
+    TABLE,
+    TOUCHDOWN,
+    follows,
+    impossible,
+)
+from docs import state_machine
+
+E, S = MissionEvent, State
+FLYING = Circumstances(authority=Authority.OURS)
+EVERY_CIRCUMSTANCE = [
+    Circumstances(authority, tries_left, on_surface, asked)
+    for authority in Authority
+    for tries_left, on_surface, asked in product((False, True), repeat=3)
+]
+
+
+def led(state: State, event: MissionEvent, circumstances: Circumstances = FLYING) -> Branch:
+    branch = follows(state, event, circumstances)
+    assert branch is not None
+    return branch
+
+
+def kinds(branch: Branch) -> list[ActionKind]:
+    return [action.kind for action in branch.actions]
+
+
+# ---------------------------------------------------------------- the whole table
+
+
+def test_every_pair_stands_in_exactly_one_row_or_is_impossible_or_the_mission_has_ended() -> None:
+    assert set(TABLE) == set(product(State, MissionEvent))
+    for state, event in TABLE:
+        rows = [row for row in ROWS if row.event is event and state in (*row.states, *row.except_)]
+        assert len(rows) <= 1
+        assert bool(rows) is not (impossible(state, event) or state in FINAL)
+        assert not (rows and state in rows[0].states and state in rows[0].except_)
+
+
+@pytest.mark.parametrize("event", ANYWHERE)
+@pytest.mark.parametrize("state", sorted(LIVE))
+def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_reason(
+    state: State, event: MissionEvent
+) -> None:
+    assert not impossible(state, event)
+    if not TABLE[state, event]:
+        [reason] = [r.except_[state] for r in ROWS if r.event is event and state in r.except_]
+        assert reason
+
+
+@pytest.mark.parametrize(
+    ("event", "excepted"),
+    [
+        (E.STOP, {S.SINK, S.STAND, S.AUTO_LAND}),
+        (E.PILOT_TOOK_OVER, {S.CONNECT}),
+        (E.LINK_LOST, {S.CONNECT, S.ARM, S.HOLD, S.AWAIT_LINK, S.STAND, S.AUTO_LAND}),
+        (E.ESTIMATE_LOST, {S.CONNECT, S.ARM, S.TAKE_OFF, S.WAYPOINT, S.STAND, S.AUTO_LAND}),
+        (E.DISARMED, {S.CONNECT, S.ARM}),
+        (E.OVERTIME, {S.CONNECT, S.ARM}),
+        (E.TIMEOUT, set()),
+    ],
+)
+def test_the_failsafes_mean_something_in_every_state_but_these(
+    event: MissionEvent, excepted: set[State]
+) -> None:
+    assert {state for state in LIVE if not TABLE[state, event]} == excepted
+
+
+@pytest.mark.parametrize("state", sorted(LIVE))
+def test_every_state_can_be_reached_and_left_whatever_the_circumstances(state: State) -> None:
+    reached, left = {State.CONNECT}, set()
+    for (at, event), branches in TABLE.items():
+        if not impossible(at, event) and at not in FINAL:
+            reached |= {b.to for b in branches if b.to not in {None, at}}
+            left |= {at for b in branches if b.to not in {None, at}}
+    assert state in reached
+    assert state in left
+    for circumstances in EVERY_CIRCUMSTANCE:
+        assert led(state, E.TIMEOUT, circumstances).to not in {None, state}
+
+
+@pytest.mark.parametrize("state", sorted(LIVE))
+def test_every_state_ends_by_time(state: State) -> None:
+    # following TIMEOUT alone the mission is over after a few phases
+    machine = StateMachine(retries=2)
+    machine.state, machine.authority = state, Authority.OURS
+    for _ in range(5):
+        if machine.state in FINAL:
+            return
+        branch = machine.follows(E.TIMEOUT, on_surface=False, disarm_asked=False)
+        assert branch is not None
+        machine.take(branch)
+    pytest.fail(f"{state} does not end by time")
+
+
+@pytest.mark.parametrize("state", sorted(FINAL))
+@pytest.mark.parametrize("event", list(MissionEvent))
+def test_what_has_ended_stays_ended(state: State, event: MissionEvent) -> None:
+    assert all(follows(state, event, circumstances) is None for circumstances in EVERY_CIRCUMSTANCE)
+
+
+@pytest.mark.parametrize(("state", "event"), list(TABLE))
+def test_once_released_nothing_is_asked_of_the_autopilot(state: State, event: MissionEvent) -> None:
+    for circumstances in EVERY_CIRCUMSTANCE:
+        branch = follows(state, event, circumstances)
+        if branch is not None and circumstances.authority is Authority.RELEASED:
+            assert branch.actions == ()
+            assert branch.authority in {None, Authority.RELEASED}
+
+
+def test_the_mission_ends_released_and_asks_for_no_position_on_the_ground() -> None:
+    for (state, event), branches in TABLE.items():
+        for branch in branches:
+            if branch.to in FINAL:
+                assert branch.authority is Authority.RELEASED
+            if ActionKind.HOLD in kinds(branch) and state in ON_PAD:
+                assert branch.guard is Guard.ALWAYS
+                standing = led(state, event, Circumstances(Authority.OURS, on_surface=True))
+                assert ActionKind.HOLD not in kinds(standing)
+
+
+def test_a_branch_without_a_guard_is_the_last() -> None:
+    for branches in TABLE.values():
+        assert all(branch.guard is not Guard.ALWAYS for branch in branches[:-1])
+
+
+def test_each_action_is_asked_from_few_states_alone() -> None:
+    asked: dict[tuple[ActionKind, bool], set[State]] = {}
+    for (state, event), branches in TABLE.items():
+        for action in [a for b in branches for a in b.actions if not impossible(state, event)]:
+            asked.setdefault((action.kind, action.force), set()).add(state)
+    assert asked[ActionKind.ARM, False] == {S.CONNECT}
+    assert asked[ActionKind.TAKE_OFF, False] == {S.ARM}
+    assert asked[ActionKind.GO_TO, False] == {S.TAKE_OFF}
+    assert asked[ActionKind.TAKE_CONTROL, False] == {S.ROUTE, S.SEARCH}
+    assert asked[ActionKind.DISARM, True] == ON_PAD  # in the air it drops the vehicle
+    assert asked[ActionKind.DISARM, False] == {S.ARM, S.TAKE_OFF} | ON_PAD
+
+
+def test_what_should_not_happen_returns_control_to_the_autopilot() -> None:
+    for pair in (
+        (S.CONNECT, E.CONTACT),
+        (S.TAKE_OFF, E.LOW),
+        (S.APPROACH, E.ARMED),
+        (S.WAIT, E.AIRBORNE),
+        (S.HOLD, E.PAD_SEEN),
+        (S.DESCEND, E.ONWARD),
+    ):
+        assert impossible(*pair)
+        branch = led(*pair)
+        assert branch.to is S.HOLD
+        assert kinds(branch) == [ActionKind.HOLD]
+        assert branch.authority is Authority.RELEASED
+
+
+def test_the_page_with_the_diagram_is_the_tables() -> None:
+    page = state_machine.PAGE.read_text(encoding="utf-8")
+    assert page == state_machine.page_text(), "run: python -m docs.state_machine"
+
+
+def test_the_diagram_shows_every_change_of_state_but_the_failsafes_from_each() -> None:
+    drawn = set("\n".join(state_machine.diagram()).splitlines())
+    for row in ROWS:
+        for state, branch in product(row.states, row.branches):
+            if branch.to is not None and row.event not in state_machine.FAILSAFES:
+                arrow = f"    {state.value} --> {branch.to.value}: "
+                assert any(row.event.replace("_", " ") in line for line in drawn if line.startswith(arrow))
+
+
+def test_a_state_is_a_part_of_a_phase() -> None:
+    assert {state.phase for state in State} == set(Phase)
+    assert {state for state in State if state.phase is Phase.TOUCHDOWN} == TOUCHDOWN
+
+
+# ---------------------------------------------------------------- what it says
+
+
+def test_a_good_flight_goes_through_in_order() -> None:
+    machine, passed = StateMachine(retries=3), []
+    for name in (
+        *("READY", "ARMED", "AIRBORNE", "ARRIVED", "STREAMING", "CONTROL_GRANTED", "PAD_SEEN", "CENTRED"),
+        *("LOW", "COMMIT", "BREAK_OFF", "RISEN", "COMMIT", "CONTACT", "LANDING_DETECTED", "DISARMED"),
+    ):
+        before = machine.state
+        assert not impossible(before, E[name])
+        branch = machine.follows(E[name], on_surface=False, disarm_asked=False)
+        assert branch is not None
+        machine.take(branch)
+        if machine.state is not before:
+            passed.append(machine.state.value)
+    assert passed == [
+        *("arm", "take_off", "waypoint", "search", "approach", "descend"),
+        *("wait", "sink", "rise", "wait", "sink", "stand", "landed"),
+    ]
+
+
+@pytest.mark.parametrize("state", sorted(LIVE - {S.CONNECT}))
+def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
+    branch = led(state, E.PILOT_TOOK_OVER)
+    assert (branch.to, branch.actions, branch.authority) == (S.ABORT, (), Authority.RELEASED)
+    assert Effect.STOP_SETPOINTS in branch.effects
+
+
+@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN])
+@pytest.mark.parametrize("state", sorted(IN_AIR - ON_PAD))
+def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
+    if TABLE[state, event]:
+        assert led(state, event).to is S.ABORT
+        assert kinds(led(state, event)) == [ActionKind.HOLD]
+        # one that stands would lift off to hold a position
+        assert kinds(led(state, event, Circumstances(Authority.OURS, on_surface=True))) == [ActionKind.LAND]
+
+
+def test_stopped_on_the_ground_it_disarms_or_does_nothing() -> None:
+    assert led(S.CONNECT, E.STOP).actions == ()
+    assert kinds(led(S.ARM, E.STOP)) == [ActionKind.DISARM]
+
+
+@pytest.mark.parametrize("state", [S.APPROACH, S.DESCEND])
+def test_losing_the_pad_asks_for_a_new_position(state: State) -> None:
+    branch = led(state, E.PAD_LOST)
+    assert branch.to is S.SEARCH
+    assert branch.effects == (Effect.ASK_PAD_POSITION,)
+
+
+@pytest.mark.parametrize(
+    ("state", "event"),
+    [
+        *product((S.WAIT, S.RISE, S.SINK), (E.MISALIGNED, E.PAD_LOST)),
+        *((S.STAND, E.OFF_PAD), (S.AUTO_LAND, E.OFF_PAD), (S.DESCEND, E.TIMEOUT)),
+    ],
+)
+def test_a_missed_touchdown_goes_round_again_until_its_tries_are_used_up(
+    state: State, event: MissionEvent
+) -> None:
+    again, last = led(state, event), led(state, event, Circumstances(Authority.OURS, tries_left=False))
+    assert (again.to, last.to) == (S.APPROACH, S.HOLD)
+    assert Effect.COUNT_TRY in again.effects
+
+
+def test_so_many_tries_more_than_the_first() -> None:
+    machine, ends = StateMachine(retries=2), []
+    for _ in range(3):
+        machine.state = S.WAIT
+        ends.append(machine.last_try)
+        branch = machine.follows(E.MISALIGNED, on_surface=False, disarm_asked=False)
+        assert branch is not None
+        machine.take(branch)
+    assert ends == [False, False, True]
+    assert machine.state is S.HOLD
+
+
+def test_motors_off_on_the_pad_are_a_landing_and_before_that_none() -> None:
+    for state in IN_AIR:
+        assert led(state, E.DISARMED).to is (S.LANDED if state in ON_PAD else S.ABORT)
+
+
+def test_land_is_asked_on_the_pad_only_where_no_disarm_is_open() -> None:
+    assert kinds(led(S.STAND, E.UNPROVEN)) == [ActionKind.LAND]
+    assert follows(S.STAND, E.UNPROVEN, Circumstances(Authority.OURS, disarm_asked=True)) is None
+
+
+def test_a_link_that_is_back_is_of_use_only_while_control_is_ours() -> None:
+    assert led(S.AWAIT_LINK, E.LINK_UP).to is S.SEARCH
+    for authority in (Authority.NONE, Authority.RELEASED):
+        assert follows(S.AWAIT_LINK, E.LINK_UP, Circumstances(authority)) is None
+
+
+def test_what_the_autopilot_cannot_fly_straight_to_and_further_waypoints_are_flown_by_us() -> None:
+    assert led(S.TAKE_OFF, E.BLOCKED).to is S.ROUTE
+    assert led(S.TAKE_OFF, E.BLOCKED).actions == ()
+    assert led(S.WAYPOINT, E.ONWARD).to is S.ROUTE
+    for event in (E.ARRIVED, E.PAD_SEEN, E.TIMEOUT):
+        assert led(S.ROUTE, event).to is S.SEARCH
+    assert kinds(led(S.ROUTE, E.REFUSED)) == [ActionKind.HOLD]
