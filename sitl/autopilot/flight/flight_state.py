@@ -1,6 +1,6 @@
-"""One autopilot's parts put together, what it shows of itself, and what a reboot makes new.
+"""The parts of one autopilot, its public state, and what a reboot resets.
 
-Its NED frame, height and heading are its own (see `estimator`). SI units.
+Its NED frame, height and heading have the errors of `estimator`. SI units.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class FlightState:
         self._boot()
 
     def _boot(self) -> None:
-        """Everything that does not outlive a reboot; the parameters and the mission do."""
+        """Reset everything but the parameters and the mission, as a reboot does."""
         self.boots += 1
         self.booted_s: float | None = None
         self._commander = Commander(self.profile)
@@ -85,7 +85,7 @@ class FlightState:
         self._last_task: Task | None = None
         self._precision_landing_active = False
 
-    # ------------------------------------------------------------ what it shows
+    # ------------------------------------------------------------ public state
 
     @property
     def armed(self) -> bool:
@@ -115,7 +115,7 @@ class FlightState:
 
     @property
     def home_set(self) -> bool:
-        """It knows where it started from, though perhaps not yet where it is."""
+        """Home is set, even if the position is not yet known."""
         return self._commander.situation.home_set
 
     @property
@@ -143,7 +143,7 @@ class FlightState:
 
     @property
     def thrust(self) -> float:
-        """Collective thrust asked of the motors, 0..1."""
+        """Collective thrust setpoint, 0..1."""
         return self._cascade.thrust
 
     @property
@@ -153,7 +153,7 @@ class FlightState:
 
     @property
     def rc_input(self) -> RcInput:
-        """The sticks, as far as somebody is at them."""
+        """The RC input."""
         return self._manual_control.rc_input
 
     @property
@@ -180,11 +180,11 @@ class FlightState:
         return texts
 
     def set_mode_named(self, name: str) -> CommandResult:
-        """Change to a mode of the manner's own."""
+        """Change to one of the profile's modes by name."""
         return self._change_mode(self.profile.mode(name))
 
     def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
-        self._watch_mission()  # one that has come since the last step counts already
+        self._watch_mission()  # one received since the last step counts already
         return self._commander.change_mode(mode, number)
 
     def _watch_mission(self) -> None:
@@ -197,7 +197,7 @@ class FlightState:
     # ------------------------------------------------------------ places
 
     def _local(self, place: Vector3, over_home: bool) -> Vector3:
-        """Latitude, longitude (deg) and altitude (m) in the own NED; what is no number is the present one."""
+        """Latitude, longitude (deg) and altitude (m) in local NED; NaN means the present one."""
         latitude, longitude, altitude = self.geodetic(self.estimate.position_ned_m)
         if math.isfinite(place[0]) and math.isfinite(place[1]):
             latitude, longitude = place[0], place[1]

@@ -1,6 +1,7 @@
-"""What differs between autopilots, as fields of one table: `px4.PX4` and `ardupilot.ARDUPILOT` fill it in.
+"""An autopilot's profile: what differs between PX4 and ArduPilot, as fields of one table.
 
-The rest of the package asks these fields, never "which autopilot is it".
+`px4.profile.PX4` and `ardupilot.profile.ARDUPILOT` are its instances. Other code reads the fields and never
+checks which autopilot it is.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 
 
 @dataclass(frozen=True, slots=True)
 class ParameterMap:
-    """Which parameter holds what; None: the autopilot has none for it.
+    """Which parameter holds which setting; None: the autopilot has none for it.
 
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
     `rc_loss_enabled` at 0 lets a lost radio be; `rc_loss_exceptions` are bits of modes that a lost radio does
@@ -75,7 +76,7 @@ class ParameterMap:
 
 @dataclass(frozen=True, slots=True)
 class Texts:
-    """What it says on occasions; empty: nothing."""
+    """Texts on events; empty: none."""
 
     boot: tuple[str, ...]
     aligned: tuple[str, ...]
@@ -91,7 +92,7 @@ class Texts:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotProfile:
-    """One autopilot's habits.
+    """The behaviour of one autopilot.
 
     `pitch_channel_reversed`: the RC channel of the pitch stick falls when it is pushed. `precision_landing`
     makes the precision landing, if the parameters ask for one at boot; it flies the tasks in
@@ -186,7 +187,7 @@ def never_flown(now: VehicleStatus) -> bool:
 
 
 def level(now: VehicleStatus) -> bool:
-    """Leans by less than 20 degrees."""
+    """Tilted by less than 20 degrees."""
     return now.tilt_rad < math.radians(20.0)
 
 
@@ -206,15 +207,15 @@ def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
 
 
 def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
-    """Flown by hand alone, in flight, and nobody is at the sticks."""
+    """A manual mode, in flight, without RC input."""
     return not mode.in_flight and now.armed and not now.landed and not now.rc_available
 
 
 def rc_lost(now: VehicleStatus) -> bool:
-    """Somebody was at the sticks, and no longer is."""
+    """RC input was received, and no longer is."""
     return now.rc_lost
 
 
 def setpoints_stopped(now: VehicleStatus) -> bool:
-    """In a mode that lives on streamed setpoints, and none comes."""
+    """In a mode that needs streamed setpoints, and none arrives."""
     return now.streaming and now.setpoint_age_s > now.setpoint_timeout_s
