@@ -117,11 +117,6 @@ class VehicleClient:
         self._slow_windows = 0
 
     @property
-    def found(self) -> bool:
-        """Whether an autopilot has been received."""
-        return self._system is not None
-
-    @property
     def system_id(self) -> int:
         """The vehicle's; 1 before it is known."""
         return self._system or 1

@@ -75,11 +75,6 @@ class Network:
         self._ports: list[Port] = []
         self._links_made = 0
 
-    @property
-    def ports(self) -> Sequence[Port]:
-        """Those that are open."""
-        return self._ports
-
     def connect(self, write: Write, *, datagrams: bool) -> Port:
         """Open a port for a client; `datagrams`: whole ones are handed to `receive`."""
         endpoint = MavlinkEndpoint(

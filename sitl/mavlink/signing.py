@@ -16,7 +16,8 @@ from typing import Any, Final
 
 from companion.base.messages import Manner
 from companion.config import ConfigError
-from sitl.mavlink.framing import SIGNATURE_BYTES, MavFrame, dialect
+from companion.link.codec import SIGNATURE_BYTES
+from sitl.mavlink.framing import MavFrame, dialect
 
 KEY_BYTES: Final = 32
 EPOCH_UNIX_S: Final = 1_420_070_400

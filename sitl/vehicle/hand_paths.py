@@ -15,12 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 HandMotion = Literal["still", "tumble", "faces", "sway", "over-pad"]
-HAND_MOTIONS: Final[tuple[HandMotion, ...]] = get_args(HandMotion)
 
 Six = tuple[float, float, float, float, float, float]
 # a coordinate's waves: amplitude (m or rad), frequency (rad/s), phase (rad)

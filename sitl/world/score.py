@@ -160,11 +160,6 @@ class Verdict:
     touchdown: TouchdownResult | None
     failures: tuple[str, ...] = ()
 
-    @property
-    def passed(self) -> bool:
-        """Whether it counts."""
-        return self.outcome is Outcome.LANDED
-
 
 def judge(
     touchdown: TouchdownState | None,

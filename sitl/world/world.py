@@ -190,26 +190,6 @@ class World:
         return self._state
 
     @property
-    def specific_force_body_m_s2(self) -> Vector3:
-        """Mean specific force at the centre of mass over the last step."""
-        return self._state.specific_force_body_m_s2
-
-    @property
-    def rate_body_rad_s(self) -> Vector3:
-        """Body rate now."""
-        return self._state.rate_body_rad_s
-
-    @property
-    def angular_acceleration_body_rad_s2(self) -> Vector3:
-        """Angular acceleration over the last step."""
-        return self._state.angular_acceleration_body_rad_s2
-
-    @property
-    def in_contact(self) -> bool:
-        """Whether anything touches ground or pad."""
-        return self._load.touching
-
-    @property
     def height_m(self) -> float:
         """Height of the reference point over what lies under it."""
         north, east, down = self._state.position_ned_m
@@ -220,12 +200,11 @@ class World:
         """Height of the reference point over the surface when standing."""
         return self.airframe.legs.standing_height_m()
 
-    def range_to_surface_m(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> float | None:
-        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back."""
-        return self.ranging(sensor_position_body_m, half_angle_rad)()
-
     def ranging(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> Callable[[], float | None]:
-        """`range_to_surface_m` of the present state, computed when called."""
+        """Distance (m) of the first echo in a cone about the body's down axis, None without an echo.
+
+        It is computed when called, from the present state.
+        """
         return partial(
             echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
         )
