@@ -1,10 +1,10 @@
 """A MAVLink client of an external vehicle: its system id, arming state and true pose.
 
 Sans I/O: bytes in with `receive`, bytes out with `transmit`, samples of its pose out with `take_samples`.
-Component 26 (MAV_COMP_ID_USER2) of the vehicle's own system; of no type that an autopilot waits for. It asks
-for the simulator's truth by MAV_CMD_SET_MESSAGE_INTERVAL, and again while it comes too seldom; when none has
-come for a while it says so and takes the autopilot's estimates. A truth that comes late still takes their
-place, but not while armed nor after a flight, whose score would be lost: the two lie metres apart.
+Component 26 (MAV_COMP_ID_USER2) of the vehicle's system; of no type that an autopilot waits for. It requests
+the simulator's truth by MAV_CMD_SET_MESSAGE_INTERVAL, and again while the rate is too low. When none arrives
+for a while, it reports that and uses the autopilot's estimates. A late truth still replaces
+them, but not while armed nor after a flight, whose score would be lost: the two are metres apart.
 """
 
 from __future__ import annotations

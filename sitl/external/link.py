@@ -1,8 +1,8 @@
 """Links to an external vehicle over UDP or TCP, and a UDP port by which the app shares them.
 
-`udp:HOST:PORT` calls that port, `udpin:HOST:PORT` listens there (a PX4 SITL sends to 14540 and 14550 by
-itself), `tcp:HOST:PORT` calls and calls again (an ArduPilot SITL listens on 5760, 5762 and 5763). A vehicle
-that is not there yet, or gone, is waited for; `tell` gets one line about it, and one when it is back.
+`udp:HOST:PORT` sends to that port, `udpin:HOST:PORT` listens there (a PX4 SITL sends to 14540 and 14550),
+`tcp:HOST:PORT` connects and reconnects (an ArduPilot SITL listens on 5760, 5762 and 5763). While the vehicle
+is absent it waits; `tell` gets one line about that, and one when the vehicle is back.
 """
 
 from __future__ import annotations

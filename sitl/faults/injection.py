@@ -25,16 +25,16 @@ class FaultTargets:
     def __init__(
         self,
         rack: SensorRack,
-        onboard: SimulatedAutopilotSensors,
+        autopilot_sensors: SimulatedAutopilotSensors,
         frames: FrameLine,
         motors: Motors,
         to_app: LinkWay,
         to_vehicle: LinkWay,
     ) -> None:
-        """`onboard` are the autopilot's own sensors, on which faults of the environment act too."""
+        """`autopilot_sensors`: faults of the environment act on them too."""
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
-        self.onboard = onboard
+        self.autopilot_sensors = autopilot_sensors
         self.frames, self.motors = frames, motors
         self.to_app, self.to_vehicle = to_app, to_vehicle
 
@@ -55,7 +55,7 @@ class FaultTargets:
         self.gps.has_fix, self.gps.silent = True, False
         self.position.jump_ned_m, self.position.frozen = ZERO3, False
         self.position.glitches.clear_faults()
-        self.onboard.has_sky, self.onboard.stray_field_ut = True, ZERO3
+        self.autopilot_sensors.has_sky, self.autopilot_sensors.stray_field_ut = True, ZERO3
         self.frames.clear_faults()
         self.motors.clear_faults()
         self.to_app.cut = self.to_vehicle.cut = False
@@ -123,7 +123,7 @@ def freeze_magnetometer(_fault: faults.MagFrozen, targets: FaultTargets) -> None
 
 def disturb_magnetometer(fault: faults.MagDisturbed, targets: FaultTargets) -> None:
     """An additional field."""
-    for sensor in (targets.magnetometer, targets.onboard):
+    for sensor in (targets.magnetometer, targets.autopilot_sensors):
         sensor.stray_field_ut = add(sensor.stray_field_ut, fault.field_body_ut)
 
 
@@ -141,7 +141,7 @@ def lose_gps(fault: faults.GpsLost, targets: FaultTargets) -> None:
         targets.gps.silent = True
     else:
         targets.gps.has_fix = False
-        targets.onboard.has_sky = False
+        targets.autopilot_sensors.has_sky = False
 
 
 def freeze_gps(_fault: faults.GpsFrozen, targets: FaultTargets) -> None:

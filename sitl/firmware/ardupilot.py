@@ -1,8 +1,8 @@
 """ArduCopter in lockstep, by its JSON backend: servo pulses in, the vehicle's state out, over UDP.
 
-ArduCopter sends a packet of pulses and waits for the answer, whose `timestamp` is its clock: nothing of it
-moves meanwhile. Its barometer, compass and GPS it makes itself from the position and attitude that it is
-told; the IMU is ours, vibration and all. MAVLink comes by UDP too, by its first serial port.
+ArduCopter sends a packet of pulses and waits for the answer, whose `timestamp` is its clock: it does not
+run meanwhile. It simulates barometer, compass and GPS itself from the position and attitude that it
+receives; the IMU is the simulator's, with vibration. MAVLink is on UDP too, on its first serial port.
 """
 
 from __future__ import annotations

@@ -292,6 +292,6 @@ OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
 }
 
 
-def builders_of(profile: Manner) -> dict[int, Builder]:
+def builders_of(autopilot: Manner) -> dict[int, Builder]:
     """The messages of one autopilot, its sensors' apart."""
-    return BUILDERS | OWN_BUILDERS[profile]
+    return BUILDERS | OWN_BUILDERS[autopilot]

@@ -3,8 +3,8 @@
 Two modes. For users (`serve`) MAVLink is on PX4's and ArduPilot's usual ports, a text describes where
 and how to connect, and Ctrl-C ends it. As the app's child (`serve_child`) it takes one free UDP port, reports
 where by one line of JSON on standard output (the keys are the app's settings), and flies until standard input
-says `finish PHASE`, which makes it judge the flight and write `report.json` to its folder, or until standard
-input ends: a child whose parent has died does not stay behind.
+has `finish PHASE`, upon which it scores the flight and writes `report.json` to its folder, or until standard
+input ends: the child does not outlive its parent.
 
 Either way the GPS and the ultrasonic are on ptys, the MPU9250's registers and the camera's frames on unix
 sockets in its folder.

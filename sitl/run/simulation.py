@@ -20,6 +20,7 @@ from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
 from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
+from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.faults.injection import FaultSchedule, FaultTargets
@@ -114,13 +115,13 @@ class Simulation:
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
         place = (HOME, MAGNETIC_FIELD_NED_UT)
         self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port)
-        self.imu_bus = self._rack.imu
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        self._onboard = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
+        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
+        self._autopilot_sensors = sensors
         self._camera = SceneCamera(scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng)
         self.line = line = MavlinkLine(scenario.link, fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
-        devices = (self._rack, self._onboard, self._frame_line, world.motors, line.to_app, line.to_vehicle)
+        devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
         self._faults = FaultSchedule(scenario.faults, FaultTargets(*devices))
         signing = Signing(scenario.autopilot, signing_key)
         station = GroundStation.of(scenario.beacon, beacon_rng, HOME, signing)
@@ -128,9 +129,14 @@ class Simulation:
         if firmware is None:
             self._flight_controller = autopilot = self._bundled_autopilot(autopilot_rng)
             truth = TruthMessages(autopilot, world, HOME) if serve_truth else None
-            line.network = Network(autopilot, self._onboard, station, signing, unix_at_start_s, truth)
+            line.network = Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
         else:
             self._flight_controller, line.network = self._start_firmware(firmware, station, autopilot_rng)
+
+    @property
+    def imu_bus(self) -> Mpu9250Device:
+        """The register bus of the companion computer's IMU."""
+        return self._rack.imu
 
     @property
     def autopilot(self) -> SimulatedAutopilot:
@@ -146,7 +152,7 @@ class Simulation:
     @property
     def sensor_truth(self) -> SensorTruth:
         """The true errors of the sensors: for tests and benches."""
-        return SensorTruth(self._rack.truth, self._onboard.truth, self._camera.truth)
+        return SensorTruth(self._rack.truth, self._autopilot_sensors.truth, self._camera.truth)
 
     @property
     def world(self) -> World:
@@ -218,7 +224,7 @@ class Simulation:
             vehicle = FirmwareVehicle(
                 firmware,
                 self._world,
-                self._onboard,
+                self._autopilot_sensors,
                 station,
                 rng,
                 home=HOME,
@@ -243,7 +249,7 @@ class Simulation:
 
     def _step_physics(self) -> None:
         world = self._world
-        motors = self._onboard.motors = self._flight_controller.step(
+        motors = self._autopilot_sensors.motors = self._flight_controller.step(
             world.motion(), PHYSICS_STEP_S, world.time_s
         )
         world.step(motors, PHYSICS_STEP_S)
@@ -251,7 +257,7 @@ class Simulation:
         if self._timer.count % RANGE_EVERY_TICKS == 0:
             self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self._faults.step(world.time_s)
-        self._onboard.step(world.time_s, state, throttle, self._range_height_m)
+        self._autopilot_sensors.step(world.time_s, state, throttle, self._range_height_m)
         self._rack.step(world.time_s, state, throttle, self._range_height_m)
 
     def _range_height_m(self) -> float:

@@ -195,7 +195,7 @@ class RangeSensor:
     def sample(self, height_m: float, tilt_rad: float = 0.0) -> float | None:
         """Distance (m) of the first echo, or None: of a sensor `height_m` over a flat floor, tilted.
 
-        Inside its beam the sensor hears the nearest point of the floor; tilted beyond, the beam's edge.
+        Inside its beam the sensor measures the nearest point of the floor; tilted beyond, the beam's edge.
         """
         e = self._errors
         lost, spike, noise = self._rng.random(), self._rng.random(), self._rng.standard_normal()

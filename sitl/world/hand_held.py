@@ -1,7 +1,7 @@
 """A world for hand motion: the vehicle is carried over the pad, its rotors stand still.
 
 The same truth as `sitl.world.world` for sensors, camera and autopilot, from a path instead of from forces.
-Position, velocity, attitude and rate are the path's own; specific force and angular acceleration are the
+Position, velocity, attitude and rate are those of the path; specific force and angular acceleration are the
 means over a step, as those of a flight are: Δv/Δt less gravity in body axes half-way, and Δω/Δt.
 NED, FRD, SI.
 """

@@ -45,8 +45,8 @@ class OutputLimits:
 class PositionControl(ABC):
     """Base of the control laws; holds the heading. Results are in the public fields.
 
-    `velocity_reference` is the velocity it flies towards by now, `saturated` tells that the lean is at its
-    limit. `thrust` is `upward`, its vertical share, over the cosine of the lean that is asked for.
+    `velocity_reference` is the present velocity setpoint, `saturated` means that the tilt is at its
+    limit. `thrust` is `upward`, its vertical share, over the cosine of the tilt setpoint.
     """
 
     def __init__(self, hover_thrust: float, limits: OutputLimits) -> None:

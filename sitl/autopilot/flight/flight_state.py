@@ -16,8 +16,7 @@ from companion.base.geometry import (
     geodetic_from_ned,
     ned_from_geodetic,
 )
-from companion.base.messages import LandedState
-from companion.base.messages import Manner as AutopilotName
+from companion.base.messages import LandedState, Manner
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.cascade import Cascade
@@ -35,7 +34,7 @@ from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
-PROFILES: dict[AutopilotName, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
+PROFILES: dict[Manner, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 class FlightState:
@@ -46,7 +45,7 @@ class FlightState:
 
     def __init__(
         self,
-        profile: AutopilotName,
+        profile: Manner,
         airframe: Airframe,
         rng: np.random.Generator,
         home: Vector3,

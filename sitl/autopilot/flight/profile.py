@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.base.geometry import Quaternion, Vector3
-from companion.base.messages import Manner as AutopilotName
+from companion.base.messages import Manner
 from sitl.autopilot.control.attitude_control import AttitudeGains
 from sitl.autopilot.control.position_control import PositionControl
 from sitl.autopilot.control.setpoints import (
@@ -95,20 +95,19 @@ class AutopilotProfile:
     """The behaviour of one autopilot.
 
     `pitch_channel_reversed`: the RC channel of the pitch stick falls when it is pushed. `precision_landing`
-    makes the precision landing, if the parameters ask for one at boot; it flies the tasks in
-    `precision_landing_tasks`. `read_motion` (fields, own place, attitude, heading) and `read_attitude` say
-    what a streamed message means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it
-    later; `position_control` makes the control law for a hover thrust. On the ground the thrust falls under
-    `landed_thrust_share` of hover. A thrust that comes with an attitude and `thrust_is_upward` is raised for
-    the lean that is flown, as ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a
-    low-pass of `throttle_hz`. The position controller runs every `outer_period_s`. `imu_messages` are those
-    that tell its IMU's samples, `imu_filter` is the low-pass before them, as the register value that the
-    simulated IMU knows. `home_s` after its start it has set home, and its checks pass for a mode that needs
-    no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the bit of those checks
-    stands in SYS_STATUS's health, and not in what is present and enabled.
+    creates the precision landing controller, if the parameters enable it at boot; it flies the tasks in
+    `precision_landing_tasks`. `read_motion` (fields, position, attitude, heading) and `read_attitude` convert
+    streamed messages to setpoints, `as_aged` (setpoint, its age, the time-out, heading) applies the time-out;
+    `position_control` creates the control law for a hover thrust. On the ground the thrust falls below
+    `landed_thrust_share` of hover. With `thrust_is_upward` the thrust of an attitude setpoint gets tilt
+    compensation, as by ArduPilot's ATC_ANGLE_BOOST; so does that of its height law, behind a low-pass of
+    `throttle_hz`. The position controller runs every `outer_period_s`. `imu_messages` have the IMU's samples,
+    `imu_filter` is the low-pass before them, as DLPF_CFG. `home_s` after boot, home is set, and the checks
+    pass for a mode that needs no position; `alignment_s` after boot the position is known too.
+    `prearm_in_health_only`: the pre-arm bit is in SYS_STATUS's health, but not in present and enabled.
     """
 
-    name: AutopilotName
+    name: Manner
     autopilot_id: int
     custom_mode: Callable[[int, int], int]
     flight_version: int
