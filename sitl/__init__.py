@@ -1,1 +1,1 @@
-"""The bundled simulator: a quadrotor with camera, sensors and a moving pad that speaks MAVLink."""
+"""The bundled simulator: a quadrotor with camera and sensors, a moving pad, and MAVLink."""

@@ -1,6 +1,6 @@
-"""`companion-sitl`: the simulator by itself. Without a command it serves a vehicle; the commands do the rest.
+"""`companion-sitl`: the simulator by itself. Without a command it serves a vehicle.
 
-Exit codes: 0 well, 1 a run failed, 2 something the user can mend.
+Exit codes: 0 success, 1 a run failed, 2 a user error.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def companion_sitl(
     scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "line",
     seed: Annotated[int, typer.Option(min=0, help="Repeats a flight.")] = 0,
     autopilot: Annotated[
-        Manner | None, typer.Option(help="Whose manners it has, whatever the scenario says.")
+        Manner | None, typer.Option(help="Autopilot profile, instead of the scenario's.")
     ] = None,
     bind: Annotated[
         str, typer.Option(help="Address to serve at; 0.0.0.0 opens it to the network.", metavar="ADDRESS")
@@ -69,7 +69,7 @@ def companion_sitl(
     tcp_port: TcpPortOption = TCP_PORT,
     signing_key: Annotated[
         Path | None,
-        typer.Option(help="Believe only what is signed: a file of 32 bytes or a passphrase.", metavar="FILE"),
+        typer.Option(help="Accept signed frames only: a file of 32 bytes or a passphrase.", metavar="FILE"),
     ] = None,
     folder: Annotated[
         Path | None,
@@ -78,30 +78,32 @@ def companion_sitl(
     external: Annotated[
         str | None,
         typer.Option(
-            help="No vehicle of its own: pad and camera about that of an ArduPilot or PX4 SITL, at "
+            help="No bundled vehicle: pad and camera around that of an ArduPilot or PX4 SITL, at "
             "udp:HOST:PORT (called), udpin:HOST:PORT (listened at) or tcp:HOST:PORT.",
             metavar="CONNECTION",
         ),
     ] = None,
     serve_truth: Annotated[
-        bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION when asked for.")
+        bool, typer.Option("--serve-truth", help="Send SIM_STATE / HIL_STATE_QUATERNION on request.")
     ] = False,
     firmware: FirmwareOption = None,
     firmware_path: FirmwarePathOption = None,
     firmware_param: FirmwareParamOption = None,
     child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
 ) -> None:
-    """Serve a simulated quadrotor with a camera over a pad that moves."""
+    """Serve a simulated quadrotor with a camera over a moving pad."""
     if context.invoked_subcommand is not None:
         other = context.invoked_subcommand
-        refuse(context, (), f"belongs to a vehicle that is served; expected it without '{other}'")
+        refuse(context, (), f"applies to a served vehicle; expected it without '{other}'")
         return
     if external is not None:
-        refuse(context, WITH_EXTERNAL, "the vehicle is somebody else's; expected it without --external")
+        refuse(
+            context, WITH_EXTERNAL, "has no effect with an external vehicle; expected it without --external"
+        )
     elif child:
         refuse(context, WITH_CHILD, "expected it without --child")
     elif firmware is not None:
-        refuse(context, WITH_FIRMWARE, "is the bundled autopilot's; expected it without --firmware")
+        refuse(context, WITH_FIRMWARE, "applies to the bundled autopilot; expected it without --firmware")
     loaded = load_scenario(scenario)
     if autopilot is not None:
         loaded = loaded.model_copy(update={"autopilot": autopilot})
@@ -119,24 +121,24 @@ def companion_sitl(
             asyncio.run(serve(loaded, seed, place, service, key, serve_truth=serve_truth, firmware=flown))
 
 
-def refuse(context: typer.Context, goes: Collection[str], why: str) -> None:
-    """Refuse what was given on the command line and would be passed over, all but the options `goes`.
+def refuse(context: typer.Context, allowed: Collection[str], why: str) -> None:
+    """Refuse options on the command line that would have no effect, all but `allowed`.
 
     Raises:
         ConfigError: there is such an option.
     """
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
-        if source is not None and source.name == "COMMANDLINE" and parameter.name not in goes:
+        if source is not None and source.name == "COMMANDLINE" and parameter.name not in allowed:
             raise ConfigError(f"{parameter.opts[0]}: {why}")
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Entry point: whatever the user got wrong ends in one line on standard error."""
+    """Entry point: a user error ends in one line on standard error."""
     try:
         code = cli(args=words, standalone_mode=False)
     except TyperException as error:
-        # what lists choices takes several lines
+        # a list of choices takes several lines
         said = " ".join(error.format_message().split()).rstrip(".")
         code = _fail(f"{said}; see companion-sitl --help")
     except ConfigError as error:

@@ -36,13 +36,13 @@ _NANS: Final = (_NAN,) * 7
 
 # ---------------------------------------------------------------- framing
 
-_MARKER = re.compile(b"[\xfd\xfe]")
-_V2_MARKER: Final = 0xFD
+MARKER: Final = re.compile(b"[\xfd\xfe]")
+V2_MARKER: Final = 0xFD
 _V2_HEADER_BYTES: Final = 10
 _V1_HEADER_BYTES: Final = 6
 _CRC_BYTES: Final = 2
-_SIGNED_FLAG: Final = 0x01
-_SIGNATURE_BYTES: Final = 13
+SIGNED_FLAG: Final = 0x01
+SIGNATURE_BYTES: Final = 13
 
 
 @dataclass(slots=True)
@@ -96,10 +96,10 @@ class Codec:
         buffer += data
         messages: list[Message] = []
         start = 0
-        while (marker := _MARKER.search(buffer, start)) is not None:
+        while (marker := MARKER.search(buffer, start)) is not None:
             self.counters.skipped_bytes += marker.start() - start
             start = marker.start()
-            size = _frame_size(buffer, start)
+            size = frame_size(buffer, start)
             if size > len(buffer) - start:
                 break
             if size == 0 or not self._take(buffer[start : start + size], messages):
@@ -114,9 +114,9 @@ class Codec:
 
     def _take(self, frame: bytearray, messages: list[Message]) -> bool:
         """Decode one whole frame; False when it is not one of the dialect's or its check sum is wrong."""
-        message_id = _message_id(frame)
+        message_id = message_id_of(frame)
         if self._wanted is not None and message_id not in self._wanted:
-            if not _check_sum_is_right(frame, message_id):
+            if not check_sum_is_right(frame, message_id):
                 return False
             self.counters.passed_over += 1
         else:
@@ -130,7 +130,7 @@ class Codec:
         return True
 
     def _count_lost(self, frame: bytearray) -> None:
-        at = 4 if frame[0] == _V2_MARKER else 2
+        at = 4 if frame[0] == V2_MARKER else 2
         sequence, source = frame[at], (frame[at + 1], frame[at + 2])
         last = self._sequence.get(source)
         self._sequence[source] = sequence
@@ -138,10 +138,10 @@ class Codec:
             self.counters.lost += (sequence - last - 1) % 256
 
 
-def _frame_size(buffer: bytearray, start: int) -> int:
+def frame_size(buffer: bytearray, start: int) -> int:
     """Bytes of the frame that would start here; 0 when none can, more than there are when it is cut off."""
     have = len(buffer) - start
-    if buffer[start] != _V2_MARKER:
+    if buffer[start] != V2_MARKER:
         if have < _V1_HEADER_BYTES:
             return _V1_HEADER_BYTES
         known = buffer[start + 5] in mavlink.mavlink_map
@@ -150,18 +150,25 @@ def _frame_size(buffer: bytearray, start: int) -> int:
         return _V2_HEADER_BYTES
     flags = buffer[start + 2]
     message_id = int.from_bytes(buffer[start + 7 : start + 10], "little")
-    if flags & ~_SIGNED_FLAG or message_id not in mavlink.mavlink_map:
+    if flags & ~SIGNED_FLAG or message_id not in mavlink.mavlink_map:
         return 0
-    signature = _SIGNATURE_BYTES if flags & _SIGNED_FLAG else 0
+    signature = SIGNATURE_BYTES if flags & SIGNED_FLAG else 0
     return _V2_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES + signature
 
 
-def _message_id(frame: bytearray) -> int:
-    return int.from_bytes(frame[7:10], "little") if frame[0] == _V2_MARKER else frame[5]
+def message_id_of(frame: bytearray) -> int:
+    """The message id of a whole frame."""
+    return int.from_bytes(frame[7:10], "little") if frame[0] == V2_MARKER else frame[5]
 
 
-def _check_sum_is_right(frame: bytearray, message_id: int) -> bool:
-    header = _V2_HEADER_BYTES if frame[0] == _V2_MARKER else _V1_HEADER_BYTES
+def header_bytes(frame: bytes | bytearray) -> int:
+    """Size of a frame's header."""
+    return _V2_HEADER_BYTES if frame[0] == V2_MARKER else _V1_HEADER_BYTES
+
+
+def check_sum_is_right(frame: bytearray, message_id: int) -> bool:
+    """Whether a whole frame's CRC, with the message's CRC_EXTRA, is right."""
+    header = header_bytes(frame)
     end = header + frame[1]
     covered = frame[1:end]
     covered.append(mavlink.mavlink_map[message_id].crc_extra)

@@ -1,4 +1,4 @@
-"""The simulator's flight controller: PX4's or ArduPilot's manners around one cascade."""
+"""The simulator's flight controller: the profile of PX4 or ArduPilot around one control cascade."""
 
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.estimator import ESTIMATORS, NO_ERRORS, EstimatorErrors, EstimatorName

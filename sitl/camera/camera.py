@@ -5,7 +5,7 @@ the moment at which that row is exposed. Rays are followed on a mesh of one node
 texture coordinates interpolated between: against following every pixel, that is wrong by less than
 0.02 px, and it is continuous (no bands). Within a frame the homography runs through three exact ones
 (start, middle, end) as a parabola, or, where vibration of the rotors' frequency is to be followed, straight
-between as many as are asked for. Blur is one straight stroke for the whole image: the motion, over the
+between as many as requested. Blur is one straight stroke for the whole image: the motion, over the
 exposure, of what is in the middle of the pad's part of the image.
 
 World NED with the ground at z = 0; the pad's surface is at the height of its position.
@@ -124,7 +124,8 @@ class CameraModel:
 
     @property
     def span_s(self) -> float:
-        """From the first row's first photon to the last row's last: scene_at is asked within half of it."""
+        """From the start of the first row's exposure to the end of the last row's; scene_at is called within
+        half of it."""
         return self._exposure_s + self._readout_s
 
     def render(self, time_s: float, scene_at: Callable[[float], ScenePose]) -> GreyImage:

@@ -1,7 +1,7 @@
-"""The way of frames from the camera to the app: what is held up on it, lost, repeated or garbled.
+"""The transport of frames from the camera to the app: delayed, lost, repeated or corrupted frames.
 
-A camera may drop frames of itself, singly or in bursts (a Gilbert model: two states, and a chance to change
-between them at each frame); faults come on top.
+A camera may drop frames by itself, singly or in bursts (a Gilbert model: two states, and a probability of
+change at each frame); faults add to that.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class FrameLine:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Let through at once what the camera itself does not drop."""
+        """Clear all faults; the camera's own losses stay."""
         self.late_s = 0.0
         self.late_every = 1
         self.lost_share, self.burst_frames = self._always
@@ -30,23 +30,23 @@ class FrameLine:
         self.garbled_share = 0.0
 
     def delay_s(self, sequence: int) -> float | None:
-        """How much longer than usual a frame takes (s); None: it never comes."""
+        """Additional delay of a frame (s); None: it is lost."""
         if self.lost_share > 0.0 and self._lost():
             return None
         return self.late_s if sequence % self.late_every == 0 else 0.0
 
     def _lost(self) -> bool:
-        """The next frame's fate; in bursts of 1 each is a throw of its own."""
-        dice, share = float(self._rng.random()), self.lost_share
+        """Whether the next frame is lost; with bursts of 1, each is drawn independently."""
+        draw, share = float(self._rng.random()), self.lost_share
         if self.burst_frames <= 1.0 or share >= 1.0:
-            return dice < share
+            return draw < share
         ends = 1.0 / self.burst_frames
         begins = min(1.0, ends * share / (1.0 - share))
-        self._losing = dice >= ends if self._losing else dice < begins
+        self._losing = draw >= ends if self._losing else draw < begins
         return self._losing
 
     def carried(self, image: GreyImage) -> GreyImage:
-        """What arrives of an image: itself, the last one again, or itself down to a row and garbage below."""
+        """The image that arrives: unchanged, the last one again, or random data below some row."""
         if self.stuck and self._last is not None:
             return self._last
         self._last = image

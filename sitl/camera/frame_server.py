@@ -52,7 +52,7 @@ class FrameServer:
             self._server = await UnixServer.start(self._serve, self._where)
 
     def deliver(self, frame: Frame) -> None:
-        """Hand a frame to every client that can take it."""
+        """Send a frame to every client that can take it."""
         free = [c for c in self._clients if c.transport.get_write_buffer_size() == 0]
         if not free:
             return
@@ -70,7 +70,7 @@ class FrameServer:
             await gone.wait()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Keep a client until it goes; it has nothing to say."""
+        """Keep a client until it disconnects; it sends nothing."""
         gone = asyncio.Event()
         self._clients.add(writer)
         self._gone.add(gone)

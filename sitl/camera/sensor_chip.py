@@ -78,7 +78,7 @@ class AutoExposure:
         if not self._settings.automatic:
             return
         s, mean = self._settings, max(float(cv2.mean(image)[0]), 1.0)
-        # a saturated picture says less than how far it is off: steps are bounded
+        # a saturated picture underestimates the error: steps are bounded
         step = min(2.0, max(0.5, METERED_GREY / mean)) ** ADAPTION
         self._wanted_s = min(s.longest_s * s.most_gain, max(s.shortest_s, self._wanted_s * step))
         self.now = self._split()

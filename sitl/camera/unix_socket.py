@@ -1,4 +1,4 @@
-"""A server at the path of a unix socket that is nobody else's: neither another simulator's nor another file.
+"""A server at the path of a unix socket that no other simulator and no other file uses.
 
 A socket file that was left behind by a program that has died is replaced; one that answers is not.
 """

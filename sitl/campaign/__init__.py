@@ -2,5 +2,5 @@
 
 from typing import Final
 
-# what the landings are measured by; `companion-sitl campaign` flies these unless told otherwise
+# the reference scenarios; the default of `companion-sitl campaign`
 SCENARIOS: Final = ("static", "line", "circle", "figure_8", "heave")

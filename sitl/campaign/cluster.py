@@ -35,7 +35,7 @@ def fly_on_cluster(flights: Sequence[CampaignRun], address: str) -> Generator[Ru
     except (OSError, ValueError) as error:
         text = str(error).splitlines()[0]
         raise ConfigError(f"--scheduler {address}: {text}; expected a Dask scheduler's address") from error
-    # what it has to say about connections that end, we say ourselves
+    # this module reports lost connections itself
     for name in LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with client:
@@ -74,7 +74,7 @@ def fly_here(flight: CampaignRun) -> RunResult:
     """What a worker of the cluster does: fly in this thread's own process.
 
     Raises:
-        ConfigError: version or files differ from those of whoever asks, or the app refuses them.
+        ConfigError: version or files differ from the client's, or the app rejects them.
     """
     here = identity(flight.source, flight.config)
     if here != flight.identity:

@@ -1,7 +1,7 @@
-"""`companion-sitl campaign`: fly many, write a row a run, and say what they came to.
+"""`companion-sitl campaign`: fly many runs, write one row per run, and print a summary.
 
 Exit codes: 0 every run has its row, 1 a run failed (its process died or hung) or, with --bars, a bar does not
-hold, 2 something the user can mend, 130 interrupted (the same command goes on).
+hold, 2 a user error, 130 interrupted (the same command continues).
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ INTERRUPTED: Final = 130
 FAILED: Final = 1
 SUMMARY_NAME: Final = "summary.txt"
 SUMMARY_COLUMNS: Final = 160
-HELP: Final = """Fly scenarios under many seeds: a row a run, tables, plots, the worst runs.
+HELP: Final = """Fly scenarios under many seeds: one row per run, tables, plots, the worst runs.
 
 Each run is what 'companion --sitl --fast' flies for that scenario and seed. Give the same command again after
-an interruption, and it goes on.
+an interruption, and it continues.
 
 \b
 companion-sitl campaign --scenarios line circle --runs 20 --out mine
@@ -48,7 +48,7 @@ companion-sitl campaign --scenarios all barge.yaml --runs 100 --jobs 4 --out all
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What was asked for. `folder` None keeps nothing."""
+    """The options of the command. `folder` None stores nothing."""
 
     sources: tuple[str, ...]
     runs: int
@@ -63,7 +63,7 @@ class Options:
 
     @property
     def command(self) -> str:
-        """What goes on with it."""
+        """The command line that continues it."""
         words = ["companion-sitl", "campaign", "--scenarios", *self.sources, "--runs", str(self.runs)]
         given = {
             "--first-seed": self.first_seed or None,
@@ -112,7 +112,7 @@ def campaign_command(
     """Fly a campaign, or go on with one.
 
     Raises:
-        ConfigError: something the user can mend.
+        ConfigError: a user error.
     """
     if scheduler is not None and jobs is not None:
         raise ConfigError("--jobs: the cluster has its own; expected it without --scheduler")
@@ -132,10 +132,10 @@ def campaign_command(
 
 
 def run_campaign(options: Options, console: Console) -> int:
-    """Fly what has no row yet, then say what all came to; returns the exit code.
+    """Fly the runs without a row, then print the summary; returns the exit code.
 
     Raises:
-        ConfigError: something the user can mend.
+        ConfigError: a user error.
     """
     plan = make_plan(options.sources, options.first_seed, options.runs, options.config, options.firmware)
     with contextlib.ExitStack() as stack:
@@ -232,7 +232,7 @@ def _say_how_to_go_on(console: Console, options: Options, runs: RunsFile, total:
         return
     kept = len(read_rows(runs.path))  # the interruption may have come just after a row was written
     console.print(
-        f"stopped: {kept} of {total} runs are in {runs.path}; this goes on:\n  {options.command}",
+        f"stopped: {kept} of {total} runs are in {runs.path}; to continue:\n  {options.command}",
         highlight=False,
         markup=False,
         soft_wrap=True,

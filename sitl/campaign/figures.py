@@ -1,4 +1,4 @@
-"""What a campaign came to: success with its interval, errors at touchdown, the worst runs, bars."""
+"""Statistics of a campaign: success rate with its interval, errors at touchdown, the worst runs, bars."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def share(hits: int, of: int) -> Share:
     """A share of `of` runs, at least one.
 
     Source: E. B. Wilson, "Probable inference, the law of succession, and statistical inference" (1927). It
-    keeps its promise where the usual interval fails: with few runs, and with all of them landed.
+    is valid where the normal approximation fails: with few runs, and with all of them landed.
     """
     interval = binomtest(hits, of).proportion_ci(CONFIDENCE, method="wilson")
     return Share(hits, of, float(interval.low), float(interval.high))
@@ -63,7 +63,7 @@ def values(rows: Sequence[Row], column: str) -> list[float]:
 
 
 def spread(rows: Sequence[Row], column: str) -> Percentiles | None:
-    """How a column's sizes are spread; None without any."""
+    """The percentiles of a column's sizes; None without values."""
     sizes = values(rows, column)
     if not sizes:
         return None
@@ -92,7 +92,7 @@ def worst(rows: Sequence[Row], count: int) -> list[Row]:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """One thing that is asked of the landings, what was measured, and whether that holds."""
+    """One acceptance criterion, the measured value, and whether it holds."""
 
     name: str
     measured: str
@@ -103,7 +103,7 @@ class Bar:
 
 
 def bars(rows: Sequence[Row]) -> list[Bar]:
-    """The landings beside what the project asks of them; medians for each scenario by itself."""
+    """The landings against the project's acceptance criteria; medians per scenario."""
     landed = sum(row.landed for row in rows)
     lateral = "touchdown_lateral_m"
     medians = [found.p50 for group in by_scenario(rows).values() if (found := spread(group, lateral))]

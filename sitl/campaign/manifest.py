@@ -1,7 +1,7 @@
-"""What a campaign is: scenarios, seeds, settings and code, each by its content.
+"""The definition of a campaign: scenarios, seeds, settings and code, each by its content.
 
-The manifest lies beside the rows. A command that says something else is refused there, so that a table never
-mixes two campaigns; one that asks for more seeds or more scenarios goes on with what there is.
+The manifest is stored with the rows. A command that differs from it is rejected, so that a table never
+mixes two campaigns; one with more seeds or more scenarios continues the campaign.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _DIGEST_LENGTH: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class CampaignRun:
-    """One run that is to be flown. `source` is what `--scenario` takes, `scenario` the name in the file.
+    """One run to fly. `source` is what `--scenario` takes, `scenario` the name in the file.
 
-    `identity` is the digest of all that decides it but the seed: files, settings and code.
+    `identity` is the digest of its files, settings and code, all but the seed.
     """
 
     scenario: str
@@ -53,7 +53,7 @@ class CampaignRun:
 
     @property
     def command(self) -> str:
-        """What repeats it."""
+        """The command line that repeats it."""
         words = ["companion", "--sitl", "--fast", "--scenario", self.source, "--seed", str(self.seed)]
         words += () if self.firmware is None else self.firmware.options
         return shlex.join(words if self.config is None else [*words, "--config", self.config])
@@ -67,7 +67,7 @@ class Entry(StrictModel):
 
 
 class Manifest(StrictModel):
-    """What a campaign is."""
+    """The definition of a campaign."""
 
     format: Literal[1] = 1
     version: str
@@ -87,7 +87,7 @@ class Manifest(StrictModel):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A campaign that is to be flown: its manifest and its scenarios by name."""
+    """A campaign to fly: its manifest and its scenarios by name."""
 
     manifest: Manifest
     scenarios: dict[str, Scenario]
@@ -149,7 +149,7 @@ def _expanded(sources: Sequence[str]) -> Iterator[str]:
 
 
 def _command_word(source: str) -> str:
-    """What `--scenario` takes wherever one stands: a shipped name stays, a path becomes absolute."""
+    """The `--scenario` argument for any working directory: a name stays, a path becomes absolute."""
     path = find_file("scenarios", source)
     return (
         source
@@ -220,10 +220,10 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def check_goes_on(old: Manifest, new: Manifest, folder: Path) -> None:
-    """Make sure that a new command goes on with the campaign in a folder.
+    """Check that a new command continues the campaign in a folder.
 
     Raises:
-        ConfigError: it is another campaign; the line says by what.
+        ConfigError: it is another campaign; the message names the difference.
     """
     if (difference := _difference(old, new)) is not None:
         raise ConfigError(

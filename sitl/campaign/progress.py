@@ -22,7 +22,7 @@ LINES_IN_ALL: Final = 10
 
 
 class Meter:
-    """Counts runs and landings; says at once which run did not land, and what repeats it."""
+    """Counts runs and landings; prints each run that did not land, and the command that repeats it."""
 
     def __init__(self, console: Console, rows: Sequence[Row], total: int, *, quiet: bool) -> None:
         """Begin with the rows there are; `total` counts them too. Quiet: lines, as for a log."""

@@ -216,7 +216,7 @@ def read_rows(path: Path) -> list[Row]:
     """The rows of a `runs.csv`.
 
     Raises:
-        ConfigError: other columns, or a line that is no row; the line says which.
+        ConfigError: other columns, or a line that is no row; the message names it.
     """
     try:
         with path.open(newline="", encoding="utf-8") as stream:

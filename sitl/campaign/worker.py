@@ -1,4 +1,4 @@
-"""A process of the app's that flies one run after another, and what becomes of it when it dies or hangs.
+"""A process of the app that flies one run after another, with handling of its death or hang.
 
 It is `companion flights`, a process of its own, so that the simulator's side knows nothing of the app's but
 its command line. The start of Python and the libraries (two seconds) is paid once for many flights; each
@@ -25,10 +25,10 @@ from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun
 
 COMMAND: Final = (sys.executable, "-m", "companion.cli", "flights")
-# a machine that simulates at a tenth of real time is hopelessly busy; then there is Python to start
+# slower than a tenth of real time counts as hung; starting Python comes on top
 SLOWEST_FACTOR: Final = 0.1
 START_S: Final = 60.0
-# a process is replaced after so many, lest something that leaks grows over a long campaign
+# a process is replaced after so many runs, so that leaks do not grow over a long campaign
 FLIGHTS_PER_PROCESS: Final = 50
 # side by side each job has one core: libraries that start threads of their own only get in one another's way
 ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -37,7 +37,7 @@ _WORDS_BYTES: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """A run that has ended: its result (as `--json` has it), or the last words of what flew it.
+    """A run that has ended: its result (as `--json` has it), or the last output of its process.
 
     `touchdown_pad_m` is where on the pad it came down: along the pad's heading and to its right.
     """
@@ -51,7 +51,7 @@ class RunResult:
 
 
 class _DiedError(Exception):
-    """The process has ended or does not answer; the text says how."""
+    """The process has ended or does not answer; the text has the reason."""
 
 
 class Worker:
@@ -60,7 +60,7 @@ class Worker:
     def __init__(
         self, command: Sequence[str] = COMMAND, *, flights_per_process: int = FLIGHTS_PER_PROCESS
     ) -> None:
-        """Take the command of the process; it is started when the first run is asked for."""
+        """Take the command of the process; it is started with the first run."""
         self._command = tuple(command)
         self._flights_per_process = flights_per_process
         self._process: subprocess.Popen[bytes] | None = None
@@ -87,7 +87,7 @@ class Worker:
         if answer["refused"] is not None:
             raise ConfigError(answer["refused"])
         if answer["fault"] is not None:
-            # what state it was left in nobody knows
+            # its state is unknown
             self._end()
             return RunResult(flight, wall_s, error=answer["fault"])
         return RunResult(flight, wall_s, answer["result"], answer["reason"], answer["touchdown_pad_m"])
@@ -116,7 +116,7 @@ class Worker:
         request = {"scenario": flight.source, "seed": flight.seed, "config": flight.config}
         if flight.firmware is not None:
             request["firmware"] = flight.firmware.as_json()
-        # one that has died meanwhile is met again at the answer, where its last words are told
+        # the death of the process is handled when the answer is read
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(json.dumps(request).encode() + b"\n")
         line = b""
@@ -136,7 +136,7 @@ class Worker:
         with self._lock:
             if self._stopped:
                 raise _DiedError("stopped")
-            self._words = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+            self._words = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the process runs
             self._process = subprocess.Popen(
                 self._command,
                 bufsize=0,
@@ -162,7 +162,7 @@ class Worker:
             words.close()
 
     def _last_words(self) -> str:
-        """The last line of standard error since the run was asked for."""
+        """The last line of standard error since the run was started."""
         said = self._said()
         # the process writes through the same file: reading must not move where it does
         begin = max(self._said_before, said - _WORDS_BYTES)
@@ -172,7 +172,7 @@ class Worker:
             else ""
         )
         lines = words.strip().splitlines()
-        return lines[-1] if lines else "it said nothing"
+        return lines[-1] if lines else "no output"
 
     def _said(self) -> int:
         """How many bytes of standard error there are."""

@@ -1,1 +1,1 @@
-"""The sensors as the onboard computer meets them: registers on a bus, bytes on a serial line."""
+"""The sensors' digital interfaces: registers on a bus, bytes on a serial line."""

@@ -23,7 +23,7 @@ _FULL_SCALE_UT: Final = 4912.0
 class Ak8963Device:
     """The magnetometer's registers. `adjustment` are the fuse ROM's three bytes.
 
-    `silent` is a dead one, or a broken bond: it acknowledges nothing.
+    `silent` is a failed one: it acknowledges nothing.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
 After RM-MPU-9250A-00 rev. 1.6: power-on values, reset, sleep, sample-rate divider, ranges (quantised and
 clipped), FIFO with both full modes, the inner I2C master's slaves 0 and 4, the bypass to the magnetometer,
 I2C_IF_DIS, INT_STATUS. It keeps its own time: the oscillator is off by `clock_error`, within the data sheet's
-±1 %. What SPI does with bytes is the app's bus's business; here it differs in who answers.
+±1 %. On SPI the magnetometer is reachable through the inner I2C master only.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _FIFO_PARTS: Final = ((0x08, 0, 6), (0x80, 6, 8), (0x40, 8, 10), (0x20, 10, 12),
 _FIFO_ALL: Final = 0xF8
 _MASTER_OR_FIFO: Final = 0x60  # USER_CTRL
 _WORDS: Final = struct.Struct(">7h")
-# steps that a sleeping chip notes at most, and those that it keeps when they are so many: a second's
-_LONGEST_NOTES: Final = 4000
-_REMEMBERED: Final = 400
+# largest number of queued steps, and how many of them stay when it is reached: one second
+_MOST_QUEUED_STEPS: Final = 4000
+_KEPT_STEPS: Final = 400
 # time (s), specific force (m/s²), rate (rad/s), throttle
-_Felt = tuple[float, Vector3, Vector3, float]
+_QueuedStep = tuple[float, Vector3, Vector3, float]
 
 
 class Mpu9250Device:
@@ -47,8 +47,8 @@ class Mpu9250Device:
 
     The fault "nack" is a bus that fails, "ones" a line that is pulled up, "stuck" a chip that stops sampling.
 
-    Until somebody speaks to it, it sleeps: what it would have felt is noted and made up for by `wake`, so
-    that a vehicle whose boards nobody reads does not pay for them and a reader cannot tell.
+    Until its first access it does not sample: it queues the truth, which `wake` samples later. So
+    sensors that are not read cost little, and a reader sees no difference.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Mpu9250Device:
         self._previous: tuple[float, Vector3, Vector3] | None = None
         self._next_s = -math.inf
         self._asleep = True
-        self._missed: list[_Felt] = []
+        self._queued: list[_QueuedStep] = []
         self.power_cycle()
 
     def power_cycle(self) -> None:
@@ -98,41 +98,42 @@ class Mpu9250Device:
         field_body_ut: Vector3,
         throttle: float,
     ) -> None:
-        """Feel the truth of one physics step; sample when the chip's own time has come.
+        """One physics step; samples by the chip's own clock.
 
         `field_body_ut` counts when the magnetometer's measurement is due.
         """
         self.magnetometer.step(now_s, field_body_ut, throttle)
         if self._asleep:
-            self._missed.append((now_s, specific_force_body_m_s2, rate_body_rad_s, throttle))
-            if len(self._missed) >= _LONGEST_NOTES:
-                self._forget()
+            self._queued.append((now_s, specific_force_body_m_s2, rate_body_rad_s, throttle))
+            if len(self._queued) >= _MOST_QUEUED_STEPS:
+                self._drop_old_steps()
             return
-        self._feel(now_s, specific_force_body_m_s2, rate_body_rad_s, throttle)
+        self._sample(now_s, specific_force_body_m_s2, rate_body_rad_s, throttle)
 
     def wake(self) -> None:
-        """Make up for what was missed, and sleep no more."""
+        """Sample the queued steps, and every step from now on."""
         if not self._asleep:
             return
         self._asleep = False
-        self._forget()
-        for felt in self._missed:
-            self._feel(*felt)
-        self._missed.clear()
+        self._drop_old_steps()
+        for step in self._queued:
+            self._sample(*step)
+        self._queued.clear()
 
-    def _forget(self) -> None:
-        """Keep the newest notes, more than the filters remember; for the rest dice and clock go on."""
-        gone = self._missed[:-_REMEMBERED]
+    def _drop_old_steps(self) -> None:
+        """Drop queued steps older than the filters' memory; random numbers and clock advance as if
+        sampled."""
+        gone = self._queued[:-_KEPT_STEPS]
         if not gone:
             return
-        del self._missed[: len(gone)]
+        del self._queued[: len(gone)]
         self._imu.skip([throttle for _, _, _, throttle in gone])
         now_s = gone[-1][0]
         first_s = gone[0][0] if self._previous is None else self._next_s
         self._previous = (now_s, ZERO3, ZERO3)
         self._next_s = _next_after(now_s, first_s, self._period_s)
 
-    def _feel(
+    def _sample(
         self, now_s: float, specific_force_body_m_s2: Vector3, rate_body_rad_s: Vector3, throttle: float
     ) -> None:
         force, rate = self._imu.sample(specific_force_body_m_s2, rate_body_rad_s, throttle)

@@ -1,8 +1,8 @@
-"""The NEO-6M as bytes: NMEA at 1 Hz when it wakes, UBX as it is told.
+"""The NEO-6M as bytes: NMEA at 1 Hz after power-up, UBX as configured.
 
-After the u-blox 6 Receiver Description GPS.G6-SW-10018: CFG-MSG, CFG-RATE, CFG-NAV5 and CFG-PRT are obeyed
-and acknowledged, other CFG messages refused; a change of the baud rate is acknowledged at the new one. What
-a line makes of the bytes is the port's business (`ports`). Messages are packed by hand here, apart from the
+After the u-blox 6 Receiver Description GPS.G6-SW-10018: CFG-MSG, CFG-RATE, CFG-NAV5 and CFG-PRT are applied
+and acknowledged, other CFG messages refused; a change of the baud rate is acknowledged at the new one. The
+serial line is simulated in `ports`. Messages are packed here independently of the
 library that the driver parses with, so that one mistake cannot cancel itself.
 """
 
@@ -67,9 +67,9 @@ def nmea(body: str) -> bytes:
 
 
 class Neo6mDevice:
-    """The receiver. `has_fix` False is a sky it cannot see; `silent` an unplugged one; `hdop` how it sees.
+    """The receiver. `has_fix` False: no satellites; `silent`: unplugged; `hdop` how it sees.
 
-    `baud` is the rate it talks at; it wakes at `wake_baud`.
+    `baud` is the rate of its port; `wake_baud` is that after power-up.
     """
 
     def __init__(self, sensor: GpsSensor, latency_s: float = 0.12, wake_baud: int = 9600) -> None:
@@ -94,7 +94,7 @@ class Neo6mDevice:
 
     @property
     def next_s(self) -> float:
-        """When it next has something to do of itself: to measure, or to send."""
+        """Time of the next measurement or transmission."""
         if self._next_ms is None or self._replies:
             return -math.inf
         epoch_s = self._next_ms / 1000.0 - _EARLY_S
@@ -117,7 +117,7 @@ class Neo6mDevice:
         return b"" if self.silent else out
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the onboard computer: commands, or garbage."""
+        """Bytes from the companion computer: commands, or garbage."""
         if not data:
             return
         self._incoming += data

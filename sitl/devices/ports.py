@@ -38,7 +38,7 @@ class DevicePort(Protocol):
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Change the device's rate; the app's is its own affair."""
+        """Change the device's rate; the app sets its own."""
         ...
 
     def close(self) -> None:
@@ -47,9 +47,9 @@ class DevicePort(Protocol):
 
 
 class PacedLine:
-    """One direction: hands bytes on as fast as the line carries them; what waits over a second is dropped.
+    """One direction: delivers bytes at the baud rate; a backlog of over a second is dropped.
 
-    `baud` is the sender's; `receiver_baud` tells the receiver's at the moment of arrival.
+    `baud` is the sender's; `receiver_baud` returns the receiver's at arrival.
     """
 
     def __init__(self, baud: int, deliver: Callable[[bytes], None], receiver_baud: Callable[[], int]) -> None:
@@ -158,7 +158,7 @@ class MemoryPort:
 class PtyPort:
     """A serial line as a pseudo terminal; the app opens `path`. Make it inside the running loop.
 
-    A pseudo terminal has no rate of its own, but it keeps what the app has asked for.
+    A pseudo terminal has no baud rate, but it stores the one that the app has set.
     """
 
     def __init__(self, baud: int) -> None:
@@ -207,7 +207,7 @@ class PtyPort:
     def _deliver(self, piece: bytes) -> None:
         if not self._open:
             return
-        # when nobody reads, a UART would lose them too
+        # without a reader, a UART would lose them too
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, piece)
 

@@ -1,4 +1,4 @@
-"""All sensors of one vehicle, wired: each physics step goes in as truth, registers and bytes come out.
+"""The companion computer's sensors: the truth of each physics step in, registers and bytes out.
 
 Each sensor has a random stream of its own, so that a fault in one does not change the noise of another.
 """
@@ -33,7 +33,7 @@ from sitl.vehicle.quadrotor import QuadrotorState
 
 OSCILLATOR_TOLERANCE: Final = 0.01  # MPU9250: ±1 %
 # How the simulated chip is soldered in: face up, its x axis forward. Its axes are right-handed with z out of
-# its face, so y is left and z up. Not taken from the app's settings: those are what the app believes.
+# its face, so y is left and z up. Independent of the app's settings.
 SENSOR_FROM_BODY: Final = np.array(
     [
         # forward, right, down
@@ -46,7 +46,7 @@ SENSOR_FROM_BODY: Final = np.array(
 
 @dataclass(frozen=True, slots=True)
 class SensorErrors:
-    """How good the sensors are."""
+    """Errors of the sensors."""
 
     imu: ImuErrors = field(default_factory=ImuErrors)
     magnetometer: MagErrors = field(default_factory=MagErrors)
@@ -106,7 +106,7 @@ class SensorRack:
 
     @property
     def truth(self) -> BoardTruth:
-        """What is truly wrong with IMU and magnetometer."""
+        """True calibration errors of IMU and magnetometer."""
         imu = self.inertial
         return BoardTruth(
             imu.accel_calibration_errors,
@@ -118,10 +118,10 @@ class SensorRack:
     def step(
         self, now_s: float, state: QuadrotorState, throttle: float, range_height_m: Callable[[], float]
     ) -> None:
-        """One physics step: feel it, and put on the lines what is due.
+        """One physics step: sample, and send what is due.
 
         `throttle` is the mean motor command, 0 to 1; `range_height_m` gives the ultrasonic's height over the
-        floor or pad beneath it, and is asked when it pings.
+        floor or pad beneath it, and is called at each ping.
         """
         field_body = ZERO3
         if self.imu.magnetometer.is_due(now_s):

@@ -51,7 +51,7 @@ async def serve_registers(
 ) -> UnixServer:
     """Start serving `device` at the socket `path`, replacing a stale one; close the server to end.
 
-    `on_client` is called for each client, once it asks something.
+    `on_client` is called for each client, at its first request.
 
     Raises:
         ConfigError: the path cannot be used.
@@ -66,7 +66,7 @@ async def serve_registers(
                 await writer.drain()
                 request = await reader.readexactly(REQUEST_BYTES)
         except (asyncio.IncompleteReadError, ConnectionError, BusFormatError):
-            pass  # the app went away, or speaks something else: either way the conversation is over
+            pass  # the app disconnected, or sent an invalid request
         finally:
             writer.close()
 

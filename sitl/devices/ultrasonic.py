@@ -1,4 +1,4 @@
-"""Ultrasonics as bytes: one that pings by itself and writes 4-byte frames, one that pings when it is asked.
+"""Ultrasonic sensors' serial protocols: one pings by itself and sends 4-byte frames, one pings on request.
 
 Both wait for their own sound before they write. A02YYUW data sheet (frames), US-100 manual (0x55 asks for a
 distance in two bytes of millimetres, 0x50 for a temperature in one byte of degrees plus 45).
@@ -28,11 +28,11 @@ class UltrasonicDevice:
         self.silent = False
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the onboard computer: it does not listen."""
+        """Bytes from the companion computer are ignored."""
 
     @property
     def next_s(self) -> float:
-        """When it next has something to do of itself: to ping, or to send."""
+        """Time of the next ping or transmission."""
         if self._next_s is None:
             return -math.inf
         return min(self._next_s, self._answer_s) if self._frame else self._next_s
@@ -64,13 +64,13 @@ class PolledUltrasonicDevice:
         self.silent = False
 
     def receive(self, data: bytes) -> None:
-        """Bytes from the onboard computer; while it waits for an echo it does not listen."""
+        """Bytes from the companion computer; ignored while it waits for an echo."""
         if not self._answer:
             self._asked += data
 
     @property
     def next_s(self) -> float:
-        """When it next has something to do of itself: to ping, or to send."""
+        """Time of the next ping or transmission."""
         if self._asked:
             return -math.inf
         return self._answer_s if self._answer else math.inf

@@ -1,1 +1,1 @@
-"""The world about somebody else's autopilot, in real time."""
+"""The world around an external vehicle (a real SITL), in real time."""

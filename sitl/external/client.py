@@ -1,10 +1,10 @@
-"""A MAVLink client that watches somebody else's vehicle: who it is, whether it is armed, where it truly is.
+"""A MAVLink client of an external vehicle: its system id, arming state and true pose.
 
 Sans I/O: bytes in with `receive`, bytes out with `transmit`, samples of its pose out with `take_samples`.
-Component 26 (MAV_COMP_ID_USER2) of the vehicle's own system; of no type that an autopilot waits for. It asks
-for the simulator's truth by MAV_CMD_SET_MESSAGE_INTERVAL, and again while it comes too seldom; when none has
-come for a while it says so and takes the autopilot's estimates. A truth that comes late still takes their
-place, but not while armed nor after a flight, whose score would be lost: the two lie metres apart.
+Component 26 (MAV_COMP_ID_USER2) of the vehicle's system; of no type that an autopilot waits for. It requests
+the simulator's truth by MAV_CMD_SET_MESSAGE_INTERVAL, and again while the rate is too low. When none arrives
+for a while, it reports that and uses the autopilot's estimates. A late truth still replaces
+them, but not while armed nor after a flight, whose score would be lost: the two are metres apart.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from sitl.external.pose import (
 )
 
 COMPONENT: Final = mavlink.MAV_COMP_ID_USER2
-RATE_HZ: Final = 100.0  # asked for of the truth, and of the estimates in its place
+RATE_HZ: Final = 100.0  # requested rate of the truth, and of the estimates in its place
 SLOWEST_HZ: Final = 40.0  # less of it makes the picture wrong by more than the lens does
 PATIENCE_S: Final = 5.0  # without the truth, before the estimates are taken
 SILENCE_S: Final = 5.0  # without a heartbeat: the vehicle is lost
@@ -90,12 +90,12 @@ class StampClock:
 
 
 class VehicleClient:
-    """Watches one vehicle: the first autopilot heard."""
+    """Watches one vehicle: the first autopilot received."""
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        """Nothing is known; `tell` gets each trouble in one line, once while it lasts."""
+        """`tell` gets each problem in one line, once while it lasts."""
         self.armed = False
-        self.flown = False  # for whoever judges the flight to say; the source stays then
+        self.flown = False  # set by the judge of the flight; the source stays then
         self.home: Vector3 | None = None
         self.source: str | None = None
         self.beats = 0
@@ -115,11 +115,6 @@ class VehicleClient:
         self._global: Message | None = None
         self._lost = self._blind = self._kept = False
         self._slow_windows = 0
-
-    @property
-    def found(self) -> bool:
-        """Whether an autopilot has been heard."""
-        return self._system is not None
 
     @property
     def system_id(self) -> int:
@@ -170,7 +165,7 @@ class VehicleClient:
         if self._lost:
             self._lost = False
             self._ask_due_s = now_s
-            self._tell(f"vehicle {self._system}: heard again")
+            self._tell(f"vehicle {self._system}: received again")
         self._beat_s = now_s
         self.beats += 1
         self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -239,7 +234,7 @@ class VehicleClient:
         return b"".join([self._codec.encode(message) for message in messages])
 
     def _requests(self) -> list[Message]:
-        """Ask for what has come too seldom since the last time."""
+        """Request messages that arrived too rarely since the last time."""
         wanted = dict.fromkeys(TRUTH_OF.get(self._autopilot, tuple(TRUTH)), RATE_HZ)
         if self._on_estimates:
             wanted |= _ESTIMATE_RATES_HZ
@@ -263,7 +258,7 @@ class VehicleClient:
             self._tell(f"{self.source} comes at {rate_hz:.0f} Hz only; expected {SLOWEST_HZ:g} Hz or more")
 
     def _watch(self, now_s: float) -> None:
-        """Tell what has fallen silent, and give the truth up when it never came."""
+        """Report time-outs, and give up the truth when it never arrived."""
         if self._system is None:
             return
         if not self._lost and now_s - self._beat_s > SILENCE_S:

@@ -1,8 +1,8 @@
-"""Bytes to and from somebody else's vehicle, over UDP or TCP, and a UDP port by which the app shares them.
+"""Links to an external vehicle over UDP or TCP, and a UDP port by which the app shares them.
 
-`udp:HOST:PORT` calls that port, `udpin:HOST:PORT` listens there (a PX4 SITL sends to 14540 and 14550 by
-itself), `tcp:HOST:PORT` calls and calls again (an ArduPilot SITL listens on 5760, 5762 and 5763). A vehicle
-that is not there yet, or gone, is waited for; `tell` gets one line about it, and one when it is back.
+`udp:HOST:PORT` sends to that port, `udpin:HOST:PORT` listens there (a PX4 SITL sends to 14540 and 14550),
+`tcp:HOST:PORT` connects and reconnects (an ArduPilot SITL listens on 5760, 5762 and 5763). While the vehicle
+is absent it waits; `tell` gets one line about that, and one when the vehicle is back.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Tell = Callable[[str], None]
 
 
 class _Inbox:
-    """What came and was not read yet; the oldest goes when nobody reads."""
+    """Received bytes that were not read yet; the oldest are dropped without a reader."""
 
     def __init__(self) -> None:
         self._chunks: asyncio.Queue[bytes] = asyncio.Queue(maxsize=_INBOX_CHUNKS)
@@ -43,7 +43,7 @@ class _Inbox:
 
 
 class UdpEnd(asyncio.DatagramProtocol):
-    """One UDP socket: calling a fixed peer, or listening and answering whoever spoke last."""
+    """One UDP socket: to a fixed peer, or listening and answering the last sender."""
 
     def __init__(self) -> None:
         self._inbox = _Inbox()
@@ -76,7 +76,7 @@ class UdpEnd(asyncio.DatagramProtocol):
         self._inbox.put(data)
 
     def error_received(self, exc: Exception) -> None:
-        """asyncio: nobody listens there yet; somebody may."""
+        """asyncio: no listener there yet."""
 
     async def read(self) -> bytes:
         """Wait for bytes."""
@@ -113,7 +113,7 @@ class TcpEnd:
         return await self._inbox.read()
 
     def write(self, data: bytes) -> None:
-        """Send; dropped while nobody takes it."""
+        """Send; dropped while there is no connection."""
         writer = self._writer
         if writer is not None and data and writer.transport.get_write_buffer_size() < _WRITE_BYTES:
             writer.write(data)
@@ -143,7 +143,7 @@ class TcpEnd:
             await asyncio.sleep(RETRY_S)
 
     def _complain(self, reason: str) -> None:
-        """Tell a trouble once; what follows until it is over is the same one."""
+        """Report a problem once while it lasts."""
         if not self._told:
             self._told = True
             self._tell(f"{self._name}: {reason}; trying again every {RETRY_S:g} s")
@@ -156,7 +156,7 @@ def check_connection(spec: str, option: str) -> None:
     """Refuse what is no connection, before anything is opened.
 
     Raises:
-        ConfigError: one line that says what was expected.
+        ConfigError: one line with what was expected.
     """
     form = CONNECTION_FORM.fullmatch(spec)
     calls = form is not None and form["host"] is not None and _is_name(form["host"])
@@ -167,7 +167,7 @@ def check_connection(spec: str, option: str) -> None:
 
 
 def _is_name(host: str) -> bool:
-    """Whether it can be asked for at all; whether there is such a host may turn out later."""
+    """Whether it is a valid host name; it is resolved later."""
     try:
         host.encode("idna")
     except UnicodeError:
@@ -206,10 +206,10 @@ async def open_relay() -> tuple[UdpEnd, int]:
 
 
 async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell = print) -> None:
-    """Hand on whatever comes, until cancelled.
+    """Forward what arrives, until cancelled.
 
-    A vehicle that says what nobody can reckon with does not end the world about it: `tell` gets the first
-    such trouble, and the bytes are passed over.
+    Invalid values from the vehicle do not end the simulation: `tell` gets the first
+    such problem, and the bytes are ignored.
     """
     told = False
     with contextlib.suppress(asyncio.CancelledError):
@@ -221,4 +221,4 @@ async def pump(source: ExternalLink, *sinks: Callable[[bytes], None], tell: Tell
                 except (ArithmeticError, ValueError) as error:
                     if not told:
                         told = True
-                        tell(f"WARNING: passed over what makes no sense ({error})")
+                        tell(f"WARNING: ignored invalid data ({error})")

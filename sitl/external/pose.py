@@ -1,13 +1,13 @@
-"""Where somebody else's vehicle is: its simulator's MAVLink messages -> poses, and poses between them. Pure.
+"""The pose of an external vehicle: its simulator's MAVLink messages -> poses, and interpolation. Pure.
 
     SIM_STATE             ArduPilot's SITL: the truth. Float quaternion and velocity; place in 1e-7 deg
                           (11 mm), altitude in cm. Older ones have the place as float alone (0.4 m). Without
                           a stamp
     HIL_STATE_QUATERNION  PX4's SITL and SIH: the truth. 1e-7 deg, mm, cm/s; PX4 leaves the stamp 0
-    LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, for want of better; its frame is
+    LOCAL_POSITION_NED    with ATTITUDE_QUATERNION: the autopilot's estimate, without the truth; its frame is
                           tied to the globe by a GLOBAL_POSITION_INT
 
-A message without a stamp is taken to tell of the moment at which it came: on a loopback it is some
+A message without a stamp gets its arrival time: on a loopback it is some
 milliseconds old. NED, FRD, SI; quaternions (w, x, y, z) body to NED.
 """
 
@@ -47,7 +47,7 @@ BACK_S: Final = 0.1
 CENTRING_S: Final = 1.0
 JUMP_M: Final = 1.0  # a place that is this far from where the velocity led is a new one
 GAP_S: Final = 0.5
-# what is beyond these is no multirotor's
+# limits of plausible values of a multirotor
 MOST_ANGLE_RAD: Final = 10.0
 MOST_RATE_RAD_S: Final = 100.0
 MOST_SPEED_M_S: Final = 500.0
@@ -194,7 +194,7 @@ class PoseTrack:
     def put(self, pose: Pose) -> Pose | None:
         """Take the next pose; returns it as it is kept, smoothed, or None when it is no newer than the last.
 
-        A clock that has gone back by more than is kept is a simulator that has started anew.
+        A clock that went back by more than the stored span is a restarted simulator.
         """
         last = self.newest
         if self._anew or last is None:
@@ -211,7 +211,7 @@ class PoseTrack:
         return kept
 
     def begin_anew(self) -> None:
-        """Forget all when the next pose comes, not before: another thread may be looking."""
+        """Clear with the next pose, not before: another thread may be reading."""
         self._anew = True
 
     def at(self, time_s: float) -> Pose:
@@ -235,7 +235,7 @@ def _smoothed(last: Pose, pose: Pose) -> Pose:
     """The place that velocity leads to, kept within the cell that the message's is rounded to.
 
     A vehicle low over a pad sees a step of a centimetre as a pad that jumps. Where the velocity itself jumps,
-    as at a contact, it does not tell what happened between two messages, and the place counts at once.
+    as at a contact, it does not describe the motion between two messages, and the position counts at once.
     """
     dt_s = pose.time_s - last.time_s
     back, centring = -math.expm1(-dt_s / BACK_S), -math.expm1(-dt_s / CENTRING_S)

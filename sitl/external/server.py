@@ -1,4 +1,4 @@
-"""The world for somebody else's autopilot as a process: what `companion-sitl --external` does.
+"""The world around an external vehicle as a process: `companion-sitl --external`.
 
 It flies nothing: it watches the vehicle of an ArduPilot or PX4 SITL over MAVLink and puts a pad, a camera
 and an ultrasonic about it, in real time. It says by one line of JSON on standard output where these are
@@ -22,7 +22,7 @@ from companion.base.messages import Phase
 from sitl.camera.frame_server import FrameServer
 from sitl.devices.ports import PtyPort
 from sitl.external.link import check_connection, open_link, open_relay
-from sitl.external.session import ExternalSimulation, Parts
+from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.server import REPORT_NAME, SENSOR_BAUD
 from sitl.scenario.scenario import Scenario
@@ -31,7 +31,7 @@ from sitl.scenario.scenario import Scenario
 async def serve_external(
     scenario: Scenario, seed: int, folder: Path, connection: str, *, child: bool = False
 ) -> None:
-    """Run the world until it is told to end; see the module's docstring.
+    """Run the world until standard input or a signal ends it; see the module's docstring.
 
     Raises:
         ConfigError: the connection is none, a port is taken, or the scenario does not suit.
@@ -47,7 +47,9 @@ async def serve_external(
         frames = FrameServer(folder / "camera")
         await frames.start()
         stack.push_async_callback(frames.close)
-        simulation = ExternalSimulation(scenario, seed, Parts(link, relay, range_port, frames), tell)
+        simulation = ExternalSimulation(
+            scenario, seed, ExternalConnections(link, relay, range_port, frames), tell
+        )
         ending = final_phase() if child else _landed_once(_stop_signals())
         _tell_pad(scenario)
         tell(f"waiting for a vehicle on {connection}")
@@ -84,7 +86,7 @@ def _stop_signals() -> asyncio.Event:
 
 
 async def _landed_once(stopped: asyncio.Event) -> Phase:
-    """Whoever flew the vehicle did not say how it ended: the truth alone decides."""
+    """The final phase is unknown: the truth alone decides."""
     await stopped.wait()
     return Phase.LANDED
 

@@ -1,7 +1,7 @@
-"""The world about somebody else's vehicle, put together, in real time: pad, camera, ultrasonic, beacon.
+"""The simulation around an external vehicle in real time: pad, camera, ultrasonic, beacon.
 
-It watches a vehicle over MAVLink and flies nothing. The app may share the connection: what it sends to the
-relay's port goes to the vehicle, and what the vehicle sends comes there too.
+It receives a vehicle's pose over MAVLink and flies nothing. The app may share the connection: what it sends
+to the relay's port is forwarded to the vehicle, and the vehicle's bytes are forwarded there.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ STREAM: Final = 22  # random draws of this world: (seed, 22); the pad's are the 
 
 
 @dataclass(slots=True)
-class Parts:
-    """What is plugged together; the ports are the caller's to close."""
+class ExternalConnections:
+    """The connected parts; the caller closes the ports."""
 
     link: ExternalLink
     relay: UdpEnd
@@ -56,16 +56,18 @@ class Parts:
 
 
 class ExternalSimulation:
-    """A scenario's pad, camera and ultrasonic about a vehicle that a client watches."""
+    """A scenario's pad, camera and ultrasonic around the vehicle of a MAVLink client."""
 
-    def __init__(self, scenario: Scenario, seed: int, parts: Parts, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, scenario: Scenario, seed: int, connections: ExternalConnections, tell: Callable[[str], None]
+    ) -> None:
         """Build it inside the running loop.
 
         Raises:
             ConfigError: a file that the scenario names is missing or wrong, or its pad leaves the ground.
         """
         self._clock = Clock()
-        self._parts = parts
+        self._connections = connections
         self._tell = tell
         self._bounds = scenario.pass_bounds
         self.client = VehicleClient(tell)
@@ -82,7 +84,7 @@ class ExternalSimulation:
         self._camera = SceneCamera(scenario, self._vehicle, self.world, *cameras, self._clock.now_s())
         self._station_rng, self._beacon = next(streams), scenario.beacon
         self._station: GroundStation | None = None
-        self._settled_by: str | None = None
+        self._origin_source: str | None = None
         self._frame_line = FrameLine(
             next(streams), scenario.camera.lost_share, scenario.camera.lost_burst_frames
         )
@@ -90,15 +92,19 @@ class ExternalSimulation:
         self._ticks = 0
         self._first_s: float | None = None
         self._latest_tick_s = 0.0
-        self._told_touchdown_s: float | None = None
+        self._reported_touchdown_s: float | None = None
 
     async def run(self) -> None:
         """Go on until cancelled."""
-        parts = self._parts
+        connections = self._connections
         async with asyncio.TaskGroup() as group:
-            group.create_task(pump(parts.link, self._hear_vehicle, parts.relay.write, tell=self._tell))
-            group.create_task(pump(parts.relay, parts.link.write, self._hear_app, tell=self._tell))
-            group.create_task(self._film())
+            group.create_task(
+                pump(connections.link, self._receive_vehicle, connections.relay.write, tell=self._tell)
+            )
+            group.create_task(
+                pump(connections.relay, connections.link.write, self._receive_app, tell=self._tell)
+            )
+            group.create_task(self._render_frames())
             due_s = self._clock.now_s()
             while True:
                 now_s = self._clock.now_s()
@@ -129,14 +135,14 @@ class ExternalSimulation:
 
     # ------------------------------------------------------------ the link
 
-    def _hear_vehicle(self, data: bytes) -> None:
+    def _receive_vehicle(self, data: bytes) -> None:
         now_s = self._clock.now_s()
         self.client.receive(data, now_s)
-        if not self._parts.relay.has_peer:
-            self._hear_ground(data, now_s)
+        if not self._connections.relay.has_peer:
+            self._receive_ground(data, now_s)
         for sample in self.client.take_samples():
             # the truth and the estimates lie metres apart, above all in height: each has its own ground
-            if self._settled_by != self.client.source and not self._settle(sample.place):
+            if self._origin_source != self.client.source and not self._set_origin(sample.place):
                 continue
             self.world.see(sample, armed=self.client.armed)
             self.client.flown = self.world.flown
@@ -145,25 +151,25 @@ class ExternalSimulation:
             self._camera.skip_to(now_s)
             self.ready.set()
 
-    def _hear_app(self, data: bytes) -> None:
-        self._hear_ground(data, self._clock.now_s())
+    def _receive_app(self, data: bytes) -> None:
+        self._receive_ground(data, self._clock.now_s())
 
-    def _hear_ground(self, data: bytes, now_s: float) -> None:
+    def _receive_ground(self, data: bytes, now_s: float) -> None:
         if self._station is not None:
             self._station.receive(data, now_s)
 
-    def _settle(self, place: Vector3) -> bool:
+    def _set_origin(self, place: Vector3) -> bool:
         """Choose the origin: where it stands, or its home when it flies already."""
         if self.client.beats == 0:
             return False
         ground = place
         if self.client.armed:
             if self.client.home is None:
-                return False  # asked for; until it comes nobody knows where the ground is
+                return False  # requested; the ground is unknown until it arrives
             ground = self.client.home
             self._tell("WARNING: the vehicle is armed already; the ground is taken to be at its home")
         self.world.begin(ground)
-        self._settled_by = self.client.source
+        self._origin_source = self.client.source
         self._station = GroundStation.of(self._beacon, self._station_rng, ground)
         self._tell(
             f"vehicle {self.client.system_id} found by {self.client.source}; ground at latitude "
@@ -174,26 +180,26 @@ class ExternalSimulation:
     # ------------------------------------------------------------ one tick
 
     def _tick(self, now_s: float) -> None:
-        self._parts.link.write(self.client.transmit(now_s))
+        self._connections.link.write(self.client.transmit(now_s))
         if self._first_s is None:
             return
-        self._talk(now_s)
+        self._transmit(now_s)
         self._ping(now_s)
         self._ticks += 1
         if self._ticks % TRUTH_EVERY_TICKS == 0:
             self._truth.append(self.world.truth_at(now_s))
-            self._tell_landing()
+            self._report_landing()
 
-    def _talk(self, now_s: float) -> None:
-        """The ground station's heartbeat, and the pad's own GPS when it is asked for."""
+    def _transmit(self, now_s: float) -> None:
+        """The ground station's heartbeat, and the pad's own GPS on request."""
         assert self._station is not None
         pad = self.world.pad_at(now_s)
         data = self._station.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
-        self._parts.link.write(data)
-        self._parts.relay.write(data)
+        self._connections.link.write(data)
+        self._connections.relay.write(data)
 
     def _ping(self, now_s: float) -> None:
-        port, pose = self._parts.range_port, self.world.track.newest
+        port, pose = self._connections.range_port, self.world.track.newest
         assert pose is not None
         distance = self.world.range_m(self._vehicle.range_position_body_m, self._half_beam_rad)
         self._ultrasonic.receive(port.receive())
@@ -203,24 +209,24 @@ class ExternalSimulation:
             )
         )
 
-    def _tell_landing(self) -> None:
+    def _report_landing(self) -> None:
         """A table of each landing, for people, when the vehicle has disarmed after it."""
         touchdown = self.world.touchdown
-        if touchdown is None or self.world.armed or touchdown.time_s == self._told_touchdown_s:
+        if touchdown is None or self.world.armed or touchdown.time_s == self._reported_touchdown_s:
             return
-        self._told_touchdown_s = touchdown.time_s
+        self._reported_touchdown_s = touchdown.time_s
         print_verdict(self.world.judge(Phase.LANDED), self._bounds)
 
     # ------------------------------------------------------------ the camera
 
-    async def _film(self) -> None:
+    async def _render_frames(self) -> None:
         """Render each frame once the pose after its last row has come; a thread, since it takes a while."""
         await self.ready.wait()
         while True:
             await self._clock.sleep_until(self._camera.exposed_s)
             await self._pose_after(self._camera.exposed_s)
             now_s = self._clock.now_s()
-            watched = self._parts.frames.client_count > 0
+            watched = self._connections.frames.client_count > 0
             self._camera.skip_to(now_s - CAMERA_BACKLOG_S if watched else now_s)
             taken = await asyncio.to_thread(self._camera.step, now_s)
             if taken is not None:
@@ -245,13 +251,13 @@ class ExternalSimulation:
             return  # lost on the way
 
         def deliver() -> None:
-            self._parts.frames.deliver(replace(frame, received_s=self._clock.now_s()))
+            self._connections.frames.deliver(replace(frame, received_s=self._clock.now_s()))
 
         asyncio.get_running_loop().call_at(due_s, deliver)
 
 
 def print_verdict(verdict: Verdict, bounds: PassBounds) -> None:
-    """The touchdown beside what passes, as a table on standard error."""
+    """The touchdown against the pass bounds, as a table on standard error."""
     table = Table(title=f"{verdict.outcome}" + "".join(f"; {failure}" for failure in verdict.failures))
     for heading in ("touchdown", "measured", "passes"):
         table.add_column(heading)

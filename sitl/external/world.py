@@ -1,4 +1,4 @@
-"""The world around somebody else's vehicle: a pad on its simulator's flat ground, and the score. Pure.
+"""The world around an external vehicle: a pad on its simulator's flat ground, and the score. Pure.
 
 The vehicle's pose is given, so nothing here pushes it: its own simulator has the ground, level and at the
 height on which the vehicle stands when it is first seen, disarmed. There lies the pad, flush, whatever height
@@ -41,7 +41,7 @@ _LEVEL_EVERY_S: Final = 0.5
 
 
 class ExternalWorld:
-    """A scenario's pad under one seed, and a vehicle that is told from outside with `see`."""
+    """A scenario's pad under one seed, and an external vehicle, updated by `see`."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         """Lay the pad out.
@@ -121,7 +121,7 @@ class ExternalWorld:
         else:
             self._load = NO_CONTACT
             self._in_air = pose
-        # the message that tells of the ground tells of a vehicle that it has stopped: take the one before
+        # the message with the contact has the vehicle already stopped: take the one before
         self._watch.beside(self._obstacles.clearance_m(pose.position_ned_m))
         touches_now = self._load.touching and not touched
         state = self._in_air if touches_now and self._in_air is not None else pose

@@ -1,6 +1,6 @@
 """What fails in flight, and when: faults as data of a scenario.
 
-A fault works on what a sensor feels, on its chip, on its line or on a frame's way (`sitl.faults.injection`),
+A fault acts on a sensor's input, its chip, its line or on a frame's transport (`sitl.faults.injection`),
 never on anything the app computes. Every sensor can be lost, freeze, step aside (a bias) and spike. Times
 count from the start of the simulation (s), axes are the body's (FRD).
 """
@@ -49,7 +49,7 @@ class ImuBusError(FaultTimes):
 
 
 class ImuFrozen(FaultTimes):
-    """It goes on giving its last rates and forces."""
+    """It repeats its last rates and forces."""
 
     kind: Literal["imu_frozen"]
 
@@ -102,13 +102,13 @@ class MagLost(FaultTimes):
 
 
 class MagFrozen(FaultTimes):
-    """It goes on giving its last field."""
+    """It repeats its last field."""
 
     kind: Literal["mag_frozen"]
 
 
 class MagDisturbed(FaultTimes):
-    """A field besides the earth's: a current, a steel tool, a loudspeaker's magnet."""
+    """A field in addition to the earth's: a current, a steel tool, a loudspeaker's magnet."""
 
     kind: Literal["mag_disturbed"]
     field_body_ut: BodyVector = (0.0, 30.0, 0.0)  # Added to the earth's
@@ -126,20 +126,20 @@ class MagSpikes(FaultTimes):
 
 
 class GpsLost(FaultTimes):
-    """The receiver sees too little sky, or its line is broken."""
+    """The receiver has too few satellites, or its line is disconnected."""
 
     kind: Literal["gps_lost"]
     unplugged: bool = False  # Nothing on the line at all, instead of messages without a fix
 
 
 class GpsFrozen(FaultTimes):
-    """It goes on giving its last fix, with the time running on."""
+    """It repeats its last fix, with advancing time."""
 
     kind: Literal["gps_frozen"]
 
 
 class GpsJump(FaultTimes):
-    """The fix jumps aside at once, and believes itself: a reflection, or another set of satellites."""
+    """The fix jumps, with unchanged accuracies: multipath, or another set of satellites."""
 
     kind: Literal["gps_jump"]
     position_ned_m: BodyVector = (5.0, -5.0, 0.0)  # Added to every fix
@@ -157,7 +157,7 @@ class GpsSpikes(FaultTimes):
 
 
 class RangeLost(FaultTimes):
-    """It hears no echo, or its line is broken."""
+    """It receives no echo, or its line is disconnected."""
 
     kind: Literal["range_lost"]
     share: Share = 1.0  # Of the pings
@@ -179,7 +179,7 @@ class RangeBiasStep(FaultTimes):
 
 
 class RangeSpikes(FaultTimes):
-    """The ultrasonic hears something else."""
+    """The ultrasonic receives wrong echoes."""
 
     kind: Literal["range_spikes"]
     share: float = Field(default=0.3, ge=0.0, le=1.0)  # Of the pings: an echo from anywhere in between
@@ -228,7 +228,7 @@ class LinkBlackout(FaultTimes):
 
 
 class MotorWeak(FaultTimes):
-    """A motor gives less thrust than is asked of it; all of them: the battery's voltage sags."""
+    """A motor gives less thrust than commanded; all of them: the battery's voltage sags."""
 
     kind: Literal["motor_weak"]
     motor: Literal[1, 2, 3, 4, "all"] = 1  # 1 front, 2 right, 3 back, 4 left

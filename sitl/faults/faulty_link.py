@@ -1,7 +1,7 @@
-"""A MAVLink line that loses, delays and reorders: a stage between the vehicle and whoever flies it.
+"""A MAVLink line that loses, delays and reorders datagrams between the vehicle and its clients.
 
-Pure: told when a datagram is sent (s) it says when it arrives, or that it never does. A datagram is whole or
-gone, as over UDP, or as radio packets are. Each direction has dice of its own.
+Pure: from the time a datagram is sent (s) it returns when it arrives, or that it is lost. A datagram is whole
+or lost, as over UDP, or as radio packets are. Each direction has its own random numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ NEXT_S: Final = 1e-6
 
 
 class LinkSettings(StrictModel):
-    """How good the line is, both ways alike."""
+    """Quality of the line, the same in both directions."""
 
     loss_share: float = Field(default=0.0, ge=0.0, le=1.0)  # Of the datagrams
     delay_s: float = Field(default=0.0, ge=0.0, le=2.0)  # Of each
@@ -38,7 +38,7 @@ class LinkWay:
         self.cut = False
 
     def arrival_s(self, now_s: float) -> float | None:
-        """When a datagram sent now arrives (s), None if it never does."""
+        """When a datagram sent now arrives (s), None if it is lost."""
         if self.cut:
             return None
         if self._perfect:

@@ -1,7 +1,7 @@
-"""Breaks devices as a scenario's faults say, at their times, one function a fault.
+"""Fault injection: applies a scenario's faults at their times, one function per fault.
 
-`FaultSchedule` asks once a step whether a fault begins or ends; then everything is mended and what is active
-is broken anew, so that faults may overlap. SI units, body axes (FRD).
+`FaultSchedule` checks at each step whether a fault starts or ends. Then it clears all faults and applies the
+active ones again, so that faults may overlap. SI units, body axes (FRD).
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from sitl.vehicle.actuators import Motors
 
 
 class FaultTargets:
-    """The devices and what may be broken about them."""
+    """The devices on which faults act."""
 
     def __init__(
         self,
         rack: SensorRack,
-        onboard: SimulatedAutopilotSensors,
+        autopilot_sensors: SimulatedAutopilotSensors,
         frames: FrameLine,
         motors: Motors,
         to_app: LinkWay,
         to_vehicle: LinkWay,
     ) -> None:
-        """`onboard` are the autopilot's own sensors, to which the world around does the same."""
+        """`autopilot_sensors`: faults of the environment act on them too."""
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
-        self.onboard = onboard
+        self.autopilot_sensors = autopilot_sensors
         self.frames, self.motors = frames, motors
         self.to_app, self.to_vehicle = to_app, to_vehicle
 
     def clear_faults(self) -> None:
-        """Everything as it should be."""
+        """Clear all faults."""
         self.bus.wake()
         self.inertial.rate_offset_rad_s = self.inertial.force_offset_m_s2 = ZERO3
         self.inertial.accel_limit_m_s2 = math.inf
@@ -55,7 +55,7 @@ class FaultTargets:
         self.gps.has_fix, self.gps.silent = True, False
         self.position.jump_ned_m, self.position.frozen = ZERO3, False
         self.position.glitches.clear_faults()
-        self.onboard.has_sky, self.onboard.stray_field_ut = True, ZERO3
+        self.autopilot_sensors.has_sky, self.autopilot_sensors.stray_field_ut = True, ZERO3
         self.frames.clear_faults()
         self.motors.clear_faults()
         self.to_app.cut = self.to_vehicle.cut = False
@@ -65,7 +65,7 @@ class FaultTargets:
 
 
 def lose_imu(_fault: faults.ImuLost, targets: FaultTargets) -> None:
-    """Nobody acknowledges."""
+    """No acknowledge."""
     targets.bus.fault = "nack"
 
 
@@ -75,12 +75,12 @@ def disturb_bus(fault: faults.ImuBusError, targets: FaultTargets) -> None:
 
 
 def freeze_imu(_fault: faults.ImuFrozen, targets: FaultTargets) -> None:
-    """The last readings again and again."""
+    """Repeat the last readings."""
     targets.inertial.gyro_glitches.frozen = targets.inertial.accel_glitches.frozen = True
 
 
 def step_gyro_bias(fault: faults.GyroBiasStep, targets: FaultTargets) -> None:
-    """A rate that is not there."""
+    """An offset of the rate."""
     x, y, z = fault.rate_body_deg_s
     step = (math.radians(x), math.radians(y), math.radians(z))
     targets.inertial.rate_offset_rad_s = add(targets.inertial.rate_offset_rad_s, step)
@@ -92,7 +92,7 @@ def spike_gyro(fault: faults.GyroSpikes, targets: FaultTargets) -> None:
 
 
 def step_accel_bias(fault: faults.AccelBiasStep, targets: FaultTargets) -> None:
-    """A force that is not there."""
+    """An offset of the force."""
     targets.inertial.force_offset_m_s2 = add(targets.inertial.force_offset_m_s2, fault.force_body_m_s2)
 
 
@@ -117,13 +117,13 @@ def lose_magnetometer(_fault: faults.MagLost, targets: FaultTargets) -> None:
 
 
 def freeze_magnetometer(_fault: faults.MagFrozen, targets: FaultTargets) -> None:
-    """The last field again and again."""
+    """Repeat the last field."""
     targets.magnetometer.glitches.frozen = True
 
 
 def disturb_magnetometer(fault: faults.MagDisturbed, targets: FaultTargets) -> None:
-    """Another field on top."""
-    for sensor in (targets.magnetometer, targets.onboard):
+    """An additional field."""
+    for sensor in (targets.magnetometer, targets.autopilot_sensors):
         sensor.stray_field_ut = add(sensor.stray_field_ut, fault.field_body_ut)
 
 
@@ -136,26 +136,26 @@ def spike_magnetometer(fault: faults.MagSpikes, targets: FaultTargets) -> None:
 
 
 def lose_gps(fault: faults.GpsLost, targets: FaultTargets) -> None:
-    """No fix any more, or silence."""
+    """No fix, or no data."""
     if fault.unplugged:
         targets.gps.silent = True
     else:
         targets.gps.has_fix = False
-        targets.onboard.has_sky = False
+        targets.autopilot_sensors.has_sky = False
 
 
 def freeze_gps(_fault: faults.GpsFrozen, targets: FaultTargets) -> None:
-    """The last solution again and again."""
+    """Repeat the last solution."""
     targets.position.frozen = True
 
 
 def jump_gps(fault: faults.GpsJump, targets: FaultTargets) -> None:
-    """Every fix aside."""
+    """An offset of every fix."""
     targets.position.jump_ned_m = add(targets.position.jump_ned_m, fault.position_ned_m)
 
 
 def spike_gps(fault: faults.GpsSpikes, targets: FaultTargets) -> None:
-    """Some fixes far off."""
+    """An error of some fixes."""
     targets.position.glitches.spike(fault.share, fault.size_m)
 
 
@@ -163,7 +163,7 @@ def spike_gps(fault: faults.GpsSpikes, targets: FaultTargets) -> None:
 
 
 def lose_range(fault: faults.RangeLost, targets: FaultTargets) -> None:
-    """Fewer echoes, or silence."""
+    """Fewer echoes, or no data."""
     if fault.unplugged:
         targets.range.silent = True
     else:
@@ -171,12 +171,12 @@ def lose_range(fault: faults.RangeLost, targets: FaultTargets) -> None:
 
 
 def stick_range(fault: faults.RangeStuck, targets: FaultTargets) -> None:
-    """One distance all the time."""
+    """A constant distance."""
     targets.echo.frozen, targets.echo.stuck_m = True, fault.distance_m
 
 
 def step_range_bias(fault: faults.RangeBiasStep, targets: FaultTargets) -> None:
-    """Longer or shorter echoes."""
+    """An offset of the distance."""
     targets.echo.bias_m += fault.distance_m
 
 
@@ -189,23 +189,23 @@ def spike_range(fault: faults.RangeSpikes, targets: FaultTargets) -> None:
 
 
 def hold_frames_up(fault: faults.FrameLate, targets: FaultTargets) -> None:
-    """A longer way for some frames."""
+    """A delay of some frames."""
     targets.frames.late_s, targets.frames.late_every = fault.extra_s, fault.every
 
 
 def lose_frames(fault: faults.FrameLost, targets: FaultTargets) -> None:
-    """No way for some frames."""
+    """Loss of some frames."""
     if fault.share >= targets.frames.lost_share:
         targets.frames.lost_share, targets.frames.burst_frames = fault.share, fault.burst_frames
 
 
 def stick_frames(_fault: faults.FrameStuck, targets: FaultTargets) -> None:
-    """The last picture again and again."""
+    """Repeat the last picture."""
     targets.frames.stuck = True
 
 
 def garble_frames(fault: faults.FrameGarbled, targets: FaultTargets) -> None:
-    """Garbage in some frames."""
+    """Random data in some frames."""
     targets.frames.garbled_share = max(targets.frames.garbled_share, fault.share)
 
 
@@ -213,7 +213,7 @@ def garble_frames(fault: faults.FrameGarbled, targets: FaultTargets) -> None:
 
 
 def black_out_link(fault: faults.LinkBlackout, targets: FaultTargets) -> None:
-    """Nothing gets through."""
+    """No datagram arrives."""
     targets.to_app.cut |= fault.way in ("both", "to_app")
     targets.to_vehicle.cut |= fault.way in ("both", "to_vehicle")
 
@@ -254,20 +254,20 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
 
 
 class FaultSchedule:
-    """Breaks and mends at the right times."""
+    """Injects and clears the faults at their times."""
 
     def __init__(self, plan: Sequence[faults.Fault], targets: FaultTargets) -> None:
         self._plan = plan
-        self._parts = targets
+        self._targets = targets
         self._changes_s = sorted({time_s for fault in plan for time_s in (fault.start_s, fault.end_s)})
 
     def step(self, now_s: float) -> None:
-        """Once a physics step, before the sensors feel it."""
+        """Once per physics step, before the sensors' step."""
         if not self._changes_s or now_s < self._changes_s[0]:
             return
         while self._changes_s and now_s >= self._changes_s[0]:
             self._changes_s.pop(0)
-        self._parts.clear_faults()
+        self._targets.clear_faults()
         for fault in self._plan:
             if fault.start_s <= now_s < fault.end_s:
-                INJECT[fault.kind](fault, self._parts)
+                INJECT[fault.kind](fault, self._targets)

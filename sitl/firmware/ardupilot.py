@@ -1,8 +1,8 @@
 """ArduCopter in lockstep, by its JSON backend: servo pulses in, the vehicle's state out, over UDP.
 
-ArduCopter sends a packet of pulses and waits for the answer, whose `timestamp` is its clock: nothing of it
-moves meanwhile. Its barometer, compass and GPS it makes itself from the position and attitude that it is
-told; the IMU is ours, vibration and all. MAVLink comes by UDP too, by its first serial port.
+ArduCopter sends a packet of pulses and waits for the answer, whose `timestamp` is its clock: it does not
+run meanwhile. It simulates barometer, compass and GPS itself from the position and attitude that it
+receives; the IMU is the simulator's, with vibration. MAVLink is on UDP too, on its first serial port.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MAGIC: Final = 18458
 BASE_PORT: Final = 5760
 PORTS_PER_INSTANCE: Final = 10
 STEP_HZ: Final = 400
-# it samples its IMU between our steps: told of 400 a second alone, its loop of 400 Hz misses every third
+# it samples its IMU between our steps: with 400 samples a second alone, its loop of 400 Hz misses every third
 FRAMES_PER_STEP: Final = 2
 START_S: Final = 20.0
 _PULSE_US: Final = (1000.0, 1000.0)  # off, and from there to full
@@ -142,7 +142,7 @@ def _state(moment: Moment, earlier_s: float) -> bytes:
     """
     imu, state = moment.sensors.imu, moment.state
     if imu is None:
-        raise FirmwareError("arducopter is told of sensors that do not sense yet")
+        raise FirmwareError("arducopter needs sensor samples before its first step")
     return (
         f'\n{{"timestamp":{moment.clock_s - earlier_s:.6f},'
         f'"imu":{{"gyro":{_numbers(imu.rate_rad_s)},"accel_body":{_numbers(imu.specific_force_m_s2)}}},'
@@ -158,8 +158,8 @@ def _numbers(values: tuple[float, ...]) -> str:
 def _free_instance() -> tuple[Datagrams, int]:
     """Our end of the MAVLink of the first instance whose ports are free, and the instance.
 
-    It listens on its second and third serial ports, but only after a while: lest two of ours begin with one
-    instance, our end has the number of its first port.
+    It listens on its second and third serial ports, but only after a while: so that two instances do not
+    start with one instance, our end has the number of its first port.
 
     Raises:
         ConfigError: none is free.

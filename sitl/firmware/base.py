@@ -22,7 +22,7 @@ class Moment(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What the firmware is told of the vehicle: by parameters, as its owner would."""
+    """What the firmware needs to know of the vehicle, set by parameters."""
 
     airframe: AirframeConfig
     home: Vector3  # latitude (deg), longitude (deg), altitude (m AMSL) of the world's origin

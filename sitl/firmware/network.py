@@ -1,4 +1,4 @@
-"""Between a firmware and who talks to it: its MAVLink passes through unchanged; the ground station hears it.
+"""Between a firmware and its clients: MAVLink is forwarded unchanged; the ground station receives it too.
 
 The counterpart of `sitl.mavlink.network` for the bundled autopilots. Once a tick what the firmware has sent
 goes to every client, so that load on the machine changes nothing.
@@ -29,7 +29,7 @@ class FirmwarePort:
 
 
 class FirmwareNetwork:
-    """All clients of one firmware, and what its heartbeat tells."""
+    """All clients of one firmware, and the state in its heartbeat."""
 
     def __init__(self, firmware: Firmware, ground_station: GroundStation) -> None:
         self.armed = False
@@ -56,7 +56,7 @@ class FirmwareNetwork:
             self._ground_station.handle(frame, now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> None:
-        """Hand on what the firmware has sent, and the ground station; the beacon starts at the pad."""
+        """Forward what the firmware and the ground station have sent; the beacon is at the pad."""
         sent = self._firmware.read()
         for data in sent:
             for frame in self._reader.read(data, now_s):

@@ -16,9 +16,9 @@ from companion.config import ConfigError
 
 LOOPBACK: Final = "127.0.0.1"
 INSTANCES: Final = 10  # PX4 gives further ones a shared port
-# whoever has closed its connection has so long to end, so that its exit status can be told
+# time to exit after the connection was closed, so that the exit status can be reported
 LAST_S: Final = 0.5
-LOOK_S: Final = 0.2  # how often a silent one is looked at: it may have ended
+LOOK_S: Final = 0.2  # how often a process without output is checked
 MOST_DATAGRAMS: Final = 1000  # at once; a firmware sends some tens
 _END_S: Final = 2.0
 _DATAGRAM_BYTES: Final = 4096
@@ -33,9 +33,9 @@ class FirmwareError(RuntimeError):
 
 
 class Process:
-    """A child with its log in a temporary folder, which goes with it.
+    """A child process with its log in a temporary folder, which is removed with it.
 
-    Beside it a shell waits for our own end: when we are killed, it ends the child and clears up.
+    A shell watches this process: when it is killed, the shell ends the child and removes the folder.
     """
 
     def __init__(self, name: str) -> None:
@@ -86,10 +86,10 @@ class Process:
             raise FirmwareError(f"{self.name} has ended ({how}): {self.last_words()}")
 
     def last_words(self) -> str:
-        """The last line of its log that says anything."""
+        """The last non-empty line of its log."""
         said = (self.folder / _LOG_NAME).read_bytes()[-_WORDS_BYTES:].decode(errors="replace")
         lines = (" ".join(line.split()) for line in reversed(said.split("\n")))
-        return next((line for line in lines if line), "it said nothing")
+        return next((line for line in lines if line), "no output")
 
     def close(self) -> None:
         """End it, with all that it has started, and clear up."""
@@ -135,7 +135,7 @@ class Datagrams:
         return come
 
     def write(self, data: bytes) -> None:
-        """Send to whoever spoke last; dropped while nobody has."""
+        """Send to the last sender; dropped while there is none."""
         if self._peer is not None:
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 self._socket.sendto(data, self._peer)

@@ -158,7 +158,7 @@ class Px4:
     def _sensors(self, moment: Moment, time_us: int) -> bytes:
         imu, mag = moment.sensors.imu, moment.sensors.mag
         if imu is None or mag is None:
-            raise FirmwareError("px4 is told of sensors that do not sense yet")
+            raise FirmwareError("px4 needs sensor samples before its first step")
         bits = _IMU
         if mag.time_s != self._mag_s:
             self._mag_s, bits = mag.time_s, bits | _MAG

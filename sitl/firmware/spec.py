@@ -1,4 +1,4 @@
-"""Which firmware flies: whose it is, and the program that somebody has built of it."""
+"""Which firmware flies: PX4 or ArduPilot, and its program."""
 
 from __future__ import annotations
 

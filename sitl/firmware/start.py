@@ -44,7 +44,7 @@ def start_firmware(spec: FirmwareSpec, setup: Setup, barometer: Barometer) -> Fi
 def boot(
     firmware: Firmware, sensors: SimulatedAutopilotSensors, state: QuadrotorState, step_s: float
 ) -> float:
-    """Let it boot about a vehicle at rest until it may be armed; returns its clock (s) by then.
+    """Boot it with the vehicle at rest until it is ready to arm; returns its clock (s) then.
 
     Before its first heartbeat it is given real time: its start-up script runs by the wall's clock.
 
@@ -54,7 +54,7 @@ def boot(
     readiness = _Readiness(firmware)
     # the flight's own sensors begin at the world's time 0; these have the same flaws
     sensors = copy.deepcopy(sensors)
-    sensors.wake()
+    sensors.enable()
     began_s, ready_s = wall_clock_s(), math.inf
     try:
         for count in range(1, math.ceil(MOST_BOOT_S / step_s)):
@@ -82,7 +82,7 @@ class _Readiness:
         self._reader = FrameReader()
         self._looks = 0
         self.ready = self.heard = False
-        self.reason = "it said nothing"
+        self.reason = "no output"
         self._healthy = self._located = False
 
     def look(self) -> None:
@@ -106,7 +106,7 @@ class _Readiness:
                 self._healthy = bool(health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
             case mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT:
                 self._located = self._mav.decode(bytearray(frame.data)).flags & _EKF_NEEDS == _EKF_NEEDS
-            case mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # PX4's, whose readiness says it all
+            case mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS:  # PX4's: sufficient for readiness
                 self._located = True
             case mavlink.MAVLINK_MSG_ID_STATUSTEXT:
                 self.reason = " ".join(str(self._mav.decode(bytearray(frame.data)).text).split())

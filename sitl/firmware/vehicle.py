@@ -47,7 +47,7 @@ class FirmwareVehicle:
         try:
             # the world's time 0 is its next step: its clock never stands still
             self._clock_at_start_s = boot(self._firmware, sensors, world.state, step_s) + step_s
-            sensors.wake()
+            sensors.enable()
             sensors.step(0.0, world.state, 0.0, lambda: 0.0)
         except BaseException:
             self._firmware.close()
@@ -64,12 +64,12 @@ class FirmwareVehicle:
 
     @property
     def armed(self) -> bool:
-        """As its last heartbeat told."""
+        """From its last heartbeat."""
         return self.network.armed
 
     @property
     def attitude_setpoint(self) -> Quaternion:
-        """Its wish is not known: what it flies stands for it."""
+        """Its setpoint is not known: the true attitude is used instead."""
         return self._world.state.attitude
 
     def close(self) -> None:

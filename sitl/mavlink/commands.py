@@ -1,6 +1,6 @@
-"""COMMAND_LONG and COMMAND_INT to the simulated autopilot: one function a command, in a table.
+"""COMMAND_LONG and COMMAND_INT to the simulated autopilot: one function per command, in a table.
 
-Both kinds of message become a `CommandRequest`; what a function returns goes back as COMMAND_ACK.
+Both kinds of message become a `CommandRequest`; the function's result is sent as COMMAND_ACK.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _OVER_HOME: Final = {
 }
 _POSITION_OF_LONG: Final = mavlink.MAV_FRAME_GLOBAL
 _GLOBAL_FRAMES: Final = _OVER_HOME | {mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_INT}
-_REBOOT: Final = (1, 3)  # 3 stays in the boot loader, which there is none of here
+_REBOOT: Final = (1, 3)  # 3 stays in the boot loader, which is not simulated
 # x and y of COMMAND_INT are degrees times 1e7 for these, plain numbers for all others
 _WITH_PLACE: Final = {
     mavlink.MAV_CMD_NAV_TAKEOFF,
@@ -37,7 +37,7 @@ _NAV_PRECLAND: Final = 23  # PX4's own, where MAVLink's dialects have NAV_LAND_L
 
 
 class Sender(Protocol):
-    """What commands may ask of the endpoint besides the autopilot."""
+    """The endpoint's functions that commands use, and the autopilot."""
 
     autopilot: SimulatedAutopilot
 
@@ -60,7 +60,7 @@ class CommandRequest:
     frame: int
 
     def whole(self, index: int) -> int:
-        """Parameter 1..7 as an integer, -1 when it is no number of 32 bits."""
+        """Parameter 1..7 as an integer, -1 when it does not fit into 32 bits."""
         value = self.parameters[index - 1]
         return int(value) if abs(value) < _NOT_GIVEN_E7 else -1
 
@@ -180,7 +180,7 @@ def _reboot(sender: Sender, request: CommandRequest, now_s: float) -> CommandRes
 
 
 def _store_parameters(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    """PREFLIGHT_STORAGE: 0 and 1 load and save, which they are anyhow for this run; 2 resets."""
+    """PREFLIGHT_STORAGE: 0 and 1 (load, save) have no effect here; 2 resets."""
     if sender.autopilot.armed or request.whole(1) not in (0, 1, 2):
         return CommandResult.DENIED
     if request.whole(1) == 2:
@@ -246,6 +246,6 @@ HANDLERS: Final[dict[int, Handler]] = {
 
 
 def execute(sender: Sender, request: CommandRequest, now_s: float) -> CommandResult:
-    """Carry out a command; one that is not in the table is UNSUPPORTED."""
+    """Execute a command; one that is not in the table is UNSUPPORTED."""
     handler = HANDLERS.get(request.command)
     return CommandResult.UNSUPPORTED if handler is None else handler(sender, request, now_s)

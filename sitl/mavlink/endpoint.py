@@ -1,9 +1,9 @@
 """The simulated autopilot's end of one link, sans I/O: bytes in with `receive`, bytes out with `transmit`.
 
-System 1, component 1, MAVLink 2 whatever comes in, as both autopilots' simulators do. A vehicle with several
-links has as many endpoints on one autopilot (`sitl.mavlink.network`), each with its own framing, sequence
-numbers and rates; they share what is signed with. Commands are taken from anyone and acknowledged to the
-sender. Whatever arrives that is not MAVLink, or not for us, is dropped.
+System 1, component 1; it sends MAVLink 2 always, as both autopilots' simulators do. A vehicle with several
+links has one endpoint per link on one autopilot (`sitl.mavlink.network`), each with its own framing, sequence
+numbers and rates; they share the signing key. Commands are accepted from any sender and acknowledged to the
+sender. Bytes that are not MAVLink, and messages for other targets, are dropped.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _ANYTHING_IN_A_FRAME = (ValueError, struct.error, mavlink.MAVError)
 
 
 class MavlinkEndpoint:
-    """One autopilot's end of a link; without `sensors` it tells nothing of what its own ones measure.
+    """One autopilot's end of a link; without `sensors` it sends no sensor messages.
 
-    With `truth` it tells the simulator's truth to those who ask for it.
+    With `truth` it sends the simulator's truth on request.
     """
 
     def __init__(
@@ -53,18 +53,18 @@ class MavlinkEndpoint:
         unix_at_start_s: float = 0.0,
         truth: TruthMessages | None = None,
     ) -> None:
-        """Make it; `datagrams`: `receive` is called with whole ones, `unix_at_start_s`: UTC at time 0."""
+        """`datagrams`: `receive` takes whole datagrams; `unix_at_start_s`: UTC at time 0."""
         self.autopilot = autopilot
         self.signing = signing or Signing(autopilot.profile.name)
         self._builders = builders_of(autopilot.profile.name)
         self._sensors = None if sensors is None else SensorMessages(autopilot, sensors, unix_at_start_s)
         self._truth = truth
         self._mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
-        self._decoder = mavlink.MAVLink(None)  # without a key: what gets here has been judged
+        self._decoder = mavlink.MAVLink(None)  # without a key: signatures have been checked before
         self._reader = FrameReader(datagrams=datagrams)
         self._link_id = link_id
         self._unix_at_start_s = unix_at_start_s
-        self._told_s = -math.inf
+        self._state_time_s = -math.inf
         self._streams = Streams(self._has)
         self._outgoing: list[Message] = []
         self.send_to_other_links: Callable[[Message], None] | None = None
@@ -98,23 +98,23 @@ class MavlinkEndpoint:
 
     @property
     def waits(self) -> bool:
-        """Whether there is the beginning of a frame, which `frames` gives up after a while."""
+        """Whether a partial frame is buffered, which `frames` drops after a time-out."""
         return self._reader.waits
 
     def frames(self, data: bytes, now_s: float) -> list[MavFrame]:
-        """The frames that these bytes complete, as far as they may be believed."""
+        """The frames that these bytes complete and that pass signing."""
         self.signing.advance(self._unix_at_start_s + now_s)
         return [frame for frame in self._reader.read(data, now_s) if self.signing.accepts(frame)]
 
     def handle(self, frame: MavFrame, now_s: float) -> None:
-        """Do what a frame asks, if it is for us."""
+        """Handle a frame if it is addressed to this component."""
         handler = self._handlers.get(frame.message_id)
-        if handler is None or not self._is_for_us(frame):
+        if handler is None or not self._is_addressed(frame):
             return
         try:
             message = self._decoder.decode(bytearray(frame.data))
         except _ANYTHING_IN_A_FRAME:
-            return  # a frame with a good checksum and a content that makes no sense
+            return  # the checksum is right, the content is not
         handler(message, now_s)
 
     def transmit(self, now_s: float) -> bytes:
@@ -126,7 +126,7 @@ class MavlinkEndpoint:
 
     def due(self, now_s: float) -> list[bytes]:
         """All that is due, frame by frame; the autopilot's state is that of `now_s`."""
-        self._told_s = now_s
+        self._state_time_s = now_s
         self._outgoing += self._parameters.due(now_s)
         self._outgoing += self._mission.due(now_s)
         for message_id in self._streams.due(now_s):
@@ -134,7 +134,7 @@ class MavlinkEndpoint:
         return self.answers(now_s)
 
     def answers(self, now_s: float) -> list[bytes]:
-        """What does not wait for its time: answers and what was said, frame by frame."""
+        """What is not streamed: answers and texts, frame by frame."""
         if not self._outgoing:
             return []
         self.signing.advance(self._unix_at_start_s + now_s)
@@ -148,7 +148,7 @@ class MavlinkEndpoint:
         self._mav.seq = (self._mav.seq + 1) % 256
         return packed
 
-    def _is_for_us(self, frame: MavFrame) -> bool:
+    def _is_addressed(self, frame: MavFrame) -> bool:
         system, component = frame.target
         return system in (0, self._mav.srcSystem) and component in (0, self._mav.srcComponent)
 
@@ -158,12 +158,12 @@ class MavlinkEndpoint:
         """Queue a telemetry message; False when there is no such message (no data yet is not that)."""
         if self._sensors is not None and message_id in self._sensors:
             self._sensors.ask(message_id)
-            message = self._sensors.build(message_id, max(now_s, self._told_s))
+            message = self._sensors.build(message_id, max(now_s, self._state_time_s))
         elif self._truth is not None and message_id in self._truth:
-            message = self._truth.build(message_id, max(now_s, self._told_s))
+            message = self._truth.build(message_id, max(now_s, self._state_time_s))
         elif message_id in self._builders:
-            # asked for between two states it is still the last one's
-            message = self._builders[message_id](self.autopilot, max(now_s, self._told_s))
+            # a request between two states is answered with the last state
+            message = self._builders[message_id](self.autopilot, max(now_s, self._state_time_s))
         else:
             return False
         if message is not None:
@@ -203,7 +203,7 @@ class MavlinkEndpoint:
             self._outgoing.append(mavlink.MAVLink_statustext_message(severity, data))
             return
         self._text_id = self._text_id % 0xFFFF + 1
-        for index, chunk in enumerate(chunks):  # the last one is not full, which is how its end is known
+        for index, chunk in enumerate(chunks):  # the last chunk is not full, which marks the end
             self._outgoing.append(mavlink.MAVLink_statustext_message(severity, chunk, self._text_id, index))
 
     # ------------------------------------------------------------ commands and modes
@@ -268,7 +268,7 @@ class MavlinkEndpoint:
     ) -> None:
         changes = message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_SET
         for answer in protocol.handle(message, now_s):
-            # all of the vehicle's clients hear what a parameter is now
+            # all links receive a changed parameter
             (self.announce if changes else self.queue)(answer)
 
 

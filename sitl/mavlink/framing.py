@@ -1,11 +1,9 @@
 """MAVLink 1 and 2 frames out of bytes, sans I/O; their check sums are right, nothing in them is read yet.
 
-A start byte in garbage claims up to 280 bytes that follow it. They are not believed: when the check sum is
-wrong the search goes on at the next byte, so that no good frame inside is lost. In a datagram a frame never
-goes beyond its end; in a stream one that is not completed within `PATIENCE_S` is no frame.
-
-The app's codec frames by itself: a fault there must not be repeated here and so stay unseen. The dialect is
-ardupilotmega, which holds common. Source: mavlink.io, "Packet serialization".
+The size and check sum rules are those of the app's codec. A start byte in garbage may claim up to 280 bytes.
+When the check sum is wrong, the search continues at the next byte, so that no valid frame inside is lost. In
+a datagram a frame never extends beyond its end. In a stream a frame that is not complete within `PATIENCE_S`
+is dropped. Source: mavlink.io, "Packet serialization".
 """
 
 from __future__ import annotations
@@ -15,18 +13,20 @@ import re
 import struct
 from typing import Any, Final, NamedTuple
 
-from pymavlink.dialects.v20 import ardupilotmega
+from companion.link.codec import (
+    MARKER,
+    SIGNED_FLAG,
+    V2_MARKER,
+    check_sum_is_right,
+    frame_size,
+    header_bytes,
+    mavlink,
+    message_id_of,
+)
 
-dialect: Any = ardupilotmega
+dialect: Any = mavlink
 
 PATIENCE_S: Final = 0.1
-_MARKER: Final = re.compile(b"[\xfd\xfe]")
-_V2_MARKER: Final = 0xFD
-_V1_HEADER_BYTES: Final = 6
-_V2_HEADER_BYTES: Final = 10
-_CRC_BYTES: Final = 2
-_SIGNED: Final = 0x01
-SIGNATURE_BYTES: Final = 13
 _BEYOND: Final = 1e7
 
 
@@ -47,9 +47,7 @@ class MavFrame(NamedTuple):
 
     def _payload_byte(self, at: int) -> int:
         """A byte of the payload; MAVLink 2 does not send zeros at its end."""
-        is_v2 = self.data[0] == _V2_MARKER
-        header, size = _V2_HEADER_BYTES if is_v2 else _V1_HEADER_BYTES, self.data[1]
-        return self.data[header + at] if 0 <= at < size else 0
+        return self.data[header_bytes(self.data) + at] if 0 <= at < self.data[1] else 0
 
 
 class FrameReader:
@@ -82,53 +80,26 @@ class FrameReader:
         """Frames in the buffer from `start` on, and how many of its bytes are done with."""
         buffer = self._buffer
         frames: list[MavFrame] = []
-        while (marker := _MARKER.search(buffer, start)) is not None:
+        while (marker := MARKER.search(buffer, start)) is not None:
             start = marker.start()
-            size = _frame_size(buffer, start)
-            if size > len(buffer) - start and not self._datagrams:
+            size, have = frame_size(buffer, start), len(buffer) - start
+            if size > have and not self._datagrams:
                 return frames, start
-            frame = _whole_frame(buffer[start : start + size]) if size else None
+            frame = _checked_frame(buffer[start : start + size]) if 0 < size <= have else None
             if frame is not None:
                 frames.append(frame)
             start += 1 if frame is None else size
         return frames, len(buffer)
 
 
-def _frame_size(buffer: bytearray, start: int) -> int:
-    """Bytes that a frame beginning here would have; 0 when none can begin here."""
-    have = len(buffer) - start
-    if buffer[start] != _V2_MARKER:
-        if have < _V1_HEADER_BYTES:
-            return _V1_HEADER_BYTES
-        known = buffer[start + 5] in dialect.mavlink_map
-        return _V1_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES if known else 0
-    if have < _V2_HEADER_BYTES:
-        return _V2_HEADER_BYTES
-    flags = buffer[start + 2]
-    message_id = int.from_bytes(buffer[start + 7 : start + 10], "little")
-    if flags & ~_SIGNED or message_id not in dialect.mavlink_map:
-        return 0
-    signature = SIGNATURE_BYTES if flags & _SIGNED else 0
-    return _V2_HEADER_BYTES + buffer[start + 1] + _CRC_BYTES + signature
-
-
-def _whole_frame(data: bytearray) -> MavFrame | None:
-    """The frame in these bytes; None when they are too few or their check sum is wrong."""
-    is_v2 = data[0] == _V2_MARKER
-    header = _V2_HEADER_BYTES if is_v2 else _V1_HEADER_BYTES
-    if len(data) < header + _CRC_BYTES or len(data) < header + data[1] + _CRC_BYTES:
+def _checked_frame(data: bytearray) -> MavFrame | None:
+    """The frame in these bytes; None when its check sum is wrong."""
+    message_id = message_id_of(data)
+    if not check_sum_is_right(data, message_id):
         return None
-    signed = is_v2 and bool(data[2] & _SIGNED)
-    message_id = int.from_bytes(data[7:10], "little") if is_v2 else data[5]
+    is_v2 = data[0] == V2_MARKER
     system, component = (data[5], data[6]) if is_v2 else (data[3], data[4])
-    end = header + data[1]
-    if signed and len(data) < end + _CRC_BYTES + SIGNATURE_BYTES:
-        return None
-    covered = data[1:end]
-    covered.append(dialect.mavlink_map[message_id].crc_extra)
-    if dialect.x25crc(covered).crc != int.from_bytes(data[end : end + _CRC_BYTES], "little"):
-        return None
-    return MavFrame(bytes(data), message_id, system, component, signed)
+    return MavFrame(bytes(data), message_id, system, component, is_v2 and bool(data[2] & SIGNED_FLAG))
 
 
 def _target_offsets() -> dict[int, tuple[int, int]]:

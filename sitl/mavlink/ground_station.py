@@ -1,7 +1,7 @@
-"""A ground station at the pad, sans I/O: it hears the companion's texts and answers where the pad is.
+"""A ground station at the pad, sans I/O: it receives the companion's texts and sends the pad's position.
 
-MAVLink system 255, component 190. Asked for FOLLOW_TARGET (MAV_CMD_REQUEST_MESSAGE), it sends the position
-that the pad's own GPS shows half a second later: a receiver of the NEO-6M's class (2.5 m CEP), which is off
+MAVLink system 255, component 190. On a request for FOLLOW_TARGET (MAV_CMD_REQUEST_MESSAGE) it sends the
+position of the pad's own GPS half a second later: a receiver of the NEO-6M's class (2.5 m CEP), which is off
 by a constant and a little noise. `position_cov` holds standard deviations (eph, eph, epv), m. Truth in, NED.
 """
 
@@ -27,11 +27,11 @@ _HEARTBEAT_S: Final = 1.0
 _NOISE_STD_M: Final = 0.2
 _VERTICAL_FACTOR: Final = 1.5
 _POSITION_AND_VELOCITY: Final = 0b11
-_LINK_ID: Final = 255  # of its signatures: no link of the vehicle's
+_LINK_ID: Final = 255  # of its signatures; differs from the vehicle's links
 _MOST_TEXTS: Final = 1000
 _MOST_CHUNKS: Final = 16
-_MOST_UNFINISHED: Final = 16  # texts whose end has not come; the oldest gives way
-_MOST_ANSWERS: Final = 32  # that wait for their time
+_MOST_UNFINISHED: Final = 16  # incomplete texts; the oldest is dropped
+_MOST_ANSWERS: Final = 32  # pending
 
 
 class GroundStation:
@@ -49,8 +49,8 @@ class GroundStation:
         available: bool = True,
         signing: Signing | None = None,
     ) -> None:
-        """`rate_hz` is how often the pad's GPS makes a fix: an answer tells the newest; None: one just made.
-        Without a beacon (`available` False) it is said that there is no such message. `position_std_m` is its
+        """`rate_hz` is the fix rate of the pad's GPS: an answer has the newest fix; None: a fix per answer.
+        Without a beacon (`available` False) the request is UNSUPPORTED. `position_std_m` is its
         GPS's, `signing` what its frames are signed with."""
         self.texts: list[tuple[float, int, str]] = []
         self.requests = 0
@@ -78,7 +78,7 @@ class GroundStation:
     def of(
         cls, beacon: BeaconSettings, rng: np.random.Generator, home: Vector3, signing: Signing | None = None
     ) -> GroundStation:
-        """The one with a scenario's beacon."""
+        """With a scenario's beacon settings."""
         return cls(
             rng,
             beacon.position_std_m,
@@ -96,10 +96,10 @@ class GroundStation:
             self.handle(frame, now_s)
 
     def handle(self, frame: MavFrame, now_s: float) -> None:
-        """Take a frame that has just arrived and may be believed."""
+        """Handle a frame that has just arrived and passed signing."""
         if frame.message_id == mavlink.MAVLINK_MSG_ID_STATUSTEXT and frame.component == COMPANION_COMPONENT:
             self._handle_text(self._decoder.decode(bytearray(frame.data)), now_s)
-        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_for_us(frame.target):
+        elif frame.message_id == mavlink.MAVLINK_MSG_ID_COMMAND_LONG and _is_addressed(frame.target):
             self._handle_command(self._decoder.decode(bytearray(frame.data)), now_s)
 
     def transmit(self, now_s: float, pad_position_ned_m: Vector3, pad_velocity_ned_m_s: Vector3) -> bytes:
@@ -172,12 +172,12 @@ class GroundStation:
             if len(text) == 50 and len(self._chunks[key]) < _MOST_CHUNKS:
                 return
             text = "".join(self._chunks.pop(key))
-        # more than a flight has; whoever talks so must not fill the memory
+        # more than a flight has; a sender of more must not fill the memory
         if len(self.texts) >= _MOST_TEXTS:
             del self.texts[0]
         self.texts.append((now_s, message.severity, text))
 
 
-def _is_for_us(target: tuple[int, int]) -> bool:
+def _is_addressed(target: tuple[int, int]) -> bool:
     system, component = target
     return system == SYSTEM_ID and component in (0, COMPONENT_ID)

@@ -1,8 +1,8 @@
-"""The vehicle's MAVLink sockets: UDP and TCP, each client with a port of its own in the vehicle's network.
+"""The vehicle's MAVLink sockets: UDP and TCP, each client with its own port in the vehicle's network.
 
-UDP as both autopilots' simulators do it: the vehicle has an address of its own, sends to the one where a
-client listens (14540, 14550) from the start, and answers whoever speaks to it besides. Over TCP (5760) it
-listens. Nobody can hold it up: what a client does not read is dropped, by whole frames.
+UDP as in both autopilots' simulators: the vehicle has its own address, sends to the one where a client
+listens (14540, 14550) from the start, and also answers any other sender. Over TCP (5760) it listens. Clients
+cannot block it: what a client does not read is dropped, by whole frames.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from sitl.mavlink.network import Port, Write
 Address = tuple[Any, ...]  # host, port; over IPv6 flow and scope, too
 
 MOST_CLIENTS: Final = 16
-UDP_SILENCE_S: Final = 60.0  # a ground station beats once a second; who is silent so long has gone
+UDP_SILENCE_S: Final = 60.0  # a client sends a heartbeat once a second; without it for so long it is removed
 SWEEP_PERIOD_S: Final = 10.0
 DATAGRAM_BYTES: Final = 1400
 UNREAD_BYTES: Final = 1 << 18
-_NO_ADDRESS: Final = (OSError, OverflowError, UnicodeError)  # the last for what is no name of a host
+_NO_ADDRESS: Final = (OSError, OverflowError, UnicodeError)  # the last for an invalid host name
 
 
 class Vehicle(Protocol):
-    """What the sockets bring clients to."""
+    """Where the sockets connect clients."""
 
     def connect(self, write: Write, *, datagrams: bool) -> Port:
         """Open a port for a client."""
@@ -55,7 +55,7 @@ class UdpServer(asyncio.DatagramProtocol):
         self._clients: dict[Address, Port] = {}
         self._received_s: dict[Address, float] = {}
         self._write_paused = False
-        self._sweeping: asyncio.TimerHandle | None = None
+        self._removal_timer: asyncio.TimerHandle | None = None
 
     async def open(self, host: str, port: int) -> int:
         """Bind, begin to send, and return the port (a free one for 0).
@@ -67,7 +67,7 @@ class UdpServer(asyncio.DatagramProtocol):
         try:
             self._socket, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=(host, port))
             if self._listener is not None:
-                # by number, as it is when it speaks: by name it would be another client
+                # numeric, as the sender address of its datagrams: by name it would be another client
                 family = self._socket.get_extra_info("socket").family
                 found = await loop.getaddrinfo(*self._listener, family=family, type=socket.SOCK_DGRAM)
                 self._listener = found[0][4]
@@ -75,7 +75,7 @@ class UdpServer(asyncio.DatagramProtocol):
         except _NO_ADDRESS as error:
             self.close()
             raise ConfigError(_refusal("UDP", host, port, error)) from error
-        self._sweep()
+        self._remove_periodically()
         return int(self._socket.get_extra_info("sockname")[1])
 
     def datagram_received(self, data: bytes, addr: Address) -> None:
@@ -86,39 +86,39 @@ class UdpServer(asyncio.DatagramProtocol):
             self._vehicle.receive(port, data)
 
     def error_received(self, exc: Exception) -> None:
-        """asyncio: nobody listens there yet; somebody may."""
+        """asyncio: no listener there yet."""
 
     def pause_writing(self) -> None:
-        """asyncio: the network takes no more; what is not sent now is dropped."""
+        """asyncio: the send buffer is full; further datagrams are dropped."""
         self._write_paused = True
 
     def resume_writing(self) -> None:
-        """asyncio: it takes again."""
+        """asyncio: the send buffer has room again."""
         self._write_paused = False
 
     def close(self) -> None:
-        """Give the port back."""
-        if self._sweeping is not None:
-            self._sweeping.cancel()
+        """Close the socket."""
+        if self._removal_timer is not None:
+            self._removal_timer.cancel()
         for address in tuple(self._clients):
             self._remove_client(address)
         if self._socket is not None:
             self._socket.close()
 
     def _add_sender(self, address: Address, data: bytes) -> Port | None:
-        """A port for whoever sends MAVLink; None when it is something else, or there are too many."""
+        """A port for a sender of MAVLink; None for other data, or with too many clients."""
         if not FrameReader(datagrams=True).read(data, 0.0):
-            return None  # a stray datagram: no client, and not worth one's place
+            return None  # a stray datagram is not a client
         self._remove_inactive()
         return self._add_client(address) if len(self._clients) < MOST_CLIENTS else None
 
-    def _sweep(self) -> None:
-        """Now and then, so that nobody who has gone is sent to for ever."""
+    def _remove_periodically(self) -> None:
+        """Remove inactive clients periodically."""
         self._remove_inactive()
-        self._sweeping = asyncio.get_running_loop().call_later(SWEEP_PERIOD_S, self._sweep)
+        self._removal_timer = asyncio.get_running_loop().call_later(SWEEP_PERIOD_S, self._remove_periodically)
 
     def _remove_inactive(self) -> None:
-        """Make room; the listener's place stays its own, whether it speaks or not."""
+        """Remove clients after a silence; the configured listener stays."""
         now_s = self._clock.now_s()
         for address, received_s in tuple(self._received_s.items()):
             if address != self._listener and now_s - received_s > UDP_SILENCE_S:
@@ -164,7 +164,7 @@ class TcpServer:
         return int(self._server.sockets[0].getsockname()[1])
 
     def close(self) -> None:
-        """Stop listening and part from all clients."""
+        """Stop listening and disconnect all clients."""
         if self._server is not None:
             self._server.close()
         for client in tuple(self._clients):
@@ -198,19 +198,19 @@ class _TcpClient(asyncio.Protocol):
             self._port = None
 
     def close(self) -> None:
-        """Part from it at once, whether it reads or not."""
+        """Disconnect at once."""
         if self._transport is not None:
             self._transport.abort()
 
     def _write(self, frames: Sequence[bytes]) -> None:
         transport = self._transport
         if transport is None or transport.is_closing() or transport.get_write_buffer_size() > UNREAD_BYTES:
-            return  # it does not read: what it misses is gone
+            return  # it does not read: these frames are dropped
         transport.write(b"".join(frames))
 
 
 def in_datagrams(frames: Sequence[bytes]) -> list[bytes]:
-    """Whole frames, as many to a datagram as a network passes on unbroken."""
+    """Whole frames, grouped into datagrams below the MTU."""
     datagrams: list[bytes] = []
     room = 0
     for frame in frames:
@@ -224,7 +224,7 @@ def in_datagrams(frames: Sequence[bytes]) -> list[bytes]:
 
 
 def _refusal(kind: str, host: str, port: int, error: Exception) -> str:
-    """Why an address cannot be had, in one line."""
+    """Why an address cannot be bound, in one line."""
     in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
     reason = "already in use" if in_use else getattr(error, "strerror", None) or str(error)
     return f"{kind} port {host}:{port}: {reason}; expected a free port at an address of this computer"

@@ -1,9 +1,9 @@
 """MAVLink's mission protocol, sans I/O: upload, download, clear, set current, and what has been reached.
 
 One object a link: it keeps that link's transfer, the list itself is in the autopilot's `MissionStore`.
-`handle` takes a message and returns the answers, `due` what has to be sent or asked again by now. An
+`handle` takes a message and returns the answers, `due` what has to be sent or requested again by now. An
 upload goes MISSION_COUNT, then MISSION_REQUEST(_INT) and MISSION_ITEM(_INT) for each, then MISSION_ACK. Both
-kinds of item are taken. Downloads are answered item by item without keeping a state: none can get stuck.
+kinds of item are taken. Downloads are answered item by item without a state: none can get stuck.
 Fences and rally points are not simulated: their lists are empty and stay so.
 Source: mavlink.io's mission protocol; results and time-outs as in `MissionRules`.
 """
@@ -34,7 +34,7 @@ _MISSION: Final = mavlink.MAV_MISSION_TYPE_MISSION
 _EMPTY_TYPES: Final = (mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
 _ALL_TYPES: Final = mavlink.MAV_MISSION_TYPE_ALL
 _DEGREES_E7: Final = 1e-7
-# an autopilot that asks for integers also says so in the frames it tells
+# an autopilot that requests integers also sends integer frames
 _INTEGER_FRAMES: Final[dict[int, int]] = {
     ItemFrame.GLOBAL: mavlink.MAV_FRAME_GLOBAL_INT,
     ItemFrame.RELATIVE: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT,
@@ -43,7 +43,7 @@ _INTEGER_FRAMES: Final[dict[int, int]] = {
 
 @dataclass(slots=True)
 class _Upload:
-    """A transfer under way: who sends, which item is next and last, and when something was heard or asked."""
+    """An upload in progress: sender, next and last item, times of the last item and request."""
 
     partner: Partner
     next: int
@@ -61,7 +61,7 @@ class MissionProtocol:
         self._store = store
         self._upload: _Upload | None = None
         self._completed_last: tuple[Partner, int] | None = None
-        self._told = store.reached_total
+        self._reported = store.reached_total
         self._handlers: dict[int, Callable[[Message, float], list[Message]]] = {
             mavlink.MAVLINK_MSG_ID_MISSION_COUNT: self._on_count,
             mavlink.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: self._on_partial_list,
@@ -82,12 +82,12 @@ class MissionProtocol:
         return [] if handler is None else handler(message, now_s)
 
     def due(self, now_s: float) -> list[Message]:
-        """Requests to repeat, the end of an upload that has gone silent, and items newly reached."""
+        """Repeated requests, the end of an upload that timed out, and items newly reached."""
         upload = self._upload
         messages = [] if upload is None else self._keep_asking(upload, now_s)
-        new = self._store.reached_total - self._told
+        new = self._store.reached_total - self._reported
         if new > 0:
-            self._told += new
+            self._reported += new
             recent = list(self._store.reached)[-new:]
             messages += [mavlink.MAVLink_mission_item_reached_message(number) for number in recent]
         return messages
@@ -99,7 +99,7 @@ class MissionProtocol:
         if m.mission_type != _MISSION:
             empty = m.mission_type in _EMPTY_TYPES and m.count == 0
             return [_ack(m, MissionResult.ACCEPTED if empty else MissionResult.UNSUPPORTED)]
-        if self._others_upload(now_s) or (busy is not None and busy.partner != _sender(m)):
+        if self._other_link_uploads(now_s) or (busy is not None and busy.partner != _sender(m)):
             return [_ack(m, MissionResult.DENIED if rules.restarts else MissionResult.ERROR)]
         if busy is not None and not rules.restarts and busy.next != busy.begun:
             return [_ack(m, MissionResult.ERROR)]
@@ -116,7 +116,7 @@ class MissionProtocol:
             return []
         if m.mission_type != _MISSION:
             return [_ack(m, MissionResult.UNSUPPORTED)]
-        if self._upload is not None or self._others_upload(now_s):
+        if self._upload is not None or self._other_link_uploads(now_s):
             return [_ack(m, MissionResult.DENIED)]
         if not 0 <= m.start_index <= m.end_index < len(self._store):
             self._store.send_text(Severity.WARNING, "Flight plan update rejected")
@@ -136,8 +136,8 @@ class MissionProtocol:
         if self._store.uploader is self:
             self._store.uploader = None
 
-    def _others_upload(self, now_s: float) -> bool:
-        """Somebody uploads over another link, and has not fallen silent."""
+    def _other_link_uploads(self, now_s: float) -> bool:
+        """Another link has an upload in progress that has not timed out."""
         store = self._store
         silent = now_s - store.uploader_heard_s >= store.rules.timeout_s
         return store.uploader is not None and store.uploader is not self and not silent
@@ -212,7 +212,7 @@ class MissionProtocol:
                 raise IndexError(m.seq)
             item = self._store.item(m.seq)
         except IndexError:
-            # tell a client that asks beyond the end how many there are
+            # a request beyond the end is answered with the count
             return [self._count(m), _ack(m, MissionResult.ERROR)]
         integers = m.get_msgId() == mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_INT
         current = m.seq == self._store.current
@@ -230,7 +230,7 @@ class MissionProtocol:
     def _on_clear(self, m: Message, now_s: float) -> list[Message]:
         if m.mission_type not in (_MISSION, _ALL_TYPES, *_EMPTY_TYPES):
             return [_ack(m, MissionResult.UNSUPPORTED)]
-        if self._upload is not None or self._others_upload(now_s):
+        if self._upload is not None or self._other_link_uploads(now_s):
             return [_ack(m, MissionResult.ERROR)]
         if m.mission_type not in _EMPTY_TYPES:
             self._store.clear()
@@ -261,7 +261,7 @@ def item_from_message(m: Message) -> MissionItem:
 def message_from_item(
     item: MissionItem, to: Partner, seq: int, frame_and_current: tuple[int, bool], *, integers: bool
 ) -> Message:
-    """MISSION_ITEM_INT or MISSION_ITEM of one item, said to be in a MAV_FRAME, and the current one or not."""
+    """MISSION_ITEM_INT or MISSION_ITEM of one item, with a MAV_FRAME and the current flag."""
     frame, current = frame_and_current
     flags = (frame, item.command, int(current), int(item.autocontinue))
     if not integers:

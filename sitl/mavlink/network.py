@@ -1,8 +1,8 @@
 """The vehicle's links and what passes between them, sans I/O.
 
 Each client is a `Port` with an endpoint of its own on the one autopilot. Frames that are for others, or for
-all, go on to the ports behind which their target has been heard, unchanged (mavlink.io, "Routing"; both
-autopilots forward so). The ground station at the pad sits behind no socket: it hears and is heard by all.
+all, are forwarded unchanged to the ports behind which their target has been seen (mavlink.io, "Routing"; both
+autopilots forward so). The ground station at the pad has no socket: it receives from and sends to all.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ mavlink: Any = dialect
 
 Write = Callable[[Sequence[bytes]], None]
 VEHICLE: Final = (1, 1)
-# a key for one link, and what a radio tells of one link
+# a key for one link, and a radio's status of one link
 _NEVER_FORWARDED: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_SETUP_SIGNING,
@@ -35,7 +35,7 @@ _MOST_NODES: Final = 64
 
 
 class Port:
-    """One client's place: its endpoint, how to write to it (whole frames), and who is behind it."""
+    """One client's port: its endpoint, how to write to it (whole frames), and the nodes behind it."""
 
     def __init__(self, endpoint: MavlinkEndpoint, write: Write) -> None:
         self.endpoint = endpoint
@@ -43,19 +43,19 @@ class Port:
         self.nodes: set[tuple[int, int]] = set()
 
     def learn(self, frame: MavFrame) -> None:
-        """Remember who is behind this port; whoever makes up names by the dozen is not believed in all."""
+        """Store the sender's system and component; bounded."""
         if frame.system and len(self.nodes) < _MOST_NODES:
             self.nodes.add((frame.system, frame.component))
 
     def leads_to(self, system: int, component: int) -> bool:
-        """Whether a target has been heard here; 0 is any."""
+        """Whether a target has been seen on this port; 0 is any."""
         if system == 0:
             return True
         return any(s == system and component in (0, c) for s, c in self.nodes)
 
 
 class Network:
-    """All ports of one vehicle."""
+    """All MAVLink ports of one vehicle."""
 
     def __init__(
         self,
@@ -74,11 +74,6 @@ class Network:
         self._truth = truth
         self._ports: list[Port] = []
         self._links_made = 0
-
-    @property
-    def ports(self) -> Sequence[Port]:
-        """Those that are open."""
-        return self._ports
 
     def connect(self, write: Write, *, datagrams: bool) -> Port:
         """Open a port for a client; `datagrams`: whole ones are handed to `receive`."""
@@ -103,11 +98,11 @@ class Network:
         self._ports.remove(port)
 
     def receive(self, port: Port, data: bytes, now_s: float) -> None:
-        """Take what a client sent, pass on what is for others, and answer at once."""
+        """Handle what a client sent, forward what is for others, and answer at once."""
         endpoint = port.endpoint
         for frame in endpoint.frames(data, now_s):
             if (frame.system, frame.component) == VEHICLE:
-                continue  # our own, come back by a loop
+                continue  # the vehicle's own frame, returned by a loop
             port.learn(frame)
             self._forward(port, frame)
             endpoint.handle(frame, now_s)
@@ -126,7 +121,7 @@ class Network:
                 due.append(beacon)
             if due:
                 port.write(due)
-        self._answer(now_s)  # what has been said since, in the course of the above as well
+        self._answer(now_s)  # including texts queued by the above
 
     def _answer(self, now_s: float) -> None:
         self._send_texts()
@@ -135,7 +130,7 @@ class Network:
                 port.write(answers)
 
     def _send_texts(self) -> None:
-        """The autopilot's texts go to everybody."""
+        """Send the autopilot's texts on all links."""
         for severity, text in self._autopilot.take_texts():
             for port in self._ports:
                 port.endpoint.send_text(severity, text)

@@ -1,6 +1,6 @@
 """MAVLink's parameter protocol, sans I/O: list, read, set, and PX4's hash.
 
-One object a link. A list is paced as a real link paces it, so that a client that asks again for what it
+One object per link. A list is paced as on a real link, so that a client that requests again what it
 missed is served meanwhile. Integers go bytewise in the float field with PX4, as plain numbers with ArduPilot.
 Sources: mavlink.io's parameter protocol; PX4 1.16 `mavlink_parameters.cpp`; ArduPilot 4.6 `GCS_Param.cpp`.
 """
@@ -80,7 +80,7 @@ class ParameterProtocol:
     def _on_set(self, m: Message, now_s: float) -> list[Message]:
         parameters, name, value = self._autopilot.parameters, _text(m.param_id), m.param_value
         if name == HASH_NAME and self._bytewise:
-            self._next = None  # the client has all of these values already
+            self._next = None  # the client has all values already
             return []
         if name not in parameters:
             return []
@@ -91,7 +91,7 @@ class ParameterProtocol:
             if parameters.is_integer(name):
                 value = float(struct.unpack("<i", struct.pack("<f", value))[0])
         parameters.set(name, value)
-        # a refused value is answered by the one that stands
+        # a rejected value is answered with the present one
         return [self._value(name, parameters.index_of(name) if self._bytewise else _NO_INDEX)]
 
     @property
@@ -118,7 +118,7 @@ class ParameterProtocol:
         return struct.pack("<i", int(value)) if integer else struct.pack("<f", value)
 
     def _hash(self) -> Message:
-        """_HASH_CHECK: the CRC of all names and values, by which a client sees that it knows them already."""
+        """_HASH_CHECK: the CRC of all names and values, by which a client detects that it has them."""
         crc = 0
         for name in self._autopilot.parameters:
             for part in (name.encode(), self._raw(name)):

@@ -1,6 +1,6 @@
-"""Messages by which others fly or guide the autopilot without commands: sticks, and a target to land on.
+"""Messages that control the autopilot without commands: RC override, manual control, LANDING_TARGET.
 
-Each handler takes (autopilot, message, now_s); what makes no sense is left out.
+Each handler takes (autopilot, message, now_s); invalid values are ignored.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def manually_controlled(autopilot: SimulatedAutopilot, m: Message, now_s: float)
 
 
 def target_seen(autopilot: SimulatedAutopilot, m: Message, now_s: float) -> None:
-    """LANDING_TARGET: a position if it says so, else the angles."""
+    """LANDING_TARGET: the position if position_valid is 1, else the angles."""
     position = (m.x, m.y, m.z) if m.position_valid == 1 else None
     numbers = (m.angle_x, m.angle_y, m.distance) if position is None else (*position, m.distance)
     if not all(math.isfinite(number) and abs(number) < 1e6 for number in numbers):

@@ -1,7 +1,7 @@
-"""Messages that tell what the autopilot's own sensors measure: one function a message.
+"""Messages of the autopilot's own sensors: one function per message.
 
-Stamped in the time since its boot. PX4's HIGHRES_IMU carries in `fields_updated` what is new since the last
-one; ArduPilot's RAW_IMU and SCALED_IMU repeat the newest field. Both send as integers what MAVLink says.
+Stamped in time since boot. PX4's HIGHRES_IMU has in `fields_updated` what is new since the last
+one; ArduPilot's RAW_IMU and SCALED_IMU repeat the newest field. Both send integers where MAVLink does.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FIELD_BITS: Final = 0b111_000_000
 _TEMPERATURE_C: Final = 38.0
 _GEOID_M: Final = 47.0
 _DILUTIONS: Final = (100, 170)
-# IMU, compass and rangefinder cost something, so they work when somebody asks for one of these
+# IMU, compass and rangefinder cost computing time: they run once one of these is requested
 _COSTLY_MESSAGES: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_HIGHRES_IMU,
@@ -38,15 +38,15 @@ _COSTLY_MESSAGES: Final = frozenset(
 _I16: Final = 32767
 _U16_KNOWN: Final = 65534
 _BEYOND_CM: Final = 1  # the farthest it can measure: no echo
-# the standard atmosphere at sea level, and how it thins (ISO 2533)
+# the standard atmosphere (ISO 2533): pressure at sea level, gradient, exponent
 _SEA_LEVEL_HPA: Final = 1013.25
-_THINS_PER_M: Final = 2.25577e-5
-_THINS_POWER: Final = 5.25588
+_PRESSURE_LAPSE_PER_M: Final = 2.25577e-5
+_PRESSURE_EXPONENT: Final = 5.25588
 _PULSE_US: Final = (1000, 1000)  # motors off; and from there to full
 
 
 class SensorMessages:
-    """Builds the messages of one autopilot's sensors; None while there is nothing (new) to tell."""
+    """Builds the messages of one autopilot's sensors; None while there is no (new) sample."""
 
     def __init__(
         self, autopilot: SimulatedAutopilot, sensors: SimulatedAutopilotSensors, unix_at_start_s: float = 0.0
@@ -55,7 +55,7 @@ class SensorMessages:
         self._autopilot = autopilot
         self._sensors = sensors
         self._unix_at_start_s = unix_at_start_s
-        self._field_told_s = self._fix_told_s = self._echo_told_s = -math.inf
+        self._field_sent_s = self._fix_sent_s = self._echo_sent_s = -math.inf
         of_imu: dict[str, tuple[int, Builder]] = {
             "HIGHRES_IMU": (mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, self._highres_imu),
             "RAW_IMU": (mavlink.MAVLINK_MSG_ID_RAW_IMU, self._raw_imu),
@@ -78,9 +78,9 @@ class SensorMessages:
         return message_id in self._builders
 
     def ask(self, message_id: int) -> None:
-        """Somebody wants this message: the sensors that cost something begin to work."""
+        """This message is requested: enable the sensors it needs."""
         if message_id in _COSTLY_MESSAGES:
-            self._sensors.wake()
+            self._sensors.enable()
 
     def build(self, message_id: int, now_s: float) -> Message | None:
         """The message of that id, which must be one that it has."""
@@ -92,8 +92,8 @@ class SensorMessages:
         imu, mag = self._sensors.imu, self._sensors.mag
         if imu is None or mag is None:
             return None
-        bits = _IMU_BITS | (_FIELD_BITS if mag.time_s > self._field_told_s else 0)
-        self._field_told_s = mag.time_s
+        bits = _IMU_BITS | (_FIELD_BITS if mag.time_s > self._field_sent_s else 0)
+        self._field_sent_s = mag.time_s
         return mavlink.MAVLink_highres_imu_message(
             self._boot_us(imu.time_s), *imu.specific_force_m_s2, *imu.rate_rad_s, *scale(mag.field_ut, 0.01),
             self._pressure_hpa(), 0.0, self._altitude_m(), _TEMPERATURE_C, bits,
@@ -134,7 +134,7 @@ class SensorMessages:
         return mavlink.MAVLink_system_time_message(unix_us, milliseconds(self._autopilot, now_s))
 
     def _vibration(self, now_s: float) -> Message:
-        """VIBRATION: what the rotors do to the accelerometer (rms, m/s²)."""
+        """VIBRATION: the rotors' vibration at the accelerometer (rms, m/s²)."""
         level = ImuErrors().vibration_m_s2 * self._sensors.throttle
         return mavlink.MAVLink_vibration_message(self._boot_us(now_s), level, level, level, 0, 0, 0)
 
@@ -149,8 +149,10 @@ class SensorMessages:
         return self._autopilot.geodetic(self._autopilot.estimate.position_ned_m)[2]
 
     def _pressure_hpa(self) -> float:
-        """Of the standard atmosphere at the height that the autopilot believes in."""
-        return float(_SEA_LEVEL_HPA * (1.0 - _THINS_PER_M * self._altitude_m()) ** _THINS_POWER)
+        """Of the standard atmosphere at the autopilot's altitude estimate."""
+        return float(
+            _SEA_LEVEL_HPA * (1.0 - _PRESSURE_LAPSE_PER_M * self._altitude_m()) ** _PRESSURE_EXPONENT
+        )
 
     def _servo_outputs(self, now_s: float) -> Message:
         off_us, span_us = _PULSE_US
@@ -189,13 +191,13 @@ class SensorMessages:
 
     def _distance_sensor(self, now_s: float) -> Message | None:
         echo = self._sensors.range
-        if echo is None or echo.time_s <= self._echo_told_s:
+        if echo is None or echo.time_s <= self._echo_sent_s:
             return None
-        self._echo_told_s = echo.time_s
+        self._echo_sent_s = echo.time_s
         bounds = RangeErrors()
         nearest_cm, farthest_cm = round(100.0 * bounds.minimum_m), round(100.0 * bounds.maximum_m)
-        told_m, beyond_cm = echo.distance_m, farthest_cm + _BEYOND_CM
-        distance_cm = beyond_cm if told_m is None else round(100.0 * told_m)
+        distance_m, beyond_cm = echo.distance_m, farthest_cm + _BEYOND_CM
+        distance_cm = beyond_cm if distance_m is None else round(100.0 * distance_m)
         return mavlink.MAVLink_distance_sensor_message(
             self._boot_us(echo.time_s) // 1000, nearest_cm, farthest_cm, distance_cm,
             mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0,

@@ -1,8 +1,8 @@
 """MAVLink 2 signing, sans I/O: one secret key for all links of a vehicle, and the times on each stream.
 
-A frame is believed when its signature is right and its time stamp is later than the last one of its stream
-(link id, system, component); a stream that appears may be a minute behind. The stamps are common to all
-links, so that what was heard on one cannot be replayed on another; only right signatures move them on. They
+A frame is accepted when its signature is right and its time stamp is later than the last one of its stream
+(link id, system, component); a new stream may lag by a minute. The stamps are common to all
+links, so that a frame of one cannot be replayed on another; only right signatures advance them. They
 count 10 µs since 2015-01-01 UTC. Sources: mavlink.io, "Message Signing"; what passes unsigned: ArduPilot's
 GCS_Signing, PX4's mavlink_sign_control.
 """
@@ -16,7 +16,8 @@ from typing import Any, Final
 
 from companion.base.messages import Manner
 from companion.config import ConfigError
-from sitl.mavlink.framing import SIGNATURE_BYTES, MavFrame, dialect
+from companion.link.codec import SIGNATURE_BYTES
+from sitl.mavlink.framing import MavFrame, dialect
 
 KEY_BYTES: Final = 32
 EPOCH_UNIX_S: Final = 1_420_070_400
@@ -60,7 +61,7 @@ def read_key(path: Path) -> bytes:
 
 
 class Signing:
-    """Judges what comes and tells packers how to sign; without a key everything passes and nothing is."""
+    """Checks and creates signatures; without a key all frames pass and none is signed."""
 
     def __init__(self, autopilot: Manner, key: bytes | None = None) -> None:
         self._unsigned = UNSIGNED[autopilot]
@@ -72,7 +73,7 @@ class Signing:
     def set_up(self, key: bytes, stamp: int) -> None:
         """SETUP_SIGNING: take another key and begin at `stamp`; a key of zeros ends signing.
 
-        Given the same key again, what was heard stays heard: it must not be replayed.
+        With the same key again, the last stamps stay, so that nothing can be replayed.
         """
         changed = self.key != key
         self.key = key if any(key) else None
@@ -81,11 +82,11 @@ class Signing:
             self._last.clear()
 
     def advance(self, unix_s: float) -> None:
-        """The time (s since 1970), from which our own stamps are taken; they never go back."""
+        """Advance the own time stamps to a time (s since 1970); they never decrease."""
         self.stamp = max(self.stamp, stamp_from_unix(unix_s))
 
     def accepts(self, frame: MavFrame) -> bool:
-        """Whether a frame may be believed."""
+        """Whether a frame passes signing."""
         if self.key is None or (frame.signed and self._is_genuine(frame, self.key)):
             return True
         if frame.message_id in self._unsigned:
@@ -94,7 +95,7 @@ class Signing:
         return False
 
     def prepare(self, packer: Any, link_id: int) -> None:
-        """Have pymavlink's packer sign as this vehicle's link from now on, or not."""
+        """Set up pymavlink's packer to sign for a link, or not."""
         signing = packer.signing
         signing.secret_key, signing.sign_outgoing, signing.link_id = self.key, self.key is not None, link_id
         signing.timestamp = max(signing.timestamp, self.stamp)

@@ -1,7 +1,7 @@
-"""How often each telemetry message goes out over one link, and what a stream request of old stands for.
+"""The rate of each telemetry message on one link, and the groups of the older stream requests.
 
-Every link has rates of its own: MAV_CMD_SET_MESSAGE_INTERVAL sets one message's, REQUEST_DATA_STREAM (which
-ArduPilot still obeys and PX4 does not) a whole group's.
+Every link has its own rates: MAV_CMD_SET_MESSAGE_INTERVAL sets one message's, REQUEST_DATA_STREAM (which
+ArduPilot still supports and PX4 does not) a whole group's.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def grouped_messages(autopilot: Manner, group: int) -> tuple[int, ...]:
 
 
 class Streams:
-    """Which telemetry is due; rates can be changed at any time."""
+    """Selects the telemetry that is due; rates can be changed at any time."""
 
     def __init__(self, exists: Callable[[int], bool]) -> None:
         """Stream by default what is in `DEFAULT_RATES_HZ` and `exists`."""
@@ -102,7 +102,7 @@ class Streams:
         return self._period_s.get(message_id)
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
-        """SET_MESSAGE_INTERVAL: -1 stops, 0 is the default; False when that is no interval."""
+        """SET_MESSAGE_INTERVAL: -1 stops, 0 is the default; False when it is not finite."""
         if not math.isfinite(interval_us):
             return False
         default = self._default_s.get(message_id)

@@ -1,7 +1,7 @@
-"""What the simulated autopilot tells of itself: one function a message, and how often each goes out.
+"""Telemetry of the simulated autopilot: one function per message.
 
-What its sensors measure is in `sensor_telemetry`.
-Built from the autopilot's own estimate, in the units that MAVLink asks for (degrees times 1e7, mm, cm/s).
+Sensor messages are in `sensor_telemetry`.
+Built from the autopilot's estimate, in MAVLink's units (degrees times 1e7, mm, cm/s).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LANDED: Final = {
     LandedState.TAKEOFF: mavlink.MAV_LANDED_STATE_TAKEOFF,
     LandedState.LANDING: mavlink.MAV_LANDED_STATE_LANDING,
 }
-_ESTIMATOR_KNOWS: Final = (
+_ESTIMATOR_FLAGS: Final = (
     mavlink.ESTIMATOR_VELOCITY_HORIZ
     | mavlink.ESTIMATOR_VELOCITY_VERT
     | mavlink.ESTIMATOR_POS_HORIZ_REL
@@ -44,7 +44,7 @@ _ESTIMATOR_KNOWS: Final = (
     | mavlink.ESTIMATOR_PRED_POS_HORIZ_REL
     | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
 )
-_EKF_KNOWS: Final = (
+_EKF_FLAGS: Final = (
     mavlink.EKF_VELOCITY_HORIZ
     | mavlink.EKF_VELOCITY_VERT
     | mavlink.EKF_POS_HORIZ_REL
@@ -222,7 +222,7 @@ def position_target(autopilot: SimulatedAutopilot, now_s: float) -> Message | No
         *wanted.position_ned_m, *wanted.velocity_ned_m_s, *wanted.acceleration_ned_m_s2,
         wanted.yaw_rad, wanted.yaw_rate_rad_s,
     )  # fmt: skip
-    bits = (*(1 << n for n in range(9)), 1 << 10, 1 << 11)  # bit 9 says force, not acceleration
+    bits = (*(1 << n for n in range(9)), 1 << 10, 1 << 11)  # bit 9 means force, not acceleration
     mask = sum(bit for bit, value in zip(bits, fields, strict=True) if math.isnan(value))
     return mavlink.MAVLink_position_target_local_ned_message(
         milliseconds(autopilot, now_s), mavlink.MAV_FRAME_LOCAL_NED, mask, *fields
@@ -230,7 +230,7 @@ def position_target(autopilot: SimulatedAutopilot, now_s: float) -> Message | No
 
 
 def rc_channels(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """RC_CHANNELS: sticks and switches (microseconds); none while there is nobody at them."""
+    """RC_CHANNELS: sticks and switches (microseconds); none without RC input."""
     channels = autopilot.rc_input.channels
     return mavlink.MAVLink_rc_channels_message(
         milliseconds(autopilot, now_s),
@@ -242,7 +242,7 @@ def rc_channels(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 def estimator_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """ESTIMATOR_STATUS (PX4): what its filter knows, and test ratios as in a calm hover."""
-    flags = mavlink.ESTIMATOR_ATTITUDE | (_ESTIMATOR_KNOWS if autopilot.aligned else 0)
+    flags = mavlink.ESTIMATOR_ATTITUDE | (_ESTIMATOR_FLAGS if autopilot.aligned else 0)
     return mavlink.MAVLink_estimator_status_message(
         1000 * milliseconds(autopilot, now_s), flags, *_TEST_RATIOS, 0.0, 0.0, *_ACCURACY_M
     )
@@ -250,7 +250,7 @@ def estimator_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 def ekf_status_report(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     """EKF_STATUS_REPORT (ArduPilot): the same as ESTIMATOR_STATUS in its own words."""
-    flags = mavlink.EKF_ATTITUDE | (_EKF_KNOWS if autopilot.aligned else mavlink.EKF_CONST_POS_MODE)
+    flags = mavlink.EKF_ATTITUDE | (_EKF_FLAGS if autopilot.aligned else mavlink.EKF_CONST_POS_MODE)
     return mavlink.MAVLink_ekf_status_report_message(flags, *_TEST_RATIOS, 0.0)
 
 
@@ -292,6 +292,6 @@ OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
 }
 
 
-def builders_of(profile: Manner) -> dict[int, Builder]:
+def builders_of(autopilot: Manner) -> dict[int, Builder]:
     """The messages of one autopilot, its sensors' apart."""
-    return BUILDERS | OWN_BUILDERS[profile]
+    return BUILDERS | OWN_BUILDERS[autopilot]

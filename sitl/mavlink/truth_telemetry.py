@@ -1,7 +1,7 @@
-"""The truth by MAVLink, as real simulators tell it: for a world that watches this vehicle from outside.
+"""The truth by MAVLink, as real simulators send it: for an external world around this vehicle.
 
-ArduPilot's SITL tells SIM_STATE, PX4's HIL_STATE_QUATERNION. Truth leaves this way only from a simulator that
-was started to serve it, and only on request; the app never asks. Whole numbers as the real ones send them.
+ArduPilot's SITL sends SIM_STATE, PX4's HIL_STATE_QUATERNION. The truth is sent only by a simulator that
+was started to serve it, and only on request; the app never requests it. Integers as the real ones send them.
 """
 
 from __future__ import annotations

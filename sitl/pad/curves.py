@@ -1,6 +1,6 @@
-"""Plane curves and waves in closed form, by time at a constant speed: what pads move along.
+"""Plane curves and waves in closed form, by time at a constant speed, for the pad's motion.
 
-NED, SI; courses clockwise from north. Each gives place, velocity, acceleration, course and course rate.
+NED, SI; courses clockwise from north. Each gives position, velocity, acceleration, course and course rate.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Wave = tuple[float, float, float]
 
 
 class PathSegment(NamedTuple):
-    """A stretch that is driven: where it begins, by how much it turns and speeds up, and how long it lasts.
+    """A segment of a driven path: start, change of course and speed, and duration.
 
-    Rate of turn and acceleration along it are raised cosines, zero at both ends: one bend runs into the next
-    without a jerk of infinite size. Twice their mean is their peak.
+    Rate of turn and acceleration along it are raised cosines, zero at both ends: the segments join
+    with finite jerk. Their peak is twice their mean.
     """
 
     position_ned_m: Vector3
@@ -49,12 +49,12 @@ class PathSegment(NamedTuple):
     end_speed_m_s: float
 
 
-def bend_place(bend: PathSegment, t: float) -> PathPoint:
-    """The point t seconds along a bend; a straight one goes on beyond its ends.
+def segment_point(segment: PathSegment, t: float) -> PathPoint:
+    """The point t seconds along a segment; a straight one extends beyond its ends.
 
-    The place is the velocity's integral by Gauss and Legendre's rule: right to 1e-9 m in half a turn.
+    The position is the velocity's integral by Gauss-Legendre quadrature: accurate to 1e-9 m in half a turn.
     """
-    place, course0, turn, length_s, speed0, speed1 = bend
+    place, course0, turn, length_s, speed0, speed1 = segment
     gain, half = speed1 - speed0, 0.5 * t
     x = y = 0.0
     for node, weight in _NODES:
@@ -76,7 +76,7 @@ def bend_place(bend: PathSegment, t: float) -> PathPoint:
     )
 
 
-def lemniscate_place(arc_m: float, a: float, speed_m_s: float, axis_rad: float) -> PathPoint:
+def lemniscate_point(arc_m: float, a: float, speed_m_s: float, axis_rad: float) -> PathPoint:
     """The point arc_m along Bernoulli's r^4 = a^2 (x^2 - y^2), x along the axis.
 
     With u the arc over a, r / a = sl(u) = sd(u sqrt 2 | 1/2) / sqrt 2 and y / x = cl(u) = cn(u sqrt 2 | 1/2);

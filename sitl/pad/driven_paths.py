@@ -1,7 +1,7 @@
-"""Ways that somebody drives: round the corners between waypoints, or in random turns.
+"""Driven paths: waypoints with rounded corners, or random turns.
 
-Both are rows of bends (`sitl.pad.curves.Bend`), so that speed, course, acceleration and rate of turn are all
-continuous, and bounded. NED, SI; courses clockwise from north.
+Both are sequences of segments (`sitl.pad.curves.PathSegment`), so that speed, course, acceleration and rate
+of turn are all continuous, and bounded. NED, SI; courses clockwise from north.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 
 from companion.base.geometry import ZERO3, Vector3, wrap_angle
 from companion.config import StrictModel
-from sitl.pad.curves import Path, PathPoint, PathSegment, bend_place
+from sitl.pad.curves import Path, PathPoint, PathSegment, segment_point
 from sitl.pad.paths import Angle, Meeting, Metres, drawn_angle
 
 Seconds = Annotated[float, Field(ge=0.5, le=60.0)]
@@ -33,7 +33,7 @@ PEAK_OVER_MEAN: Final = 2.0
 
 
 class RandomTurnsMotion(StrictModel):
-    """A driver who turns, speeds up and slows down at whim; beyond the radius, back to the middle."""
+    """Random turns and speed changes; beyond the radius, back to the middle."""
 
     kind: Literal["random_turns"]
     speed_m_s: float = Field(gt=0.0, le=10.0)
@@ -56,10 +56,10 @@ class RandomTurnsMotion(StrictModel):
         return self
 
     def path(self, rng: np.random.Generator) -> Path:
-        """Bends from the origin at time 0."""
-        return drive(self._bends(rng))
+        """Segments from the origin at time 0."""
+        return drive(self._segments(rng))
 
-    def _bends(self, rng: np.random.Generator) -> Iterator[PathSegment]:
+    def _segments(self, rng: np.random.Generator) -> Iterator[PathSegment]:
         place = PathPoint(ZERO3, ZERO3, ZERO3, drawn_angle(self.course_deg, rng), 0.0)
         speed = self.speed_m_s
         while True:
@@ -68,12 +68,12 @@ class RandomTurnsMotion(StrictModel):
             slowest = self.slowest_m_s
             wanted = speed if slowest is None else float(rng.uniform(slowest, self.speed_m_s))
             after = speed + max(-reach, min(reach, wanted - speed))
-            bend = PathSegment(place.position_ned_m, place.course_rad, turn, length_s, speed, after)
-            yield bend
-            place, speed = bend_place(bend, length_s), after
+            segment = PathSegment(place.position_ned_m, place.course_rad, turn, length_s, speed, after)
+            yield segment
+            place, speed = segment_point(segment, length_s), after
 
     def _turn(self, place: PathPoint, speed_m_s: float, rng: np.random.Generator) -> tuple[float, float]:
-        """Angle (rad) and duration (s) of the next bend: at whim, or home."""
+        """Angle (rad) and duration (s) of the next segment: random, or towards the middle."""
         sideways = SIDEWAYS_SHARE * self.max_acceleration_m_s2
         # the bend may speed up meanwhile, so its fastest counts
         limit = min(math.radians(self.max_turn_rate_deg_s), sideways / max(speed_m_s, self.speed_m_s))
@@ -124,18 +124,18 @@ class WaypointsMotion(StrictModel):
         return self
 
     def path(self, _rng: np.random.Generator) -> Path:
-        """From the first point at `start_s`; before it and after the last the pad goes straight."""
+        """From the first point at `start_s`; before it and after the last the pad moves straight."""
         first = self.points_ned_m[0]
-        bends = drive(self._bends())
+        segments = drive(self._segments())
 
         def at(t: float) -> PathPoint:
-            place = bends(t - self.start_s)
+            place = segments(t - self.start_s)
             north, east, down = place.position_ned_m
             return place._replace(position_ned_m=(north + first[0], east + first[1], down))
 
         return at
 
-    def _bends(self) -> Iterator[PathSegment]:
+    def _segments(self) -> Iterator[PathSegment]:
         points = self.points_ned_m
         route = cycle(points) if self.loop else chain(points)
         here: Vector3 = ZERO3
@@ -146,10 +146,12 @@ class WaypointsMotion(StrictModel):
             leg_m = math.dist((here[0], here[1]), _less(corner, points[0])) - reach_m
             straight = PathSegment(here, course, 0.0, leg_m / self.speed_m_s, self.speed_m_s, self.speed_m_s)
             yield straight
-            start = bend_place(straight, straight.length_s)
-            bend = PathSegment(start.position_ned_m, course, turn, length_s, self.speed_m_s, self.speed_m_s)
-            yield bend
-            here = bend_place(bend, length_s).position_ned_m
+            start = segment_point(straight, straight.length_s)
+            segment = PathSegment(
+                start.position_ned_m, course, turn, length_s, self.speed_m_s, self.speed_m_s
+            )
+            yield segment
+            here = segment_point(segment, length_s).position_ned_m
             before, corner = corner, after
         yield PathSegment(here, _course(before, corner), 0.0, DRIVES_FOR_S, self.speed_m_s, self.speed_m_s)
 
@@ -168,25 +170,25 @@ class WaypointsMotion(StrictModel):
                 f"points_ned_m: the corner at {list(corner)} turns by {math.degrees(abs(turn)):.0f} deg; "
                 f"expected at most {SHARPEST_CORNER_DEG:g}: put a point beside it"
             )
-        end = bend_place(PathSegment(ZERO3, 0.0, turn, length_s, self.speed_m_s, self.speed_m_s), length_s)
+        end = segment_point(PathSegment(ZERO3, 0.0, turn, length_s, self.speed_m_s, self.speed_m_s), length_s)
         return math.hypot(*end.position_ned_m[:2]) / (2.0 * math.cos(0.5 * turn))
 
 
-def drive(bends: Iterable[PathSegment]) -> Path:
-    """A row of bends from time 0, the first also before it, the last also after it."""
+def drive(segments: Iterable[PathSegment]) -> Path:
+    """A sequence of segments from time 0, the first also before it, the last also after it."""
     starts: list[float] = []
     row: list[PathSegment] = []
     t = 0.0
-    for bend in bends:
+    for segment in segments:
         starts.append(t)
-        row.append(bend)
-        t += bend.length_s
+        row.append(segment)
+        t += segment.length_s
         if t >= DRIVES_FOR_S:
             break
 
     def at(time_s: float) -> PathPoint:
         i = max(0, bisect_right(starts, time_s) - 1)
-        return bend_place(row[i], time_s - starts[i])
+        return segment_point(row[i], time_s - starts[i])
 
     return at
 

@@ -1,4 +1,4 @@
-"""How the pad moves: its way, put in its place, with the board's height, heading and lean.
+"""The pad's motion: a path at its meeting point, with the board's height, heading and tilt.
 
 NED, SI; headings clockwise from north. A path starts anywhere; it is then shifted so that the pad is at a
 meeting point at a meeting time, where the mission looks for it, give or take a seeded spread. What is
@@ -68,7 +68,7 @@ class Axes(NamedTuple):
         )
 
 
-# a board is asked for its axes several times a step
+# axes are needed several times per step
 @lru_cache(maxsize=16)
 def _axes(heading_rad: float, roll_rad: float, pitch_rad: float) -> Axes:
     cy, sy = math.cos(heading_rad), math.sin(heading_rad)
@@ -100,7 +100,7 @@ class PadTruth(NamedTuple):
         return _axes(self.heading_rad, self.roll_rad, self.pitch_rad)
 
     def rate_ned_rad_s(self) -> Vector3:
-        """How the board turns: the three angles' rates, each about its own axis."""
+        """Angular rate of the board: the three angles' rates, each about its own axis."""
         cy, sy = math.cos(self.heading_rad), math.sin(self.heading_rad)
         cp, sp = math.cos(self.pitch_rad), math.sin(self.pitch_rad)
         roll, pitch = self.roll_rate_rad_s, self.pitch_rate_rad_s
@@ -116,7 +116,7 @@ class PadTruth(NamedTuple):
         return add(self.velocity_ned_m_s, cross(self.rate_ned_rad_s(), lever))
 
     def extrapolated(self, ahead_s: float) -> PadTruth:
-        """Where it will have gone and turned a fraction of a step later."""
+        """The pad a fraction of a step later, at constant rates."""
         x, y, z = self.position_ned_m
         vx, vy, vz = self.velocity_ned_m_s
         return self._replace(
@@ -128,12 +128,12 @@ class PadTruth(NamedTuple):
 
 
 class PadMotion:
-    """A path put in its place, with the board's height and heading, and what the sea does to it."""
+    """A path at its meeting point, with the board's height and heading, and the sea state."""
 
     def __init__(
         self, path: Path, shift_ned_m: Vector3, heading_rad: float | None, deck: DeckMotion | None = None
     ) -> None:
-        """`heading_rad` None: the pad points where it goes."""
+        """`heading_rad` None: the pad points along its course."""
         self._path = path
         self._shift = shift_ned_m
         self._heading_rad = heading_rad
@@ -174,10 +174,10 @@ def build_pad_motion(
     rng: np.random.Generator,
     deck: DeckSettings | None = None,
 ) -> PadMotion:
-    """Draw a motion that can be met where the settings say.
+    """Draw a motion through the meeting point of the settings.
 
-    Where the dice leave room the pad keeps clear of home until it is met: it would otherwise drive through
-    a vehicle that has not yet taken off.
+    Where the random draws allow, the pad stays clear of home until it is met: otherwise it could drive
+    through a vehicle that has not yet taken off.
     """
     drawn = drawn_angle("random" if isinstance(heading_deg, str) else heading_deg, rng)
     heading = None if heading_deg == "along" else drawn

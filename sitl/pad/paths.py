@@ -1,7 +1,7 @@
-"""The ways of a pad in closed form: standing, a line, a circle, a figure of eight, or with a sea.
+"""Paths of a pad in closed form: static, line, circle, figure of eight, or heave.
 
-Each kind's settings make a path about the origin (NED, SI; courses clockwise from north); `pad_motion` puts
-it in its place. What is "random" is drawn from the generator handed in, so a seed gives one motion.
+Each kind's settings make a path about the origin (NED, SI; courses clockwise from north); `motion` puts
+it at its meeting point. What is "random" is drawn from the generator handed in, so a seed gives one motion.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from companion.base.geometry import ZERO3, rotate_yaw
 from companion.config import StrictModel
-from sitl.pad.curves import LEMNISCATE_LAP, Path, PathPoint, lemniscate_place, sum_of_waves
+from sitl.pad.curves import LEMNISCATE_LAP, Path, PathPoint, lemniscate_point, sum_of_waves
 from sitl.pad.sea import draw_waves, peak
 
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
@@ -108,7 +108,7 @@ class FigureEightMotion(StrictModel):
         start_m = lap_m * (drawn if self.phase == "random" else self.phase)
 
         def at(t: float) -> PathPoint:
-            return lemniscate_place(start_m + self.speed_m_s * t, self.half_length_m, self.speed_m_s, axis)
+            return lemniscate_point(start_m + self.speed_m_s * t, self.half_length_m, self.speed_m_s, axis)
 
         return at
 

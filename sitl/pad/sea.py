@@ -1,4 +1,4 @@
-"""What a sea does to a deck, on top of the way it goes: heave, roll and pitch, each a sum of waves.
+"""Sea motion of a deck, in addition to its path: heave, roll and pitch, each a sum of waves.
 
 SI; roll and pitch are the deck's own (aerospace angles after its heading), about the pad's centre. The waves
 of each share a Pierson-Moskowitz spectrum's energy equally. "Significant" is the mean of the highest third of

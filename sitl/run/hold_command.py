@@ -16,15 +16,14 @@ from sitl.vehicle.hand_paths import HandMotion
 
 SETTINGS_NAME: Final = "companion.yaml"
 HELP: Final = """Serve a vehicle that is carried by hand over its scenario's pad: the same sensors, camera and
-MAVLink as in flight, motors off. The same seed has the same hands. The app's settings that lead to it are
-written to a file for `--config`, and where that is is said.
+MAVLink as in flight, motors off. The same seed has the same motion. The app's settings for it are
+written to a file for `--config`, whose path is printed.
 
 \b
-  still     stands on the pad
-  tumble    turned about until every side has been everywhere: for the magnetometer
-  faces     laid down on each of its six sides: for the accelerometer
-  sway      swung about over the pad, which stays in view: for the camera's mounting
-  over-pad  what `companion check --pad` asks for, one after another, ten seconds after a program has come for
+  still     stands on the pad tumble    turned about until every side has been everywhere: for the
+  magnetometer faces     laid down on each of its six sides: for the accelerometer sway      swung about over
+  the pad, which stays in view: for the camera's mounting over-pad  the moves of `companion check --pad`, one
+  after another, ten seconds after a program has connected to
             the camera's frames or the IMU's registers, and again for the next one
 
 \b

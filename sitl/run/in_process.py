@@ -1,7 +1,7 @@
 """A simulated vehicle in the caller's own process and on its loop, in virtual time or in real time.
 
 The app's drivers get what hardware gives them: a register bus, two serial lines and a camera. For flights on
-the desk, for campaigns, and for tools that are tried on a vehicle that stands or is carried by hand:
+the desk, for campaigns, and for tools with a vehicle that stands or is carried by hand:
 
     async def main() -> None:
         async with carried("static", seed=0, motion="tumble") as vehicle:
@@ -53,9 +53,9 @@ class MemoryFrames:
 
 
 class InProcess:
-    """A simulation with its plugs. Make it inside the running loop; its world begins with `simulation.run`.
+    """A simulation with its devices. Make it inside the running loop; its world begins with `simulation.run`.
 
-    `wants_frames` may be set to False where nobody looks: rendering is most of a simulation's cost.
+    Set `wants_frames` to False when no frames are needed: rendering is most of a simulation's cost.
     """
 
     def __init__(
@@ -108,10 +108,10 @@ async def carried(
     link: ByteLink | None = None,
     camera: bool = True,
 ) -> AsyncIterator[InProcess]:
-    """A vehicle that is carried by hand while inside; see the module's docstring.
+    """A vehicle that is carried by hand, as a context; see the module's docstring.
 
     Args:
-        scenario: a name, a file or a scenario: its pad, camera, sensors and autopilot's manners.
+        scenario: a name, a file or a scenario: its pad, camera, sensors and autopilot profile.
         seed: repeats it.
         motion: how it is carried.
         link: the vehicle's end of a MAVLink line, None without one.
@@ -131,4 +131,4 @@ async def carried(
         world.cancel()
         await asyncio.wait([world])
     if not world.cancelled():
-        world.result()  # it has failed, and stood still since
+        world.result()  # it has failed

@@ -1,4 +1,4 @@
-"""How a simulator talks with whoever started it: lines of JSON out, one order in."""
+"""The interface to the parent process: JSON lines on standard output, one command on standard input."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class FlightRun(Protocol):
 async def run_until_finished(
     simulation: FlightRun, report_path: Path, ending: Coroutine[Any, Any, Phase | None]
 ) -> None:
-    """Run a simulation until `ending` returns; with a phase the flight is judged, and the report's path said.
+    """Run a simulation until `ending` returns; with a phase the flight is judged, and the report's path
+    printed.
 
     Raises:
         Exception: whatever ended the simulation before.
@@ -83,7 +84,7 @@ def print_json(message: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def socket_folder(wanted: Path | None) -> Iterator[Path]:
-    """A folder for the sockets: the wanted one, or a temporary one that goes at the end.
+    """A folder for the sockets: the given one, or a temporary one that is removed at the end.
 
     Raises:
         ConfigError: the wanted one is none, or cannot be written to.
@@ -97,10 +98,10 @@ def socket_folder(wanted: Path | None) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def interrupted_at_once() -> Iterator[None]:
-    """While inside, Ctrl-C breaks off what does not let the loop run, which asyncio would wait for."""
+    """While inside, Ctrl-C interrupts code that blocks the loop, for which asyncio would wait."""
     loops_own = signal.getsignal(signal.SIGINT)
     if not callable(loops_own) or threading.current_thread() is not threading.main_thread():
-        yield  # it is ignored, or not ours to take
+        yield  # the signal is ignored, or this is not the main thread
         return
     signal.signal(signal.SIGINT, signal.default_int_handler)
     try:

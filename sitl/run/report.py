@@ -1,4 +1,4 @@
-"""What a simulation tells of a flight that has ended, and how that gets from one process to another."""
+"""The report on a flight that has ended, and its transfer between processes."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class Scene(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CameraTruth:
-    """How the simulated camera truly is: for tests and benches, never for the app.
+    """The true parameters of the simulated camera: for tests and benches, never for the app.
 
     `lens` are its true intrinsics, `body_from_camera` (3, 3) and `position_body_m` (FRD) how it is mounted;
     `stamp_error_s` is what its frames' times are too large by.
@@ -59,7 +59,7 @@ class SceneCamera:
         """Its first frame is a period after `start_s` (world time)."""
         settings = scenario.camera
         calibration = load_model(CameraConfig, find_file("cameras", settings.config))
-        config = ground_otherwise(calibration, settings.calibration_error, lens_rng)
+        config = perturbed_lens(calibration, settings.calibration_error, lens_rng)
         develop = ImagingSettings(
             exposure_s=settings.exposure_s,
             readout_s=settings.readout_s,
@@ -132,8 +132,9 @@ class SceneCamera:
         )
 
 
-def ground_otherwise(calibration: CameraConfig, error: float, rng: np.random.Generator) -> CameraConfig:
-    """The lens itself, which no calibration meets; `error` is a standard deviation, of the focal length."""
+def perturbed_lens(calibration: CameraConfig, error: float, rng: np.random.Generator) -> CameraConfig:
+    """The true lens, which differs from the calibration by `error`, a standard deviation of the focal
+    length."""
     longer, right, down = (error * rng.standard_normal(3)).tolist()
     return calibration.model_copy(
         update={

@@ -1,10 +1,10 @@
-"""The simulator as a process of its own, in real time: what `companion-sitl` does when told nothing else.
+"""The simulator as a separate process in real time: `companion-sitl` without a command.
 
-Two ways of serving. For people (`serve`) MAVLink is on PX4's and ArduPilot's usual ports, a text says where
-and how to connect, and Ctrl-C ends it. As the app's child (`serve_child`) it takes one free UDP port, tells
+Two modes. For users (`serve`) MAVLink is on PX4's and ArduPilot's usual ports, a text describes where
+and how to connect, and Ctrl-C ends it. As the app's child (`serve_child`) it takes one free UDP port, reports
 where by one line of JSON on standard output (the keys are the app's settings), and flies until standard input
-says `finish PHASE`, which makes it judge the flight and write `report.json` to its folder, or until standard
-input ends: a child whose parent has died does not stay behind.
+has `finish PHASE`, upon which it scores the flight and writes `report.json` to its folder, or until standard
+input ends: the child does not outlive its parent.
 
 Either way the GPS and the ultrasonic are on ptys, the MPU9250's registers and the camera's frames on unix
 sockets in its folder.
@@ -75,7 +75,7 @@ async def serve(
     settings_path: Path | None = None,
     firmware: FirmwareSpec | None = None,
 ) -> None:
-    """Serve a vehicle to whoever connects, until Ctrl-C or SIGTERM; `serve_truth`: those may ask for it.
+    """Serve a vehicle until Ctrl-C or SIGTERM; `serve_truth`: clients may request the truth.
 
     With a `motion` it is carried by hand. The app's settings that lead to it go to `settings_path`.
 
@@ -122,7 +122,7 @@ async def serve_child(
     motion: HandMotion | None = None,
     firmware: FirmwareSpec | None = None,
 ) -> None:
-    """Run a simulation for a parent process until standard input says so; see the module's docstring.
+    """Run a simulation for a parent process until standard input ends it; see the module's docstring.
 
     Raises:
         ConfigError: a settings file that the scenario names is wrong.
@@ -186,13 +186,13 @@ async def _plug_in(
 
 @contextlib.contextmanager
 def _kept_free(service: Service) -> Iterator[None]:
-    """While inside, no firmware takes what is to be served: an instance of it has the ports of such a one."""
+    """While inside, no firmware takes the ports to be served: its instances use the same defaults."""
     udp = (_OWN_PORTS.get(port, port) for port in (service.companion_port, service.ground_port))
     wanted = [*((socket.SOCK_DGRAM, port) for port in udp), (socket.SOCK_STREAM, service.tcp_port)]
     with contextlib.ExitStack() as stack:
         for kind, port in wanted:
             kept = stack.enter_context(socket.socket(socket.AF_INET, kind))
-            with contextlib.suppress(OSError):  # somebody has it, which is told when it is opened
+            with contextlib.suppress(OSError):  # it is in use, which is reported when it is opened
                 kept.bind((LOOPBACK, port))
         yield
 
@@ -216,13 +216,13 @@ def _greeting(
     settings: dict[str, Any],
     motion: HandMotion | None,
 ) -> str:
-    """What a person has to know to use it."""
+    """The text for users: where and how to connect."""
     name = {"px4": "PX4", "ardupilot": "ArduPilot"}[scenario.autopilot]
     host = LOOPBACK if service.bind == "0.0.0.0" else service.bind
     companion, ground, tcp = own
     sense = settings["sense"]
     lines = [
-        f"companion-sitl: a quadrotor with {name}'s manners, scenario {scenario.name}, seed {seed}"
+        f"companion-sitl: a quadrotor with {name}'s profile, scenario {scenario.name}, seed {seed}"
         + ("" if motion is None else f", carried by hand: {motion}"),
         *_udp_lines("companions", "MAVSDK udpin://0.0.0.0:{}", host, service.companion_port, companion),
         *_udp_lines("ground stations", "QGroundControl, mavproxy.py --master udp:127.0.0.1:{}", host,
@@ -238,7 +238,7 @@ def _greeting(
 
 
 def _udp_lines(whom: str, example: str, host: str, client_port: int, own_port: int) -> list[str]:
-    """Where clients listen, and where they may call."""
+    """Where clients listen, and where they may connect to."""
     calling = f"call udpout:{host}:{own_port}"
     if not client_port:
         return [f"  UDP {own_port:<6} MAVLink for {whom}: {calling}"]

@@ -20,6 +20,7 @@ from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
 from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
+from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.faults.injection import FaultSchedule, FaultTargets
@@ -114,39 +115,44 @@ class Simulation:
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
         place = (HOME, MAGNETIC_FIELD_NED_UT)
         self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port)
-        self.imu_bus = self._rack.imu
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
-        self._onboard = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
+        sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
+        self._autopilot_sensors = sensors
         self._camera = SceneCamera(scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng)
         self.line = line = MavlinkLine(scenario.link, fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
-        devices = (self._rack, self._onboard, self._frame_line, world.motors, line.to_app, line.to_vehicle)
+        devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
         self._faults = FaultSchedule(scenario.faults, FaultTargets(*devices))
         signing = Signing(scenario.autopilot, signing_key)
         station = GroundStation.of(scenario.beacon, beacon_rng, HOME, signing)
-        self._flies: SimulatedAutopilot | FirmwareVehicle
+        self._flight_controller: SimulatedAutopilot | FirmwareVehicle
         if firmware is None:
-            self._flies = autopilot = self._bundled_autopilot(autopilot_rng)
+            self._flight_controller = autopilot = self._bundled_autopilot(autopilot_rng)
             truth = TruthMessages(autopilot, world, HOME) if serve_truth else None
-            line.network = Network(autopilot, self._onboard, station, signing, unix_at_start_s, truth)
+            line.network = Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
         else:
-            self._flies, line.network = self._start_firmware(firmware, station, autopilot_rng)
+            self._flight_controller, line.network = self._start_firmware(firmware, station, autopilot_rng)
+
+    @property
+    def imu_bus(self) -> Mpu9250Device:
+        """The register bus of the companion computer's IMU."""
+        return self._rack.imu
 
     @property
     def autopilot(self) -> SimulatedAutopilot:
-        """The bundled one, where it flies: for tests and benches."""
-        assert isinstance(self._flies, SimulatedAutopilot)
-        return self._flies
+        """The bundled autopilot: for tests and benches."""
+        assert isinstance(self._flight_controller, SimulatedAutopilot)
+        return self._flight_controller
 
     def close(self) -> None:
-        """End the firmware, where one flies."""
-        if isinstance(self._flies, FirmwareVehicle):
-            self._flies.close()
+        """End the firmware, if there is one."""
+        if isinstance(self._flight_controller, FirmwareVehicle):
+            self._flight_controller.close()
 
     @property
     def sensor_truth(self) -> SensorTruth:
-        """How the sensors truly are: for tests and benches."""
-        return SensorTruth(self._rack.truth, self._onboard.truth, self._camera.truth)
+        """The true errors of the sensors: for tests and benches."""
+        return SensorTruth(self._rack.truth, self._autopilot_sensors.truth, self._camera.truth)
 
     @property
     def world(self) -> World:
@@ -154,7 +160,7 @@ class Simulation:
         return self._world
 
     def begin_motion(self) -> None:
-        """Have hands that wait begin, if it is carried by hand."""
+        """Start the hand motion, if it waits."""
         if isinstance(self._world, HandHeldWorld):
             self._world.begin()
 
@@ -183,7 +189,7 @@ class Simulation:
             self._scenario.pass_bounds,
             crashed=world.crashed,
             at_rest_on_pad=world.at_rest_on_pad,
-            disarmed=not self._flies.armed,
+            disarmed=not self._flight_controller.armed,
             final_phase=final_phase,
             nearest_obstacle_m=world.nearest_obstacle_m,
         )
@@ -218,7 +224,7 @@ class Simulation:
             vehicle = FirmwareVehicle(
                 firmware,
                 self._world,
-                self._onboard,
+                self._autopilot_sensors,
                 station,
                 rng,
                 home=HOME,
@@ -237,28 +243,30 @@ class Simulation:
         pad = self._world.pad_state
         self.line.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
         if self._timer.count % TRUTH_EVERY_TICKS == 0:
-            self._world.attitude_setpoint = self._flies.attitude_setpoint
+            self._world.attitude_setpoint = self._flight_controller.attitude_setpoint
             if self._keep_truth:
                 self._truth.append(replace(self._world.truth(), time_s=self._timer.start_s + now_s))
 
     def _step_physics(self) -> None:
         world = self._world
-        motors = self._onboard.motors = self._flies.step(world.motion(), PHYSICS_STEP_S, world.time_s)
+        motors = self._autopilot_sensors.motors = self._flight_controller.step(
+            world.motion(), PHYSICS_STEP_S, world.time_s
+        )
         world.step(motors, PHYSICS_STEP_S)
         state, throttle = world.state, 0.25 * sum(motors)
         if self._timer.count % RANGE_EVERY_TICKS == 0:
             self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
         self._faults.step(world.time_s)
-        self._onboard.step(world.time_s, state, throttle, self._range_height_m)
+        self._autopilot_sensors.step(world.time_s, state, throttle, self._range_height_m)
         self._rack.step(world.time_s, state, throttle, self._range_height_m)
 
     def _range_height_m(self) -> float:
-        """The ultrasonic's height over what answers it."""
+        """The ultrasonic's distance to the first echo."""
         distance_m = self._range_finder()
         return OUT_OF_RANGE_M if distance_m is None else distance_m
 
     def _expose(self, now_s: float) -> None:
-        """Render what has been exposed; it arrives after the scenario's latency, unless a fault has it."""
+        """Render the exposed frame; it arrives after the scenario's latency, subject to faults."""
         if not self._camera_wanted():
             self._camera.skip_to(now_s)
         taken = self._camera.step(now_s)

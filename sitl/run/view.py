@@ -1,4 +1,4 @@
-"""`companion-sitl view`: shows or records the frames of a socket (docs/frames.md), whoever serves them.
+"""`companion-sitl view`: shows or records the frames of a socket (docs/frames.md).
 
 A machine without a screen shows them in a browser: Motion JPEG on the loopback. Recorded are PNG files, one a
 frame, or an MP4 file. Each picture carries its number, its time and its age when it came.
@@ -39,7 +39,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """What is to be done with the frames: keep every `every`-th one, end after `frames` kept (0: never)."""
+    """What to do with the frames: keep every `every`-th one, end after `frames` kept (0: never)."""
 
     record: Path | None = None
     every: int = 1
@@ -60,7 +60,7 @@ class Statistics:
         """Count a frame that has come."""
         if self._last_sequence is not None:
             step = (header.sequence - self._last_sequence) % 2**32
-            self.dropped += max(0, step - 1) if step < 2**31 else 0  # a server that starts anew drops none
+            self.dropped += max(0, step - 1) if step < 2**31 else 0  # a restarted server drops none
         self._last_sequence = header.sequence
         self.count += 1
         self._arrivals.append(received_s)
@@ -177,10 +177,10 @@ def annotated(image: Image, header: FrameHeader, received_s: float) -> Image:
     return np.asarray(colour, dtype=np.uint8)
 
 
-async def _view_until_stopped(address: str, wishes: ViewOptions) -> Statistics:
+async def _view_until_stopped(address: str, options: ViewOptions) -> Statistics:
     """As `view`; SIGTERM and SIGHUP end it like the server's end does, and what was recorded is whole."""
     statistics = Statistics()
-    viewing = asyncio.create_task(view(address, wishes, statistics))
+    viewing = asyncio.create_task(view(address, options, statistics))
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, viewing.cancel)
@@ -190,11 +190,11 @@ async def _view_until_stopped(address: str, wishes: ViewOptions) -> Statistics:
     return statistics
 
 
-async def view(address: str, wishes: ViewOptions, statistics: Statistics | None = None) -> Statistics:
+async def view(address: str, options: ViewOptions, statistics: Statistics | None = None) -> Statistics:
     """Show and record frames until there are enough or the server goes; `statistics` counts them.
 
     Raises:
-        ConfigError: nobody serves frames there, what comes is none, or the wishes cannot be met.
+        ConfigError: no server, invalid data, or the options cannot be met.
     """
     try:
         stream = await FrameStream.open(address)
@@ -204,10 +204,10 @@ async def view(address: str, wishes: ViewOptions, statistics: Statistics | None 
     page = MjpegServer()
     statistics = statistics or Statistics()
     try:
-        recorder = _recorder(wishes.record)
-        if wishes.serve_port is not None:
-            await _open_page(page, wishes.serve_port)
-        await _watch(stream, wishes, recorder, page, statistics)
+        recorder = _recorder(options.record)
+        if options.serve_port is not None:
+            await _open_page(page, options.serve_port)
+        await _watch(stream, options, recorder, page, statistics)
     except OSError as error:
         if statistics.count == 0 or "does not send frames" in str(error):
             raise ConfigError(str(error)) from error
@@ -230,27 +230,27 @@ async def _open_page(page: MjpegServer, port: int) -> None:
 
 async def _watch(
     stream: FrameStream,
-    wishes: ViewOptions,
+    options: ViewOptions,
     recorder: Recorder | None,
     page: MjpegServer,
     statistics: Statistics,
 ) -> None:
     clock, kept = Clock(), 0
-    told_s = clock.now_s()
-    while not (wishes.frames and kept >= wishes.frames):
+    printed_s = clock.now_s()
+    while not (options.frames and kept >= options.frames):
         header = await stream.read_header()
         image = await stream.read_image(header)
         now_s = clock.now_s()
         statistics.take(header, now_s)
-        if (statistics.count - 1) % wishes.every == 0:
+        if (statistics.count - 1) % options.every == 0:
             kept += 1
             picture = annotated(image, header, now_s)
             page.show(picture)
             if recorder is not None:
-                recorder.keep(picture, header, statistics.rate_hz / wishes.every)
-        if now_s - told_s >= STATUS_PERIOD_S:
-            told_s = now_s
-            _tell(statistics)
+                recorder.keep(picture, header, statistics.rate_hz / options.every)
+        if now_s - printed_s >= STATUS_PERIOD_S:
+            printed_s = now_s
+            _print_status(statistics)
 
 
 def _recorder(path: Path | None) -> Recorder | None:
@@ -262,7 +262,7 @@ def _recorder(path: Path | None) -> Recorder | None:
     return Video(path) if suffix == _VIDEO_SUFFIX else PngFolder(path)
 
 
-def _tell(statistics: Statistics) -> None:
+def _print_status(statistics: Statistics) -> None:
     """On a terminal one line that is written over, else a line a time."""
     live = sys.stdout.isatty()
     print(f"\r{statistics}  " if live else statistics, end="" if live else "\n", flush=True)

@@ -1,1 +1,1 @@
-"""Scenarios: what a flight is to be like."""
+"""Scenarios: the definition of a flight."""

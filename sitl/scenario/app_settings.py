@@ -1,4 +1,4 @@
-"""The app's settings for a vehicle that is served: a file that a person can hand to `--config`."""
+"""The app's settings for a served vehicle, as a file for `--config`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def settings_text(scenario: Scenario, connection: str, devices: dict[str, Any]) 
     """The settings file's text.
 
     Args:
-        scenario: names pad, camera and vehicle, and says what its operator knows.
+        scenario: names pad, camera and vehicle, and has the operator's settings.
         connection: where the vehicle's MAVLink is, as `link.connection` has it.
         devices: the settings that lead to the vehicle's devices.
     """

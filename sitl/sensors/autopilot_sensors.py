@@ -1,7 +1,7 @@
-"""The autopilot's own IMU, compass, GPS receiver and rangefinder, for the streams that tell of them.
+"""The autopilot's own IMU, compass, GPS receiver and rangefinder, for the sensor messages.
 
-Sensors of their own: other biases, other noise than those of the companion's boards, from generators of
-their own. IMU, compass and rangefinder cost something at every step, so they sleep until somebody asks for
+They are independent of the companion's sensors: other biases and noise, from generators of
+their own. IMU, compass and rangefinder cost time at every step, so they are off until a client requests
 one of their messages. Axes FRD (the autopilot has turned the mounting out), SI units, µT; pure.
 """
 
@@ -61,7 +61,7 @@ class Field(NamedTuple):
 
 
 class Fix(NamedTuple):
-    """A receiver's epoch, and when the autopilot had it."""
+    """A receiver's epoch, and its arrival time at the autopilot."""
 
     time_s: float
     reading: GpsReading
@@ -102,9 +102,9 @@ class SimulatedAutopilotSensors:
         self._field_ned_ut = field_ned_ut
         self._gps_latency_s = gps_latency_s
         self._antenna_body_m = antenna_body_m
-        self._awake = False
+        self._enabled = False
         self._mag_due_s = self._gps_due_s = self._range_due_s = -math.inf
-        self._coming: deque[Fix] = deque()  # epochs on their way, oldest first
+        self._pending: deque[Fix] = deque()  # epochs on their way, oldest first
         # for faults that the world around does, and so to these sensors too: no sky, another field
         self.has_sky = True
         self.stray_field_ut = ZERO3
@@ -117,7 +117,7 @@ class SimulatedAutopilotSensors:
 
     @property
     def truth(self) -> BoardTruth:
-        """What is truly wrong with IMU and compass; its axes are the body's."""
+        """True calibration errors of IMU and compass, in body axes."""
         return BoardTruth(
             self._imu.accel_calibration_errors,
             self._imu.gyro_calibration_errors,
@@ -125,17 +125,17 @@ class SimulatedAutopilotSensors:
             np.eye(3),
         )
 
-    def wake(self) -> None:
-        """Somebody wants the IMU, the compass or the rangefinder: sense from the next step on."""
-        self._awake = True
+    def enable(self) -> None:
+        """Enable IMU, compass and rangefinder from the next step on."""
+        self._enabled = True
 
     @property
     def field_is_plausible(self) -> bool:
-        """Whether the compass feels about as strong a field as the earth's, as both autopilots check."""
+        """Whether the measured field strength is close to the earth's, as both autopilots check."""
         return norm(self.stray_field_ut) < _STRAY_SHARE * norm(self._field_ned_ut)
 
     def has_fix(self, now_s: float) -> bool:
-        """Whether the receiver has told of a fix lately."""
+        """Whether the receiver has had a fix recently."""
         return self.gps is not None and now_s - self.gps.time_s < _FIX_LASTS_S
 
     def step(
@@ -144,7 +144,7 @@ class SimulatedAutopilotSensors:
         """One physics step; `range_height_m` gives the rangefinder's over what answers it."""
         self.throttle = throttle
         self._receive(now_s, state)
-        if not self._awake:
+        if not self._enabled:
             return
         force, rate = self._imu.sample(state.specific_force_body_m_s2, state.rate_body_rad_s, throttle)
         self.imu = ImuReading(now_s, force, rate)
@@ -158,9 +158,9 @@ class SimulatedAutopilotSensors:
             self.range = Echo(now_s, distance_m)
 
     def _receive(self, now_s: float, state: QuadrotorState) -> None:
-        """An epoch of the receiver's reaches the autopilot after a while, and is stamped then."""
-        while self._coming and now_s >= self._coming[0].time_s - _EARLY_S:
-            self.gps = self._coming.popleft()
+        """An epoch of the receiver reaches the autopilot with a delay, and is stamped on arrival."""
+        while self._pending and now_s >= self._pending[0].time_s - _EARLY_S:
+            self.gps = self._pending.popleft()
         if now_s < self._gps_due_s - _EARLY_S:
             return
         self._gps_due_s = max(self._gps_due_s, now_s - GPS_PERIOD_S) + GPS_PERIOD_S
@@ -172,4 +172,4 @@ class SimulatedAutopilotSensors:
         reading = self._gps.sample(
             now_s, add(state.position_ned_m, antenna), add(state.velocity_ned_m_s, turning)
         )
-        self._coming.append(Fix(now_s + self._gps_latency_s, reading))
+        self._pending.append(Fix(now_s + self._gps_latency_s, reading))

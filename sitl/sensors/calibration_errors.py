@@ -1,4 +1,4 @@
-"""What is wrong with three axes that nobody has calibrated, and what is left where somebody has.
+"""Calibration errors of three-axis sensors: scale, misalignment and offset before calibration.
 
     measured = matrix @ true + offset        (the sensor's own axes, SI units, field in µT)
 
@@ -60,12 +60,12 @@ class BoardTruth:
 
 
 def uncalibrated_accelerometer(rng: np.random.Generator) -> CalibrationErrors:
-    """One from the shop."""
+    """An uncalibrated one."""
     return _uncalibrated(rng, ACCEL_SCALE, ACCEL_OFFSET_M_S2)
 
 
 def uncalibrated_gyroscope(rng: np.random.Generator) -> CalibrationErrors:
-    """One from the shop."""
+    """An uncalibrated one."""
     return _uncalibrated(rng, GYRO_SCALE, GYRO_OFFSET_RAD_S)
 
 
@@ -76,7 +76,7 @@ def _uncalibrated(rng: np.random.Generator, scale: float, offset: float) -> Cali
 
 
 def uncalibrated_magnetometer(rng: np.random.Generator) -> CalibrationErrors:
-    """One among iron: its principal gains are 0.7 to 1.3 along any three directions."""
+    """Hard and soft iron: principal gains 0.7 to 1.3 along random directions."""
     directions, _ = np.linalg.qr(rng.standard_normal((3, 3)))
     gains = 1.0 + SOFT_IRON * rng.uniform(-1.0, 1.0, 3)
     way = rng.standard_normal(3)

@@ -1,6 +1,6 @@
-"""What faults do to a sensor's three axes on their way out: single wrong readings, and readings that stay.
+"""Faults of a three-axis sensor's output: spikes and frozen readings.
 
-Pure; the sensor's own axes and units. The dice are of its own, so that a fault changes no other noise.
+Pure; the sensor's own axes and units. It has its own random numbers, so that a fault changes no other noise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class Glitches:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """Readings come out as they are."""
+        """Clear all faults."""
         self.frozen = False
         self.spike_share = 0.0
         self.spike_size = 0.0
@@ -30,7 +30,7 @@ class Glitches:
         self.spike_size = max(self.spike_size, size)
 
     def out(self, value: Vector3) -> Vector3:
-        """What comes out instead of a reading."""
+        """The output for a reading."""
         if self.frozen:
             return self._last
         self._last = value

@@ -1,11 +1,11 @@
-"""Truth to what the MPU9250's accelerometer and gyroscope feel, up to their digital low-pass filter.
+"""The MPU9250's accelerometer and gyroscope: truth to filtered analogue values.
 
 Bias, scale, misalignment, noise, the rotors' vibration, then the filter with the data sheet's bandwidth
 and delay. Pure; body axes FRD, SI units. The sensor sits at the centre of mass: no lever arm.
 
 Figures: MPU-9250 product specification PS-MPU-9250A-01 rev. 1.1 (tables 1 and 2), register map
 RM-MPU-9250A-00 rev. 1.6 (filters). What a start-up or six-position calibration takes out is left out
-here too: the figures are residuals, unless the errors are said to be those of an uncalibrated sensor.
+here too: the figures are residuals, unless the sensor is uncalibrated.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class ImuLowPass:
         self._last = [0.0, 0.0, 0.0]
 
     def settle(self, value: Vector3) -> None:
-        """Take the state of a filter that has seen this value for ever."""
+        """Set the steady state for a constant value."""
         for axis, x in enumerate(value):
             self._s2[axis] = x * (self._b - self._a2)
             self._s1[axis] = x * (2.0 * self._b - self._a1) + self._s2[axis]
@@ -208,7 +208,7 @@ class ImuSensor:
 
     @property
     def accel_calibration_errors(self) -> CalibrationErrors:
-        """What is truly wrong with the accelerometer, in sensor axes, m/s²."""
+        """True calibration errors of the accelerometer, in sensor axes, m/s²."""
         return CalibrationErrors.of(self._accel_matrix, self._mounting, self._accel_noise.bias)
 
     @property
@@ -223,9 +223,9 @@ class ImuSensor:
         self._settled = False
 
     def skip(self, throttles: Sequence[float]) -> None:
-        """Let steps pass whose output nobody sees: dice and rotors go on as if each had been sampled.
+        """Skip steps whose output is not read: random numbers and rotor phases advance as if sampled.
 
-        The filters keep what they had; they forget it within a tenth of a second of samples.
+        The filters keep their state, which decays within a tenth of a second of samples.
         """
         left = len(throttles)
         while left:

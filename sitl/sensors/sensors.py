@@ -1,4 +1,4 @@
-"""Truth to what magnetometer, GPS receiver and ultrasonic sense (`inertial` has the IMU).
+"""Magnetometer, GPS receiver and ultrasonic: truth to measurements (`inertial` has the IMU).
 
 Pure: each class takes the truth and a seeded generator and returns analogue values; `sitl.devices` makes
 registers and bytes of them. Body axes are FRD, world axes NED, units SI (field in µT).
@@ -55,7 +55,7 @@ NO_MAG_ERRORS: Final = MagErrors(0.0, 0.0, 0.0, 0.0)
 
 
 class MagSensor:
-    """The magnetometer, in the axes of the accelerometer (the AK8963's own are its device's business)."""
+    """The magnetometer, in the axes of the accelerometer (its device converts to the AK8963's own)."""
 
     def __init__(self, errors: MagErrors, rng: np.random.Generator, sensor_from_body: FloatArray) -> None:
         self._errors = errors
@@ -66,7 +66,7 @@ class MagSensor:
         direction = rng.standard_normal(3)
         self._current = (errors.current_ut * direction / np.linalg.norm(direction)).tolist()
         self._noise: list[list[float]] = []
-        # for faults: a field besides the earth's (body axes), and what becomes of readings on their way out
+        # for faults: an additional field (body axes), and faults of the output
         self.stray_field_ut: Vector3 = ZERO3
         self.glitches = Glitches(rng.spawn(1)[0])
         if not errors.calibrated:
@@ -75,7 +75,7 @@ class MagSensor:
 
     @property
     def calibration_errors(self) -> CalibrationErrors:
-        """What is truly wrong with it, in sensor axes, µT."""
+        """True calibration errors, in sensor axes, µT."""
         return CalibrationErrors.of(self._matrix, self._mounting, np.array(self._offset))
 
     def sample(self, field_body_ut: Vector3, throttle: float) -> Vector3:
@@ -136,7 +136,7 @@ class GpsSensor:
         self._noise = np.array((e.noise_m,) * 3 + (e.speed_noise_m_s,) * 2 + (e.climb_noise_m_s,))
         self._last_s: float | None = None
         self._last: GpsReading | None = None
-        # for faults: a step aside, what becomes of places on their way out, a solution that stays
+        # for faults: a position offset, faults of the output, a frozen solution
         self.jump_ned_m: Vector3 = ZERO3
         self.glitches = Glitches(rng.spawn(1)[0])
         self.frozen = False
@@ -185,7 +185,7 @@ class RangeSensor:
         self.clear_faults()
 
     def clear_faults(self) -> None:
-        """No faults: no more wrong or lost echoes than usual, no bias, no distance that stays."""
+        """Clear all faults."""
         self.extra_spikes = 0.0
         self.extra_lost = 0.0
         self.bias_m = 0.0
@@ -195,7 +195,7 @@ class RangeSensor:
     def sample(self, height_m: float, tilt_rad: float = 0.0) -> float | None:
         """Distance (m) of the first echo, or None: of a sensor `height_m` over a flat floor, tilted.
 
-        Inside its beam the sensor hears the nearest point of the floor; tilted beyond, the beam's edge.
+        Inside its beam the sensor measures the nearest point of the floor; tilted beyond, the beam's edge.
         """
         e = self._errors
         lost, spike, noise = self._rng.random(), self._rng.random(), self._rng.standard_normal()
@@ -207,7 +207,7 @@ class RangeSensor:
         distance_m += (e.noise_m + e.noise_share * distance_m) * float(noise) + self.bias_m
         if self.frozen:
             return self._last_m if self.stuck_m is None else self.stuck_m
-        # nearer than the blind zone it goes on showing the blind zone's edge
-        heard = lost >= max(e.lost, self.extra_lost) and distance_m <= e.maximum_m
-        self._last_m = max(e.minimum_m, distance_m) if heard else None
+        # nearer than the blind zone it returns the blind zone's edge
+        received = lost >= max(e.lost, self.extra_lost) and distance_m <= e.maximum_m
+        self._last_m = max(e.minimum_m, distance_m) if received else None
         return self._last_m

@@ -1,4 +1,4 @@
-"""How well the motors do what they are told: each gives a share of the thrust that is asked of it.
+"""Motor effectiveness: each motor gives a share of the commanded thrust.
 
 A worn propeller, a tired speed controller or a battery's sagging voltage costs thrust and reaction torque
 alike, so the command itself is scaled, before the motor's lag.
@@ -10,18 +10,18 @@ from typing import Final
 
 from sitl.vehicle.quadrotor import Four
 
-SOUND: Final[Four] = (1.0, 1.0, 1.0, 1.0)
+NOMINAL: Final[Four] = (1.0, 1.0, 1.0, 1.0)
 
 
 class Motors:
     """Front, right, back and left motor (1 to 4)."""
 
     def __init__(self) -> None:
-        self._shares = SOUND
+        self._shares = NOMINAL
 
     def clear_faults(self) -> None:
-        """All give what is asked."""
-        self._shares = SOUND
+        """All motors give the commanded thrust."""
+        self._shares = NOMINAL
 
     def weaken(self, motor: int | None, share: float) -> None:
         """One motor (1 to 4), or all for None, gives only this share of what it gave."""
@@ -32,8 +32,8 @@ class Motors:
         self._shares = (a, b, c, d)
 
     def given(self, commands: Four) -> Four:
-        """What the motors make of commands (shares of full thrust)."""
-        if self._shares is SOUND:
+        """The effective commands (shares of full thrust)."""
+        if self._shares is NOMINAL:
             return commands
         a, b, c, d = self._shares
         return (a * commands[0], b * commands[1], c * commands[2], d * commands[3])

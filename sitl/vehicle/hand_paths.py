@@ -1,10 +1,10 @@
-"""How a person carries the vehicle: smooth paths of six degrees of freedom, for calibrations and checks.
+"""Hand motion of the vehicle: smooth paths of six degrees of freedom, for calibrations and checks.
 
 A path gives six coordinates and their rates by time (s): forward, right and down (m) of the reference point
-from the middle of the pad's surface, along axes that point where the person looks, then roll, pitch and yaw
-(rad; yaw, then pitch, then roll) against the same axes. All are twice continuously differentiable, so that
-specific force and rate have no jumps. Euler angles may run on without bounds: only the rates of the angles
-are turned into body rates, never back, so nose up is a place like any other.
+from the middle of the pad's surface, along axes along the person's viewing direction, then roll, pitch and
+yaw (rad; yaw, then pitch, then roll) against the same axes. All are twice continuously differentiable, so
+that specific force and rate have no jumps. Euler angles may run on without bounds: only the rates of the
+angles are converted to body rates, never back, so nose up is no singularity.
 
 Hands tremble: a slow sway of the arms below 1 Hz and physiological tremor of 6 to 11 Hz (R. J. Elble and
 W. C. Koller, Tremor, 1990), of some millimetres and a few tenths of a degree.
@@ -15,12 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 HandMotion = Literal["still", "tumble", "faces", "sway", "over-pad"]
-HAND_MOTIONS: Final[tuple[HandMotion, ...]] = get_args(HandMotion)
 
 Six = tuple[float, float, float, float, float, float]
 # a coordinate's waves: amplitude (m or rad), frequency (rad/s), phase (rad)
@@ -40,7 +39,7 @@ HandPath = Callable[[float], PoseAndRate]
 
 
 class CarriedMotion(NamedTuple):
-    """What a hand means to do, and what it adds to that.
+    """The intended motion and the tremor of a hand.
 
     `round_s` is how long the moves take that end where they begin, at rest; infinite for those that go on.
     """
@@ -122,11 +121,11 @@ def _six(values: Iterable[float]) -> Six:
     return (a, b, c, d, e, f)
 
 
-# ---------------------------------------------------------------- what a hand adds
+# ---------------------------------------------------------------- tremor
 
 
 def tremor(rng: np.random.Generator) -> HandPath:
-    """What no hand can help."""
+    """Sway and physiological tremor."""
     waves = []
     for axis in range(6):
         slow, fast = (0.004, 0.00012) if axis in _LENGTH else (math.radians(0.35), math.radians(0.04))
@@ -151,7 +150,7 @@ def _wave(
 
 
 def carrying(motion: HandMotion, standing_m: float, rng: np.random.Generator) -> CarriedMotion:
-    """The paths of a motion, with what the dice vary.
+    """The paths of a motion, with random variations.
 
     Args:
         motion: which.
@@ -194,7 +193,7 @@ FACE_ROUNDS: Final = 10
 def _faces(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
     """Laid down on each of its six sides, level first, the others in any order, none quite straight.
 
-    Round after round, for whoever began to look on in the middle of one.
+    Repeated, so that an observer may start at any time.
     """
     order = [0, *(int(k) + 1 for k in rng.permutation(len(FACES) - 1))]
     stations = []
@@ -223,7 +222,7 @@ HOLD_S: Final = 4.0
 
 
 def _over_pad(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
-    """What `companion check --pad` asks for, one after another, each from the middle and back to it."""
+    """The moves of `companion check --pad`, one after another, each from the middle and back."""
     low, high = -float(rng.uniform(0.5, 0.6)), -float(rng.uniform(0.95, 1.1))
     turn, lean = (math.radians(float(rng.uniform(*span))) for span in ((35.0, 55.0), (14.0, 20.0)))
     aside = float(rng.uniform(0.18, 0.26))
@@ -235,7 +234,7 @@ def _over_pad(standing_m: float, rng: np.random.Generator) -> CarriedMotion:
         (0.0, 0.0, high, lean, 0.0, 0.0),
         (0.0, 0.0, high, 0.0, lean, 0.0),
     ]
-    # long enough at first for what looks on to find an autopilot, and to ask for the first move
+    # long enough at first for the check to find an autopilot and to request the first move
     stations = [PoseWaypoint((0.0, 0.0, low, 0.0, 0.0, 0.0), 10.0), PoseWaypoint(middle, HOLD_S)]
     for place in moved:
         stations += [PoseWaypoint(place, HOLD_S, 1.5), PoseWaypoint(middle, HOLD_S, 1.5)]

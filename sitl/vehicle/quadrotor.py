@@ -95,7 +95,7 @@ class Quadrotor:
     """One airframe: turns a state, commands and loads into the state a step later. Holds no state itself."""
 
     def __init__(self, parameters: QuadrotorParameters, mass_factor: float = 1.0) -> None:
-        """`mass_factor` scales mass and inertia: a load that nobody told the autopilot of."""
+        """`mass_factor` scales mass and inertia: a load that the autopilot does not know."""
         self.parameters = parameters
         self.mass_kg = parameters.mass_kg * mass_factor
         ix, iy, iz = (mass_factor * value for value in parameters.inertia_kg_m2)
@@ -125,7 +125,7 @@ class Quadrotor:
 
         Args:
             state: the state now.
-            commands: share of full thrust asked of each motor; clipped to 0..1.
+            commands: share of full thrust commanded to each motor; clipped to 0..1.
             dt_s: step (s), a few milliseconds.
             wind_ned_m_s: motion of the air.
             thrust_ratio: each rotor's thrust over that in free air (ground effect).
@@ -182,7 +182,8 @@ class Quadrotor:
         t2 = mean[1] * ratio[1] * p.max_thrust_n
         t3 = mean[2] * ratio[2] * p.max_thrust_n
         t4 = mean[3] * ratio[3] * p.max_thrust_n
-        # speed goes with the root of thrust; the ground changes a rotor's thrust, not its reaction torque
+        # speed is proportional to the root of thrust; the ground changes a rotor's thrust, not its reaction
+        # torque
         w1, w2, w3, w4 = sqrt(new[0]), sqrt(new[1]), sqrt(new[2]), sqrt(new[3])
         spin = self._momentum * (w2 + w4 - w1 - w3)
         before = sqrt(old[1]) + sqrt(old[3]) - sqrt(old[0]) - sqrt(old[2])
@@ -257,7 +258,7 @@ def _rk4(place: Vector3, x: Moving, held: _Held, dt_s: float) -> tuple[Vector3, 
 
 
 def packed(old: QuadrotorState, place: Vector3, x: Moving, share: Four, dt_s: float) -> QuadrotorState:
-    """The new state with a unit quaternion, and what its sensors felt on the way.
+    """The new state with a unit quaternion, and the step's mean specific force and angular acceleration.
 
     Args:
         old: the state dt before.

@@ -6,7 +6,7 @@ Each point in contact pushes up with a spring and a damper, never pulls, and is 
 spring from where it first stood (its anchor, which rides and turns with the board) up to the friction
 cone, beyond which it slides and takes the anchor along. So a landed vehicle rides along without creeping.
 The forces are taken where the points will be half a step later: a spring so stepped neither gains nor loses
-energy of itself (the leapfrog), so the legs' own damping decides, at 400 Hz with room to spare.
+energy (the leapfrog), so the legs' own damping decides, at 400 Hz with room to spare.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class ContactParameters(StrictModel):
 
 @dataclass(frozen=True, slots=True)
 class ContactLoad:
-    """What the surfaces do to the body, and how many points touch which."""
+    """Force and torque of the surfaces on the body, and how many points touch which."""
 
     force_ned_n: Vector3 = ZERO3
     torque_body_n_m: Vector3 = ZERO3
@@ -85,7 +85,7 @@ class _Point:
 
 
 class Contact:
-    """The legs' memory: which foot stands where."""
+    """Contact forces of the legs; stores which foot stands where."""
 
     def __init__(
         self, parameters: ContactParameters, mass_kg: float, board: PadBoard, hull_body_m: tuple[Vector3, ...]
@@ -128,7 +128,7 @@ class Contact:
         return ContactLoad(force, torque, touched["board"], touched["ground"])
 
     def release(self) -> None:
-        """Forget what was touched."""
+        """Release all contacts."""
         for point in self._points:
             point.surface = None
 

@@ -1,4 +1,4 @@
-"""What lies under the vehicle: ground, the pad's board, and their effect on the rotors.
+"""The surfaces under the vehicle: ground and the pad's board, and their ground effect on the rotors.
 
 NED, metres; the ground is the plane z = 0, the board a rectangle above it, level or leaning as a deck does.
 
@@ -89,7 +89,7 @@ def echo_distance_m(
     if sensor[2] < 0.0 and tilt_from_quat(state.attitude) <= half_angle_rad:
         echoes.append(-sensor[2])
     sideways, height = board.distance_m(pad, sensor)
-    # beside the board its edge counts as in the cone by the angle from its normal alone: tilts are small
+    # next to the board its edge is in the cone by the angle from its normal alone: tilts are small
     lean = max(tilt_from_normal(pad, state.attitude), math.atan2(sideways, height))
     if height > 0.0 and lean <= half_angle_rad:
         echoes.append(math.hypot(sideways, height))
@@ -110,7 +110,7 @@ def thrust_ratio(height_m: float, radius_m: float) -> float:
 
 
 def ground_effect_reach_m(radius_m: float) -> float:
-    """Height over all surfaces from which on a rotor feels none."""
+    """Height over all surfaces above which there is no ground effect."""
     return NEGLIGIBLE_HEIGHT_IN_RADII * radius_m
 
 

@@ -1,7 +1,7 @@
-"""A world in which nobody flies: the vehicle is carried by hand over the pad, its rotors stand still.
+"""A world for hand motion: the vehicle is carried over the pad, its rotors stand still.
 
 The same truth as `sitl.world.world` for sensors, camera and autopilot, from a path instead of from forces.
-Position, velocity, attitude and rate are the path's own; specific force and angular acceleration are the
+Position, velocity, attitude and rate are those of the path; specific force and angular acceleration are the
 means over a step, as those of a flight are: Δv/Δt less gravity in body axes half-way, and Δω/Δt.
 NED, FRD, SI.
 """
@@ -19,16 +19,16 @@ from sitl.vehicle.hand_paths import CarriedMotion, HandMotion, PoseAndRate, adde
 from sitl.vehicle.quadrotor import Four, QuadrotorState, packed
 from sitl.world.world import World
 
-HAND_STREAM: Final = 14  # of the random draws, beside the world's own
-# what is felt at time 0 is that of a step before
+HAND_STREAM: Final = 14  # of the random draws; the world has its own
+# the state at time 0 is that after a step
 FIRST_STEP_S: Final = 0.0025
 
 
 class HandHeldWorld(World):
-    """A scenario's world under one seed, with the vehicle in somebody's hands from time 0 on.
+    """A scenario's world under one seed, with the vehicle carried by hand from time 0 on.
 
-    The person stays where the pad is at that time, and looks anywhere. What is asked of the motors moves
-    nothing. A person who `waits` holds the vehicle where moves that end begin, until `begin`.
+    The person stays where the pad is at that time, with a random heading. Motor commands have no effect.
+    With `waits`, finite motions stay at their start until `begin`.
     """
 
     def __init__(self, scenario: Scenario, seed: int, motion: HandMotion, *, waits: bool = False) -> None:
@@ -46,7 +46,7 @@ class HandHeldWorld(World):
         self.place(self._felt(self._carried(-FIRST_STEP_S), 0.0, FIRST_STEP_S))
 
     def begin(self) -> None:
-        """Somebody looks on: do the moves that are waited with, and once more if they have all been done."""
+        """Start a waiting motion, or restart one that has ended."""
         if self._begun_s == math.inf or self.time_s > self._begun_s + self._carrying.round_s:
             self._begun_s = self.time_s
 
@@ -56,13 +56,13 @@ class HandHeldWorld(World):
         self._advance(self._felt(self._state, self.time_s + dt_s, dt_s), dt_s)
 
     def _felt(self, before: QuadrotorState, time_s: float, dt_s: float) -> QuadrotorState:
-        """The state at a time, with what the sensors felt since the one dt before."""
+        """The state at a time, with the mean accelerations since the one dt before."""
         now = self._carried(time_s)
         moving = now.velocity_ned_m_s + now.attitude + now.rate_body_rad_s
         return packed(before, now.position_ned_m, moving, now.thrust_share, dt_s)
 
     def _carried(self, time_s: float) -> QuadrotorState:
-        """Where the hand has it, and how it moves."""
+        """The state of the path at a time."""
         (forward, right, down, roll, pitch, yaw), rate = self._held(time_s)
         offset = rotate_yaw((forward, right, down), self._heading_rad)
         return QuadrotorState(
@@ -73,7 +73,7 @@ class HandHeldWorld(World):
         )
 
     def _held(self, time_s: float) -> PoseAndRate:
-        """Where the hand has it against the middle of the pad; hands that wait tremble too."""
+        """Pose and rates relative to the middle of the pad; tremor included also while waiting."""
         moves = self._carrying.moves(time_s - self._begun_s)
         return added(moves, self._carrying.shake(time_s))
 

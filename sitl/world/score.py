@@ -1,4 +1,4 @@
-"""How a flight ended: what the touchdown was like by the truth, and whether that counts as a landing.
+"""Scoring of a flight: the true touchdown, and whether it counts as a landing.
 
 Speeds are relative to the pad, positive vertical ones closing; angles in degrees. Where a deck leans,
 vertical means along its normal, horizontal along its surface, and tilt is from its normal. Everything is
@@ -125,7 +125,7 @@ class TouchdownDetector:
 
 
 def _touchdown(time_s: float, state: QuadrotorState, pad: PadTruth, on_pad: bool) -> TouchdownState:
-    # a turning board moves at the touched place with it; beside the board there is only the pad's own way
+    # velocity of the turning board at the contact point; next to the board, the pad's own velocity
     carried = pad.velocity_at_ned_m_s(state.position_ned_m) if on_pad else pad.velocity_ned_m_s
     relative = subtract(state.velocity_ned_m_s, carried)
     away = subtract(state.position_ned_m, pad.position_ned_m)
@@ -154,16 +154,11 @@ def _along_surface(v: Vector3, normal: Vector3) -> Vector3:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome, the touchdown if there was one, and a line for each bound that was broken."""
+    """The outcome, the touchdown if there was one, and a line for each violated bound."""
 
     outcome: Outcome
     touchdown: TouchdownResult | None
     failures: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        """Whether it counts."""
-        return self.outcome is Outcome.LANDED
 
 
 def judge(
@@ -179,7 +174,7 @@ def judge(
     """Judge a flight that has ended, or whose time is up.
 
     Landed: touched down on the pad within the bounds, stands on it and is disarmed. Missed: it touched down
-    but broke a bound, left the pad or came down beside it. Aborted: the app gave up, wherever that ended.
+    but violated a bound, left the pad or came down beside it. Aborted: the app gave up, whatever the place.
     Timeout: none of these, or on the pad but still armed.
     """
     result = None if touchdown is None else TouchdownResult.of(touchdown)
@@ -190,7 +185,7 @@ def judge(
         return Verdict(Outcome.ABORTED, result, ("the app aborted",))
     if touchdown is None:
         return Verdict(Outcome.TIMEOUT, None, ("never touched down",))
-    failures = _broken(touchdown, bounds)
+    failures = _violated(touchdown, bounds)
     if not at_rest_on_pad:
         failures = (*failures, "not at rest on the pad")
     if failures:
@@ -200,16 +195,16 @@ def judge(
     return Verdict(Outcome.LANDED, result)
 
 
-def _broken(touchdown: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
+def _violated(touchdown: TouchdownState, bounds: PassBounds) -> tuple[str, ...]:
     measured = (
         ("lateral error", touchdown.lateral_error_m, bounds.lateral_error_m, "m"),
         ("vertical speed", touchdown.vertical_speed_m_s, bounds.vertical_speed_m_s, "m/s"),
         ("horizontal speed", touchdown.horizontal_speed_m_s, bounds.horizontal_speed_m_s, "m/s"),
         ("tilt", touchdown.tilt_deg, bounds.tilt_deg, "deg"),
     )
-    broken = tuple(
+    violated = tuple(
         f"{name} {value:.2f} {unit}, expected at most {limit:g}"
         for name, value, limit, unit in measured
         if not value <= limit  # so that what is no number is no landing
     )
-    return broken if touchdown.on_pad else ("touched down beside the pad", *broken)
+    return violated if touchdown.on_pad else ("touched down beside the pad", *violated)

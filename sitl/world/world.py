@@ -1,6 +1,6 @@
-"""The truth: one vehicle, one pad, one sky, stepped together. One function a disturbance.
+"""The simulated world: one vehicle, one pad and the wind, stepped together.
 
-NED from home, the ground at z = 0; FRD; SI. What is here reaches the app only through the simulated sensors.
+NED from home, the ground at z = 0; FRD; SI. The app gets it only through the simulated sensors.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class _Snapshot(NamedTuple):
 
 
 class VehicleMotion(NamedTuple):
-    """The part of the truth that an autopilot errs about: it is asked for at every step."""
+    """The true motion that the simulated estimator adds errors to, at every step."""
 
     vehicle_position_ned_m: Vector3
     vehicle_velocity_ned_m_s: Vector3
@@ -85,7 +85,7 @@ class World:
         self.board = PadBoard.of(load_pad(scenario.pad.name))
         self.time_s = 0.0
         self.wind_ned_m_s: Vector3 = (0.0, 0.0, 0.0)
-        # the autopilot's wish, kept with the truth for the plots
+        # stored with the truth for the plots
         self.attitude_setpoint: Quaternion = IDENTITY
         self.motors = Motors()
         self._quadrotor = Quadrotor(body, scenario.mass_factor)
@@ -117,7 +117,7 @@ class World:
         return resting_state((0.0, 0.0, surface - self.landed_reference_height_m), heading)
 
     def place(self, state: QuadrotorState) -> None:
-        """Put the vehicle elsewhere, with nothing touched and nothing remembered: to start in the air."""
+        """Set the vehicle's state and clear contacts and history: to start in the air."""
         self._state = state
         self._load = NO_CONTACT
         self._contact.release()
@@ -144,7 +144,7 @@ class World:
         self._advance(state, dt_s)
 
     def _advance(self, state: QuadrotorState, dt_s: float) -> None:
-        """Let time pass: the vehicle is where it has come to, and the pad goes its way."""
+        """Advance the time: the vehicle's new state, and the pad's motion."""
         self._state = state
         self.time_s += dt_s
         self.pad_state = self._pad_motion.at(self.time_s)
@@ -157,7 +157,7 @@ class World:
         return self._wind.at(self.time_s, -self._state.position_ned_m[2])
 
     def _surface_effects(self, dt_s: float) -> Four:
-        """What touches, and how each rotor's thrust grows near a surface."""
+        """Update the contact; returns each rotor's thrust ratio in ground effect."""
         clear_m = self.board.ceiling_down_m(self.pad_state) - self._state.position_ned_m[2]
         if clear_m <= self._contact.reach_m:
             self._load = self._contact.step(self._state, self.pad_state, dt_s)
@@ -190,26 +190,6 @@ class World:
         return self._state
 
     @property
-    def specific_force_body_m_s2(self) -> Vector3:
-        """What an ideal accelerometer at the centre of mass felt over the last step."""
-        return self._state.specific_force_body_m_s2
-
-    @property
-    def rate_body_rad_s(self) -> Vector3:
-        """Body rate now."""
-        return self._state.rate_body_rad_s
-
-    @property
-    def angular_acceleration_body_rad_s2(self) -> Vector3:
-        """Angular acceleration over the last step."""
-        return self._state.angular_acceleration_body_rad_s2
-
-    @property
-    def in_contact(self) -> bool:
-        """Whether anything touches ground or pad."""
-        return self._load.touching
-
-    @property
     def height_m(self) -> float:
         """Height of the reference point over what lies under it."""
         north, east, down = self._state.position_ned_m
@@ -220,12 +200,11 @@ class World:
         """Height of the reference point over the surface when standing."""
         return self.airframe.legs.standing_height_m()
 
-    def range_to_surface_m(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> float | None:
-        """Distance (m) of the first echo in a cone about the body's down axis, None if none comes back."""
-        return self.ranging(sensor_position_body_m, half_angle_rad)()
-
     def ranging(self, sensor_position_body_m: Vector3, half_angle_rad: float) -> Callable[[], float | None]:
-        """What `range_to_surface_m` would tell now, worked out when asked for."""
+        """Distance (m) of the first echo in a cone about the body's down axis, None without an echo.
+
+        It is computed when called, from the present state.
+        """
         return partial(
             echo_distance_m, self.board, self.pad_state, self._state, sensor_position_body_m, half_angle_rad
         )
@@ -239,7 +218,7 @@ class World:
 
     @property
     def crashed(self) -> bool:
-        """Whether it hit something hard, or turned over."""
+        """Whether it crashed or turned over."""
         return self._watch.crashed
 
     @property
@@ -249,7 +228,7 @@ class World:
 
     @property
     def at_rest_on_pad(self) -> bool:
-        """Whether it stands on the board and goes with it."""
+        """Whether it stands at rest relative to the board."""
         state, pad = self._state, self.pad_state
         carried = pad.velocity_at_ned_m_s(state.position_ned_m)
         still = norm(subtract(state.velocity_ned_m_s, carried)) <= REST_SPEED_M_S

@@ -23,7 +23,7 @@ import numpy as np
 from companion.base.geometry import FloatArray
 from companion.config import VisionConfig
 from companion.sense.vision.pipeline import Vision
-from sitl.run.scene_camera import ground_otherwise
+from sitl.run.scene_camera import perturbed_lens
 from tests.bench.consistency import nees
 from tests.bench.vision_judge import Judged, bound_m2, eyes, judge, noise_px
 from tests.bench.vision_shots import ATTITUDE_STD_RAD, Stage
@@ -133,7 +133,7 @@ def run_chunk(case: Case, chunk: int, shots: int) -> Outcome:
     shipped = VisionConfig()
 
     def calibrated() -> Vision:
-        return eyes(stage, shipped, ground_otherwise(stage.camera, shipped.scale_error, rng))
+        return eyes(stage, shipped, perturbed_lens(stage.camera, shipped.scale_error, rng))
 
     if case.tilted:
         for _ in range(shots):

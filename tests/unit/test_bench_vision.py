@@ -18,7 +18,7 @@ from companion.base.geometry import (
 from companion.base.messages import PadSighting
 from companion.config import VisionConfig
 from companion.sense.vision.aruco import GROUPS, PadDetector, SearchPass
-from sitl.run.scene_camera import ground_otherwise
+from sitl.run.scene_camera import perturbed_lens
 from sitl.run.simulation import PHYSICS_STEP_S
 from tests.bench import vision_hover
 from tests.bench.vision_cases import Case, Outcome
@@ -188,7 +188,7 @@ def test_corner_noise_is_pooled_by_group() -> None:
 
 def test_a_wrong_calibration_is_wrong_by_what_is_stated() -> None:
     rng, camera = np.random.default_rng(9), camera_named("1280x720")
-    drawn = [ground_otherwise(camera, 0.003, rng) for _ in range(2000)]
+    drawn = [perturbed_lens(camera, 0.003, rng) for _ in range(2000)]
     assert np.std([c.fx_px / camera.fx_px for c in drawn]) == pytest.approx(0.003, rel=0.06)
     assert np.std([c.cy_px for c in drawn]) == pytest.approx(0.003 * camera.fx_px, rel=0.06)
 

@@ -153,12 +153,12 @@ def test_the_app_refuses_in_one_line_what_does_not_go_together(
         (["campaign", "--firmware-param", "A=1"], "--firmware-param: expected it with --firmware and"),
         (
             ["--external", "udp:127.0.0.1:9", "--firmware", "px4"],
-            "--firmware: the vehicle is somebody",
+            "--firmware: has no effect with an external vehicle",
         ),
         *(
             (
                 ["--firmware", "px4", "--firmware-path", "BIN", *more],
-                f"{more[0]}: is the bundled autopilot's; expected it without --firmware",
+                f"{more[0]}: applies to the bundled autopilot; expected it without --firmware",
             )
             for more in (["--serve-truth"], ["--signing-key", "key"], ["--autopilot", "px4"])
         ),

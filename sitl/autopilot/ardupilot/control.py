@@ -1,10 +1,11 @@
-"""ArduPilot's law: every setpoint becomes a jerk-limited path, and the vehicle is held on it (AC_PosControl).
+"""ArduPilot's position control law: each setpoint becomes a jerk-limited path that is tracked
+(AC_PosControl).
 
-Place, velocity and acceleration alone each move the path in their own way; P on its place, PID on its
-velocity and its acceleration fed forward keep the vehicle there, so that an acceleration is one that is
-flown, whatever the wind. Height likewise, and there a PI on the acceleration makes the throttle. When the
-kind of setpoint changes the path starts anew from where the vehicle is; where lean or throttle are at their
-limit it waits for the vehicle. After ArduCopter 4.6; gains by its names.
+Position, velocity and acceleration setpoints each shape the path in their own way. A P controller on the
+position and a PID on the velocity track it, with the acceleration fed forward, so that a commanded
+acceleration is flown whatever the wind. Height likewise; a PI on the acceleration makes the throttle. When
+the kind of setpoint changes, the path restarts from the vehicle. Where tilt or throttle is at its limit, the
+path waits for the vehicle. After ArduCopter 4.6; gains by its names.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class ArdupilotGains:
 
 
 class _Kind(Enum):
-    """What of a setpoint moves the path."""
+    """The part of a setpoint that shapes the path."""
 
     PLACE = "place"
     VELOCITY = "velocity"
@@ -116,7 +117,7 @@ class ArdupilotControl(PositionControl):
             self._kinds = kinds
             self._start_sideways(position, velocity)
         self._move_sideways(setpoint, kinds[0], dt_s)
-        if frozen:  # standing: the path waits
+        if frozen:  # on the ground: the path waits
             self._start_sideways(position, velocity)
         self._follow_track(setpoint, dt_s)
         ax, ay = self._hold_sideways(position, velocity, dt_s, frozen)
@@ -142,7 +143,7 @@ class ArdupilotControl(PositionControl):
 
     def _start_sideways(self, position: Vector3, velocity: Vector3) -> None:
         self._across = Path2((position[0], position[1]), (velocity[0], velocity[1]))
-        self._integral = self._commanded  # so that the lean goes on where it is
+        self._integral = self._commanded  # so that the tilt is continuous
         for error in (self._error_x, self._error_y, self._rate_x, self._rate_y):
             error.reset()
 
@@ -182,7 +183,7 @@ class ArdupilotControl(PositionControl):
             return
         self.yaw_rad = wrap_angle(math.atan2(vy, vx))
 
-    # ------------------------------------------------------------ holding the vehicle on it
+    # ------------------------------------------------------------ tracking it
 
     def _hold_sideways(self, position: Vector3, velocity: Vector3, dt: float, frozen: bool) -> Two:
         gains, path = self._gains, self._across
@@ -197,13 +198,13 @@ class ArdupilotControl(PositionControl):
         wanted = ax + path.acceleration[0], ay + path.acceleration[1]
         most = math.tan(gains.limits.tilt_rad) * GRAVITY_M_S2
         self._commanded = bounded(*wanted, most)
-        # `saturated` is of the step before: then the lean was cut further for the height's sake
+        # `saturated` is of the step before: then the tilt was limited further in favour of the height
         limited = wanted != self._commanded or self.saturated
         path.limit = wanted if limited else (0.0, 0.0)
         if not frozen:  # at the limit the integral may shrink, but grows no more
             longest = math.hypot(*self._integral) if limited else gains.integral_limit
             self._integral = bounded(ix, iy, min(longest, gains.integral_limit))
-        return wanted  # unbounded, so that whoever makes a lean of it sees that it is too much
+        return wanted  # unbounded, so that the caller sees the saturation
 
     def _pid(self, ex: float, ey: float, dt: float) -> tuple[Two, Two]:
         """Acceleration for a velocity error, and the integral after it."""
@@ -229,7 +230,7 @@ class ArdupilotControl(PositionControl):
         wanted = gains.climb_p * self._climb_error.step(path.slower_m_s, dt) + path.acceleration
         felt = self._felt.step(acceleration, dt)[2]
         error = self._throttle_error.step(wanted - felt, dt)
-        worth = GRAVITY_M_S2 / self._hover  # of a whole throttle
+        worth = GRAVITY_M_S2 / self._hover  # of full throttle
         made = worth * gains.throttle_p * error + self._throttle_integral
         low, high = (self._hover_share(share) for share in gains.limits.thrust_range)
         path.limit = 1.0 if made >= -low else -1.0 if made <= -high else 0.0

@@ -1,7 +1,8 @@
-"""ArduPilot's parameters: those that `ardupilot.ARDUPILOT` names are flown by, the rest says what this is.
+"""ArduPilot's parameters: the ones that `ardupilot.ARDUPILOT` names act in flight, the others are for
+display.
 
-Names, defaults and bounds after ArduCopter 4.6's parameter list; where the default is not ArduCopter's, it is
-what this vehicle is or what its recording shows. Units are ArduPilot's (cm, cm/s, centidegrees, s).
+Names, defaults and bounds after ArduCopter 4.6's parameter list. Defaults that differ from ArduCopter's
+describe this vehicle or its recording. Units are ArduPilot's (cm, cm/s, centidegrees, s).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""ArduPilot's precision landing on LANDING_TARGET (AC_PrecLand and ModeLand of 4.6), in its main lines.
+"""ArduPilot's precision landing on LANDING_TARGET (AC_PrecLand and ModeLand of 4.6), in its main features.
 
-The target is a constant-velocity filter relative to the vehicle, in the own NED, at the time of PLND_LAG ago;
-it is fed with the vector in body axes and the own velocity's changes. The target's velocity is fed forward if
-PLND_OPTIONS says that targets move, its acceleration never is. It sinks at LAND_SPEED within
-PLND_XY_DIST_MAX, at half that or less between 2 and 0.35 m. A target lost is waited for, then sought where it
-was last seen, at most PLND_RET_MAX times. Parameters are read at boot. Without a range finder the height over
-home takes its place. SI units.
+A constant-velocity filter estimates the target relative to the vehicle in local NED, delayed by PLND_LAG. Its
+inputs are the vector to the target in body axes and the changes of the vehicle's velocity. The target's
+velocity is fed forward if PLND_OPTIONS allows moving targets, its acceleration never is. The vehicle descends
+at LAND_SPEED within PLND_XY_DIST_MAX, at half that or less between 2 and 0.35 m. After a target loss it
+waits, then returns to where it last saw the target, at most PLND_RET_MAX times. Parameters are read at boot.
+Without a range finder the height over home replaces the measured height. SI units.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _VERY_STRICT, _NOT_STRICT = 2, 0
 
 
 class ArdupilotPrecisionLanding:
-    """One boot's precision landing."""
+    """Precision landing between two boots."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.texts: list[tuple[Severity, str]] = []
@@ -67,11 +67,11 @@ class ArdupilotPrecisionLanding:
         self.begin(required=False)
 
     def update_target(self, target: LandingTarget) -> None:
-        """Keep the newest; it is fused at the next step."""
+        """Store the newest; the next step fuses it."""
         self._pending = target
 
     def begin(self, *, required: bool) -> None:
-        """A landing begins."""
+        """Start a landing."""
         self._found = False
         self._retries = 0
         self._last_seen_at: Vector3 | None = None
@@ -80,7 +80,7 @@ class ArdupilotPrecisionLanding:
     # ------------------------------------------------------------ the target
 
     def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
-        """Predict, and fuse what has come; all of it at the time of PLND_LAG ago."""
+        """Predict, and fuse a new measurement, at the time of PLND_LAG ago."""
         self._estimates.append(estimate)
         before, then = self._then, self._estimates[0]
         while (
@@ -129,7 +129,7 @@ class ArdupilotPrecisionLanding:
     def _now(
         self, axes: tuple[AxisFilter, AxisFilter], estimate: VehicleEstimate, dt_s: float
     ) -> tuple[Vector3, Vector3]:
-        """Where the target is by now in the own NED, and how fast, from the state of PLND_LAG ago."""
+        """Position and velocity of the target now in local NED, from the state of PLND_LAG ago."""
         then = self._estimates[0]
         place, speed = [], []
         for index, axis in enumerate(axes):
@@ -159,7 +159,7 @@ class ArdupilotPrecisionLanding:
     # ------------------------------------------------------------ the landing
 
     def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
-        """Down over the target; a lost one is waited for, sought, and in the end given up."""
+        """Descend over the target. After a target loss: wait, retry, and finally give up."""
         if self._axes is None or estimate.now_s - self._seen_s > _FRESH_S:
             return self._without(estimate)
         if not self._found:
@@ -196,17 +196,17 @@ class ArdupilotPrecisionLanding:
             self._retrying, self._seen_s = (
                 False,
                 estimate.now_s - _FRESH_S,
-            )  # there, and nothing: wait once more
+            )  # arrived, no target: wait once more
         return MotionSetpoint(self._last_seen_at)
 
     def _give_up(self, estimate: VehicleEstimate) -> MotionSetpoint | None:
-        """Land where it is, or hover when told to be very strict."""
+        """Land at the present position, or hover if PLND_STRICT is 2."""
         if self._strict == _VERY_STRICT:
             return MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, 0.0))
         return None
 
 
 def precision_landing(parameters: Parameters) -> ArdupilotPrecisionLanding | None:
-    """The precision landing that the parameters ask for at boot, None without."""
+    """The precision landing that the parameters enable at boot, or None."""
     enabled = parameters["PLND_ENABLED"] >= 1.0 and int(parameters["PLND_TYPE"]) == _MAVLINK_TYPE
     return ArdupilotPrecisionLanding(parameters) if enabled else None

@@ -1,4 +1,4 @@
-"""ArduPilot's manners: mode numbers, texts, results and rules of ArduCopter 4.6.
+"""ArduPilot's profile: mode numbers, texts, results and rules of ArduCopter 4.6.
 
 Taken from a recording of ArduCopter with its own simulator.
 The landed detector takes 2 s; the recording shows 2.5 s from contact.
@@ -147,7 +147,7 @@ ARDUPILOT = AutopilotProfile(
         Failsafe(
             "landed in LAND",
             lambda now: landed_after_flight(now) and now.task in (Task.LAND, Task.PRECISION_LAND),
-            0.05,  # the mission hears of its landing first
+            0.05,  # the mission registers the landing first
             FailsafeAction.DISARM,
             Severity.INFO,
             "Disarming motors",

@@ -1,9 +1,9 @@
-"""How ArduCopter 4.6 reads streamed setpoints in GUIDED (GCS_MAVLink_Copter), and how they age.
+"""Streamed setpoints as ArduCopter 4.6 reads them in GUIDED (GCS_MAVLink_Copter), and their time-out.
 
 Position, velocity and acceleration are each taken whole: one ignored axis ignores all three. Position alone,
 position with velocity, velocity, and acceleration (each with what stands after it) are flown; everything else
-stops the vehicle, without a word: a frame it does not know, a force, a position with an acceleration alone,
-numbers that are none. NED, SI units.
+stops the vehicle without a text: an unknown frame, a force, a position with an acceleration alone,
+numbers that are not finite. NED, SI units.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _HOLDS_HEIGHT: Final = 0.5  # the thrust field as a climb rate
 def read_motion(
     fields: StreamedMotion, here_ned_m: Vector3, attitude: Quaternion, heading_rad: float
 ) -> MotionSetpoint | Refusal:
-    """The setpoint that a message stands for; STOP where ArduCopter stops."""
+    """The setpoint of a message; STOP where ArduCopter stops."""
     mask = fields.mask
     position = None if mask & (Ignore.X | Ignore.Y | Ignore.Z) else fields.position_m
     velocity = None if mask & (Ignore.VX | Ignore.VY | Ignore.VZ) else fields.velocity_m_s
@@ -50,7 +50,7 @@ def read_motion(
     if not given or incomplete or force or not all(map(is_finite, given)) or not _known(fields, position):
         return STOP
     if position is not None and fields.is_global and fields.frame in OVER_TERRAIN:
-        return STOP if velocity is not None else Refusal()  # it has no terrain's heights
+        return STOP if velocity is not None else Refusal()  # no terrain data
     body = not fields.is_global and fields.frame in _BODY
     turn = heading_rad if body else 0.0
     if position is not None and not fields.is_global and fields.frame != LocalFrame.LOCAL_NED:
@@ -69,14 +69,15 @@ def read_motion(
 
 
 def _known(fields: StreamedMotion, position: Vector3 | None) -> bool:
-    """Does it know the frame? A global one matters for a place alone."""
+    """Whether the frame is known. A global one matters only with a position."""
     if fields.is_global:
         return position is None or fields.frame in set(GlobalFrame)
     return fields.frame in set(LocalFrame)
 
 
 def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | MotionSetpoint | Refusal:
-    """Attitude, body rates or both; STOP without a thrust, by part of the rates, by no unit attitude."""
+    """Attitude, body rates or both; STOP without thrust, with some of the rates only, or a non-unit
+    attitude."""
     mask, rates = fields.mask, fields.rate_body_rad_s
     if mask & IgnoreAttitude.THROTTLE or not isfinite(fields.thrust):
         return STOP
@@ -93,9 +94,9 @@ def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | MotionSetpoint
 def as_aged(
     setpoint: MotionSetpoint | AttitudeSetpoint, age_s: float, timeout_s: float, heading_rad: float
 ) -> MotionSetpoint | AttitudeSetpoint:
-    """What is flown of a setpoint of some age: GUID_TIMEOUT ends all but places.
+    """The setpoint at some age: GUID_TIMEOUT ends all but positions.
 
-    A place with a velocity moves on with it till then; afterwards attitudes level out and hold the height,
+    A position with a velocity moves with it until then; afterwards attitudes level out and hold the height,
     velocities and accelerations become a stop, turning ends.
     """
     if isinstance(setpoint, AttitudeSetpoint):

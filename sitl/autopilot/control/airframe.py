@@ -1,4 +1,4 @@
-"""What the autopilot knows of the vehicle it flies.
+"""The vehicle's parameters as the autopilot has them.
 
 "+" frame, motors in order front (1), right (2), rear (3), left (4); FRD, SI units.
 """
@@ -11,7 +11,7 @@ from companion.base.geometry import GRAVITY_M_S2, Vector3
 
 
 class Airframe(Protocol):
-    """The numbers an installer would enter; the plant's may differ from them (a payload, a worn motor)."""
+    """As the installer enters them; the plant's may differ (a payload, a worn motor)."""
 
     @property
     def mass_kg(self) -> float:

@@ -1,7 +1,7 @@
-"""Attitude: quaternion proportional control around the rate loop of `rate_control`.
+"""Attitude control: quaternion proportional control around the rate loop of `rate_control`.
 
-The attitude error is turned into rates. ArduPilot puts a shaped reference before it (`AttitudeReference`),
-whose rates are fed forward; PX4 takes the setpoint as it is. FRD, rad, N m.
+The attitude error becomes a rate setpoint. ArduPilot puts a shaped reference before it (`AttitudeReference`)
+and feeds its rates forward; PX4 uses the setpoint directly. FRD, rad, N m.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sitl.autopilot.control.shaping import clamp, signed_root_law
 
 @dataclass(frozen=True, slots=True)
 class ReferenceLimits:
-    """How a reference goes to the attitude asked for: time constant, accelerations (rad/s²), yaw rate."""
+    """Limits of the shaped reference: time constant, accelerations (rad/s²), yaw rate."""
 
     time_constant_s: float
     tilt_acceleration: float
@@ -37,7 +37,7 @@ class AttitudeGains:
 
 
 class AttitudeReference:
-    """An attitude that turns towards what is asked for within limits, and the body rate at which it does."""
+    """A rate- and acceleration-limited attitude that follows the setpoint, and its body rate."""
 
     def __init__(self, limits: ReferenceLimits) -> None:
         self._limits = limits
@@ -71,7 +71,7 @@ class AttitudeControl:
         self._rates = RateControl(inertia_kg_m2, rates, gains.filters)
 
     def reset(self) -> None:
-        """Forget what the rate loop keeps."""
+        """Reset the rate loop."""
         self._rates.reset()
 
     def step(

@@ -1,7 +1,7 @@
-"""The control cascade and its life on the ground: idle, spool up, fly, feel the ground, idle again.
+"""The control cascade and its states on the ground: idle, spool up, fly, detect the ground, idle again.
 
-`outer` at 100 Hz turns a setpoint into attitude and thrust, `step` at the physics' pace turns these into
-motor commands. On the ground with idling motors every integral stays empty. NED in the autopilot's own
+`outer` at 100 Hz turns a setpoint into attitude and thrust, `step` at the physics' rate turns these into
+motor commands. On the ground with idling motors every integral stays zero. NED in the autopilot's own
 frame, SI units.
 """
 
@@ -25,7 +25,7 @@ STOPPED: Motors = (0.0, 0.0, 0.0, 0.0)
 _IDLE = 0.04
 _IDLING: Motors = (_IDLE, _IDLE, _IDLE, _IDLE)
 _SPOOL_UP_S = 1.2
-# in suspected contact the thrust is taken back at this rate, down to this share
+# while contact is suspected the thrust decreases at this rate, down to this share
 _TAKE_BACK_PER_S = 2.0
 _LEAST_SHARE = 0.2
 # full scale of the thrust field where it means a climb rate (ArduPilot's default speeds)
@@ -35,7 +35,7 @@ _DESCENDING_M_S = 0.05
 
 
 class Cascade:
-    """Controllers of one airframe with one manner's gains, and the landed detector."""
+    """The controllers of one airframe with one profile's gains, and the landed detector."""
 
     def __init__(self, profile: AutopilotProfile, airframe: Airframe, rates: RateGains | None = None) -> None:
         self._hover = hover_thrust(airframe)
@@ -65,7 +65,7 @@ class Cascade:
         return not self._detector.landed and self._spool >= 1.0
 
     def settle(self, estimate: SimulatedEstimator) -> None:
-        """Idle: empty the integrals and take the present heading as the one to keep."""
+        """Idle: reset the integrals and hold the present heading."""
         self._position.reset(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
         self._attitude.reset()
         self._spool, self._share, self.thrust = 0.0, 1.0, 0.0
@@ -76,7 +76,7 @@ class Cascade:
             self._reference.reset(self.attitude_setpoint)
 
     def disarm(self, estimate: SimulatedEstimator) -> None:
-        """Motors off: wherever that is, the next flight starts from the ground."""
+        """Motors off; the next flight starts from the ground."""
         self._detector = LandedDetector(self._detector.landed_time_s, self._detector.low_thrust_share)
         self.settle(estimate)
 
@@ -85,7 +85,7 @@ class Cascade:
         self._detector.lift_off()
 
     def wants_up(self, setpoint: MotionSetpoint | AttitudeSetpoint, estimate: SimulatedEstimator) -> bool:
-        """Does a setpoint ask for a climb, as from the ground?"""
+        """Whether a setpoint commands a climb, as for a take-off."""
         if isinstance(setpoint, AttitudeSetpoint):
             return setpoint.thrust > 1.02 * self._hover
         return (
@@ -135,7 +135,7 @@ class Cascade:
     def _follow_motion(
         self, setpoint: MotionSetpoint, estimate: SimulatedEstimator, dt_s: float, frozen: bool
     ) -> bool:
-        """Fly a motion; returns whether it is a descent."""
+        """Fly a motion setpoint; returns whether it is a descent."""
         law = self._position
         law.step(
             estimate.position_ned_m,
@@ -149,7 +149,7 @@ class Cascade:
         self.attitude_setpoint = law.attitude
         self._throttle_up(estimate, dt_s)
         self._feed_rate = turn_about_down(estimate.attitude, law.yaw_rate_rad_s)
-        # a law that shapes its setpoints still goes down for a while after a climb is asked for
+        # a law that shapes its setpoints still descends for a while after a climb is commanded
         return law.velocity_reference[2] > _DESCENDING_M_S and not self.wants_up(setpoint, estimate)
 
     def _follow_attitude(
@@ -160,7 +160,7 @@ class Cascade:
         dt_s: float,
         frozen: bool,
     ) -> bool:
-        """Fly an attitude or body rates; returns whether it asks for a descent."""
+        """Fly an attitude or body rates; returns whether that is a descent."""
         law = self._position
         law.follow(yaw_from_quat(estimate.attitude), estimate.velocity_ned_m_s)
         self._feed_rate = add(
@@ -186,7 +186,7 @@ class Cascade:
         return climb < -_DESCENDING_M_S
 
     def _throttle_up(self, estimate: SimulatedEstimator, dt_s: float) -> None:
-        """Take over the height law's thrust: as it is, or raised by the lean that is flown and filtered."""
+        """Take the height law's thrust, directly or with tilt compensation and a low-pass."""
         law = self._position
         if self._throttle_hz is None:
             self.thrust = law.thrust
@@ -195,7 +195,7 @@ class Cascade:
         self.thrust = self._throttle = low_pass(self._throttle, wanted, self._throttle_hz, dt_s)
 
     def _leave_rates(self, estimate: SimulatedEstimator) -> None:
-        """From body rates back to attitudes: the reference starts where the vehicle leans by then."""
+        """From body rates back to attitudes: the reference starts from the present attitude."""
         if self._rates_alone and self._reference is not None:
             self._reference.reset(estimate.attitude)
         self._rates_alone = False
@@ -211,7 +211,7 @@ class Cascade:
         if self._detector.landed:
             self.settle(estimate)
         elif self._share < 1.0:
-            # standing on something: stay level rather than lean against the ground
+            # in ground contact: stay level rather than tilt against the ground
             heading = yaw_from_quat(estimate.attitude)
             half = 0.5 * heading
             self.attitude_setpoint = (math.cos(half), 0.0, 0.0, math.sin(half))

@@ -1,6 +1,6 @@
-"""The autopilot's own idea of where it is: the truth with the errors that a real estimator has.
+"""The autopilot's state estimate: the truth with the errors of a real estimator.
 
-Nothing that uses this autopilot may lean on its origin, height or heading: the horizontal position is
+Users of this autopilot must not rely on its origin, height or heading: the horizontal position is
 off by a constant and wanders by 0.3 m, the height is off and wanders, the heading is off by 2 to 3 degrees,
 the horizon by 0.3 degrees. The wander of the position is the integral of the velocity's error (with a leak),
 so that position and velocity agree with each other as a filter's do. Sizes: recordings of PX4 1.16 and
@@ -49,8 +49,8 @@ class EstimatorErrors:
 
 
 NO_ERRORS = EstimatorErrors(0.0, 0.0, 3.0, 20.0, 0.0, 0.0, (0.0, 0.0), 0.0)
-# Read off PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a second,
-# and a position held fast by GPS does not follow it (so the leak is short).
+# Measured on PX4 1.16 with SIH standing on the ground and hovering: its velocity wanders by decimetres a
+# second, and a position held fast by GPS does not follow it (so the leak is short).
 SIH_ERRORS = EstimatorErrors(
     horizontal_velocity_std_m_s=0.25,
     vertical_velocity_std_m_s=0.15,
@@ -82,7 +82,7 @@ ESTIMATORS: Final[dict[EstimatorName, EstimatorErrors]] = {
 
 
 class TrueMotion(Protocol):
-    """What it errs about; the world's `Truth` is one."""
+    """The true motion; the world's `Truth` is one."""
 
     @property
     def vehicle_position_ned_m(self) -> Vector3: ...
@@ -95,7 +95,7 @@ class TrueMotion(Protocol):
 
 
 class SimulatedEstimator:
-    """Attitude at every step, position and velocity at the outer loop's pace."""
+    """Attitude at every step, position and velocity at the outer loop's rate."""
 
     def __init__(self, errors: EstimatorErrors, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -123,14 +123,14 @@ class SimulatedEstimator:
         self._true_velocity: Vector3 | None = None
 
     def update_attitude(self, truth: TrueMotion) -> None:
-        """Take over attitude and rate: constant heading and horizon errors, a clean gyroscope."""
+        """Update attitude and rate: constant heading and horizon errors, a clean gyroscope."""
         self.attitude = quat_multiply(
             self._heading_error, quat_multiply(truth.vehicle_attitude, self._tilt_error)
         )
         self.rate_body_rad_s = truth.rate_body_rad_s
 
     def update_position(self, truth: TrueMotion, dt_s: float) -> None:
-        """Move the errors on by dt and take over position and velocity; acceleration is the IMU's, clean."""
+        """Advance the errors by dt and update position and velocity; acceleration is the IMU's, clean."""
         errors = self._errors
         decay = math.exp(-dt_s / errors.velocity_correlation_s)
         kick = math.sqrt(1.0 - decay * decay)

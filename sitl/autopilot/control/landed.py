@@ -1,8 +1,9 @@
-"""Is the vehicle on the ground? Judged, as real autopilots do, from thrust and vertical motion alone.
+"""Landed detection, as real autopilots do it, from thrust and vertical motion alone.
 
-Contact is suspected when a descent is commanded, thrust is clearly below what carries the weight, and yet
-nothing moves or accelerates vertically. The autopilot then takes its thrust back: in the air that would be
-felt at once and end the suspicion, on the ground nothing happens and after `landed_time_s` it has landed.
+Contact is suspected when a descent is commanded, thrust is clearly below hover thrust, and the vehicle still
+neither moves nor accelerates vertically. The autopilot then reduces its thrust: in the air the vehicle would
+start to fall, which ends the suspicion; on the ground nothing happens, and after `landed_time_s` it has
+landed.
 """
 
 from __future__ import annotations
@@ -47,6 +48,6 @@ class LandedDetector:
         self.landed = self._sign_for_s >= self.landed_time_s
 
     def lift_off(self) -> None:
-        """The motors were told to climb: no longer on the ground."""
+        """Take-off: no longer on the ground."""
         self.landed = self.contact = False
         self._sign_for_s = 0.0

@@ -1,9 +1,9 @@
-"""Motion setpoints to an attitude and a thrust: what every manner's control law has in common.
+"""Motion setpoints to an attitude and a thrust: what the control laws of both autopilots share.
 
-A law (`px4_control`, `ardupilot_control`) makes an acceleration of a setpoint; here that becomes tilt and
-thrust. Tilt follows the sideways acceleration against gravity alone, thrust the vertical one over the tilt's
-cosine: both autopilots decouple them so. What a setpoint does not give is NaN; north and east go together.
-NED in the autopilot's own heading frame, SI units.
+A law (`px4.control`, `ardupilot.control`) makes an acceleration of a setpoint; here that becomes tilt and
+thrust. Tilt follows the horizontal acceleration against gravity alone, thrust the vertical one over the
+tilt's cosine: both autopilots decouple them so. What a setpoint does not give is NaN; north and east go
+together. NED in the autopilot's own heading frame, SI units.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from companion.base.geometry import (
 )
 from sitl.autopilot.control.setpoints import MotionSetpoint
 
-_STEEPEST_COSINE: Final = 0.5  # below it thrust is no longer raised for the lean
-SLEW_RAD_S: Final = math.radians(60.0)  # of headings in modes of its own: MPC_YAWRAUTO_MAX, ATC_SLEW_YAW
+_STEEPEST_COSINE: Final = 0.5  # below it there is no further tilt compensation
+SLEW_RAD_S: Final = math.radians(60.0)  # of headings in autonomous modes: MPC_YAWRAUTO_MAX, ATC_SLEW_YAW
 
 
 def lean_cosine(attitude: Quaternion) -> float:
-    """What an upward thrust is divided by for the lean; never less than the steepest one's."""
+    """Divisor of the tilt compensation of thrust; bounded below."""
     return max(_STEEPEST_COSINE, math.cos(tilt_from_quat(attitude)))
 
 
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
-    """What a law may ask for: lean, share of full thrust."""
+    """Limits of a law's output: tilt, share of full thrust."""
 
     tilt_rad: float
     thrust_range: tuple[float, float]
 
 
 class PositionControl(ABC):
-    """Keeps the heading and what the law keeps; results are in its public fields.
+    """Base of the control laws; holds the heading. Results are in the public fields.
 
-    `velocity_reference` is the velocity it flies towards by now, `saturated` tells that the lean is at its
-    limit. `thrust` is `upward`, its vertical share, over the cosine of the lean that is asked for.
+    `velocity_reference` is the present velocity setpoint, `saturated` means that the tilt is at its
+    limit. `thrust` is `upward`, its vertical share, over the cosine of the tilt setpoint.
     """
 
     def __init__(self, hover_thrust: float, limits: OutputLimits) -> None:
@@ -55,7 +55,7 @@ class PositionControl(ABC):
         self.reset(0.0, ZERO3)
 
     def reset(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
-        """Start afresh from the present heading and velocity with empty integrals."""
+        """Restart from the present heading and velocity with zero integrals."""
         self.yaw_rad = yaw_rad
         self.yaw_rate_rad_s = 0.0
         self.attitude: Quaternion = quat_from_euler(0.0, 0.0, yaw_rad)
@@ -88,14 +88,14 @@ class PositionControl(ABC):
         dt_s: float,
         frozen: bool = False,
     ) -> None:
-        """Only the height: thrust for a climb rate at an attitude that someone else commands."""
+        """Height only: thrust for a climb rate at an externally commanded attitude."""
         setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, -climb_m_s))
         down = self._wanted_down(position, velocity, acceleration, setpoint, dt_s, frozen)
         self.upward = self._hover * (1.0 - down / GRAVITY_M_S2)
         self.thrust = self._bounded_thrust(self.upward / lean_cosine(attitude))
 
     def follow(self, yaw_rad: float, velocity_ned_m_s: Vector3) -> None:
-        """Somebody else commands the attitude: start from heading and velocity as they are by then."""
+        """The attitude is commanded externally: track the present heading and velocity."""
         self.yaw_rad, self.yaw_rate_rad_s, self.saturated = yaw_rad, 0.0, False
         vx, vy, _ = velocity_ned_m_s
         self.velocity_reference = (vx, vy, self.velocity_reference[2])
@@ -105,11 +105,11 @@ class PositionControl(ABC):
 
     @abstractmethod
     def _forget(self, velocity: Vector3) -> None:
-        """Empty what the law keeps."""
+        """Reset the law's states."""
 
     @abstractmethod
     def _let_go_sideways(self) -> None:
-        """Somebody else leans the vehicle."""
+        """The tilt is commanded externally: reset the horizontal states."""
 
     @abstractmethod
     def _wanted(
@@ -121,7 +121,7 @@ class PositionControl(ABC):
         dt_s: float,
         frozen: bool,
     ) -> Vector3:
-        """The acceleration to make (NED, without gravity); sets `velocity_reference`."""
+        """The acceleration setpoint (NED, without gravity); sets `velocity_reference`."""
 
     @abstractmethod
     def _wanted_down(
@@ -133,12 +133,12 @@ class PositionControl(ABC):
         dt_s: float,
         frozen: bool,
     ) -> float:
-        """The vertical one alone."""
+        """The vertical acceleration setpoint alone."""
 
     # ------------------------------------------------------------ heading, tilt and thrust
 
     def _turn(self, sp: MotionSetpoint, dt_s: float) -> None:
-        """Move the heading on: what is streamed is handed through, modes of its own turn at SLEW_RAD_S."""
+        """Advance the heading: a streamed one passes unchanged, autonomous modes turn at SLEW_RAD_S."""
         limit = math.inf if sp.streamed else SLEW_RAD_S
         rate = 0.0 if isnan(sp.yaw_rate_rad_s) else min(max(sp.yaw_rate_rad_s, -limit), limit)
         self.yaw_rate_rad_s = rate
@@ -149,10 +149,10 @@ class PositionControl(ABC):
         self.yaw_rad = wrap_angle(self.yaw_rad + step)
 
     def _point_thrust(self, ax: float, ay: float, az: float) -> None:
-        """Tilt and thrust for an acceleration; height goes before sideways."""
+        """Tilt and thrust for an acceleration; the vertical part has priority."""
         high = self._limits.thrust_range[1] / self._hover * GRAVITY_M_S2
         up = max(GRAVITY_M_S2 - az, 0.0)
-        # as much lean as leaves the vertical share, though never less than a little of it
+        # as much tilt as leaves the vertical share, but at least a little
         steepest = min(self._limits.tilt_rad, max(math.acos(min(1.0, up / high)), 0.3))
         sideways, limit = math.hypot(ax, ay), math.tan(steepest) * GRAVITY_M_S2
         self.saturated = sideways > limit

@@ -1,6 +1,6 @@
-"""The innermost loop: a PID on the body rates with the filters that a real autopilot has about it.
+"""The rate controller: a PID on the body rates with the filters of a real autopilot.
 
-The gains go with the airframe, per unit of inertia. An airframe that brings none flies by the autopilot's
+The gains belong to the airframe, per unit of inertia. An airframe without gains uses the autopilot's
 defaults, which are in shares of what the motors can do (`ShareGains`). Each filter of the gyroscope costs the
 loop a few milliseconds, that of the yaw a tenth of a second. FRD, rad, N m.
 """
@@ -24,7 +24,7 @@ _ROOT_2: Final = math.sqrt(2.0)
 
 
 class RateGains(StrictModel):
-    """The tuning about roll, pitch and yaw, per unit of inertia: it goes with a frame.
+    """Gains about roll, pitch and yaw, per unit of inertia, of one airframe.
 
     `proportional` 1/s, `integral` 1/s², `derivative` unitless, `integral_limit` rad/s².
     """
@@ -51,7 +51,7 @@ class ShareGains:
     yaw_torque: float
 
     def rates(self, airframe: Airframe) -> RateGains:
-        """What they come to on an airframe."""
+        """The gains per unit of inertia on an airframe."""
         thrust, (ix, iy, iz) = airframe.max_thrust_n, airframe.inertia_kg_m2
         tilt = self.tilt_torque * airframe.arm_length_m * thrust
         yaw = self.yaw_torque * airframe.torque_to_thrust_m * thrust
@@ -93,7 +93,7 @@ class RateControl:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the integral and what the filters hold."""
+        """Reset the integral and the filters."""
         self._integral = ZERO3
         self._gyro.reset()
         self._target: Vector3 | None = None
@@ -153,12 +153,12 @@ class SecondOrderLowPass:
         self.reset()
 
     def reset(self) -> None:
-        """Forget."""
+        """Reset."""
         self._one: Vector3 | None = None
         self._two = ZERO3
 
     def step(self, value: Vector3, dt_s: float) -> Vector3:
-        """Take one value in; what is left of it."""
+        """Filter one value."""
         if dt_s != self._dt_s:
             self._dt_s = dt_s
             omega = math.tan(math.pi * min(self._cutoff_hz * dt_s, 0.45))
@@ -178,7 +178,7 @@ class SecondOrderLowPass:
 
 
 def _share(cutoff_hz: float | None, dt_s: float) -> float:
-    """Of the way that a low-pass of one pole goes in a step."""
+    """Coefficient of a first-order low-pass for one step."""
     if cutoff_hz is None:
         return 1.0
     return dt_s / (dt_s + 1.0 / (2.0 * math.pi * cutoff_hz))

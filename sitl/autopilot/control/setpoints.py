@@ -1,7 +1,7 @@
-"""What the autopilot is told to fly, and a streamed message's fields in SI units.
+"""Setpoints that the autopilot flies, and the fields of a streamed message in SI units.
 
-What fields, mask and frame mean is each autopilot's own: `px4_setpoints`, `ardupilot_setpoints`. NED in the
-autopilot's own heading frame, SI units; what is not given is NaN.
+The meaning of fields, mask and frame differs between autopilots: `px4.setpoints`, `ardupilot.setpoints`. NED
+in the autopilot's own heading frame, SI units; a value that is not given is NaN.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _UNIT_WITHIN: Final = 1e-3
 class MotionSetpoint:
     """Position, velocity, acceleration and heading. North and east are given together or not at all.
 
-    `streamed`: it comes from outside as it is, not from a mode of the autopilot's own.
+    `streamed`: it was received by MAVLink, it does not come from an autonomous mode.
     """
 
     position_ned_m: Vector3 = NOT_GIVEN
@@ -40,7 +40,7 @@ STOP: Final = MotionSetpoint(velocity_ned_m_s=ZERO3, yaw_rate_rad_s=0.0, streame
 
 @dataclass(frozen=True, slots=True)
 class AttitudeSetpoint:
-    """Attitude (body to NED) and the field `thrust` (0..1), whose meaning is the autopilot's manner.
+    """Attitude (body to NED) and the field `thrust` (0..1), whose meaning depends on the autopilot.
 
     `attitude` None: only the body rates are flown. With an attitude they are what it turns at, and
     `yaw_rate_rad_s` is a turn about the world's down axis.
@@ -54,7 +54,7 @@ class AttitudeSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A setpoint is not taken; what is said about it, if anything."""
+    """A rejected setpoint, and the text that reports it, if any."""
 
     text: str = ""
 
@@ -108,7 +108,7 @@ class IgnoreAttitude(IntFlag):
 class StreamedMotion:
     """The fields of SET_POSITION_TARGET_LOCAL_NED or _GLOBAL_INT in SI units.
 
-    `frame` may be one that nobody knows. A global one's position has been turned into the own NED already.
+    `frame` may be unknown. A global position has been converted to local NED.
     """
 
     frame: int
@@ -132,7 +132,7 @@ class StreamedAttitude:
 
 
 def unit_attitude(values: tuple[float, float, float, float]) -> Quaternion | None:
-    """The attitude of a message, None when it is none."""
+    """The attitude of a message, None if it is not a unit quaternion."""
     w, x, y, z = values
     length = w * w + x * x + y * y + z * z
     if not isfinite(length) or abs(length - 1.0) > _UNIT_WITHIN:
@@ -141,5 +141,5 @@ def unit_attitude(values: tuple[float, float, float, float]) -> Quaternion | Non
 
 
 def is_finite(vector: Vector3) -> bool:
-    """Are all three numbers?"""
+    """Whether all three are finite."""
     return isfinite(vector[0]) and isfinite(vector[1]) and isfinite(vector[2])

@@ -74,9 +74,9 @@ def _dot(a: Two, b: Two) -> float:
 class Path2:
     """A shaped path in the plane: where it is, how fast, how it accelerates.
 
-    Whoever holds a vehicle on it tells how that goes: `limit` points to where the vehicle cannot be pushed
+    The controller that tracks it sets: `limit`, the direction in which the vehicle cannot be pushed
     any harder (zero while it can), `behind_m` and `slower_m_s` are how far the path is ahead of it. The path
-    then waits that way, lest all that it got ahead be flown after a stop (AC_PosControl's limit vector).
+    then waits in that direction, so that the lead is not flown after a stop (AC_PosControl's limit vector).
     """
 
     position: Two = (0.0, 0.0)
@@ -169,7 +169,7 @@ class FirstOrderLowPass:
         self.value: float | None = None
 
     def step(self, value: float, dt_s: float) -> float:
-        """Take one value in; what is left of it."""
+        """Filter one value."""
         if self.value is None:
             self.value = value
         else:
@@ -177,5 +177,5 @@ class FirstOrderLowPass:
         return self.value
 
     def reset(self) -> None:
-        """Start afresh."""
+        """Reset."""
         self.value = None

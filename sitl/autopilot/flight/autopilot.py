@@ -1,6 +1,6 @@
-"""The simulated flight controller as its MAVLink endpoint sees it: commands and streamed setpoints.
+"""The simulated flight controller's interface for its MAVLink endpoint: commands and streamed setpoints.
 
-Commands are method calls that answer with a MAV_RESULT; what it has to say is in `take_texts`. SI units.
+Commands are method calls that return a MAV_RESULT; texts for the ground are in `take_texts`. SI units.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _MOST_ALTITUDE_M = 30_000.0
 
 
 class SimulatedAutopilot(FlightLoop):
-    """The flight loop, and what may be asked of it."""
+    """The flight loop with its commands."""
 
     # ------------------------------------------------------------ commands
 
@@ -72,7 +72,7 @@ class SimulatedAutopilot(FlightLoop):
     ) -> CommandResult:
         """DO_REPOSITION: fly to latitude, longitude and altitude (over home, or above sea level), and hold.
 
-        NaN keeps the present latitude and longitude, or altitude; a yaw that is no number the heading.
+        NaN keeps the present latitude and longitude, or altitude; a NaN yaw keeps the heading.
         """
         if not self.armed or self._cascade.landed or not _is_place(place):
             return CommandResult.DENIED
@@ -85,7 +85,7 @@ class SimulatedAutopilot(FlightLoop):
         return result
 
     def precision_land(self) -> CommandResult:
-        """Land on the target of LANDING_TARGET, where there is a mode of its own for it."""
+        """NAV_PRECLAND, where there is a mode for it."""
         mode = next((mode for mode in self.profile.modes if mode.task is Task.PRECISION_LAND), None)
         return CommandResult.UNSUPPORTED if mode is None else self._change_mode(mode)
 
@@ -118,14 +118,14 @@ class SimulatedAutopilot(FlightLoop):
         return CommandResult.ACCEPTED
 
     def reboot(self) -> CommandResult:
-        """Start anew on the ground, as after power-up; parameters and mission stay. Refused while armed."""
+        """Reboot on the ground, as after power-up; parameters and mission stay. Refused while armed."""
         if self.armed:
             return self.profile.refused_arming
         self._boot()
         return CommandResult.ACCEPTED
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """Tell the ground something."""
+        """Queue a STATUSTEXT."""
         self._commander.send_text(severity, text)
 
     # ------------------------------------------------------------ missions
@@ -151,7 +151,7 @@ class SimulatedAutopilot(FlightLoop):
         return CommandResult.ACCEPTED if self.mission.select(number) else self.profile.refused_selection
 
     def land_by_mission(self) -> CommandResult:
-        """DO_LAND_START: go on from the mission's item of that name."""
+        """DO_LAND_START: continue with the mission's item of that command."""
         number = self.mission.landing_start()
         return CommandResult.FAILED if number is None else self.start_mission(number)
 
@@ -165,12 +165,12 @@ class SimulatedAutopilot(FlightLoop):
     # ------------------------------------------------------------ sticks and targets
 
     def override_rc_channels(self, values: list[int | None], sender_system: int, now_s: float) -> None:
-        """RC_CHANNELS_OVERRIDE (microseconds, 0 releases, None leaves), from a system that may."""
+        """RC_CHANNELS_OVERRIDE (microseconds, 0 releases, None keeps), from a permitted system."""
         if self._may_control_manually(sender_system):
             self.rc_input.override(values, now_s)
 
     def set_manual_control(self, sticks: Sticks, sender_system: int, now_s: float) -> None:
-        """MANUAL_CONTROL, from a system that may."""
+        """MANUAL_CONTROL, from a permitted system."""
         if self._may_control_manually(sender_system):
             self.rc_input.manual(sticks, now_s)
 
@@ -186,7 +186,7 @@ class SimulatedAutopilot(FlightLoop):
     # ------------------------------------------------------------ streamed setpoints
 
     def stream_fields(self, fields: StreamedMotion, now_s: float) -> None:
-        """SET_POSITION_TARGET_LOCAL_NED: obeyed, answered by a text, or passed over, as the manner has it."""
+        """SET_POSITION_TARGET_LOCAL_NED: flown, rejected with a text, or ignored, as the autopilot does."""
         estimate = self.estimate
         heading = yaw_from_quat(estimate.attitude)
         wish = self.profile.read_motion(fields, estimate.position_ned_m, estimate.attitude, heading)
@@ -211,7 +211,7 @@ class SimulatedAutopilot(FlightLoop):
             self.stream(wish, now_s)
 
     def stream(self, setpoint: MotionSetpoint | AttitudeSetpoint, now_s: float) -> None:
-        """Take a streamed setpoint: kept always, flown in OFFBOARD or GUIDED only."""
+        """Take a streamed setpoint: stored always, flown in OFFBOARD or GUIDED only."""
         if isinstance(setpoint, MotionSetpoint):
             setpoint = dataclasses.replace(setpoint, streamed=True)
         self._setpoint, self._setpoint_s = setpoint, now_s
@@ -221,7 +221,7 @@ class SimulatedAutopilot(FlightLoop):
 
 
 def _is_place(place: Vector3) -> bool:
-    """Latitude, longitude and altitude within what there is; NaN stands for the present one."""
+    """Latitude, longitude and altitude within their ranges; NaN means the present one."""
     return all(
         isnan(value) or abs(value) <= most
         for value, most in zip(place, (90.0, 180.0, _MOST_ALTITUDE_M), strict=True)

@@ -1,6 +1,6 @@
-"""Arming, modes and failsafes: decides what may be flown, never how.
+"""Arming, modes and failsafes: the commander decides what may be flown, not how.
 
-Everything that differs between autopilots comes from the `AutopilotProfile`'s tables.
+Everything that differs between autopilots comes from the tables of the `AutopilotProfile`.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _ENDS_WITH_FLIGHT = (Task.LAND, Task.PRECISION_LAND, Task.RETURN, Task.TAKE_OFF)
 
 
 class Commander:
-    """Armed or not, the mode, the task within it, and what there is to say (`texts`).
+    """Arming state, mode, the task within it, and the texts for the ground (`texts`).
 
     `subtask` is what a mission has flown at present, None for plain flying. `disarmings` counts how often the
-    motors were stopped, for whoever looks too seldom to see each.
+    motors were stopped, for callers that poll too slowly to see each.
     """
 
     def __init__(self, profile: AutopilotProfile) -> None:
@@ -92,23 +92,23 @@ class Commander:
 
     @property
     def flown(self) -> Task:
-        """The task on hand, a mission's own where there is one."""
+        """The present task, that of the mission item where there is one."""
         return self.task if self.subtask is None else self.subtask
 
     def terminate(self) -> None:
-        """Stop the motors wherever that is."""
+        """Stop the motors, also in the air."""
         if self.armed:
             self._stop(Severity.CRITICAL, self._profile.texts.terminated or self._profile.texts.disarmed)
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """Queue a text for the ground; an empty one is not worth sending."""
+        """Queue a text for the ground; an empty one is not sent."""
         if text:
             self.texts.append((severity, text))
 
     # ------------------------------------------------------------ every outer step
 
     def update(self, dt_s: float) -> None:
-        """Watch the failsafes with the caller's fresh `situation`."""
+        """Check the failsafes against the caller's updated `situation`."""
         self._refresh()
         if not self.armed:
             return

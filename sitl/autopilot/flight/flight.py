@@ -1,6 +1,6 @@
 """The flight controller's loop: estimator, commander, navigator and the cascade, at the pace of the physics.
 
-Attitude and rates at every call (400 Hz), everything outer at the manner's own pace. SI units.
+Attitude and rates at every call (400 Hz), the outer loop at the profile's rate. SI units.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class FlightLoop(FlightState):
     def _outer(self, truth: TrueMotion, now_s: float) -> None:
         if self.booted_s is None:
             self.booted_s = now_s
-        # a step that comes late is made up for by the next ones, a long silence is not
+        # a late step is made up for by the next ones, a long gap is not
         self._outer_due_s = (
             max(self._outer_due_s, now_s - self.profile.outer_period_s) + self.profile.outer_period_s
         )
@@ -57,7 +57,7 @@ class FlightLoop(FlightState):
             self._navigator.home_ned_m = estimate.position_ned_m
 
     def _note_arming(self) -> None:
-        """Start from the ground after every arming and disarming, however soon the one follows the other."""
+        """Reset the cascade after every arming and disarming, however close together."""
         now = (self._commander.armed, self._commander.disarmings)
         if now == self._arming_seen:
             return
@@ -68,7 +68,7 @@ class FlightLoop(FlightState):
             self._navigator.speeds.forget()
 
     def _watch(self, up_s: float, setpoint_age_s: float) -> None:
-        """Tell the commander how things stand."""
+        """Update the commander's vehicle status."""
         now = self._commander.situation
         now.home_set = up_s >= self.profile.home_s
         if not now.aligned and up_s >= self.profile.alignment_s:
@@ -86,7 +86,7 @@ class FlightLoop(FlightState):
         self._commander.update(self.profile.outer_period_s)
 
     def _begin_task(self) -> None:
-        """Another task than in the last step."""
+        """The task has changed since the last step."""
         self._last_task, self._precision_landing_active = self.task, False
         if self.task is Task.MISSION:
             self._runner.enter()
@@ -117,10 +117,10 @@ class FlightLoop(FlightState):
             self._commander.send_text(Severity.INFO, texts.landed)
 
     def _wanted(self) -> MotionSetpoint | AttitudeSetpoint:
-        """The setpoint of the task on hand; a task that is done hands over to the next."""
+        """The setpoint of the present task; after a task is done, the next one starts."""
         heading = yaw_from_quat(self.estimate.attitude)
         if self.task is Task.SETPOINT and self._setpoint is not None:
-            self._navigator.let_go()  # wherever it is held afterwards, it is not where it was held before
+            self._navigator.let_go()  # the next hold starts at a new position
             now = self._commander.situation
             return self.profile.as_aged(self._setpoint, now.setpoint_age_s, now.setpoint_timeout_s, heading)
         by_sticks = self._manual_control.setpoint(
@@ -143,7 +143,7 @@ class FlightLoop(FlightState):
         return self._by_task(task)
 
     def _by_task(self, task: Task) -> MotionSetpoint:
-        """The setpoint of a task; one that is done hands over to the next."""
+        """The setpoint of a task; after a task is done, the next one starts."""
         landing = self._precision_landing_setpoint(task)
         if landing is not None:
             self._navigator.let_go()
@@ -162,7 +162,7 @@ class FlightLoop(FlightState):
         return setpoint
 
     def _precision_landing_setpoint(self, task: Task) -> MotionSetpoint | None:
-        """The autopilot's own precision landing, where it is asked for."""
+        """The setpoint of the autopilot's precision landing, or None."""
         precision_landing = self._precision_landing
         if precision_landing is None or task not in self.profile.precision_landing_tasks:
             self._precision_landing_active = False

@@ -1,6 +1,6 @@
-"""One autopilot's parts put together, what it shows of itself, and what a reboot makes new.
+"""The parts of one autopilot, its public state, and what a reboot resets.
 
-Its NED frame, height and heading are its own (see `estimator`). SI units.
+Its NED frame, height and heading have the errors of `estimator`. SI units.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from companion.base.geometry import (
     geodetic_from_ned,
     ned_from_geodetic,
 )
-from companion.base.messages import LandedState
-from companion.base.messages import Manner as AutopilotName
+from companion.base.messages import LandedState, Manner
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.cascade import Cascade
@@ -35,7 +34,7 @@ from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
-PROFILES: dict[AutopilotName, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
+PROFILES: dict[Manner, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 class FlightState:
@@ -46,7 +45,7 @@ class FlightState:
 
     def __init__(
         self,
-        profile: AutopilotName,
+        profile: Manner,
         airframe: Airframe,
         rng: np.random.Generator,
         home: Vector3,
@@ -64,7 +63,7 @@ class FlightState:
         self._boot()
 
     def _boot(self) -> None:
-        """Everything that does not outlive a reboot; the parameters and the mission do."""
+        """Reset everything but the parameters and the mission, as a reboot does."""
         self.boots += 1
         self.booted_s: float | None = None
         self._commander = Commander(self.profile)
@@ -85,7 +84,7 @@ class FlightState:
         self._last_task: Task | None = None
         self._precision_landing_active = False
 
-    # ------------------------------------------------------------ what it shows
+    # ------------------------------------------------------------ public state
 
     @property
     def armed(self) -> bool:
@@ -115,7 +114,7 @@ class FlightState:
 
     @property
     def home_set(self) -> bool:
-        """It knows where it started from, though perhaps not yet where it is."""
+        """Home is set, even if the position is not yet known."""
         return self._commander.situation.home_set
 
     @property
@@ -143,7 +142,7 @@ class FlightState:
 
     @property
     def thrust(self) -> float:
-        """Collective thrust asked of the motors, 0..1."""
+        """Collective thrust setpoint, 0..1."""
         return self._cascade.thrust
 
     @property
@@ -153,7 +152,7 @@ class FlightState:
 
     @property
     def rc_input(self) -> RcInput:
-        """The sticks, as far as somebody is at them."""
+        """The RC input."""
         return self._manual_control.rc_input
 
     @property
@@ -180,11 +179,11 @@ class FlightState:
         return texts
 
     def set_mode_named(self, name: str) -> CommandResult:
-        """Change to a mode of the manner's own."""
+        """Change to one of the profile's modes by name."""
         return self._change_mode(self.profile.mode(name))
 
     def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
-        self._watch_mission()  # one that has come since the last step counts already
+        self._watch_mission()  # one received since the last step counts already
         return self._commander.change_mode(mode, number)
 
     def _watch_mission(self) -> None:
@@ -197,7 +196,7 @@ class FlightState:
     # ------------------------------------------------------------ places
 
     def _local(self, place: Vector3, over_home: bool) -> Vector3:
-        """Latitude, longitude (deg) and altitude (m) in the own NED; what is no number is the present one."""
+        """Latitude, longitude (deg) and altitude (m) in local NED; NaN means the present one."""
         latitude, longitude, altitude = self.geodetic(self.estimate.position_ned_m)
         if math.isfinite(place[0]) and math.isfinite(place[1]):
             latitude, longitude = place[0], place[1]

@@ -1,4 +1,4 @@
-"""What LANDING_TARGET tells, and the filter that ArduPilot keeps of it: two states an axis.
+"""LANDING_TARGET, and ArduPilot's filter of it: two states per axis.
 
 NED in the autopilot's own frame, FRD, SI units. Source: ArduPilot 4.6 `AC_PrecLand` and its `PosVelEKF`.
 """
@@ -16,7 +16,7 @@ from sitl.autopilot.flight.modes import Severity
 
 
 class LandingTargetFrame(IntEnum):
-    """MAV_FRAME of a target's position, as far as somebody takes it."""
+    """MAV_FRAME of a target's position, of the supported ones."""
 
     LOCAL_NED = 1
     BODY_FRD = 12
@@ -36,7 +36,7 @@ class LandingTarget:
 
 
 class VehicleEstimate(NamedTuple):
-    """The vehicle as its autopilot knows it at one outer step; height over home (m)."""
+    """The autopilot's estimate of the vehicle at one outer step; height over home (m)."""
 
     now_s: float
     position_ned_m: Vector3
@@ -52,19 +52,19 @@ class PrecisionLanding(Protocol):
     texts: list[tuple[Severity, str]]
 
     def update_target(self, target: LandingTarget) -> None:
-        """A LANDING_TARGET has come."""
+        """Take a LANDING_TARGET message."""
         ...
 
     def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
-        """One outer step of whatever it keeps of the target, landing or not."""
+        """Update the target's estimate at each outer step, landing or not."""
         ...
 
     def begin(self, *, required: bool) -> None:
-        """A landing begins; `required`: without a target it searches rather than lands anywhere."""
+        """Start a landing; `required`: without a target it searches instead of landing at once."""
         ...
 
     def fly(self, estimate: VehicleEstimate, dt_s: float) -> MotionSetpoint | None:
-        """What to fly; None: land as without a target."""
+        """The setpoint; None: land as without a target."""
         ...
 
 
@@ -77,7 +77,7 @@ class AxisFilter:
         self._pp, self._pv, self._vv = position_var, 0.0, velocity_var
 
     def predict(self, dt_s: float, own_change_m_s: float, velocity_var: float) -> None:
-        """Move on by dt, in which the own velocity changed; the target's is constant but for noise."""
+        """Predict by dt; the vehicle's velocity changes by the given amount, the target's by noise."""
         self.position_m += (self.velocity_m_s - 0.5 * own_change_m_s) * dt_s
         self.velocity_m_s -= own_change_m_s
         self._pp += dt_s * (2.0 * self._pv + dt_s * self._vv)
@@ -89,7 +89,7 @@ class AxisFilter:
         return (position_m - self.position_m) ** 2 / (self._pp + variance)
 
     def fuse(self, position_m: float, variance: float) -> None:
-        """Take in a measured position."""
+        """Fuse a measured position."""
         innovation, total = position_m - self.position_m, self._pp + variance
         gain_p, gain_v = self._pp / total, self._pv / total
         self.position_m += gain_p * innovation
@@ -100,7 +100,7 @@ class AxisFilter:
 
 
 def direction_from_angles(angles_rad: tuple[float, float]) -> Vector3 | None:
-    """Unit vector (FRD) towards a target seen by a camera that looks down; None when it is not below."""
+    """Unit vector (FRD) to a target seen by a downward camera; None when it is not below."""
     right, backwards = angles_rad
     if not (abs(right) < 1.5 and abs(backwards) < 1.5):
         return None

@@ -1,4 +1,4 @@
-"""Flying by hand within the flight loop: who is at the sticks, when they are lost, and what they ask for."""
+"""Manual control in the flight loop: RC availability, RC loss, and the setpoints of the sticks."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from sitl.autopilot.flight.parameters import Parameters
 from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput, StickMapper, Sticks, StickScales
 
-# bits of the parameter that says in which tasks a lost radio is of no matter, and tasks where it never is
+# bits of the parameter that excepts tasks from the RC loss failsafe, and tasks that are always excepted
 _EXCEPTIONS = {Task.MISSION: 1, Task.HOLD: 2, Task.GO_TO: 2, Task.SETPOINT: 4}
 _NOT_NEEDED = (Task.LAND, Task.PRECISION_LAND, Task.RETURN)
 
 
 class ManualControl:
-    """The radio and the pilot; `stick_mode` is what the sticks mean at present, None when they fly
+    """RC input and stick mapping; `stick_mode` is what the sticks mean at present, None when they fly
     nothing."""
 
     def __init__(self, profile: AutopilotProfile, parameters: Parameters, hover_thrust: float) -> None:
@@ -28,7 +28,7 @@ class ManualControl:
         self._pilot = StickMapper()
 
     def watch(self, now: VehicleStatus, task: Task, now_s: float) -> None:
-        """Tell the situation who is at the sticks."""
+        """Update the RC fields of the vehicle status."""
         sticks = self._sticks(now_s)
         now.rc_available = sticks is not None
         now.throttle_up = sticks is not None and sticks.throttle_is_up
@@ -41,7 +41,7 @@ class ManualControl:
     def setpoint(
         self, mode: Mode, heading_rad: float, now_s: float, dt_s: float
     ) -> MotionSetpoint | AttitudeSetpoint | None:
-        """What the sticks ask for in a mode that is flown by them; None: nothing, hold."""
+        """The sticks' setpoint in a manual mode; None: hold."""
         self.stick_mode = None
         sticks = None if mode.sticks is None else self._sticks(now_s)
         if mode.sticks is None or sticks is None:
@@ -56,7 +56,7 @@ class ManualControl:
         return self.rc_input.sticks(now_s, self._timeout_s())
 
     def _timeout_s(self) -> float:
-        """How long sticks are good for; a negative time-out is none."""
+        """RC loss time-out; a negative one is none."""
         timeout_s = self._parameters.si(self._parameter_map.rc_timeout)
         return timeout_s if timeout_s >= 0.0 else inf
 

@@ -1,4 +1,4 @@
-"""Flies a mission: item by item, each to a motion setpoint or to a task that the navigator knows.
+"""Mission execution: item by item, each gives a motion setpoint or a task of the navigator.
 
 Items act in their order; a DO item acts when its turn comes, and the next item follows in the same step.
 NED in the autopilot's own frame, SI units.
@@ -28,7 +28,7 @@ from sitl.autopilot.flight.profile import ParameterMap
 
 _MOST_ITEMS_A_STEP = 100
 _FROM_THE_GROUND = (MissionCommand.TAKEOFF, MissionCommand.LAND, MissionCommand.RETURN_TO_LAUNCH)
-_NOWHERE_S = 1.0  # how long a jump back waits when nothing was flown since the last one
+_EMPTY_LOOP_WAIT_S = 1.0  # wait of a backward jump when nothing was flown since the last one
 _REQUIRED = 2  # PRECISION_LAND_MODE
 _HEIGHT_REACHED_M = 0.8
 _FACE_BEYOND_M = 2.0
@@ -40,7 +40,7 @@ _CIRCLE_TOP_SPEED_M_S = 3.0
 
 @dataclass(frozen=True, slots=True)
 class MissionInputs:
-    """How things stand at one outer step."""
+    """The vehicle at one outer step."""
 
     position_ned_m: Vector3
     heading_rad: float
@@ -50,7 +50,7 @@ class MissionInputs:
 
 @dataclass(slots=True)
 class _Progress:
-    """How far the flight of one item has got; afresh for each."""
+    """Progress of the present item."""
 
     target: Vector3 | None = None
     arrived: bool = False
@@ -68,9 +68,9 @@ MissionOutput = MotionSetpoint | Task
 
 
 class MissionRunner:
-    """Where the flight of the store's mission has got to.
+    """Executes the mission of the store.
 
-    `to_ned` turns latitude (deg), longitude (deg), altitude (m) into the own NED; its flag says whether the
+    `to_ned` turns latitude (deg), longitude (deg), altitude (m) into local NED; its flag tells whether the
     altitude is over home. `started` is needed on the ground by an autopilot that waits for a start.
     """
 
@@ -112,13 +112,13 @@ class MissionRunner:
         self._now = _Progress()
 
     def enter(self) -> None:
-        """The mission mode begins: go on with the current item, from here."""
+        """The mission mode starts: continue with the current item from the present position."""
         self.paused = False
         self._navigator.speeds.forget()
         self._now = _Progress()
 
     def rest(self) -> None:
-        """Disarmed: a finished mission can be flown anew, a speed or a start does not outlive the flight."""
+        """Disarmed: reset speeds and start flag; a finished mission can be flown again."""
         self.started = self.paused = False
         self._jumped.clear()
         if self._store.finished or self._store.rules.rewinds_on_disarm:
@@ -126,7 +126,7 @@ class MissionRunner:
         self._now = _Progress()
 
     def step(self, here: MissionInputs) -> MissionOutput:
-        """What to fly now."""
+        """The setpoint or the task of the present item."""
         store = self._store
         if store.version != self._version:
             self._version = store.version
@@ -144,10 +144,10 @@ class MissionRunner:
                 self._flown_since_jump = self._flown_since_jump or item.command != MissionCommand.DO_JUMP
                 return wanted
             self._complete()
-        return Task.HOLD  # too many that have nothing to fly; more in the next step
+        return Task.HOLD  # too many items without motion; continue in the next step
 
     def task_done(self, following: Task) -> None:
-        """The navigator has done the task that the last step returned, and would go on with another."""
+        """The navigator has done the task that the last step returned; `following` is its next one."""
         if self._now.climbing_first:
             self._now.climbing_first = False
         elif following is Task.LAND:
@@ -158,7 +158,7 @@ class MissionRunner:
     # ------------------------------------------------------------ from item to item
 
     def _act(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
-        """Fly an item; None: it is done. What has nothing to act upon here is done at once."""
+        """Fly an item; None: it is done. An item without effect here is done at once."""
         if not self._now.announced and item.command != MissionCommand.DO_JUMP:
             self._now.announced = True
             text = self._store.rules.item_text
@@ -168,7 +168,7 @@ class MissionRunner:
 
     def _complete(self) -> None:
         store = self._store
-        if store.items[store.current].command != MissionCommand.DO_JUMP:  # neither autopilot tells of a jump
+        if store.items[store.current].command != MissionCommand.DO_JUMP:  # neither autopilot reports a jump
             store.reach(store.current)
         store.current = store.current + 1 if self._now.jump_to is None else self._now.jump_to
         if store.current >= len(store):
@@ -180,7 +180,7 @@ class MissionRunner:
         return Task.LAND if here.landed else Task.HOLD
 
     def _climb_first(self, item: MissionItem, here: MissionInputs) -> Task | None:
-        """An autopilot that takes off by itself does so before it flies anywhere."""
+        """Take off first, where the autopilot does so by itself."""
         if self._now.climbing_first:
             return Task.TAKE_OFF
         goes = item.command in NAVIGATION and item.command not in _FROM_THE_GROUND
@@ -198,7 +198,7 @@ class MissionRunner:
     # ------------------------------------------------------------ places
 
     def _place(self, item: MissionItem, here: MissionInputs) -> Vector3:
-        """Where an item is, in the own NED; worked out once, when the item begins."""
+        """An item's position in local NED; computed once, when the item starts."""
         if self._now.target is None:
             place = (item.x, item.y) if item.has_place else (nan, nan)
             self._now.target = self._to_ned((*place, item.z), item.frame is ItemFrame.RELATIVE)
@@ -212,7 +212,7 @@ class MissionRunner:
         return self._now.arrived
 
     def _heading(self, item: MissionItem, target: Vector3, here: MissionInputs) -> float:
-        """The item's own heading, or towards the place as long as it is far."""
+        """The item's heading, or towards the waypoint while it is far."""
         asked = heading_rad(item.parameters[3]) if self._store.rules.uses_yaw_parameter else nan
         if not math.isnan(asked):
             return asked
@@ -230,7 +230,7 @@ class MissionRunner:
         return self._stay(item, here, item.parameter(1))
 
     def _stay(self, item: MissionItem, here: MissionInputs, seconds: float) -> MissionOutput | None:
-        """Fly to an item's place and stay there."""
+        """Fly to an item's position and stay there."""
         target = self._place(item, here)
         own_radius = item.parameter(2) if item.command == MissionCommand.WAYPOINT else 0.0
         radius = (
@@ -271,12 +271,12 @@ class MissionRunner:
         top = self._to_ned((nan, nan, item.z), item.frame is ItemFrame.RELATIVE)[2]
         begun, self._now.within = self._now.within, Task.TAKE_OFF
         if begun is None and not here.landed and here.position_ned_m[2] - top < _HEIGHT_REACHED_M:
-            return None  # high enough already
+            return None  # already high enough
         self._navigator.climb_to_m = ground - top
         return Task.TAKE_OFF
 
     def _return(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
-        """Home and down; over home the navigator hands over to the landing."""
+        """Return; over home the navigator continues with the landing."""
         return None if here.landed else self._now.within or Task.RETURN
 
     def _land(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
@@ -309,14 +309,14 @@ class MissionRunner:
         return replace(self._navigator.towards(self._now.target, here.position_ned_m), yaw_rad=heading)
 
     def _jump(self, item: MissionItem, here: MissionInputs) -> MissionOutput | None:
-        """Go on elsewhere; a loop with nothing to fly in it is gone round slowly, not within one step."""
+        """Jump to another item; a loop without motion advances slowly, not within one step."""
         number, target, times = self._store.current, item.whole(1), item.whole(2)
         done = self._jumped.get(number, 0)
         if not ((times < 0 or done < times) and 0 <= target < len(self._store)):
             return None
         if target <= number and not self._flown_since_jump:
             self._now.waited_s += here.dt_s
-            if self._now.waited_s < _NOWHERE_S:
+            if self._now.waited_s < _EMPTY_LOOP_WAIT_S:
                 return Task.HOLD
         self._jumped[number] = done + 1
         self._now.jump_to = target
@@ -336,7 +336,7 @@ class MissionRunner:
 
 
 def heading_from_condition(parameters: tuple[float, ...], heading: float) -> float | None:
-    """Heading (rad) that CONDITION_YAW's parameters 1, 3 and 4 ask for; None when they are no numbers."""
+    """Heading (rad) that CONDITION_YAW's parameters 1, 3 and 4 command; None when they are not finite."""
     angle, _, direction, relative = parameters[:4]
     if not math.isfinite(angle):
         return None

@@ -1,4 +1,4 @@
-"""A mission as data: its items, the list that an autopilot keeps, and which items each autopilot takes.
+"""Mission data: the items, the stored list, and which items each autopilot accepts.
 
 Latitude and longitude in degrees, altitude in metres over `frame`'s datum; parameters 1 to 4 as MAVLink
 gives them (degrees, seconds). Sources: MAVLink's mission protocol; PX4 1.16 `mavlink_mission.cpp`;
@@ -18,7 +18,7 @@ from sitl.autopilot.flight.modes import Severity
 
 
 class MissionCommand(IntEnum):
-    """MAV_CMD of the items that somebody here flies, and of those that are read for their place."""
+    """MAV_CMD of the items that are flown, and of those that are read for their position."""
 
     WAYPOINT = 16
     LOITER_UNLIM = 17
@@ -111,7 +111,7 @@ class MissionItem:
         return self.command in PLACES and (self.x != 0.0 or self.y != 0.0)
 
     def parameter(self, number: int, otherwise: float = 0.0) -> float:
-        """Parameter 1..4, `otherwise` when it is no number."""
+        """Parameter 1..4, `otherwise` when it is not finite."""
         value = self.parameters[number - 1]
         return value if isfinite(value) else otherwise
 
@@ -122,12 +122,12 @@ class MissionItem:
 
 @dataclass(frozen=True, slots=True)
 class MissionRules:
-    """One autopilot's habits with missions.
+    """How one autopilot handles missions.
 
-    `without_effect` are items it takes that find nothing here to act upon (cameras, gimbals, servos).
+    `without_effect` are items it accepts that have no effect here (cameras, gimbals, servos).
     `home_first`: item 0 is home whatever is sent for it. `writes_in_place`: an upload overwrites the list
     item by item, else the old one stands until the new one is complete. `restarts`: a second MISSION_COUNT of
-    the same client begins anew at any time, else only before the first item. `takes_off_before_mission`: on
+    the same client restarts it at any time, else only before the first item. `takes_off_before_mission`: on
     the ground it climbs to its take-off height before a first item that is none. `waits_for_start`: armed on
     the ground it waits for MISSION_START or a raised throttle. `uses_yaw_parameter`: parameter 4 of a
     waypoint is a heading.
@@ -189,8 +189,9 @@ class MissionStore:
     """The list an autopilot keeps, which item is current, and what has been reached.
 
     `version` goes up with every new list. `reached_total` counts the items reached, of which `reached` holds
-    the last ones, so that each link can tell its own client. `uploader` is whoever uploads at present, heard
-    last at `uploader_heard_s`: one at a time, over all links. `texts` are for the ground, severity first.
+    the last ones, so that each link can report them. `uploader` is the client that uploads at present,
+    received last at `uploader_heard_s`: one at a time, over all links. `texts` are for the ground, severity
+    first.
     """
 
     rules: MissionRules
@@ -210,7 +211,7 @@ class MissionStore:
 
     @property
     def flyable(self) -> bool:
-        """There is something to fly."""
+        """The mission has an item to fly."""
         return any(item.command in NAVIGATION for item in self.items[self.rules.first :])
 
     def item(self, number: int) -> MissionItem:
@@ -242,7 +243,7 @@ class MissionStore:
         self.send_text(Severity.INFO, self.rules.received_text)
 
     def clear(self) -> None:
-        """Forget the mission."""
+        """Clear the mission."""
         self.items = []
         self._renewed()
 
@@ -260,7 +261,7 @@ class MissionStore:
         self.current, self.finished = 0, False
 
     def reach(self, number: int) -> None:
-        """An item is done: tell everyone."""
+        """An item is done: report it on all links."""
         self.reached.append(number)
         self.reached_total += 1
         self.send_text(
@@ -268,7 +269,7 @@ class MissionStore:
         )
 
     def send_text(self, severity: Severity, text: str) -> None:
-        """Queue a text for the ground; an empty one is not worth sending."""
+        """Queue a text for the ground; an empty one is not sent."""
         if text:
             self.texts.append((severity, text))
 
@@ -292,5 +293,5 @@ class MissionStore:
 
 
 def heading_rad(degrees: float) -> float:
-    """A heading parameter in radians; NaN stays NaN and means "as it comes"."""
+    """A heading parameter in radians; NaN stays NaN and means "not given"."""
     return math.radians(math.fmod(degrees, 360.0)) if isfinite(degrees) else nan

@@ -1,6 +1,6 @@
-"""Modes, arming checks and failsafes as data: what the tables of `manners` are made of.
+"""Modes, arming checks and failsafes as data: the entries of an autopilot's profile.
 
-A mode is what the autopilot announces; a task is what it flies. Some modes allow one task only, ArduPilot's
+A mode is what the autopilot reports; a task is what it flies. Some modes allow one task only, ArduPilot's
 GUIDED allows several. A check or failsafe is a predicate on the `VehicleStatus`.
 """
 
@@ -27,7 +27,7 @@ class Task(Enum):
 
 
 class StickMode(Enum):
-    """What the sticks mean: velocities, leaning angles and a climb rate, or leaning angles and thrust."""
+    """Meaning of the sticks: velocities, tilt angles and climb rate, or tilt angles and thrust."""
 
     VELOCITY = "velocity"
     ANGLE_AND_CLIMB = "angle and climb"
@@ -81,9 +81,9 @@ class Mode:
 
 @dataclass(slots=True)
 class VehicleStatus:
-    """What checks and failsafes look at; times in seconds, `setpoint_age_s` since the last streamed one.
+    """Input of checks and failsafes; times in seconds, `setpoint_age_s` since the last streamed one.
 
-    `rc_available`: somebody's sticks are heard; `rc_lost`: they were, and no longer are. `mission_ready`:
+    `rc_available`: RC input is received; `rc_lost`: it was received and no longer is. `mission_ready`:
     there is one to fly, `mission_climbs`: and it begins with a take-off.
     """
 
@@ -133,10 +133,10 @@ class FailsafeAction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Failsafe:
-    """When `condition` has held for `after_s`, do `response` and say `text`.
+    """When `condition` has held for `after_s`, do `response` and send `text`.
 
     LEAVE_MODE goes to `mode`, and back as soon as the condition has ended; with `over` it stays there, and
-    does not happen again before that has been so: a mode chosen meanwhile is the pilot's own business.
+    does not trigger again before that has been so: a mode chosen meanwhile is the pilot's decision.
     `task` is flown there instead of the mode's own.
     """
 

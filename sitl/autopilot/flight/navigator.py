@@ -1,6 +1,6 @@
-"""From a task to a motion setpoint: hold, climb, go, land, return.
+"""Tasks to motion setpoints: hold, take off, go to, land, return.
 
-NED in the autopilot's own frame, SI units. Targets are kept here; which task is on is the commander's.
+NED in the autopilot's own frame, SI units. Targets are stored here; the commander selects the task.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _HOME_REACHED_M = 0.8
 _HOME_SPEED_M_S = 0.4
 _STOPPED_M_S = 0.25
 _FASTEST_M_S = 50.0
-# gentler than the controller could, so that it comes to rest without overshoot
+# less than the controller's limit, so that it stops without overshoot
 _BRAKING_M_S2 = 1.0
 _SLOWEST_M_S = 0.5
 _FARTHEST_HOME_M = 30_000.0  # above or below the origin of the local frame
 
 
 class SpeedSetpoints:
-    """Horizontal, climb and descent speed (m/s): the parameters', until DO_CHANGE_SPEED says otherwise."""
+    """Horizontal, climb and descent speed (m/s): the parameters', until DO_CHANGE_SPEED changes them."""
 
     def __init__(self, profile: AutopilotProfile, parameters: Parameters) -> None:
         parameter_map = profile.parameter_map
@@ -89,13 +89,13 @@ class Navigator:
         self.held_yaw_rad = nan
 
     def let_go(self) -> None:
-        """Forget the held place: the next hold brakes and stays where it comes to rest."""
+        """Release the held position: the next hold brakes and stays where it stops."""
         self._held = None
 
     def fix_home(self, position_ned_m: Vector3) -> bool:
-        """Somebody has said where home is: it no longer is where the vehicle was armed.
+        """Set home explicitly: it no longer is where the vehicle was armed.
 
-        False, and nothing is changed, for one that is too far above or below: one said over home, again and
+        False, and no change, for one that is too far above or below: a home set relative to home, again and
         again, would climb out of all bounds. (A place beyond the horizon is far below, too.)
         """
         if not abs(position_ned_m[2]) <= _FARTHEST_HOME_M:
@@ -106,7 +106,7 @@ class Navigator:
     def towards(
         self, target: Vector3, position: Vector3, speed_m_s: float | None = None, yaw_rad: float = nan
     ) -> MotionSetpoint:
-        """Fly to a place at the speeds in force, and slow down in time to stop there."""
+        """Fly to a position at the present speeds, and brake in time to stop there."""
         speeds = self.speeds
         distance = math.hypot(target[0] - position[0], target[1] - position[1])
         braking = max(_SLOWEST_M_S, math.sqrt(2.0 * _BRAKING_M_S2 * distance))
@@ -119,7 +119,7 @@ class Navigator:
         )
 
     def landing_speed(self, position: Vector3) -> float:
-        """How fast to sink (m/s) at a place, by its height over home."""
+        """Descent speed (m/s) at a position, by its height over home."""
         height = self.home_ned_m[2] - position[2]
         final = self._parameters.si(self._parameter_map.final_landing_speed)
         if height < self._parameters.si(self._parameter_map.final_landing_height):
@@ -127,7 +127,7 @@ class Navigator:
         return max(self._parameters.si(self._parameter_map.landing_speed) or self.speeds.descent, final)
 
     def step(self, task: Task, position: Vector3, velocity: Vector3) -> tuple[MotionSetpoint, Task | None]:
-        """The setpoint for a task, and the task to go on with when this one is done."""
+        """The setpoint of a task, and the next task when this one is done."""
         if task is not self._task:
             self._task, self._held, self.held_yaw_rad = task, None, nan
         if task is Task.TAKE_OFF:
@@ -174,7 +174,7 @@ class Navigator:
         return MotionSetpoint((north, east, nan), (nan, nan, speed))
 
     def _descend(self) -> MotionSetpoint:
-        """Level, without holding a place, down at the landing speed: nobody is at the sticks."""
+        """Level, without position hold, descending at the landing speed."""
         speed = self._parameters.si(self._parameter_map.landing_speed)
         return MotionSetpoint(velocity_ned_m_s=(nan, nan, speed), acceleration_ned_m_s2=(0.0, 0.0, nan))
 

@@ -1,6 +1,6 @@
 """The simulated autopilot's parameter table: what a ground station lists, reads and sets.
 
-Small: all that says how to fly is read by the flight code, the rest says what the vehicle is. Values keep
+Small: the flight code reads the ones that act in flight, the others describe the vehicle. Values keep
 the unit that the real autopilot gives them (ArduPilot: cm/s, cm); `ParameterRef` carries the factor to SI.
 """
 

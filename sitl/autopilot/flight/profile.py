@@ -1,6 +1,7 @@
-"""What differs between autopilots, as fields of one table: `px4.PX4` and `ardupilot.ARDUPILOT` fill it in.
+"""An autopilot's profile: what differs between PX4 and ArduPilot, as fields of one table.
 
-The rest of the package asks these fields, never "which autopilot is it".
+`px4.profile.PX4` and `ardupilot.profile.ARDUPILOT` are its instances. Other code reads the fields and never
+checks which autopilot it is.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.base.geometry import Quaternion, Vector3
-from companion.base.messages import Manner as AutopilotName
+from companion.base.messages import Manner
 from sitl.autopilot.control.attitude_control import AttitudeGains
 from sitl.autopilot.control.position_control import PositionControl
 from sitl.autopilot.control.setpoints import (
@@ -41,7 +42,7 @@ FLAG_CUSTOM, FLAG_AUTO, FLAG_GUIDED, FLAG_STABILIZE, FLAG_MANUAL = 1, 4, 8, 16, 
 
 @dataclass(frozen=True, slots=True)
 class ParameterMap:
-    """Which parameter holds what; None: the autopilot has none for it.
+    """Which parameter holds which setting; None: the autopilot has none for it.
 
     `landing_speed` holds down to `final_landing_height` (one of 0 is the descent speed), then the final one.
     `rc_loss_enabled` at 0 lets a lost radio be; `rc_loss_exceptions` are bits of modes that a lost radio does
@@ -75,7 +76,7 @@ class ParameterMap:
 
 @dataclass(frozen=True, slots=True)
 class Texts:
-    """What it says on occasions; empty: nothing."""
+    """Texts on events; empty: none."""
 
     boot: tuple[str, ...]
     aligned: tuple[str, ...]
@@ -91,23 +92,22 @@ class Texts:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotProfile:
-    """One autopilot's habits.
+    """The behaviour of one autopilot.
 
     `pitch_channel_reversed`: the RC channel of the pitch stick falls when it is pushed. `precision_landing`
-    makes the precision landing, if the parameters ask for one at boot; it flies the tasks in
-    `precision_landing_tasks`. `read_motion` (fields, own place, attitude, heading) and `read_attitude` say
-    what a streamed message means, `as_aged` (setpoint, its age, the time-out, heading) what is flown of it
-    later; `position_control` makes the control law for a hover thrust. On the ground the thrust falls under
-    `landed_thrust_share` of hover. A thrust that comes with an attitude and `thrust_is_upward` is raised for
-    the lean that is flown, as ArduPilot's ATC_ANGLE_BOOST does; so is that of its height law, behind a
-    low-pass of `throttle_hz`. The position controller runs every `outer_period_s`. `imu_messages` are those
-    that tell its IMU's samples, `imu_filter` is the low-pass before them, as the register value that the
-    simulated IMU knows. `home_s` after its start it has set home, and its checks pass for a mode that needs
-    no position; `alignment_s` after it that is known too. `prearm_in_health_only`: the bit of those checks
-    stands in SYS_STATUS's health, and not in what is present and enabled.
+    creates the precision landing controller, if the parameters enable it at boot; it flies the tasks in
+    `precision_landing_tasks`. `read_motion` (fields, position, attitude, heading) and `read_attitude` convert
+    streamed messages to setpoints, `as_aged` (setpoint, its age, the time-out, heading) applies the time-out;
+    `position_control` creates the control law for a hover thrust. On the ground the thrust falls below
+    `landed_thrust_share` of hover. With `thrust_is_upward` the thrust of an attitude setpoint gets tilt
+    compensation, as by ArduPilot's ATC_ANGLE_BOOST; so does that of its height law, behind a low-pass of
+    `throttle_hz`. The position controller runs every `outer_period_s`. `imu_messages` have the IMU's samples,
+    `imu_filter` is the low-pass before them, as DLPF_CFG. `home_s` after boot, home is set, and the checks
+    pass for a mode that needs no position; `alignment_s` after boot the position is known too.
+    `prearm_in_health_only`: the pre-arm bit is in SYS_STATUS's health, but not in present and enabled.
     """
 
-    name: AutopilotName
+    name: Manner
     autopilot_id: int
     custom_mode: Callable[[int, int], int]
     flight_version: int
@@ -186,7 +186,7 @@ def never_flown(now: VehicleStatus) -> bool:
 
 
 def level(now: VehicleStatus) -> bool:
-    """Leans by less than 20 degrees."""
+    """Tilted by less than 20 degrees."""
     return now.tilt_rad < math.radians(20.0)
 
 
@@ -206,15 +206,15 @@ def mission_missing(mode: Mode, now: VehicleStatus) -> bool:
 
 
 def not_from_flight(mode: Mode, now: VehicleStatus) -> bool:
-    """Flown by hand alone, in flight, and nobody is at the sticks."""
+    """A manual mode, in flight, without RC input."""
     return not mode.in_flight and now.armed and not now.landed and not now.rc_available
 
 
 def rc_lost(now: VehicleStatus) -> bool:
-    """Somebody was at the sticks, and no longer is."""
+    """RC input was received, and no longer is."""
     return now.rc_lost
 
 
 def setpoints_stopped(now: VehicleStatus) -> bool:
-    """In a mode that lives on streamed setpoints, and none comes."""
+    """In a mode that needs streamed setpoints, and none arrives."""
     return now.streaming and now.setpoint_age_s > now.setpoint_timeout_s

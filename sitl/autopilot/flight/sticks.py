@@ -1,9 +1,9 @@
-"""The pilot's sticks: RC channels or a ground station's joystick, and the setpoints they stand for.
+"""RC input: channels or a ground station's joystick, and the setpoints that the sticks mean.
 
 Sticks are -1..1: roll right, pitch forward, throttle up (0: middle), yaw clockwise. Channels are in
-microseconds, ordered roll, pitch, throttle, yaw, then switches. Nobody at the sticks from the start is no
+microseconds, ordered roll, pitch, throttle, yaw, then switches. Without RC input since boot there is no RC
 loss: a simulator is flown without. Sources: MAVLink RC_CHANNELS_OVERRIDE and MANUAL_CONTROL; PX4's and
-ArduPilot's stick laws in outline (dead band, full scales), without their expo and smoothing.
+ArduPilot's stick mapping in outline (dead band, full scale), without their expo and smoothing.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _RAISED = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Sticks:
-    """Where the four axes stand, -1..1."""
+    """The four axes, -1..1."""
 
     roll: float = 0.0
     pitch: float = 0.0
@@ -33,7 +33,7 @@ class Sticks:
 
     @property
     def throttle_is_up(self) -> bool:
-        """A climb is asked for."""
+        """The throttle stick commands a climb."""
         return self.throttle > _RAISED
 
 
@@ -50,7 +50,7 @@ class StickScales:
 
 
 class RcInput:
-    """What was last heard of the sticks, and when."""
+    """The last RC input and its time."""
 
     def __init__(self, pitch_channel_reversed: bool) -> None:
         self._pitch_sign = -1.0 if pitch_channel_reversed else 1.0
@@ -60,7 +60,7 @@ class RcInput:
 
     @property
     def channels(self) -> list[int] | None:
-        """The 18 channels (microseconds, 0: none), None while nobody is at the sticks."""
+        """The 18 channels (microseconds, 0: none), None without RC input."""
         return None if self._sticks is None else list(self._channels)
 
     def override(self, values: list[int | None], now_s: float) -> None:
@@ -69,7 +69,7 @@ class RcInput:
             if value is not None:
                 self._channels[index] = value
         if not any(self._channels):
-            self._sticks = None  # released: as if there never had been a radio
+            self._sticks = None  # released: as if RC input had never been received
             return
         roll, pitch, throttle, yaw = (_axis(value) for value in self._channels[:4])
         self._sticks, self._heard_s = Sticks(roll, self._pitch_sign * pitch, throttle, yaw), now_s
@@ -81,28 +81,28 @@ class RcInput:
         self._channels[:4] = [round(_MIDDLE_US + _SPAN_US * axis) for axis in axes]
 
     def sticks(self, now_s: float, timeout_s: float) -> Sticks | None:
-        """The sticks as last heard, None when that is too long ago or never was."""
+        """The last sticks, None when they are older than the time-out or were never received."""
         return self._sticks if now_s - self._heard_s <= timeout_s else None
 
     def lost(self, now_s: float, timeout_s: float) -> bool:
-        """There was somebody at the sticks, and is no longer."""
+        """RC input was received, and has timed out."""
         return self._sticks is not None and now_s - self._heard_s > timeout_s
 
 
 class StickMapper:
-    """Turns sticks into setpoints; remembers the heading that is kept while the yaw stick rests."""
+    """Maps sticks to setpoints; holds the heading while the yaw stick is centred."""
 
     def __init__(self) -> None:
         self._heading_rad = nan
 
     def rest(self) -> None:
-        """The sticks are not flying: next time start from the heading of then."""
+        """The sticks do not fly: the next time starts from the present heading."""
         self._heading_rad = nan
 
     def setpoint(
         self, stick_mode: StickMode, sticks: Sticks, scales: StickScales, heading_rad: float, dt_s: float
     ) -> MotionSetpoint | AttitudeSetpoint | None:
-        """What the sticks ask for; None when they rest in the middle of a law that then holds its place."""
+        """The sticks' setpoint; None when they are centred in a mode that then holds position."""
         yaw_rate = scales.yaw_rate_rad_s * _outside_band(sticks.yaw)
         if stick_mode is not StickMode.VELOCITY:
             return self._lean(stick_mode, sticks, scales, heading_rad, yaw_rate, dt_s)
@@ -141,7 +141,7 @@ class StickMapper:
 
 
 def _axis(channel_us: int) -> float:
-    """-1..1 of a channel; one that is not there rests in the middle."""
+    """-1..1 of a channel; a missing one is centred."""
     return 0.0 if channel_us == 0 else min(max((channel_us - _MIDDLE_US) / _SPAN_US, -1.0), 1.0)
 
 

@@ -1,9 +1,8 @@
-"""PX4's law: position P, velocity PID, acceleration, each setpoint going straight in (PositionControl).
+"""PX4's position control law: position P, velocity PID, acceleration, each fed directly (PositionControl).
 
-In OFFBOARD nothing is shaped: a step in the setpoint is a step in the lean. A setpoint without any position
-or velocity on an axis skips the velocity loop there, integral included. In modes of its own, where PX4 puts
-a trajectory before it, the velocity is approached at a bounded acceleration. After PX4 1.16; gains by its
-names.
+In OFFBOARD nothing is shaped: a step in the setpoint is a step in the tilt. A setpoint without position or
+velocity on an axis skips the velocity loop there, integral included. In autonomous modes, where PX4 has a
+trajectory generator, the velocity changes at a bounded acceleration. After PX4 1.16; gains by its names.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ class Px4Gains:
     climb_p: float = 4.0  # MPC_Z_VEL_P_ACC
     climb_i: float = 2.0  # MPC_Z_VEL_I_ACC
     derivative_hz: float = 5.0  # MPC_VELD_LP
-    acceleration: float = 3.0  # MPC_ACC_HOR, in modes of its own
+    acceleration: float = 3.0  # MPC_ACC_HOR, in autonomous modes
     climb_acceleration: float = 4.0  # MPC_ACC_UP_MAX
     limits: OutputLimits = _OUTPUT
 
@@ -96,7 +95,7 @@ class Px4Control(PositionControl):
         return ax, ay
 
     def _integrate(self, ex: float, ey: float, ax: float, ay: float, dt_s: float) -> None:
-        """Integrate the errors, less what the lean's limit keeps from being made."""
+        """Integrate the errors, less what the tilt limit prevents (anti-windup)."""
         gains, (ix, iy) = self._gains, self._integral
         size, most = math.hypot(ax, ay), math.tan(gains.limits.tilt_rad) * GRAVITY_M_S2
         if size > most:
@@ -151,7 +150,7 @@ class Px4Control(PositionControl):
         return wanted
 
     def _at_thrust_limit(self, wanted: float, error: float) -> bool:
-        """Whether integrating would push further into what the motors cannot give."""
+        """Whether integrating would push further into the thrust limit."""
         low, high = self._gains.limits.thrust_range
         thrust = self._hover * (1.0 - wanted / GRAVITY_M_S2)
         return (thrust <= low and error > 0.0) or (thrust >= high and error < 0.0)

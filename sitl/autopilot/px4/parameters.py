@@ -1,7 +1,7 @@
-"""PX4's parameters: those that `px4.PX4` names are flown by, the rest tells a ground station what this is.
+"""PX4's parameters: the ones that `px4.PX4` names act in flight, the others are for display.
 
-Names, defaults and bounds after PX4 1.16's parameter reference, in its alphabetical order; where the default
-is not PX4's, it is what this vehicle is or what its recording shows. Units are PX4's (m, m/s, deg, s).
+Names, defaults and bounds after PX4 1.16's parameter reference, in its alphabetical order. Defaults that
+differ from PX4's describe this vehicle or its recording. Units are PX4's (m, m/s, deg, s).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """PX4's precision landing (precland of 1.16): approach, sink above the target, final approach, search.
 
-It takes the target's position in LOCAL_NED only, as it comes, and flies to it as to any place: no velocity of
-the target is known, so that a moving one is followed at a lag and never met within PLD_HACC_RAD. SI units.
+It takes the target's position in LOCAL_NED only, unfiltered, and flies to it as to any position: no velocity
+of the target is known, so that a moving one is followed at a lag and never met within PLD_HACC_RAD. SI units.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _FRESH_NEAR_GROUND_S = 0.5
 
 
 class PrecLandState(Enum):
-    """Where a precision landing has got to."""
+    """States of a precision landing."""
 
     START = "start"
     APPROACH = "horizontal approach"
@@ -32,7 +32,7 @@ class PrecLandState(Enum):
 
 
 class Px4PrecisionLanding:
-    """The state machine; `state` tells where it is."""
+    """The state machine, with its present `state`."""
 
     def __init__(self, parameters: Parameters) -> None:
         self.texts: list[tuple[Severity, str]] = []
@@ -44,11 +44,11 @@ class Px4PrecisionLanding:
         self.begin(required=True)
 
     def update_target(self, target: LandingTarget) -> None:
-        """Keep the newest."""
+        """Store the newest."""
         self._pending = target
 
     def begin(self, *, required: bool) -> None:
-        """A landing begins."""
+        """Start a landing."""
         self.state = PrecLandState.START
         self._required = required
         self._searches = 0
@@ -56,7 +56,7 @@ class Px4PrecisionLanding:
         self._height_ned_m = 0.0
 
     def watch(self, estimate: VehicleEstimate, dt_s: float) -> None:
-        """Take over what has come."""
+        """Take a new measurement."""
         target, self._pending = self._pending, None
         if target is None:
             return
@@ -94,7 +94,7 @@ class Px4PrecisionLanding:
             return self._begin_search(estimate) if self._required else self._give_up()
         if self._away(target, estimate) < self._value("PLD_HACC_RAD"):
             self._since_s = estimate.now_s if self._since_s is None else self._since_s
-            # from the first time above it on: a moment off does not start the wait anew
+            # counted from the first time above it: leaving it does not restart the wait
             if estimate.now_s - self._since_s > _ABOVE_FOR_S:
                 self.state = PrecLandState.DESCEND
         return MotionSetpoint((target[0], target[1], self._height_ned_m))

@@ -1,4 +1,4 @@
-"""PX4's manners: mode numbers, texts, results and rules of PX4 1.16.
+"""PX4's profile: mode numbers, texts, results and rules of PX4 1.16.
 
 Taken from a recording of PX4 with its own simulator. The landed detector waits until the thrust is under
 MPC_THR_MIN + LNDMC_LOW_T_THR (hover - MPC_THR_MIN), which takes the climb's integral 6 s at a descent of

@@ -1,8 +1,8 @@
-"""How PX4 1.16 reads streamed setpoints: mavlink_receiver, and what its position controller makes of gaps.
+"""Streamed setpoints as PX4 1.16 reads them: mavlink_receiver, and its position controller's input checks.
 
 LOCAL_NED is taken field by field, BODY_NED for velocity and acceleration, all three axes or none; any other
-frame is answered by a text and nothing else, so that OFFBOARD ends for want of setpoints. An axis left
-without any value, or a north without its east, stops the vehicle. NED, SI units.
+frame is rejected with a text, so that OFFBOARD ends without setpoints. An axis without any value, or a north
+without its east, stops the vehicle. NED, SI units.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ACCELERATION: Final = Ignore.AX | Ignore.AY | Ignore.AZ
 def read_motion(
     fields: StreamedMotion, here_ned_m: Vector3, attitude: Quaternion, heading_rad: float
 ) -> MotionSetpoint | Refusal:
-    """The setpoint that a message stands for, or why it is none; `here_ned_m` does not matter to PX4."""
+    """The setpoint of a message, or why it is rejected; PX4 does not use `here_ned_m`."""
     read = _global if fields.is_global else _local if fields.frame == LocalFrame.LOCAL_NED else _body
     vectors = read(fields, attitude, heading_rad)
     if isinstance(vectors, Refusal):
@@ -56,7 +56,7 @@ def read_motion(
 
 
 def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | Refusal:
-    """The attitude or the body rates that a message asks for; an ignored thrust is none at all."""
+    """The attitude or the body rates of a message; an ignored thrust is zero."""
     mask = fields.mask
     thrust = 0.0 if mask & IgnoreAttitude.THROTTLE else fields.thrust
     roll, pitch, yaw = fields.rate_body_rad_s
@@ -76,7 +76,7 @@ def read_attitude(fields: StreamedAttitude) -> AttitudeSetpoint | Refusal:
 def as_aged(
     setpoint: MotionSetpoint | AttitudeSetpoint, age_s: float, timeout_s: float, heading_rad: float
 ) -> MotionSetpoint | AttitudeSetpoint:
-    """What is flown of an old setpoint: the same, until the failsafe leaves OFFBOARD."""
+    """The setpoint at some age: the same, until the failsafe leaves OFFBOARD."""
     return setpoint
 
 
@@ -102,13 +102,13 @@ def _body(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> T
 
 
 def _global(fields: StreamedMotion, attitude: Quaternion, heading_rad: float) -> Three | Refusal:
-    """A place is taken whole or not at all, and only above sea level or home."""
+    """A position is taken complete or not at all, and only relative to sea level or home."""
     velocity = _masked(fields.velocity_m_s, fields.mask >> 3)
     acceleration = _masked(fields.acceleration_m_s2, fields.mask >> 6)
     if fields.mask & _POSITION:
         return NOT_GIVEN, velocity, acceleration
     if fields.frame == GlobalFrame.TERRAIN_ALT_INT:
-        return Refusal()  # it knows no terrain
+        return Refusal()  # no terrain data
     if fields.frame not in _GLOBAL_FRAMES:
         return Refusal(f"{_GLOBAL} invalid coordinate frame {fields.frame}")
     return _masked(fields.position_m, 0), velocity, acceleration

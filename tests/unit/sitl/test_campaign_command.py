@@ -226,7 +226,7 @@ def test_interrupted_it_ends_cleanly_and_says_how_to_go_on(number: signal.Signal
     process.send_signal(number)
     text = process.communicate(timeout=30.0)[0]
     assert process.returncode == INTERRUPTED
-    assert f"stopped: 22 of 25 runs are in {tmp_path}/{CSV_NAME}; this goes on:" in text
+    assert f"stopped: 22 of 25 runs are in {tmp_path}/{CSV_NAME}; to continue:" in text
     assert text.splitlines()[-1] == (
         f"  companion-sitl campaign --scenarios static --runs 25 --first-seed {HANGS - 22} "
         f"--jobs 1 --out {tmp_path}"

@@ -74,7 +74,7 @@ def test_one_that_hangs_is_ended(worker: Worker) -> None:
 
 def test_a_command_that_is_not_there_or_says_nothing_is_a_failed_run() -> None:
     worker = Worker(("/bin/sh", "-c", "exit 3"))
-    assert worker.fly(flight(0)).error == "ended with exit status 3: it said nothing"
+    assert worker.fly(flight(0)).error == "ended with exit status 3: no output"
     worker.close()
 
 

@@ -219,12 +219,12 @@ def test_the_ultrasonic_hears_the_deck_along_its_normal() -> None:
     world.pad_state = world.pad_state._replace(roll_rad=math.radians(8.0), pitch_rad=0.0)
     n, e, d = world.pad_state.position_ned_m
     world.place(QuadrotorState((n, e, d - 1.5), attitude=quat_from_euler(0.0, 0.0, 0.0)))
-    heard = world.range_to_surface_m((0.0, 0.0, 0.0), math.radians(15.0))
+    heard = world.ranging((0.0, 0.0, 0.0), math.radians(15.0))()
     assert heard == pytest.approx(1.5 * math.cos(math.radians(8.0)))
     # leaning against the deck by more than the beam it hears nothing of it, only the ground
     against = quat_from_euler(math.radians(-9.0), 0.0, world.pad_state.heading_rad)
     world.place(QuadrotorState((n, e, d - 1.5), attitude=against))
-    assert world.range_to_surface_m((0.0, 0.0, 0.0), math.radians(15.0)) == pytest.approx(1.5 - d)
+    assert world.ranging((0.0, 0.0, 0.0), math.radians(15.0))() == pytest.approx(1.5 - d)
 
 
 def test_a_static_pad_without_a_sea_is_level() -> None:

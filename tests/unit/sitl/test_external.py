@@ -37,7 +37,7 @@ from sitl.cli import main
 from sitl.devices.ports import PtyPort
 from sitl.external import client as external_client
 from sitl.external.link import UdpEnd, open_link, open_relay
-from sitl.external.session import ExternalSimulation, Parts
+from sitl.external.session import ExternalConnections, ExternalSimulation
 from sitl.run.report import read_report
 from sitl.scenario.scenario import Scenario
 from tests.unit.sitl.external_vehicle import (
@@ -126,7 +126,9 @@ async def bench(folder: Path, player: Player, scenario: Scenario = SCENARIO) -> 
     relay, relay_port = await open_relay()
     range_port, server = PtyPort(9600), FrameServer(folder / "camera")
     await server.start()
-    simulation = ExternalSimulation(scenario, 0, Parts(link, relay, range_port, server), texts.append)
+    simulation = ExternalSimulation(
+        scenario, 0, ExternalConnections(link, relay, range_port, server), texts.append
+    )
     stream = await FrameStream.open(server.address)
     running = asyncio.create_task(simulation.run())
     built = Bench(simulation, player, stream, range_port.path, relay_port, texts)

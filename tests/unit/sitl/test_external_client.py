@@ -219,7 +219,7 @@ def test_a_vehicle_that_falls_silent_is_told_once_and_so_is_its_return() -> None
         "vehicle 1: no heartbeat for 5 s; waiting for it",
     ]
     bench.run(3.0, *truth)
-    assert bench.texts[2:] == ["vehicle 1: heard again"]
+    assert bench.texts[2:] == ["vehicle 1: received again"]
 
 
 def test_a_truth_that_comes_too_seldom_is_told() -> None:

@@ -130,7 +130,7 @@ async def test_what_makes_no_sense_is_told_once_and_the_rest_goes_on() -> None:
     for data in (b"wild", b"wilder"):
         caller.write(data)
         assert await asyncio.wait_for(handed_on.get(), 5.0) == data
-    assert told == ["WARNING: passed over what makes no sense (math domain error)"]
+    assert told == ["WARNING: ignored invalid data (math domain error)"]
     pumping.cancel()
     await asyncio.wait([pumping])
     caller.close()

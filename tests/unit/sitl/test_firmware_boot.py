@@ -97,7 +97,7 @@ def test_its_clock_goes_on_from_the_boot_and_never_stands_still(kind: Manner, tm
 @BOTH
 def test_a_boot_leaves_the_flights_sensors_as_they_were(kind: Manner, tmp_path: Path) -> None:
     plain, flown = sensors_at_rest(7), sensors_at_rest(7)
-    plain.wake()
+    plain.enable()
     world = World(load_scenario("static"), 0)
     with booted(fake(kind, tmp_path), flown) as flies:
         plain.step(0.0, world.state, 0.0, lambda: 0.0)
@@ -147,8 +147,8 @@ def test_while_it_boots_a_ground_station_asks_it_for_what_tells_that_it_is_ready
     ("behaviour", "reason"),
     [
         ({"ready": False, "text": "PreArm: no\tcompass\r\n"}, "PreArm: no compass"),
-        ({"ready": False}, "it said nothing"),
-        ({"boot_steps": 10**6}, "it said nothing"),
+        ({"ready": False}, "no output"),
+        ({"boot_steps": 10**6}, "no output"),
     ],
 )
 def test_one_that_is_never_ready_is_refused_with_its_reason(

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ from sitl.run.scene_camera import CameraTruth
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
-from sitl.vehicle.hand_paths import FACES, HAND_MOTIONS, HandMotion
+from sitl.vehicle.hand_paths import FACES, HandMotion
 from sitl.world.hand_held import HandHeldWorld
 
 STEP_S = 0.0025
@@ -68,7 +68,7 @@ def scenario(**values: Any) -> Scenario:
 # ---------------------------------------------------------------- the motion
 
 
-@pytest.mark.parametrize("motion", HAND_MOTIONS)
+@pytest.mark.parametrize("motion", get_args(HandMotion))
 def test_forces_and_rates_are_those_of_the_motion(motion: HandMotion) -> None:
     world = HandHeldWorld(STATIC, 4, motion)
     largest = 0.0

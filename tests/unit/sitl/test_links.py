@@ -116,7 +116,7 @@ async def test_who_has_gone_makes_room_and_the_listener_stays() -> None:
     assert len(host.ports) == 2
     assert host.ports[0] is listener
     clock.time_s *= 2.0
-    server._sweep()
+    server._remove_periodically()
     assert host.ports == [listener]
     server.close()
 

@@ -34,7 +34,7 @@ def judged(touchdown: TouchdownState | None = GOOD, **values: Any) -> Verdict:
 def test_a_good_landing_is_landed_and_reported() -> None:
     verdict = judged()
     assert verdict.outcome is Outcome.LANDED
-    assert verdict.passed
+    assert verdict.outcome is Outcome.LANDED
     assert verdict.failures == ()
     assert verdict.touchdown == TouchdownResult(0.04, 0.3, 0.1, 2.0, -5.0)
 
@@ -76,6 +76,6 @@ def test_each_ending_has_its_outcome_and_a_reason(
 ) -> None:
     verdict = judged(touchdown, **values)
     assert verdict.outcome is outcome
-    assert not verdict.passed
+    assert verdict.outcome is not Outcome.LANDED
     assert verdict.failures
     assert (verdict.touchdown is None) == (touchdown is None)

@@ -27,7 +27,7 @@ COMMAND = (sys.executable, "-m", "sitl.cli")
         (("--wings", "2"), "No such option: --wings"),
         (
             ("--seed", "3", "campaign"),
-            "--seed: belongs to a vehicle that is served; expected it without 'campaign'",
+            "--seed: applies to a served vehicle; expected it without 'campaign'",
         ),
         (("--bind", "a..b"), "UDP port a..b:14580: "),
         (("--external", "tcp:a..b:1"), "--external tcp:a..b:1: expected udp:HOST:PORT"),
@@ -35,7 +35,7 @@ COMMAND = (sys.executable, "-m", "sitl.cli")
         *(
             (
                 ("--external", "udp:127.0.0.1:9", *more),
-                f"{more[0]}: the vehicle is somebody else's; expected it",
+                f"{more[0]}: has no effect with an external vehicle; expected it",
             )
             for more in (("--bind", "0.0.0.0"), ("--port", "1"), ("--signing-key", "k"), ("--serve-truth",))
         ),

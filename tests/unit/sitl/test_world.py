@@ -53,10 +53,10 @@ def test_starts_standing_at_home_with_a_drawn_heading() -> None:
     worlds = [World(scenario(), seed) for seed in range(4)]
     for world in worlds:
         assert run(world, 1.0).truth().vehicle_position_ned_m == pytest.approx((0.0, 0.0, -STAND), abs=1e-6)
-        assert world.in_contact
+        assert world.truth().in_contact
         assert world.touchdown is None
         assert not world.crashed
-        assert world.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -GRAVITY_M_S2), abs=1e-3)
+        assert world.state.specific_force_body_m_s2 == pytest.approx((0.0, 0.0, -GRAVITY_M_S2), abs=1e-3)
     headings = {round(yaw_from_quat(world.truth().vehicle_attitude), 3) for world in worlds}
     assert len(headings) == 4
 
@@ -181,7 +181,7 @@ def test_hovering_low_over_the_pad_takes_less_thrust() -> None:
     for height in (5.0, 0.05):
         put(world, height, thrust_share=hover)
         world.step(hover, DT)
-        gained.append(-world.specific_force_body_m_s2[2] / GRAVITY_M_S2)
+        gained.append(-world.state.specific_force_body_m_s2[2] / GRAVITY_M_S2)
     assert gained[0] == pytest.approx(1.0, abs=1e-6)
     assert 1.01 < gained[1] < 1.05
 
@@ -202,11 +202,11 @@ def test_the_range_is_the_plumb_distance_within_the_cone(heading_deg: int) -> No
     sensor = (-0.03, 0.0, 0.08)
     heading = math.radians(heading_deg)
     put(world, 2.0, attitude=quat_from_euler(0.0, 0.0, heading))
-    assert world.range_to_surface_m(sensor, cone) == pytest.approx(2.0 + STAND - 0.08)
+    assert world.ranging(sensor, cone)() == pytest.approx(2.0 + STAND - 0.08)
     put(world, 2.0, attitude=quat_from_euler(0.2, 0.0, heading))
-    assert world.range_to_surface_m(sensor, cone) == pytest.approx(2.18 - 0.08 * math.cos(0.2), abs=1e-9)
+    assert world.ranging(sensor, cone)() == pytest.approx(2.18 - 0.08 * math.cos(0.2), abs=1e-9)
     put(world, 2.0, attitude=quat_from_euler(0.3, 0.0, heading))
-    assert world.range_to_surface_m(sensor, cone) is None
+    assert world.ranging(sensor, cone)() is None
 
 
 def test_the_range_beside_the_pad_is_to_the_ground_or_to_the_boards_edge_whichever_answers_first() -> None:
@@ -214,8 +214,8 @@ def test_the_range_beside_the_pad_is_to_the_ground_or_to_the_boards_edge_whichev
     sensor = (0.0, 0.0, 0.08)
     put(world, 2.0, sideways=0.65 + 0.3)
     wide, narrow = math.radians(20.0), math.radians(5.0)
-    assert world.range_to_surface_m(sensor, wide) == pytest.approx(math.hypot(2.1, 0.3))
-    assert world.range_to_surface_m(sensor, narrow) == pytest.approx(2.6)
+    assert world.ranging(sensor, wide)() == pytest.approx(math.hypot(2.1, 0.3))
+    assert world.ranging(sensor, narrow)() == pytest.approx(2.6)
 
 
 def test_truth_a_moment_ago_lies_between_the_steps() -> None:
@@ -255,9 +255,9 @@ def test_an_off_centre_accelerometer_can_be_built_from_what_it_tells() -> None:
     world = World(scenario(), 0)
     world.place(QuadrotorState((0.0, 0.0, -50.0), rate_body_rad_s=(0.0, 0.0, 2.0)))
     world.step(OFF, DT)
-    p, q, r = world.rate_body_rad_s
+    p, q, r = world.state.rate_body_rad_s
     assert (p, q) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert r == pytest.approx(2.0, abs=0.01)
-    assert world.angular_acceleration_body_rad_s2[2] == pytest.approx(0.0, abs=1e-6)
+    assert world.state.angular_acceleration_body_rad_s2[2] == pytest.approx(0.0, abs=1e-6)
     down = quat_rotate_inverse(world.truth().vehicle_attitude, (0.0, 0.0, 1.0))
     assert down == pytest.approx((0.0, 0.0, 1.0), abs=1e-9)
