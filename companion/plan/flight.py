@@ -1,8 +1,8 @@
 """How each phase flies: what the reference does on entering a phase and in each of its cycles.
 
 The mission's table decides which phase; here the phase steers the guide and reports what it finds. In
-SEARCH, HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and TOUCHDOWN it is relative
-to the pad (vehicle minus pad, NED axes). m, s, rad.
+SEARCH, HOLD and ABORT the reference is in the EKF's NED, in APPROACH, DESCEND and TOUCHDOWN it
+counts from the pad, NED axes. m, s, rad.
 """
 
 from __future__ import annotations

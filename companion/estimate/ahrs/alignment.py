@@ -121,7 +121,7 @@ class StaticAligner:
         return InitialAlignment(scale(self._rate, k), scale(self._force, k), field, self._count, still=True)
 
     def _stands(self, block: Block) -> bool:
-        """Still within the block, and the same as in the blocks before: a slow oscillation changes the mean."""
+        """Still within the block, and the same as in the blocks before: a slow sway changes the mean."""
         config = self._config
         if not block.still or norm(block.rate_body_rad_s) > LARGEST_BIAS_RAD_S:
             return False

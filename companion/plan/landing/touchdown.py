@@ -1,7 +1,7 @@
 """The last third of a metre: wait for the moment, commit, sink at a constant speed, know the contact.
 
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
-Relative to the pad, NED axes, m and s.
+References count from the pad, relative quantities are pad minus vehicle; NED axes, m and s.
 
 Why a moment is gentle when the pad's acceleration is small: the vehicle follows an acceleration with a lag
 (about 0.2 s), so that its speed relative to the pad is off by acceleration x lag, whatever the pad's speed.
