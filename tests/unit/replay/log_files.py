@@ -24,7 +24,7 @@ from companion.base.messages import GpsFix, ImuSample, MagSample, Phase, PlanSte
 from companion.config import load_config
 from companion.config.reading import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
-from companion.flightlog.replay.flight_record import Rig
+from companion.flightlog.replay.flight_record import ReplaySetup
 from companion.flightlog.replay.run import new_estimator
 from companion.pad import load_pad
 from tests.unit.estimate.estimate_flight import (
@@ -46,12 +46,12 @@ BOOT_S = 10.0  # the autopilots' clocks started before the flight
 # ---------------------------------------------------------------- ours
 
 
-def own_rig() -> Rig:
+def own_rig() -> ReplaySetup:
     """The settings that the flight of ours was flown with."""
     config = load_config(
         CONFIG_FOLDER / "companion.yaml", {"sense": {"gps": {"antenna_position_body_m": list(ANTENNA)}}}
     )
-    return Rig(config, VEHICLE, load_pad(config.pad))
+    return ReplaySetup(config, VEHICLE, load_pad(config.pad))
 
 
 def write_own(folder: Path, flight: Flight = FLIGHT, *, settings: bool = True) -> Path:
