@@ -35,7 +35,7 @@ from companion.config import (
     validate,
 )
 from companion.flightlog.record import LOG_NAMES, SETTINGS_RECORD
-from companion.flightlog.replay.flight_record import FlightRecord, Rig
+from companion.flightlog.replay.flight_record import FlightRecord, ReplaySetup
 from companion.flightlog.replay.mcap_log import read_mcap, records
 from companion.pad import Pad
 from companion.sense.vision.pipeline import body_from_camera, turn_covariance
@@ -169,7 +169,7 @@ def in_camera_axes(sightings: list[PadSighting], vehicle: VehicleConfig) -> Sigh
 
 
 def _sightings(
-    file: Path, record: FlightRecord, rig: Rig, camera: CameraConfig, *, gravity_free: bool
+    file: Path, record: FlightRecord, rig: ReplaySetup, camera: CameraConfig, *, gravity_free: bool
 ) -> tuple[list[PadSighting], str | None]:
     """The log's sightings, or those of its frames, and what there is to tell about that."""
     logged = [event.item for event in record.events if isinstance(event.item, PadSighting)]

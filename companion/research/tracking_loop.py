@@ -102,7 +102,7 @@ CASES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """Time since the take-over (n,), true offset from the pad minus the reference (n, 3), NED."""
+    """Time since the take-over (n,), true place from the pad minus the reference's (n, 3), NED."""
 
     time_s: FloatArray
     error_m: FloatArray

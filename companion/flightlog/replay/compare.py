@@ -44,7 +44,7 @@ class ErrorFigures(_Part):
     samples: int
 
 
-class Errors(_Part):
+class ReplayErrors(_Part):
     """Replay minus reference; None where one of the two has nothing."""
 
     attitude_deg: ErrorFigures | None
@@ -89,7 +89,7 @@ class ReplayResult(_Part):
     field: FieldUsed
     samples: dict[str, int]
     refused: dict[str, int]
-    errors: dict[Source, Errors]
+    errors: dict[Source, ReplayErrors]
     biases: Biases | None
     repetition: Repetition | None
     notes: tuple[str, ...]
@@ -127,10 +127,10 @@ class Comparison:
             difference = difference - difference.mean(axis=0)
         return times, difference
 
-    def errors(self) -> Errors:
+    def errors(self) -> ReplayErrors:
         """All figures."""
         _, attitude = self.attitude_deg()
-        return Errors(
+        return ReplayErrors(
             attitude_deg=_figures(attitude[:, 0]),
             inclination_deg=_figures(attitude[:, 1]),
             heading_deg=_figures(attitude[:, 2]),

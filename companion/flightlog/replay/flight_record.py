@@ -111,7 +111,7 @@ class RecordedReference:
 
 
 @dataclass(frozen=True, slots=True)
-class Rig:
+class ReplaySetup:
     """What the app's estimators are made from, and the camera whose sightings they took."""
 
     config: CompanionConfig
@@ -141,7 +141,7 @@ class FlightRecord:
     kind: LogKind
     events: list[RecordedEvent]
     references: dict[Source, RecordedReference]
-    rig: Rig | None = None
+    rig: ReplaySetup | None = None
     states: list[VehicleState | PadState] = field(default_factory=list)
     versions: dict[str, str] = field(default_factory=dict)
     place: RecordingPlace | None = None

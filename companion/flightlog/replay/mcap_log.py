@@ -40,7 +40,7 @@ from companion.flightlog.replay.flight_record import (
     RecordedEvent,
     RecordedReference,
     RecordedTrack,
-    Rig,
+    ReplaySetup,
     Source,
     TrackName,
     track_of,
@@ -172,7 +172,7 @@ class _Reading:
             notes=self._notes,
         )
 
-    def _rig(self) -> Rig | None:
+    def _rig(self) -> ReplaySetup | None:
         settings = self._metadata.get(SETTINGS_RECORD)
         if settings is None:
             return None
@@ -180,7 +180,7 @@ class _Reading:
         missing = {"config", "vehicle", "pad"} - settings.keys()
         if missing:
             raise ConfigError(f"{source}: expected {', '.join(sorted(missing))} among them")
-        return Rig(
+        return ReplaySetup(
             validate(CompanionConfig, json.loads(settings["config"]), f"{source}: config"),
             validate(VehicleConfig, json.loads(settings["vehicle"]), f"{source}: vehicle"),
             validate(Pad, json.loads(settings["pad"]), f"{source}: pad"),

@@ -22,7 +22,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.estimate.estimator import StateEstimator
-from companion.flightlog.replay.flight_record import Ask, RecordedEvent, Rig, Sample
+from companion.flightlog.replay.flight_record import Ask, RecordedEvent, ReplaySetup, Sample
 
 # a log that does not say when its app asked is asked at this rate
 ASK_RATE_HZ: Final = 30.0
@@ -54,7 +54,7 @@ class Replayed:
         return [state for state in self.states if isinstance(state, PadState)]
 
 
-def new_estimator(rig: Rig) -> StateEstimator:
+def new_estimator(rig: ReplaySetup) -> StateEstimator:
     """The estimators as the app makes them."""
     antenna = rig.config.sense.gps.antenna_position_body_m
     half_width_m = 0.5 * min(rig.pad.width_m, rig.pad.length_m)
@@ -62,7 +62,7 @@ def new_estimator(rig: Rig) -> StateEstimator:
 
 
 def replay(
-    events: Sequence[RecordedEvent], rig: Rig, on_progress: Callable[[float], None] | None = None
+    events: Sequence[RecordedEvent], rig: ReplaySetup, on_progress: Callable[[float], None] | None = None
 ) -> Replayed:
     """Run a log's events through new estimators.
 

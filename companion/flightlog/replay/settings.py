@@ -18,7 +18,7 @@ from companion.base.magnetic_field import field_ned_ut
 from companion.base.messages import ImuSample, MagSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, load_config, load_vehicle
 from companion.flightlog.replay.compare import FieldUsed
-from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent, Rig
+from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent, ReplaySetup
 from companion.pad import load_pad
 
 DEFAULT_SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
@@ -30,7 +30,7 @@ YEAR_UNKNOWN: Final = 2020.0
 class Choice:
     """What a log is replayed with, and how to name it to people; `repeats`: just as it was flown."""
 
-    rig: Rig
+    rig: ReplaySetup
     field: FieldUsed
     name: str
     repeats: bool
@@ -53,7 +53,7 @@ def choose(record: FlightRecord, config_path: Path | None) -> Choice:
         field = _field(record, config)
         config = _fitted(config, record, field.ned_ut)
     vehicle = load_vehicle(config.vehicle, config.mount, config.camera)
-    return Choice(Rig(config, vehicle, load_pad(config.pad)), field, str(path), repeats=False)
+    return Choice(ReplaySetup(config, vehicle, load_pad(config.pad)), field, str(path), repeats=False)
 
 
 def _fitted(config: CompanionConfig, record: FlightRecord, field: Vector3) -> CompanionConfig:

@@ -1,9 +1,9 @@
 """Coming in over the pad: approach down a slope, then straight down inside a cone.
 
-The guide's frame is the pad's: vehicle minus pad, NED axes, m and s; heights of targets count from the
-vehicle's reference point. Descent stops while the vehicle is outside the cone. While the pad is unseen the
-guide's frame is the EKF's NED: over the pad's predicted place, but at a height that does not depend on it,
-since the prediction of a height from few sightings sinks or rises without end.
+The guide's frame is the pad's: places count from the pad, NED axes, m and s; heights of targets count from
+the vehicle's reference point. Descent stops while the vehicle is outside the cone. While the pad is unseen
+the guide's frame is the EKF's NED: over the pad's predicted place, but at a height that does not depend on
+it, since the prediction of a height from few sightings sinks or rises without end.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The last third of a metre: wait for the moment, sink at a constant speed, rise again, stand.
 
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
-Relative to the pad, NED axes, m and s. Which of the four it does is the table's to say.
+References count from the pad, relative quantities are pad minus vehicle; NED axes, m and s. Which of the four
+it does is the table's to say.
 
 Why a moment is gentle when the pad's acceleration is small: the vehicle follows an acceleration with a lag
 (about 0.2 s), so that its speed relative to the pad is off by acceleration x lag, whatever the pad's speed.

@@ -4,9 +4,9 @@ Replanning starts where the previous reference is now, not where the vehicle is:
 acceleration stay continuous and noise of the estimate never enters them. Only when the vehicle has strayed
 too far is the reference put onto the estimate again.
 
-T = |Δ| / V + T_min (eq. 37) with V from the fuzzy controller; T grows further until the way keeps its
-limits of speed and acceleration. Planning happens in the frame that moves with the target, where the end is
-at rest (eqs. 29, 30). Frames: "pad" is vehicle minus pad in NED axes, "local" the EKF's NED. m, s, rad.
+T = |Δ| / V + T_min (eq. 37) with V from the fuzzy controller; T grows further until the way keeps its limits
+of speed and acceleration. Planning happens in the frame that moves with the target, where the end is at rest
+(eqs. 29, 30). Frames, NED axes: places count from the pad ("pad") or the EKF's origin ("local"). m, s, rad.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def test_on_a_right_vehicle_all_is_well() -> None:
     assert re.fullmatch(r"camera: \d\d\.\d frames/s looked at, \d\d ms old on arrival", camera)
     orders = [said.text for said in checked.said if said.kind == "order"]
     assert [
-        order for order in orders if order.startswith(("Raise it", "Move", "Turn", "Lean", "Raise its"))
+        order for order in orders if order.startswith(("Raise it", "Move", "Turn", "Roll", "Raise its"))
     ] == [step.order for step in STEPS]
     assert "right is right" in verdict_line(checked.report)
     told = json.loads(report_json(checked.report))

@@ -23,7 +23,7 @@ from companion.base.geometry import (
 from companion.base.messages import GpsFix, ImuSample, MagSample, Phase, PlanStep, RangeSample, Truth
 from companion.config import CONFIG_FOLDER, load_config
 from companion.flightlog.record import FlightLog
-from companion.flightlog.replay.flight_record import Rig
+from companion.flightlog.replay.flight_record import ReplaySetup
 from companion.flightlog.replay.run import new_estimator
 from companion.pad import load_pad
 from tests.unit.estimate.estimate_flight import (
@@ -45,12 +45,12 @@ BOOT_S = 10.0  # the autopilots' clocks started before the flight
 # ---------------------------------------------------------------- ours
 
 
-def own_rig() -> Rig:
+def own_rig() -> ReplaySetup:
     """The settings that the flight of ours was flown with."""
     config = load_config(
         CONFIG_FOLDER / "companion.yaml", {"sense": {"gps": {"antenna_position_body_m": list(ANTENNA)}}}
     )
-    return Rig(config, VEHICLE, load_pad(config.pad))
+    return ReplaySetup(config, VEHICLE, load_pad(config.pad))
 
 
 def write_own(folder: Path, flight: Flight = FLIGHT, *, settings: bool = True) -> Path:

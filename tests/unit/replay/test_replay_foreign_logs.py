@@ -11,7 +11,7 @@ import pytest
 
 from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import ConfigError
-from companion.flightlog.replay.compare import Comparison, Errors
+from companion.flightlog.replay.compare import Comparison, ReplayErrors
 from companion.flightlog.replay.dataflash import read_dataflash
 from companion.flightlog.replay.flight_record import FlightRecord, RecordedEvent, Sample
 from companion.flightlog.replay.run import replay
@@ -41,11 +41,11 @@ def flown(kind: type[Sample]) -> list[tuple[float, Sample]]:
     return [(arrival_s, sample) for arrival_s, sample in FLIGHT.samples if isinstance(sample, kind)]
 
 
-def errors_of(record: FlightRecord) -> Errors:
+def errors_of(record: FlightRecord) -> ReplayErrors:
     return Comparison(replay(record.events, choose(record, None).rig), record.references["recorded"]).errors()
 
 
-def rms(errors: Errors, name: str) -> float:
+def rms(errors: ReplayErrors, name: str) -> float:
     figures = getattr(errors, name)
     assert figures is not None, name
     return float(figures.rms)
