@@ -2,6 +2,7 @@
 
 from itertools import product
 
+import numpy as np
 import pytest
 
 from companion.base.messages import ActionKind, Phase
@@ -288,3 +289,20 @@ def test_what_the_autopilot_cannot_fly_straight_to_and_further_waypoints_are_flo
     for event in (E.ARRIVED, E.PAD_SEEN, E.TIMEOUT):
         assert taken(S.ROUTE, event).to is S.SEARCH
     assert kinds(taken(S.ROUTE, E.REFUSED)) == [ActionKind.HOLD]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_whatever_happens_in_whatever_order_a_released_vehicle_stays_released(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    machine = StateMachine(retries=2)
+    for _ in range(300):
+        possible = [event for event in MissionEvent if not impossible(machine.state, event)]
+        event = possible[int(rng.integers(len(possible)))]
+        released = machine.authority is Authority.RELEASED
+        branch = machine.follows(event, on_surface=bool(rng.integers(2)), disarm_asked=bool(rng.integers(2)))
+        if branch is None:
+            continue
+        machine.take(branch)
+        if released:
+            assert branch.actions == ()
+            assert machine.authority is Authority.RELEASED
