@@ -1,4 +1,4 @@
-"""The planner: from what is known now to where the vehicle should be next, one step a cycle (Algorithm 1).
+"""The planner: from the estimates to the reference, one step a cycle (Algorithm 1).
 
 `Planner.step(inputs, now_s)` turns the inputs into at most one event, looks up in the mission's table what
 follows, lets the phase steer the reference, and returns it with the actions and notices of the cycle. Pure:
@@ -20,10 +20,10 @@ from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
 from companion.plan.mission.table import FINAL, impossible
+from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
-from companion.plan.obstacles.surroundings import Severity
 from companion.plan.steering import PhaseSteering
-from companion.plan.trajectory.guidance import Guide, SpeedLaw
+from companion.plan.trajectory.guidance import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
 
 __all__ = ["PlanInputs", "Planner"]
@@ -50,12 +50,12 @@ class Planner:
         self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
         self._ground = Ground(vehicle.range_position_body_m)
         avoidance = Avoidance(config, vehicle.radius_m)
-        self._guide = Guide(config.guidance, law, horizon_steps, step_s, avoidance)
+        self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)
         self._steering = PhaseSteering(
             config,
             vehicle,
             machine=self._machine,
-            guide=self._guide,
+            generator=self._generator,
             pad=self._pad,
             ground=self._ground,
             requests=self._requests,
@@ -81,7 +81,7 @@ class Planner:
         return PlanStep(
             time_s=now_s,
             phase=self.phase,
-            reference=self._guide.reference(
+            reference=self._generator.reference(
                 now_s,
                 self._steering.minimum_height_m(now_s),
                 self._steering.cone(),
@@ -89,24 +89,24 @@ class Planner:
             ),
             actions=self._requests.due(now_s),
             notices=tuple(self._notices),
-            speed_m_s=self._guide.speed_m_s,
-            time_to_go_s=self._guide.time_to_go_s,
+            speed_m_s=self._generator.speed_m_s,
+            time_to_go_s=self._generator.time_to_go_s,
             on_ground=self._steering.on_pad,
         )
 
     def _see(self, inputs: PlanInputs, now_s: float) -> None:
         self._pad.update(inputs.pad, inputs.vehicle, now_s)
         self._ground.update(inputs.vehicle, inputs.autopilot, inputs.range, now_s)
-        self._steering.surroundings.update(self._pad)
+        self._steering.obstacle_monitor.update(self._pad)
         if inputs.vehicle is None:
             return
         if self._within_fence(inputs):
             self._steering.search.hear(inputs.beacon, inputs.vehicle.origin)
         if self._pad.motion is not None and inputs.pad is not None:
-            self._steering.search.whereabouts.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
+            self._steering.search.locator.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
 
     def _within_fence(self, inputs: PlanInputs) -> bool:
-        """Whether the beacon lies where we may fly; one that does not is told once and not followed."""
+        """Whether the beacon lies inside the fence; one outside is announced once and ignored."""
         beacon, home = inputs.beacon, inputs.autopilot.home
         if beacon is None or home is None:
             return beacon is not None
@@ -114,12 +114,12 @@ class Planner:
         distance_m, fence_m = math.hypot(north, east), self._fence_m
         if distance_m > fence_m and not self._fence_told:
             self._fence_told = True
-            words = f"the pad's beacon lies {distance_m:.0f} m from home: not followed beyond {fence_m:.0f} m"
+            words = f"pad beacon {distance_m:.0f} m from home, outside the fence of {fence_m:.0f} m: ignored"
             self._say("fence", words, beacon.time_s, "warning")
         return distance_m <= fence_m
 
     def _react(self, inputs: PlanInputs, now_s: float) -> None:
-        """Look for failsafes and refusals, else let the state steer and detect; go where the table says."""
+        """Failsafes and refusals first, else the state steers and detects; then as the table says."""
         before = self._machine.state
         for event, reason in self._failsafes(inputs, now_s):
             self._take(event, reason, inputs, now_s)
@@ -144,7 +144,7 @@ class Planner:
         return (*self._monitor.detect(inputs, control_granted, now_s), *refused)
 
     def _take(self, event: MissionEvent, reason: str, inputs: PlanInputs, now_s: float) -> None:
-        """Go where the table leads from an event, and ask what it says."""
+        """Take the table's branch for an event: change the state, send its requests."""
         machine, state, had = self._machine, self._machine.state, self._machine.authority
         branch = machine.follows(
             event,
@@ -168,7 +168,7 @@ class Planner:
     def _tell(self, before: State, event: MissionEvent, reason: str, now_s: float) -> None:
         """Announce a change of phase, and those within the touchdown that matter."""
         if self.phase is not before.phase:
-            severity: Severity = "warning" if self.phase in {Phase.ABORT, Phase.HOLD} else "info"
+            severity: NoticeSeverity = "warning" if self.phase in {Phase.ABORT, Phase.HOLD} else "info"
             words = f"{self.phase.value}: {event.value}: {reason}".replace("_", " ")
             self._say("phase", words, now_s, severity)
         elif event is MissionEvent.COMMIT:
@@ -178,5 +178,5 @@ class Planner:
         elif event is MissionEvent.CONTACT:
             self._say("contact", f"on the pad: {reason}", now_s)
 
-    def _say(self, kind: str, text: str, now_s: float, severity: Severity = "info") -> None:
+    def _say(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
         self._notices.append(Notice(now_s, kind, text, severity))

@@ -25,14 +25,15 @@ from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
-from companion.plan.obstacles.surroundings import Say, Surroundings
+from companion.plan.notices import NoticeSink
+from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.search.search import Search
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 from companion.plan.trajectory.waypoints import Waypoints
 
 _LAST_TRY_SLACK: Final = 1.6
 _WORTH_TELLING_M: Final = 0.2
-_STREAMING: Final = (MissionEvent.STREAMING, "setpoints leave")
+_STREAMING: Final = (MissionEvent.STREAMING, "setpoints are sent")
 
 
 class PhaseSteering:
@@ -44,28 +45,30 @@ class PhaseSteering:
         vehicle: VehicleConfig,
         *,
         machine: StateMachine,
-        guide: Guide,
+        generator: ReferenceGenerator,
         pad: PadKnowledge,
         ground: Ground,
         requests: Requests,
-        say: Say,
+        say: NoticeSink,
     ) -> None:
         self._config, self._leg_m = config, vehicle.leg_height_m
-        self._machine, self._guide, self._pad, self._ground = machine, guide, pad, ground
+        self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
-        self.surroundings = Surroundings(guide, ground, say)
-        self._waypoints = Waypoints(config.mission, guide)
+        self.obstacle_monitor = ObstacleMonitor(generator, ground, say)
+        self._waypoints = Waypoints(config.mission, generator)
         self.departure = Departure(
             config.mission,
             pad=pad,
             ground=ground,
             waypoints=self._waypoints,
-            surroundings=self.surroundings,
+            obstacle_monitor=self.obstacle_monitor,
             say=say,
         )
-        self.search = Search(config.search, guide)
-        self._landing = Landing(config.landing, vehicle, guide)
-        self._touchdown = TouchdownSequence(config.touchdown, vehicle, config.landing.wait_height_m, guide)
+        self.search = Search(config.search, generator)
+        self._landing = Landing(config.landing, vehicle, generator)
+        self._touchdown = TouchdownSequence(
+            config.touchdown, vehicle, config.landing.wait_height_m, generator
+        )
         self._begun_s = 0.0
         self._retreat: Motion | None = None
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
@@ -91,12 +94,12 @@ class PhaseSteering:
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
         event = self._steered_by[self._machine.phase](inputs, now_s)
-        self.surroundings.tell(now_s)
+        self.obstacle_monitor.tell(now_s)
         return event
 
     def minimum_height_m(self, now_s: float) -> float | None:
         """What the controller may not go below, over the pad."""
-        by_pad = self._guide.active and self._guide.origin == "pad"
+        by_pad = self._generator.active and self._generator.origin == "pad"
         if by_pad and self._machine.state in {State.APPROACH, State.DESCEND}:
             return self._landing.minimum_height_m(now_s)
         return None
@@ -104,7 +107,7 @@ class PhaseSteering:
     def cone(self) -> DescentCone | None:
         """Where the controller is to keep the vehicle over the pad, until that is committed to land."""
         descending = self._machine.state in OVER_PAD | {State.DESCEND}
-        return self._landing.cone if descending and self._guide.origin == "pad" else None
+        return self._landing.cone if descending and self._generator.origin == "pad" else None
 
     def level_off(self) -> LevelOff | None:
         """When the vehicle is to be level, on its last way down."""
@@ -115,15 +118,15 @@ class PhaseSteering:
     def enter(
         self, branch: Branch, previous: State, had: Authority, inputs: PlanInputs, now_s: float
     ) -> None:
-        """Begin with the state to which a branch led, from a previous one and from who had the vehicle."""
+        """Start the state that a branch led to; `had` is the authority before it."""
         state = self._machine.state
         if Effect.ASK_PAD_POSITION in branch.effects:
             self.search.request_now()
         if Effect.STOP_SETPOINTS in branch.effects:
-            self._guide.stop()
+            self._generator.stop()
         elif state is State.TAKE_OFF:
             self._ground.stands_here(inputs.vehicle)
-            self.surroundings.stands_here(inputs.vehicle)
+            self.obstacle_monitor.stands_here(inputs.vehicle)
             self.departure.lift_off()
         elif state is State.ROUTE:
             self._enter_route(previous, inputs, now_s)
@@ -140,17 +143,17 @@ class PhaseSteering:
 
     def _enter_route(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
-            return  # the estimate's loss ends this in the next cycle
-        self._guide.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
+            return  # ESTIMATE_LOST ends this in the next cycle
+        self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._begun_s = now_s
         self._stand_still(inputs, now_s)
         self._waypoints.begin(with_first=previous is State.TAKE_OFF)
 
     def _enter_search(self, previous: State, inputs: PlanInputs, now_s: float) -> None:
         if inputs.vehicle is None:
-            return  # the estimate's loss ends this in the next cycle
-        if not self._guide.active:
-            self._guide.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
+            return  # ESTIMATE_LOST ends this in the next cycle
+        if not self._generator.active:
+            self._generator.heading_rad = yaw_from_quat(inputs.vehicle.attitude)
         self._stand_still(inputs, now_s)
         missing_m = 0.0 if previous in {State.WAYPOINT, State.ROUTE} else self._missing_m()
         climb_m = self.search.begin(missing_m, self._lowest_down_m(), now_s)
@@ -158,7 +161,7 @@ class PhaseSteering:
             self._say("climb", f"climbing {climb_m:.1f} m to look for the pad", now_s, "warning")
 
     def _missing_m(self) -> float:
-        """How far (m) below the height of searching; the pad's estimate may be what went wrong."""
+        """How far (m) below the search height; the pad's estimate may be wrong."""
         clearance_m = self._ground.clearance_m
         if clearance_m is None:
             clearance_m = math.inf if self._pad.sight is None else self._pad.sight.height_m
@@ -171,10 +174,10 @@ class PhaseSteering:
         return math.inf if down_m is None else down_m
 
     def _enter_approach(self, previous: State, now_s: float) -> None:
-        if self._guide.origin == "local" and self._pad.motion is not None:
-            self._guide.change_frame("pad", self._pad.motion, now_s)
+        if self._generator.origin == "local" and self._pad.motion is not None:
+            self._generator.change_frame("pad", self._pad.motion, now_s)
         again = previous in BY_THE_PAD
-        self._landing.begin(-self._guide.at(now_s).position_m[2], again, now_s)
+        self._landing.begin(-self._generator.at(now_s).position_m[2], again, now_s)
         if again:
             height_m = self._landing.goal_m - self._leg_m
             self._say("climb", f"back to {height_m:.1f} m over the pad to try again", now_s, "warning")
@@ -185,13 +188,13 @@ class PhaseSteering:
         height_m = self._pad.sight.height_m if self._pad.sight is not None else math.inf
         climb_m = max(0.0, self._leg_m + self._config.landing.retry_height_m - height_m)
         self._retreat = None
-        flown = had is Authority.OURS or (had is Authority.RELEASED and self._guide.active)
+        flown = had is Authority.OURS or (had is Authority.RELEASED and self._generator.active)
         if not flown or not inputs.autopilot.armed or inputs.vehicle is None:
-            self._guide.stop()
+            self._generator.stop()
             return
         self._stand_still(inputs, now_s)
         if self._machine.phase is Phase.HOLD and low and climb_m > _WORTH_TELLING_M:
-            x, y, z = self._guide.resting_place_m()
+            x, y, z = self._generator.resting_place_m()
             self._retreat = Motion((x, y, z - climb_m))
             self._say("climb", f"climbing {climb_m:.1f} m clear of the pad", now_s, "warning")
 
@@ -199,12 +202,12 @@ class PhaseSteering:
         """Come to rest in the EKF's NED, from the reference's own motion when there is one."""
         assert inputs.vehicle is not None
         pad = self._pad.motion
-        if not self._guide.active or (self._guide.origin == "pad" and pad is None):
-            self._guide.start("local", vehicle_motion(inputs.vehicle, now_s), now_s)
+        if not self._generator.active or (self._generator.origin == "pad" and pad is None):
+            self._generator.start("local", vehicle_motion(inputs.vehicle, now_s), now_s)
             return
         if pad is not None:
-            self._guide.change_frame("local", pad, now_s)
-        self._guide.rest(self._guide.at(now_s), now_s)
+            self._generator.change_frame("local", pad, now_s)
+        self._generator.rest(self._generator.at(now_s), now_s)
 
     # ------------------------------------------------------------ the phases
 
@@ -213,21 +216,21 @@ class PhaseSteering:
 
     def _fly_route(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Through the waypoints that are ours; the pad in view ends it."""
-        home_ned_m = self.surroundings.home_ned_m
-        if inputs.vehicle is None or home_ned_m is None or not self._guide.active:
+        home_ned_m = self.obstacle_monitor.home_ned_m
+        if inputs.vehicle is None or home_ned_m is None or not self._generator.active:
             return None
         if self._pad.steady(now_s):
-            return MissionEvent.PAD_SEEN, "on the way through the waypoints"
+            return MissionEvent.PAD_SEEN, "between the waypoints"
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
         if not self._machine.in_control:
-            # setpoints first, then the question: PX4 wants to see them before it obeys
+            # PX4 switches to offboard only while setpoints stream
             streamed_s = now_s - self._begun_s
             return _STREAMING if streamed_s >= self._config.search.stream_s else None
         return self._waypoints.step(actual, home_ned_m, now_s)
 
     def _look_for_pad(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        if inputs.vehicle is None or not self._guide.active:
+        if inputs.vehicle is None or not self._generator.active:
             return None
         actual = vehicle_motion(inputs.vehicle, now_s)
         self._keep_near(actual, now_s)
@@ -241,7 +244,7 @@ class PhaseSteering:
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
         if step.worth_telling:
             doing = "searching" if step.flying else "holding"
-            known = self.search.whereabouts.source(now_s)
+            known = self.search.locator.source(now_s)
             self._say(
                 "pad_lost", f"pad not seen: {doing} ({known}), new position requested", now_s, "warning"
             )
@@ -253,7 +256,7 @@ class PhaseSteering:
             return wrong
         self._keep_near_pad(inputs, now_s)
         fly = self._landing.approach if self._machine.state is State.APPROACH else self._landing.descend
-        place = self.search.whereabouts.likely(now_s)
+        place = self.search.locator.likely(now_s)
         event = fly(self._pad, Unseen(place, self._lowest_down_m()), now_s)
         if self._pad.sight is not None and self.search.ask_again(self._pad.sight.age_s, now_s):
             self._requests.tell(Action(ActionKind.REQUEST_PAD_POSITION))
@@ -263,17 +266,17 @@ class PhaseSteering:
         return event
 
     def _ground_near(self) -> DetectedEvent | None:
-        """Whether the echoes say that there is no room for the pad where it is believed to be."""
+        """Whether the echoes contradict the pad's estimated height."""
         c, surface_m, sight = self._config.landing, self._ground.surface_m, self._pad.sight
         if sight is None or surface_m is None or surface_m > c.ground_near_m:
             return None
         if sight.height_m - surface_m < c.ground_doubt_m:
             return None
         self._pad.distrust()
-        self.search.whereabouts.distrust()
+        self.search.locator.distrust()
         return (
             MissionEvent.GROUND_NEAR,
-            f"{surface_m:.1f} m below, the pad was thought {sight.height_m:.1f} m below",
+            f"{surface_m:.1f} m below, pad estimated {sight.height_m:.1f} m below",
         )
 
     def _touch_down(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
@@ -286,37 +289,37 @@ class PhaseSteering:
         return self._touchdown.step(state, self._pad.sight, inputs, now_s)
 
     def _hold(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        if self._retreat is not None and self._guide.active:
-            self._guide.fly_to(self._retreat, now_s)
+        if self._retreat is not None and self._generator.active:
+            self._generator.fly_to(self._retreat, now_s)
         return self._end(inputs, now_s)
 
     def _end(self, inputs: PlanInputs, _now_s: float) -> DetectedEvent | None:
-        """Hold by our own setpoints until the autopilot has the vehicle."""
+        """Hold by our own setpoints until the autopilot has control."""
         returned = self._requests.granted(ActionKind.HOLD) or self._requests.granted(ActionKind.LAND)
         if self._machine.authority is Authority.RELEASED and (returned or not inputs.autopilot.offboard):
-            self._guide.stop()
+            self._generator.stop()
         return None
 
     # ------------------------------------------------------------ helpers
 
     def _keep_near_pad(self, inputs: PlanInputs, now_s: float) -> None:
-        """Unseen, the guide flies in the EKF's NED, and what moves there is the vehicle alone."""
+        """Unseen, the reference is in the EKF's NED, and what moves there is the vehicle alone."""
         sight = self._pad.sight
-        if self._guide.origin == "local" and inputs.vehicle is not None:
+        if self._generator.origin == "local" and inputs.vehicle is not None:
             self._keep_near(vehicle_motion(inputs.vehicle, now_s), now_s)
         elif sight is not None and sight.age_s <= self._config.landing.pause_unseen_s:
             self._keep_near(sight.vehicle_from_pad, now_s)
 
     def _keep_near(self, actual: Motion, now_s: float) -> None:
-        distance_m = self._guide.keep_near(actual, now_s)
+        distance_m = self._generator.keep_near(actual, now_s)
         if distance_m > 0.0 and self._machine.in_control:
-            self._say("strayed", f"{distance_m:.1f} m off the reference: planned anew", now_s, "warning")
+            self._say("strayed", f"{distance_m:.1f} m off the reference: replanned", now_s, "warning")
 
     def turn(self, now_s: float) -> None:
-        """Slew the heading to the pad's over the pad, if so wished."""
+        """Slew the heading to the pad's over the pad, if the settings say so."""
         sight = (
             self._pad.sight
             if self._machine.state in BY_THE_PAD and self._config.mission.align_heading
             else None
         )
-        self._guide.turn(None if sight is None else sight.heading_rad, now_s)
+        self._generator.turn(None if sight is None else sight.heading_rad, now_s)

@@ -25,7 +25,7 @@ from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 
 CYCLE_S: Final = 1.0 / 30.0
 RADIUS_M: Final = 0.4
@@ -71,18 +71,20 @@ def scene(rng: np.random.Generator) -> tuple[Shape, ...]:
 def fly(shapes: tuple[Shape, ...], goal: Vector3) -> Flown:
     """From the south to the goal."""
     config = PlanConfig(obstacles=shapes, obstacle_margin_m=MARGIN_M, obstacle_ceiling_m=9.0)
-    guide = Guide(config.guidance, lambda _d, _v, _a: 2.0, 20, 0.1, Avoidance(config, RADIUS_M))
-    guide.see((0.0, 0.0, 0.0), None)
-    guide.start("local", Motion((-11.0, 0.0, -5.0)), 0.0)
+    generator = ReferenceGenerator(
+        config.guidance, lambda _d, _v, _a: 2.0, 20, 0.1, Avoidance(config, RADIUS_M)
+    )
+    generator.see((0.0, 0.0, 0.0), None)
+    generator.start("local", Motion((-11.0, 0.0, -5.0)), 0.0)
     places, slowest_s = [], 0.0
     for k in range(round(FLIGHT_S / CYCLE_S)):
         begun_s = wall_clock_s()
-        guide.fly_to(Motion(goal), k * CYCLE_S)
+        generator.fly_to(Motion(goal), k * CYCLE_S)
         slowest_s = max(slowest_s, wall_clock_s() - begun_s)
-        places.append(guide.at((k + 1) * CYCLE_S).position_m)
+        places.append(generator.at((k + 1) * CYCLE_S).position_m)
     nearest = float(np.min(clearance_m(np.array(places), [Obstacle.of(shape) for shape in shapes])))
     reached = math.dist(places[-1], goal) < 0.3
-    return Flown(nearest - RADIUS_M, reached, guide.avoidance.blocked, 1e3 * slowest_s)
+    return Flown(nearest - RADIUS_M, reached, generator.avoidance.blocked, 1e3 * slowest_s)
 
 
 def route_ms(rng: np.random.Generator, questions: int) -> float:

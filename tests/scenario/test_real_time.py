@@ -76,7 +76,7 @@ def test_a_stop_in_flight_hands_the_vehicle_back(number: signal.Signals, tmp_pat
         (simulator,) = children(process.pid)
         process.send_signal(number)
         wait_for_line(process, "abort: stop")
-        assert ended(process) == (4, "companion: aborted: stop: asked for\n")
+        assert ended(process) == (4, "companion: aborted: stop requested: by the operator\n")
         assert not alive(simulator)
     assert (tmp_path / "result.json").exists()
     assert handed_back(tmp_path / "flight.tlog")

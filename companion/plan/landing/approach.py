@@ -1,9 +1,9 @@
-"""Coming in over the pad: approach down a slope, then straight down inside a cone.
+"""Approach down a slope to above the pad, then descent inside a cone.
 
-The guide's frame is the pad's: places count from the pad, NED axes, m and s; heights of targets count from
-the vehicle's reference point. Descent stops while the vehicle is outside the cone. While the pad is unseen
-the guide's frame is the EKF's NED: over the pad's predicted place, but at a height that does not depend on
-it, since the prediction of a height from few sightings sinks or rises without end.
+The reference's frame is the pad's: vehicle minus pad, NED axes, m and s; heights of targets count from the
+vehicle's reference point. Descent stops while the vehicle is outside the cone. While the pad is unseen the
+reference is in the EKF's NED: over the pad's predicted place, but at a height that does not depend on it,
+since the prediction of a height from few sightings sinks or rises without end.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from companion.base.motion import Motion
 from companion.config import LandingConfig, VehicleConfig
 from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.states import DetectedEvent, MissionEvent
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 
 _CENTRED_MARGIN_M = 0.7
 _CENTRED_SPEED_M_S = 0.6
 _LOW_MARGIN_M = 0.08
-# Once outside the cone the vehicle has to come back this far inside before it goes on down.
+# Once outside the cone the vehicle comes back this far inside before it descends again.
 _BACK_INSIDE = 0.8
 _FLOOR_M = 0.15
 
@@ -35,10 +35,10 @@ class Unseen:
 
 
 class Landing:
-    """Approach and descent; `begin` at each approach, `pause_ends` at each descent."""
+    """Approach and descent; `begin` at each approach."""
 
-    def __init__(self, config: LandingConfig, vehicle: VehicleConfig, guide: Guide) -> None:
-        self._config, self._guide = config, guide
+    def __init__(self, config: LandingConfig, vehicle: VehicleConfig, generator: ReferenceGenerator) -> None:
+        self._config, self._generator = config, generator
         self._leg_m = vehicle.leg_height_m
         self.goal_m = self._leg_m + config.approach_height_m
         self.paused = False
@@ -72,12 +72,12 @@ class Landing:
 
     def _slope_m(self, sight: PadState, now_s: float) -> float:
         """The height to fly at: on the slope, never above the present one unless the goal is."""
-        x, y, z = self._guide.at(now_s).position_m
+        x, y, z = self._generator.at(now_s).position_m
         aside_m = max(math.hypot(x, y), sight.lateral_m)
         return max(self.goal_m, min(-z, aside_m / self._config.approach_slope))
 
     def descend(self, pad: PadKnowledge, unseen: Unseen, now_s: float) -> DetectedEvent | None:
-        """Straight down to where touchdown starts, only while inside the cone and seeing the pad."""
+        """Straight down to where touchdown starts, only inside the cone and with the pad in view."""
         sight = pad.sight
         if sight is None or sight.age_s > self._config.lost_unseen_s:
             return self._lost(sight)
@@ -89,7 +89,7 @@ class Landing:
         if go_on:
             self._go(wait_m, now_s)
         else:
-            self._guide.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
+            self._generator.fly_level(Motion((0.0, 0.0, -sight.height_m)), math.inf, now_s)
         self.paused = not go_on
         if sight.height_m <= wait_m + _LOW_MARGIN_M:
             return MissionEvent.LOW, f"{100.0 * (sight.height_m - self._leg_m):.0f} cm over the pad"
@@ -97,7 +97,7 @@ class Landing:
 
     def minimum_height_m(self, now_s: float) -> float:
         """What the controller may not go below; never above where the reference is."""
-        return max(0.0, min(self._leg_m + _FLOOR_M, -self._guide.at(now_s).position_m[2] - 0.05))
+        return max(0.0, min(self._leg_m + _FLOOR_M, -self._generator.at(now_s).position_m[2] - 0.05))
 
     @property
     def cone(self) -> DescentCone:
@@ -115,24 +115,24 @@ class Landing:
         assert pad.motion is not None
         self.climb_m = 0.0
         if sight.age_s <= self._config.pause_unseen_s:
-            self._guide.change_frame("pad", pad.motion, now_s)
+            self._generator.change_frame("pad", pad.motion, now_s)
             self._blind_down_m = math.inf
             return True
-        if self._guide.origin == "pad":
-            self._guide.change_frame("local", pad.motion, now_s)
+        if self._generator.origin == "pad":
+            self._generator.change_frame("local", pad.motion, now_s)
             self._blind_down_m = self._goal_down_m(pad.motion, goal_m, now_s)
-        self.climb_m = self._guide.fly_level(
+        self.climb_m = self._generator.fly_level(
             unseen.place, min(unseen.lowest_down_m, self._blind_down_m), now_s
         )
         return False
 
     def _goal_down_m(self, pad: Motion, goal_m: float, now_s: float) -> float:
         """Down of the goal, if that is higher than here, by no more than a retry climbs."""
-        here_m = self._guide.at(now_s).position_m[2]
+        here_m = self._generator.at(now_s).position_m[2]
         return max(pad.position_m[2] - goal_m, here_m - self._config.retry_height_m)
 
     def _go(self, height_m: float, now_s: float) -> None:
-        self._guide.fly_to(Motion((0.0, 0.0, -height_m)), now_s)
+        self._generator.fly_to(Motion((0.0, 0.0, -height_m)), now_s)
 
     def _inside(self, sight: PadState, share: float = 1.0) -> bool:
         above_m = max(0.0, sight.height_m - self._leg_m)
@@ -140,5 +140,5 @@ class Landing:
 
     def _lost(self, sight: PadState | None) -> DetectedEvent | None:
         if sight is None:
-            return MissionEvent.PAD_LOST, "nothing is known of the pad"
+            return MissionEvent.PAD_LOST, "no estimate of the pad"
         return MissionEvent.PAD_LOST, f"not seen for {sight.age_s:.1f} s"

@@ -25,13 +25,13 @@ _AWAY_S = 0.3
 # Without thrust it falls at g; a third of that is no deck's motion.
 _FALLS_M_S2 = GRAVITY_M_S2 / 3.0
 _FALLS_S = 0.15  # a bump of the pad is over sooner; a fall is 11 cm by then
-# Further than this it is not about to stand, whatever is near.
+# Leaning more than this it is not about to stand, whatever is near.
 _MOST_FOOT_LEAN_RAD = math.radians(15.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ContactSigns:
-    """What speaks for standing on the pad."""
+    """The signs of contact with the pad."""
 
     low: bool
     stalled: bool
@@ -85,7 +85,7 @@ def _echo_within(echo: RangeSample | None, distance_m: float, now_s: float) -> b
 
 
 class Standing:
-    """A vehicle on the pad, from `begin` on: what shows that it stands, and that it does not."""
+    """A vehicle on the pad, from `begin` on: detects that it rests there, and that it left."""
 
     def __init__(self, config: TouchdownConfig, vehicle: VehicleConfig) -> None:
         self._config, self._vehicle = config, vehicle
@@ -97,18 +97,18 @@ class Standing:
         self._away, self._resting, self._falling, self._unshown = (Debounce() for _ in range(4))
 
     def off_pad(self, sight: PadState, now_s: float) -> bool:
-        """Whether the pad is seen to be well below after all."""
+        """Whether the pad is seen well below the feet."""
         away = sight.age_s <= FRESH_S and sight.height_m > self._vehicle.leg_height_m + _AWAY_M
         return self._away.held_s(away, now_s) >= _AWAY_S
 
     def step(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        """Whether the autopilot agrees that it stands, or that is sure without it, or nothing shows it."""
+        """Detect a landing: by the autopilot, by rest on the pad, or that nothing proves it."""
         agrees = inputs.autopilot.landed is LandedState.ON_GROUND
         down = self._shown_down(sight, inputs.range, now_s)
         rested_s = self._rested_s(inputs.vehicle, now_s, down=down)
         after_s = self._config.land_after_s
         if agrees:
-            return MissionEvent.LANDING_DETECTED, "by the autopilot"
+            return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
         if rested_s >= after_s:
             return MissionEvent.AT_REST, f"for {rested_s:.1f} s on the pad"
         unshown_s = self._unshown.held_s(not down, now_s)

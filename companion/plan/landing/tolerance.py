@@ -1,4 +1,4 @@
-"""What is close and quiet enough to start down, and to go on: more of it is borne the longer a try lasts.
+"""The tolerances for starting down and for going on; they widen the longer a try lasts.
 
 Relative to the pad, NED axes, m and s.
 """
@@ -13,18 +13,18 @@ from companion.plan.landing.contact import FRESH_S
 
 _HEIGHT_TOLERANCE_M = 0.10
 _SINK_TOLERANCE_M_S = 0.15
-# In units of the patience: until then nothing widens, from then on more is borne by and by.
+# In units of the patience: from then on the tolerances widen steadily.
 _PATIENT_TIMES = 2.0
 _BORNE_PER_TIME = 0.35
-# However impatient, nobody goes on down from farther aside than this, unless the setting says so.
+# The tolerance aside never exceeds this, unless the setting does.
 _FARTHEST_ASIDE_M = 0.12
 # A gust that has just begun shows in the speed first; a correction takes about so long to tell. Of 69 random
 # landings this told the four that ended more than 8 cm off, half a second before contact.
 _DRIFT_S = 0.22
-# A sink is stopped within this delay and at this rate: a break-off that would not do must not begin.
+# A sink is stopped within this delay and at this rate: without that room no break-off begins.
 _STOPS_AFTER_S = 0.2
 _STOPS_M_S2 = 2.5
-# It leans more while it corrects, by so much over what it has or may have at contact: a foot hangs lower.
+# While it corrects it leans this much more than now or at contact: a foot hangs lower.
 _LEANS_MORE_RAD = math.radians(3.0)
 
 
@@ -55,7 +55,7 @@ def stopping_m(sink_m_s: float, lean_rad: float, foot_reach_m: float) -> float:
 
 
 class Tolerance:
-    """One try's: from `since_s` on; `slack` widens all of it."""
+    """The tolerances of one try, from `since_s` on; `slack` widens all of them."""
 
     def __init__(self, config: TouchdownConfig, since_s: float, slack: float) -> None:
         self._config, self._since_s, self.slack = config, since_s, slack
@@ -76,7 +76,7 @@ class Tolerance:
         return sight.lateral_m > farthest_m or soon_m > farthest_m * self._borne(now_s)
 
     def most_lean_m_s2(self, now_s: float) -> float:
-        """How much lean can be levelled off, and by and by how much is borne."""
+        """How much lean (m/s²) can be levelled off; grows with impatience."""
         return self._config.gentle_lean_m_s2 * self._borne(now_s)
 
     def _farthest_aside_m(self, now_s: float) -> float:
@@ -85,5 +85,5 @@ class Tolerance:
         return min(max(setting_m, _FARTHEST_ASIDE_M), setting_m * self.slack_by_now(now_s))
 
     def _borne(self, now_s: float) -> float:
-        """By how much more lean and drift are borne by and by, because they will not get less."""
+        """Factor on the tolerances of lean and drift, which will not get less by waiting."""
         return 1.0 + _BORNE_PER_TIME * max(0.0, self.impatience(now_s) - _PATIENT_TIMES)

@@ -1,13 +1,12 @@
-"""The last third of a metre: wait for the moment, sink at a constant speed, rise again, stand.
+"""The last third of a metre: wait, sink at a constant speed, rise again, stand.
 
 Heights count from the vehicle's reference point: with the feet on the pad it is leg_height over it.
-References count from the pad, relative quantities are pad minus vehicle; NED axes, m and s. Which of the four
-it does is the table's to say.
+Relative to the pad, NED axes, m and s. The mission's table decides which of the four.
 
-Why a moment is gentle when the pad's acceleration is small: the vehicle follows an acceleration with a lag
-(about 0.2 s), so that its speed relative to the pad is off by acceleration x lag, whatever the pad's speed.
-On the last way down the speed counts, not the height: what was lost while the pad fell away is not made up
-for, since that would be a faster contact. Sinking too fast all the same, the vehicle rises and waits again.
+Contact is soft while the pad's acceleration is small: the vehicle follows an acceleration with a lag (about
+0.2 s), so its speed relative to the pad is off by acceleration x lag, whatever the pad's speed. During the
+sink the speed counts, not the height: what was lost while the pad fell away is not made up for, since that
+would be a faster contact. If it sinks too fast all the same, the vehicle rises and waits again.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, 
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 
-# The reference gives way to the vehicle's height with this time constant, in its cycles of planning.
+# Time constant with which the reference's height follows the vehicle's.
 _GIVE_WAY_S = 0.3
 _LONGEST_CYCLE_S = 0.1
 _TOO_FAST_S = 0.1
-# The lean is smoothed so; the attitude needs about so long to follow, and the contact comes that much off its
-# time: level from so long before it is due, for so long.
+# Low-pass of the lean; and the window of level attitude about the contact: the attitude takes about 0.3 s to
+# follow, and the contact comes early or late by some tenths.
 _LEAN_S = 0.25
 _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
@@ -45,15 +44,19 @@ class TouchdownSequence:
     """
 
     def __init__(
-        self, config: TouchdownConfig, vehicle: VehicleConfig, wait_height_m: float, guide: Guide
+        self,
+        config: TouchdownConfig,
+        vehicle: VehicleConfig,
+        wait_height_m: float,
+        generator: ReferenceGenerator,
     ) -> None:
-        self._config, self._vehicle, self._guide = config, vehicle, guide
+        self._config, self._vehicle, self._generator = config, vehicle, generator
         self._wait_height_m = vehicle.leg_height_m + wait_height_m
         self._standing = Standing(config, vehicle)
         self.begin(0.0, slack=1.0)
 
     def begin(self, now_s: float, slack: float) -> None:
-        """Start waiting for the moment; `slack` widens what counts as aligned."""
+        """Start a try; `slack` widens its tolerances."""
         self._since_s = self._sunk_s = self._contact_due_s = now_s
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
@@ -84,7 +87,7 @@ class TouchdownSequence:
         if state in {State.STAND, State.AUTO_LAND}:
             return self._stand(sight, inputs, now_s)
         event = self._wait(sight, now_s)
-        if event is None and state is State.RISE and not self._guide.rising(now_s):
+        if event is None and state is State.RISE and not self._generator.rising(now_s):
             return MissionEvent.RISEN, "on the way back up"
         return event
 
@@ -115,15 +118,15 @@ class TouchdownSequence:
     def _wait(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
         c, tolerance = self._config, self._tolerance
         waited_s = now_s - self._since_s
-        self._guide.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
+        self._generator.fly_to(Motion((0.0, 0.0, -self._wait_height_m)), now_s)
         if sight is None or sight.age_s > c.blind_s:
-            return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above it"
+            return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s just above the pad"
         ready = (
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
             and math.hypot(*self._lean_m_s2) <= tolerance.most_lean_m_s2(now_s)
-            and self._guide.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
+            and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
         if waited_s >= c.giving_up_s:
             return (
@@ -131,7 +134,7 @@ class TouchdownSequence:
                 f"no moment to land in {waited_s:.0f} s, {100.0 * sight.lateral_m:.0f} cm aside at last",
             )
         if self._settled.held_s(ready, now_s) >= c.settled_s:
-            return MissionEvent.COMMIT, "going down"
+            return MissionEvent.COMMIT, "committed to land: sinking"
         return None
 
     def _way_down_s(self) -> float:
@@ -145,8 +148,8 @@ class TouchdownSequence:
     def _commit(self, now_s: float) -> None:
         c = self._config
         self._sunk_s = now_s
-        blended_m = self._guide.sink(c.contact_speed_m_s, c.blend_s, now_s)
-        left_m = self._guide.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
+        blended_m = self._generator.sink(c.contact_speed_m_s, c.blend_s, now_s)
+        left_m = self._generator.at(now_s).position_m[2] + blended_m + self._vehicle.leg_height_m
         self._contact_due_s = now_s + c.blend_s + max(0.0, -left_m) / c.contact_speed_m_s
 
     def _sink(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
@@ -159,9 +162,9 @@ class TouchdownSequence:
     def _go_down(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
         c = self._config
         if sight is None or sight.age_s > c.blind_s:
-            return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s on the last way down"
+            return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s while sinking"
         if now_s > self._contact_due_s + c.overdue_s:
-            self._guide.rise(now_s)
+            self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
         # with the feet nearly down, climbing away would drag them over the pad
         high = sight.height_m > self._vehicle.leg_height_m + 2.0 * c.contact_margin_m
@@ -171,17 +174,17 @@ class TouchdownSequence:
         if wrong and self._has_room(sight):
             return MissionEvent.BREAK_OFF, wrong
         if high and sight.age_s <= FRESH_S and self._escapes(sight):
-            # without room for it: a foot that touches on the way up is better than one beside a small pad
-            self._guide.rise(now_s)
-            return MissionEvent.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside on the last way down"
+            # even without room: a foot that touches on the way up is better than one beside a small pad
+            self._generator.rise(now_s)
+            return MissionEvent.MISALIGNED, f"{100.0 * sight.lateral_m:.0f} cm aside while sinking"
         return None
 
     def _signs(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> ContactSigns:
-        # one that leans far aside is on its way back, or will escape: it is not about to stand
+        # far aside it leans because it flies back or escapes: it is not about to stand
         far_aside = sight is not None and self._escapes(sight)
         return contact_signs(
             sight,
-            self._guide.at(now_s),
+            self._generator.at(now_s),
             inputs.range,
             inputs.autopilot.landed,
             now_s,
@@ -195,7 +198,7 @@ class TouchdownSequence:
         return sight.lateral_m > self._config.escape_lateral_m * self._tolerance.slack
 
     def _wrong(self, sight: PadState, now_s: float) -> str:
-        """Why this will not be a soft landing on the mark; "" while it may be."""
+        """Why this landing would be hard or off the mark; "" while it is fine."""
         fresh = sight.age_s <= FRESH_S
         fast = fresh and sight.sink_m_s > self._config.fastest_contact_m_s
         if self._too_fast.held_s(fast, now_s) >= _TOO_FAST_S:
@@ -223,15 +226,15 @@ class TouchdownSequence:
             self._level_from_s = now_s
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
-        """Let the reference's height drift to the vehicle's; not near the pad, where it may stand."""
+        """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""
         share = min(_LONGEST_CYCLE_S, now_s - self._sunk_s) / _GIVE_WAY_S
         self._sunk_s = now_s
         if sight is not None and sight.age_s <= FRESH_S:
-            self._guide.shift_down(share * (-sight.height_m - self._guide.at(now_s).position_m[2]))
+            self._generator.shift_down(share * (-sight.height_m - self._generator.at(now_s).position_m[2]))
 
     def _break_off(self, now_s: float) -> None:
         """Rise at once; waiting goes on from the reference's own state."""
-        self._guide.rise(now_s)
+        self._generator.rise(now_s)
         self._level_due_s = self._level_from_s = None
         self._settled, self._too_fast, self._far_aside = Debounce(), Debounce(), Debounce()
 
@@ -240,9 +243,9 @@ class TouchdownSequence:
     def _stand(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         self._stay_down(now_s)
         if sight is not None and self._standing.off_pad(sight, now_s):
-            self._guide.start("pad", sight.vehicle_from_pad, now_s)
-            return MissionEvent.OFF_PAD, "the pad is seen well below"
+            self._generator.start("pad", sight.vehicle_from_pad, now_s)
+            return MissionEvent.OFF_PAD, "the pad is well below the feet"
         return self._standing.step(sight, inputs, now_s)
 
     def _stay_down(self, now_s: float) -> None:
-        self._guide.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)
+        self._generator.start("pad", Motion((0.0, 0.0, -self._vehicle.leg_height_m)), now_s)

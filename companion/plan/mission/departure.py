@@ -1,7 +1,7 @@
 """From the ground to the waypoint: the part that the autopilot flies itself.
 
-What is asked of it is in its own terms, latitude, longitude and height over its home, since its estimate
-is not ours; whether the vehicle has arrived is judged by our own. Metres, seconds, degrees.
+Requests use latitude, longitude and height over home, since the autopilot's estimate is not ours; our own
+estimate decides whether the vehicle has arrived. Metres, seconds, degrees.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge, vehicle_motion
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
-from companion.plan.obstacles.surroundings import Say, Surroundings
+from companion.plan.notices import NoticeSink
+from companion.plan.obstacles.obstacle_monitor import ObstacleMonitor
 from companion.plan.trajectory.waypoints import Waypoints
 
 _REMIND_S = 10.0
@@ -37,11 +38,11 @@ class Departure:
         pad: PadKnowledge,
         ground: Ground,
         waypoints: Waypoints,
-        surroundings: Surroundings,
-        say: Say,
+        obstacle_monitor: ObstacleMonitor,
+        say: NoticeSink,
     ) -> None:
         self._config, self._pad, self._ground = config, pad, ground
-        self._waypoints, self._surroundings, self._say = waypoints, surroundings, say
+        self._waypoints, self._obstacle_monitor, self._say = waypoints, obstacle_monitor, say
         self._settled = Debounce()
         self._reminded_s = -math.inf
         self._waypoint: tuple[Vector3, Vector3, Vector3] | None = None
@@ -66,8 +67,8 @@ class Departure:
             return self._connect(vehicle, autopilot, now_s)
         if state is State.ARM:
             if vehicle is None or not vehicle.aligned:
-                return MissionEvent.ALIGNMENT_LOST, "before the autopilot would arm"
-            return (MissionEvent.ARMED, "motors turn") if autopilot.armed else None
+                return MissionEvent.ALIGNMENT_LOST, "before the autopilot armed"
+            return (MissionEvent.ARMED, "motors on") if autopilot.armed else None
         if state is State.TAKE_OFF:
             return self._take_off(vehicle, autopilot, now_s)
         if self._pad.steady(now_s):
@@ -78,10 +79,10 @@ class Departure:
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
     ) -> DetectedEvent | None:
         if autopilot.connected and autopilot.armed:
-            return MissionEvent.ALREADY_ARMED, "not by us"
+            return MissionEvent.ALREADY_ARMED, "not by this app"
         missing = [text for text, there in _needs(vehicle, autopilot) if not there]
         if not missing:
-            return MissionEvent.READY, "the autopilot may be armed"
+            return MissionEvent.READY, "ready to arm"
         if now_s - self._reminded_s >= _REMIND_S:
             self._reminded_s = now_s
             self._say("waiting", f"waiting for {', '.join(missing)}", now_s, "info")
@@ -98,18 +99,20 @@ class Departure:
         settled = self._settled.held_s(calm, now_s) >= _SETTLED_S
         if height_m < wanted_m - min(_NEARLY_UP_M, 0.1 * wanted_m) and not settled:
             return None
-        if vehicle is None or self._surroundings.lost:
+        if vehicle is None or self._obstacle_monitor.lost:
             return (
                 MissionEvent.HOME_UNKNOWN,
-                "no estimate at the take-off: where the obstacles are is not known",
+                "no estimate at take-off: position of the obstacles unknown",
             )
-        if not self._surroundings.straight_clear(vehicle.position_ned_m, self._waypoints.first_from_home_m):
-            return MissionEvent.BLOCKED, "obstacles on the straight way to the waypoint: flown round"
+        if not self._obstacle_monitor.straight_clear(
+            vehicle.position_ned_m, self._waypoints.first_from_home_m
+        ):
+            return MissionEvent.BLOCKED, "obstacles on the straight path to the waypoint: flying round them"
         return MissionEvent.AIRBORNE, f"{height_m:.1f} m up"
 
     def _at_first(self, vehicle: VehicleState | None) -> DetectedEvent | None:
         """Whether the autopilot has come to the first of several waypoints, which all count alike."""
-        home_ned_m = self._surroundings.home_ned_m
+        home_ned_m = self._obstacle_monitor.home_ned_m
         if vehicle is None or home_ned_m is None:
             return None
         return self._waypoints.at_first(vehicle_motion(vehicle, vehicle.time_s), home_ned_m)
@@ -141,7 +144,7 @@ def _needs(vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tup
         ("the autopilot", autopilot.connected),
         ("its home position", autopilot.home is not None),
         ("it to be ready to arm", autopilot.ready_to_arm),
-        ("its filter to know where it is", autopilot.ekf_ready is not False),
+        ("its estimate of position", autopilot.ekf_ready is not False),
         ("our own alignment", vehicle is not None and vehicle.aligned),
         ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
     )

@@ -1,4 +1,4 @@
-"""The failsafes: what can befall a mission in any state. What follows from it stands in the table.
+"""The failsafe monitor: detects what may happen in any state. The table says what follows.
 
 Control is ours from the moment the autopilot granted it and says that it obeys setpoints. When it then
 leaves that mode and we did not ask for it, a pilot (or a failsafe of the autopilot) has taken over, and
@@ -18,7 +18,7 @@ from companion.plan.mission.states import Authority, DetectedEvent, MissionEvent
 from companion.plan.mission.table import FINAL, ON_GROUND
 
 _STALE_ESTIMATE_S = 0.5
-# The modes that we never ask for while we fly, by the autopilots' own names without their prefixes.
+# Modes that we never request in flight, by the autopilots' names without their prefixes.
 _PILOT_MODES: Final[dict[Manner, frozenset[str]]] = {
     "px4": frozenset(
         {"MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED", "RATTITUDE", "RTL", "RTGS", "LAND", "POSITION"}
@@ -62,20 +62,20 @@ class FailsafeMonitor:
             return ()
         heard = autopilot.connected
         signs = (
-            (obeyed, MissionEvent.CONTROL_GRANTED, "setpoints are obeyed"),
+            (obeyed, MissionEvent.CONTROL_GRANTED, "the autopilot follows setpoints"),
             (heard and not autopilot.armed, MissionEvent.DISARMED, "motors off"),
             (
                 heard and taken_over,
                 MissionEvent.PILOT_TOOK_OVER,
-                f"mode {autopilot.mode or 'unknown'} was not asked for",
+                f"mode {autopilot.mode or 'unknown'} was not requested",
             ),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (not heard, MissionEvent.LINK_LOST, "nothing heard from the autopilot"),
+            (not heard, MissionEvent.LINK_LOST, "no heartbeat from the autopilot"),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._estimate(inputs.vehicle, now_s), *self._time(now_s)]
         if heard:
-            found.append((MissionEvent.LINK_UP, "the autopilot is heard again"))
+            found.append((MissionEvent.LINK_UP, "heartbeat again"))
         return tuple(found)
 
     def _taken_over(self, autopilot: AutopilotState, obeyed: bool) -> bool:
@@ -84,7 +84,7 @@ class FailsafeMonitor:
         entered = in_pilots_mode and not self._in_pilots_mode
         self._in_pilots_mode = in_pilots_mode
         if self._machine.authority is Authority.RELEASED or self._machine.state is State.AUTO_LAND:
-            # on the pad we have asked for LAND ourselves; any other mode is somebody's choice
+            # LAND may be our own request; any other mode is a pilot's
             return entered and not autopilot.mode.upper().endswith("LAND")
         if self._machine.authority is Authority.OURS:
             return not autopilot.offboard
@@ -92,9 +92,9 @@ class FailsafeMonitor:
 
     def _estimate(self, vehicle: VehicleState | None, now_s: float) -> Iterator[DetectedEvent]:
         if vehicle is None or not vehicle.aligned or now_s - vehicle.time_s > _STALE_ESTIMATE_S:
-            yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of our own"
+            yield MissionEvent.ESTIMATE_LOST, "no fresh estimate of the vehicle"
         elif not vehicle.velocity_std_m_s <= self._config.largest_speed_std_m_s:
-            yield MissionEvent.VELOCITY_UNKNOWN, f"our velocity is off by {vehicle.velocity_std_m_s:.1f} m/s"
+            yield MissionEvent.VELOCITY_UNKNOWN, f"standard deviation {vehicle.velocity_std_m_s:.1f} m/s"
 
     def _time(self, now_s: float) -> Iterator[DetectedEvent]:
         assert self._phase_since_s is not None

@@ -1,4 +1,4 @@
-"""What the planner is told every cycle."""
+"""The planner's inputs of a cycle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the planner has asked of the autopilot and not yet got: spacing, retries and giving up.
+"""The open requests to the autopilot: spacing, retries and giving up.
 
 An action is sent once, again `retry_s` after a refusal or `answer_s` after silence, and `attempts` times
 at most. Arming alone is asked for until its phase ends by time: an autopilot that cannot yet arm is waited

@@ -29,7 +29,7 @@ class State(StrEnum):
     SINK = "sink"  # committed: down at a constant speed
     RISE = "rise"  # broken off: back up to where it waits
     STAND = "stand"  # the feet are on the pad
-    AUTO_LAND = "auto_land"  # on the pad, and the autopilot's LAND mode is to find that out
+    AUTO_LAND = "auto_land"  # on the pad in the autopilot's LAND mode, until it detects the landing
     LANDED = "landed"
     HOLD = "hold"
     AWAIT_LINK = "await_link"  # a hold that ends when the autopilot is heard again
@@ -69,12 +69,12 @@ class MissionEvent(StrEnum):
     RISEN = "risen"  # climbing after a break-off
     CONTACT = "contact"  # several signs say that the feet stand on the pad
     LANDING_DETECTED = "landing_detected"  # by the autopilot
-    AT_REST = "at_rest"  # shown to stand on the pad for long enough to need no such word
+    AT_REST = "at_rest"  # shown to rest on the pad, without the autopilot's word
     UNPROVEN = "unproven"  # neither, and nothing shows the feet down
-    OFF_PAD = "off_pad"  # the pad is seen well below after all
+    OFF_PAD = "off_pad"  # the pad is well below the feet again
     PAD_LOST = "pad_lost"
-    GROUND_NEAR = "ground_near"  # far nearer than the pad is believed to be: that belief is wrong
-    MISALIGNED = "misaligned"  # touchdown cannot be had from here: climb and try again
+    GROUND_NEAR = "ground_near"  # echoes far nearer than the pad's estimate: the estimate is wrong
+    MISALIGNED = "misaligned"  # no touchdown from here: climb and try again
     REFUSED = "refused"  # an action, as often as it may be asked
     TIMEOUT = "timeout"  # of the phase
     OVERTIME = "overtime"  # of the whole mission, from take-off
@@ -96,7 +96,7 @@ class Authority(StrEnum):
 
     NONE = "none"  # the autopilot flies by itself; control was not granted yet
     OURS = "ours"  # our setpoints are obeyed
-    RELEASED = "released"  # returned to the autopilot, or taken by a pilot, for good
+    RELEASED = "released"  # returned to the autopilot or taken by a pilot, for good
 
 
 class Guard(StrEnum):

@@ -40,7 +40,7 @@ TOUCHDOWN: Final = OVER_PAD | COMMITTED
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
-# what may be detected in any state: a row or a reason against it for each
+# what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP),
     *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.OVERTIME, E.TIMEOUT),
@@ -49,7 +49,7 @@ ANYWHERE: Final = (
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
 _TAKE_CONTROL, _HOLD = Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD)
 _LAND, _DISARM = Action(ActionKind.LAND), Action(ActionKind.DISARM)
-# In the air it drops the vehicle: only for one that is shown to stand.
+# In the air it would drop the vehicle: only once the vehicle is shown to stand.
 _FORCE_DISARM = Action(ActionKind.DISARM, force=True)
 
 
@@ -72,15 +72,15 @@ def _all(states: Iterable[State], reason: str) -> dict[State, str]:
 
 
 _GIVE_UP: Final = _end()
-_GONE: Final = Branch(S.ABORT, (), Authority.RELEASED, (Effect.STOP_SETPOINTS,))
-# Control goes back to the autopilot; one that stands would lift off again to hold a position.
-_HAND_BACK: Final = (_end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
-_RESEARCH: Final = Branch(S.SEARCH, effects=(Effect.ASK_PAD_POSITION,))
+_CONTROL_LOST: Final = Branch(S.ABORT, (), Authority.RELEASED, (Effect.STOP_SETPOINTS,))
+# Control returns to the autopilot. A vehicle that stands would lift off to hold a position: it lands.
+_RETURN_CONTROL: Final = (_end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
+_SEARCH_AGAIN: Final = Branch(S.SEARCH, effects=(Effect.ASK_PAD_POSITION,))
 _NEXT_TRY: Final = (
     Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),
     Branch(S.HOLD, effects=(Effect.COUNT_TRY,)),
 )
-# LAND was asked for already: a try that begins then is no longer ours
+# LAND is active by then: the next try flies without control
 _NEXT_TRY_RELEASED: Final = tuple(replace(branch, authority=Authority.RELEASED) for branch in _NEXT_TRY)
 IMPOSSIBLE: Final = (
     Branch(S.HOLD, (_LAND,), Authority.RELEASED, guard=Guard.ON_SURFACE),
@@ -89,14 +89,15 @@ IMPOSSIBLE: Final = (
 
 _NOT_YET = "on the ground, before take-off"
 _FLIES_ITSELF = "the autopilot navigates"
-_FINISHES = "committed: to finish is gentler than to break off"
+_FINISHES = "committed: finishing is gentler than breaking off"
 _STANDS = "it stands on the pad"
+_NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
 
 ROWS: Final = (
     # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
     _row(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
-    # after a restart in the air too: whoever flies it, or lands it next, asked for no take-off
-    _row(E.ALREADY_ARMED, S.CONNECT, _GONE),
+    # also after a restart in the air: somebody else flies the vehicle
+    _row(E.ALREADY_ARMED, S.CONNECT, _CONTROL_LOST),
     _row(E.ALIGNMENT_LOST, S.ARM, _end(_DISARM)),
     _row(E.ARMED, S.ARM, Branch(S.TAKE_OFF, (_TAKE_OFF,))),
     _row(E.AIRBORNE, S.TAKE_OFF, Branch(S.WAYPOINT, (_GO_TO,))),
@@ -116,17 +117,17 @@ ROWS: Final = (
     _row(E.PAD_SEEN, S.SEARCH, Branch(S.APPROACH)),
     _row(E.CENTRED, S.APPROACH, Branch(S.DESCEND)),
     _row(E.LOW, S.DESCEND, Branch(S.WAIT)),
-    _row(E.PAD_LOST, {S.APPROACH, S.DESCEND}, _RESEARCH),
+    _row(E.PAD_LOST, {S.APPROACH, S.DESCEND}, _SEARCH_AGAIN),
     _row(E.PAD_LOST, OVER_PAD | {S.SINK}, *_NEXT_TRY),
-    _row(E.GROUND_NEAR, {S.APPROACH, S.DESCEND} | OVER_PAD, _RESEARCH),
+    _row(E.GROUND_NEAR, {S.APPROACH, S.DESCEND} | OVER_PAD, _SEARCH_AGAIN),
     # ---- onto the pad
     _row(E.COMMIT, OVER_PAD, Branch(S.SINK)),
     _row(E.BREAK_OFF, S.SINK, Branch(S.RISE)),
     _row(E.RISEN, S.RISE, Branch(S.WAIT)),
     _row(E.MISALIGNED, OVER_PAD | {S.SINK}, *_NEXT_TRY),
     _row(E.CONTACT, S.SINK, Branch(S.STAND)),
-    # PX4 takes nothing for landed that rides along with a pad, and its LAND mode brakes against the pad: it
-    # leans until it tips over. So LAND is asked for only where nothing shows the feet down.
+    # PX4 detects no landing on a moving pad, and its LAND mode brakes against the pad: the vehicle leans
+    # until it tips over. So LAND is requested only where nothing shows the feet down.
     _row(E.LANDING_DETECTED, ON_PAD, Branch(None, (_DISARM,))),
     _row(E.AT_REST, ON_PAD, Branch(None, (_FORCE_DISARM,))),
     _row(
@@ -138,31 +139,31 @@ ROWS: Final = (
     _row(E.OFF_PAD, S.STAND, *_NEXT_TRY),
     _row(E.OFF_PAD, S.AUTO_LAND, *_NEXT_TRY_RELEASED),
     # ---- refused as often as it may be asked
-    # if only the answer was lost it may be climbing: landing is right in the air and on the ground, where
-    # the disarming, refused in the air, ends it at once
+    # if only the answer was lost it may be climbing: LAND is right in the air and on the ground; the DISARM,
+    # refused in the air, ends it at once on the ground
     _row(E.REFUSED, S.TAKE_OFF, _end(_LAND, _DISARM)),
-    # not allowed to go: look from here, the beacon may lead on
+    # not allowed to go: search from here, by the beacon
     _row(E.REFUSED, S.WAYPOINT, Branch(S.SEARCH)),
-    _row(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_HAND_BACK),
+    _row(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_RETURN_CONTROL),
     _row(E.REFUSED, TOUCHDOWN, _end(_LAND)),
     # ---- the time of a phase
     _row(E.TIMEOUT, S.CONNECT, _GIVE_UP),
     _row(E.TIMEOUT, S.ARM, _end(_DISARM)),
     _row(E.TIMEOUT, S.TAKE_OFF, _end(_LAND)),
     _row(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
-    _row(E.TIMEOUT, S.APPROACH, _RESEARCH),
+    _row(E.TIMEOUT, S.APPROACH, _SEARCH_AGAIN),
     _row(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
-    _row(E.TIMEOUT, HOLDING | (TOUCHDOWN - {S.AUTO_LAND}) | {S.SEARCH}, *_HAND_BACK),
+    _row(E.TIMEOUT, HOLDING | (TOUCHDOWN - {S.AUTO_LAND}) | {S.SEARCH}, *_RETURN_CONTROL),
     _row(E.TIMEOUT, S.AUTO_LAND, _GIVE_UP),
     # ---- anywhere
-    _row(E.OVERTIME, IN_AIR - {S.AUTO_LAND}, *_HAND_BACK, except_=_all(ON_GROUND, _NOT_YET)),
+    _row(E.OVERTIME, IN_AIR - {S.AUTO_LAND}, *_RETURN_CONTROL, except_=_all(ON_GROUND, _NOT_YET)),
     _row(E.OVERTIME, S.AUTO_LAND, _GIVE_UP),
     _row(E.STOP, S.CONNECT, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),
-    _row(E.STOP, IN_AIR, *_HAND_BACK, except_={S.SINK: _FINISHES, **_all(ON_PAD, _STANDS)}),
-    _row(E.PILOT_TOOK_OVER, LIVE, _GONE, except_={S.CONNECT: "nothing asked yet; armed ends it in any mode"}),
-    _row(E.DISARMED, IN_AIR - ON_PAD, _GONE, except_=_all(ON_GROUND, _NOT_YET)),
-    _row(E.DISARMED, ON_PAD, replace(_GONE, to=S.LANDED)),
+    _row(E.STOP, IN_AIR, *_RETURN_CONTROL, except_={S.SINK: _FINISHES, **_all(ON_PAD, _STANDS)}),
+    _row(E.PILOT_TOOK_OVER, LIVE, _CONTROL_LOST, except_={S.CONNECT: _NOTHING_ASKED}),
+    _row(E.DISARMED, IN_AIR - ON_PAD, _CONTROL_LOST, except_=_all(ON_GROUND, _NOT_YET)),
+    _row(E.DISARMED, ON_PAD, replace(_CONTROL_LOST, to=S.LANDED)),
     _row(
         E.LINK_LOST,
         IN_AIR,
@@ -182,7 +183,7 @@ ROWS: Final = (
     _row(
         E.ESTIMATE_LOST,
         IN_AIR,
-        *_HAND_BACK,
+        *_RETURN_CONTROL,
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(BY_AUTOPILOT, _FLIES_ITSELF),
@@ -192,7 +193,7 @@ ROWS: Final = (
     _row(
         E.VELOCITY_UNKNOWN,
         IN_AIR,
-        *_HAND_BACK,
+        *_RETURN_CONTROL,
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(BY_AUTOPILOT, _FLIES_ITSELF),

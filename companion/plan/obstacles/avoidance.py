@@ -1,12 +1,12 @@
-"""Keeping clear of obstacles: each planned way is looked at along its whole course, and led round if need be.
+"""Obstacle avoidance: each planned trajectory is checked over its whole length, and replaced if need be.
 
-The guide plans as if there were none. What it planned is taken when it keeps the margin, to its end and for
-as long after as a stop would take. If not, the way leads round or over them, by the shortest route: smoothly
-if that keeps the margin, else with halts at its corners. If there is no way the vehicle brakes and holds, and
-`blocked` says so; over a pad that is too near to an obstacle it goes along higher up instead (`waiting`).
-Obstacles stand still and a pad moves among them: all is judged in space, the pad's motion led on along its
-arc, and given back in the guide's own frame. Space is the EKF's NED, m and s; obstacles count from home,
-which is not the EKF's origin, so that what is surveyed does not move with an estimate.
+The reference generator plans as if there were no obstacles. Its trajectory is flown when it keeps the margin,
+to its end and for as long after as a stop takes. If not, a detour goes round or over them by the shortest
+route: smooth if that keeps the margin, else with halts at its corners. Without any detour the vehicle brakes
+and holds (`blocked`); over a pad that is too near to an obstacle it follows higher up (`waiting`). Obstacles
+stand still and the pad moves: clearance is checked in the EKF's NED, with the pad predicted along its arc,
+and the result is returned in the reference's frame. Obstacles count from home, which is not the EKF's
+origin, so that what was surveyed does not move with an estimate. m, s.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from companion.plan.obstacles.obstacles import (
     way_cost,
 )
 from companion.plan.trajectory.course import Course, Way, halting, paced
-from companion.plan.trajectory.frames import STILL, away, led, seen
+from companion.plan.trajectory.frames import STILL, in_space, predicted_places, space_seen_from
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried
 
-# Corners are passed this much farther out first, so that a smooth curve has room to swing.
+# Corners are first passed with this much spare room, so that a smooth curve fits.
 _SPARES_M: Final = (0.5, 0.25, 0.05)
-# Looking for a way round takes a while: not in every cycle.
+# Planning a detour is expensive: not in every cycle.
 _THINK_AGAIN_S: Final = 0.2
 _THINK_AGAIN_SHARE: Final = 0.1
 _LONGEST_LEAD_S: Final = 4.0
 _NEAR_M: Final = 1.0
-# From a way round one goes over to a straight one that is not so much later there.
+# A detour is left for a straight trajectory that arrives no later than this.
 _LATER_S: Final = 2.0
-# More room is worth so much more of a way; another side has to be so much shorter.
+# Spare room may lengthen a detour by this factor; the other side must be shorter by that one.
 _WORTH_ROOM: Final = 1.1
 _WORTH_TURNING: Final = 1.3
 _WORTH_M: Final = 1.0
 _CHECK_STEP_S: Final = 0.1
-# Of a longer way what comes later is looked at in as many steps again, and closely when it has come near.
+# The far part of a longer trajectory is checked in as many coarse steps, and closely once it is near.
 _MOST_CHECKS: Final = 300
-# A way round that was begun is kept while its end is so near to where the target will be.
+# A detour is kept while its end is this near to where the target will be.
 _SAME_END_M: Final = 0.3
 _SAME_END_M_S: Final = 0.3
 _SAME_PLACE_M: Final = 1e-3
-# Where the gentle stop would come too near, harder ones are tried (m/s²); the last is taken anyway.
+# Where the gentle stop comes too near, harder ones are tried (m/s²); the last is taken anyway.
 _HARD_STOPS_M_S2: Final = (3.0, 4.5)
 _SLACK_M: Final = 0.01
 _EXTRA_S: Final = 0.5
@@ -63,7 +63,7 @@ _ABOVE_M: Final = 0.1
 
 
 class Avoidance:
-    """The obstacles, and the way round them that is being flown. Without obstacles nothing changes."""
+    """The obstacles and the detour that is flown. Without obstacles it changes nothing."""
 
     def __init__(self, config: PlanConfig, vehicle_radius_m: float) -> None:
         self._obstacles = tuple(Obstacle.of(shape) for shape in config.obstacles)
@@ -81,17 +81,17 @@ class Avoidance:
 
     @property
     def any(self) -> bool:
-        """Whether there is anything to avoid."""
+        """Whether there are obstacles."""
         return bool(self._obstacles)
 
     @property
     def needed(self) -> bool:
-        """Whether there is anything to avoid, and it is known where."""
+        """Whether there are obstacles, and home is known."""
         return self.any and self._home_ned_m is not None
 
     @property
     def detouring(self) -> bool:
-        """Whether the way leads round something."""
+        """Whether a detour is flown."""
         return self._detour is not None
 
     def home_at(self, home_ned_m: Vector3) -> None:
@@ -99,11 +99,11 @@ class Avoidance:
         self._home_ned_m = home_ned_m
 
     def see_from(self, frame: Motion) -> None:
-        """Where the guide's frame is now in space and how it moves; at rest at its origin for the EKF's."""
+        """Set how the reference's frame moves in the EKF's NED; `STILL` for the EKF's NED itself."""
         self._frame = frame
 
     def forget(self) -> None:
-        """Another reference begins: no detour of the last one goes on."""
+        """Drop the detour: a new reference begins."""
         self._detour, self._next_s, self._corners = None, -math.inf, []
         self.blocked = self.waiting = False
 
@@ -116,7 +116,7 @@ class Avoidance:
         level: bool = False,
         may_wait: bool = False,
     ) -> Way:
-        """What to fly instead of a direct way to a target that moves on, all in the guide's frame.
+        """What to fly instead of a direct trajectory to a moving target, all in the reference's frame.
 
         Args:
             direct: what was planned, from the reference's state now.
@@ -142,7 +142,7 @@ class Avoidance:
             if self.waiting:
                 found = self._over(start, target, now_s)
             kept = found or (kept if _under_way(kept, now_s) else None)
-            if kept is not None:  # what takes long can be thought over less often
+            if kept is not None:  # what takes long is planned less often
                 self._next_s = now_s + max(_THINK_AGAIN_S, _THINK_AGAIN_SHARE * (kept.end_s - now_s))
         self._detour, self.blocked = kept, kept is None
         self.waiting &= not self.blocked
@@ -162,7 +162,7 @@ class Avoidance:
         return None
 
     def brake(self, start: Motion, now_s: float) -> Trajectory:
-        """Come to rest in the guide's frame, as gently as that keeps clear."""
+        """Come to rest in the reference's frame, as gently as that keeps clear."""
         return self._braked(start, self._frame, now_s)
 
     def straight_clear(self, start: Vector3, goal: Vector3) -> bool:
@@ -174,11 +174,11 @@ class Avoidance:
         return line_clear(subtract(start, home), subtract(goal, home), self._obstacles, self._margin_m)
 
     def free_for(self, place: Vector3, duration_s: float) -> bool:
-        """Whether a place in the guide's frame, going with it, stays clear for so long."""
+        """Whether a place in the reference's frame, going with it, stays clear for so long."""
         if not self.needed:
             return True
         times_s = np.arange(0.0, duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
-        points = np.array(place) + led(self._frame, times_s)
+        points = np.array(place) + predicted_places(self._frame, times_s)
         return bool(np.min(self._clearance_m(points)) >= self._margin_m)
 
     def still_clear(self, way: Way, now_s: float) -> bool:
@@ -192,7 +192,7 @@ class Avoidance:
 
     def _keeps_clear(self, way: Way, now_s: float, frame: Motion = STILL) -> bool:
         """Whether a way in a frame keeps the margin to its stop; from within it, never nearer than it got."""
-        last = seen(way.at(way.end_s), frame)
+        last = in_space(way.at(way.end_s), frame)
         after_s = _EXTRA_S + self._stop_s(norm(last.velocity_m_s))
         whole_s = max(_CHECK_STEP_S, way.end_s - now_s) + after_s
         close_s = min(whole_s, _MOST_CHECKS * _CHECK_STEP_S)
@@ -213,8 +213,8 @@ class Avoidance:
     # ------------------------------------------------------------ finding a way
 
     def _round(self, start: Motion, target: Motion, now_s: float, level: bool) -> Course | None:
-        """A way round or over, in the guide's frame."""
-        start, target = seen(start, self._frame), seen(target, self._frame)
+        """A way round or over, in the reference's frame."""
+        start, target = in_space(start, self._frame), in_space(target, self._frame)
         met = target.position_m
         for _ in range(2):  # where the target is met depends on the way there
             ways = self._ways(start.position_m, met, now_s, level)
@@ -222,7 +222,7 @@ class Avoidance:
                 return None
             time_s = paced(start, ways[0], target, now_s, self._limits).duration_s
             if time_s > _LONGEST_LEAD_S and self._frame is STILL:
-                # that it goes on as it does is known for a while only
+                # its motion can be predicted for a while only
                 target = Motion(add(target.position_m, scale(target.velocity_m_s, _LONGEST_LEAD_S)))
                 met, time_s = target.position_m, 0.0
             met = add(target.position_m, scale(target.velocity_m_s, time_s))
@@ -231,7 +231,7 @@ class Avoidance:
                 found = pace(start, via, target, now_s, self._limits)
                 if self._keeps_clear(found, now_s):
                     self._corners = [(leg.end_s, c) for leg, c in zip(found.legs, via, strict=False)]
-                    return found.carried(away(self._frame), now_s)
+                    return found.carried(space_seen_from(self._frame), now_s)
         return None
 
     def _ways(self, here: Vector3, there: Vector3, now_s: float, level: bool) -> list[list[Vector3]]:
@@ -273,7 +273,7 @@ class Avoidance:
     def _beside(self, start: Motion, target: Motion, now_s: float) -> Course | None:
         """To the place nearest to over the target that is clear, at the present height: it stays in view."""
         assert self._home_ned_m is not None
-        target = seen(target, self._frame)
+        target = in_space(target, self._frame)
         north, east, _ = add(target.position_m, scale(target.velocity_m_s, _THINK_AGAIN_S))
         down = start.position_m[2] + self._frame.position_m[2]
         over = subtract((north, east, down), self._home_ned_m)
@@ -291,7 +291,7 @@ class Avoidance:
         ceiling = None if level else self._ceiling_down_m
         from_home = [subtract(place, self._home_ned_m) for place in places]
         if spare_m != _SPARES_M[-1] and self._nearer(from_home[0], self._margin_m + spare_m):
-            return None  # it would be led out sideways first, where less room will do
+            return None  # it would go out sideways first, where less room is enough
         via: list[Vector3] = []
         for here, there in pairwise(from_home):
             margin_m = self._margin_m + spare_m
@@ -305,12 +305,12 @@ class Avoidance:
         return bool(clearance_m(np.array([from_home]), self._obstacles)[0] < margin_m)
 
     def _stop(self, start: Motion, now_s: float) -> Trajectory:
-        """Come to rest in space, seen from the guide's frame."""
-        stop = self._braked(seen(start, self._frame), STILL, now_s)
-        return carried(stop, away(self._frame), now_s)
+        """Come to rest in space, seen from the reference's frame."""
+        stop = self._braked(in_space(start, self._frame), STILL, now_s)
+        return carried(stop, space_seen_from(self._frame), now_s)
 
     def _braked(self, start: Motion, frame: Motion, now_s: float) -> Trajectory:
-        """Come to rest in a frame; harder where the gentle stop would come too near."""
+        """Come to rest in a frame; harder where the gentle stop comes too near."""
         stop = brake(start, now_s, self._limits.horizontal_acceleration_m_s2)
         for deceleration in _HARD_STOPS_M_S2:
             if not self.needed or self._keeps_clear(stop, now_s, frame):
@@ -325,7 +325,7 @@ def _places(way: Way, frame: Motion, now_s: float, from_s: float, to_s: float) -
     step_s = (to_s - from_s) / (count - 1)
     points = way.rows(now_s + from_s, count, step_s)[0]
     if frame is not STILL:
-        points += led(frame, from_s + step_s * np.arange(count, dtype=float))
+        points += predicted_places(frame, from_s + step_s * np.arange(count, dtype=float))
     return points
 
 

@@ -1,4 +1,4 @@
-"""The shortest way round or over obstacles that keeps a margin from all of them.
+"""The shortest path round or over obstacles that keeps a margin from all of them.
 
 The way round is the shortest path in the visibility graph (Lozano-Perez and Wesley, 1979) of the octagons
 about the grown shapes; the way over is the same at a height where some are below. Nothing is drawn at random:
@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
 
 from companion.base.geometry import FloatArray, Vector3
 from companion.config import MOST_OBSTACLES
-from companion.plan.obstacles.shapes import Obstacle, Plan, clearance_m, shapes_of
+from companion.plan.obstacles.shapes import HorizontalPoint, Obstacle, clearance_m, shapes_of
 
 __all__ = ["Obstacle", "clearance_m", "line_clear", "nearest_free", "prepare", "route", "way_cost"]
 
@@ -119,7 +119,7 @@ def way_cost(points: Sequence[Vector3]) -> float:
     return sum(math.hypot(math.dist(p[:2], q[:2]), _CLIMB_COST * (q[2] - p[2])) for p, q in pairwise(points))
 
 
-def _sloping(start: Vector3, goal: Vector3, plan: Sequence[Plan]) -> tuple[Vector3, ...]:
+def _sloping(start: Vector3, goal: Vector3, plan: Sequence[HorizontalPoint]) -> tuple[Vector3, ...]:
     """Heights for the points of a plan: evenly from the start's to the goal's along the way."""
     places = [start[:2], *plan, goal[:2]]
     lengths = np.cumsum([0.0, *(math.dist(p, q) for p, q in pairwise(places))])
@@ -198,7 +198,7 @@ class _Graph:
         clear = np.all(self._shapes.along_m(a, b) >= self._grown, axis=1)
         return np.where(clear, np.hypot(b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]), np.inf)
 
-    def shortest(self, start: Plan, goal: Plan) -> tuple[Plan, ...] | None:
+    def shortest(self, start: HorizontalPoint, goal: HorizontalPoint) -> tuple[HorizontalPoint, ...] | None:
         """The corners to go by."""
         n, ends = len(self._corners), np.array([start, goal])
         a = np.concatenate((np.repeat(ends, n, axis=0), ends[:1]))
@@ -228,7 +228,7 @@ def _graph(obstacles: tuple[Obstacle, ...], margin_m: float) -> _Graph:
 
 def _round(
     start: Vector3, goal: Vector3, obstacles: tuple[Obstacle, ...], margin_m: float
-) -> tuple[Plan, ...] | None:
+) -> tuple[HorizontalPoint, ...] | None:
     """The shortest way in the plane, by its corners."""
     if not obstacles:
         return ()

@@ -22,7 +22,7 @@ _CORNERS: Final = 8  # of the polygon about a grown shape
 _HALF_TURN: Final = math.pi / _CORNERS
 _OUTSIDE: Final = 1.0 / math.cos(_HALF_TURN)  # so that its sides touch the round
 
-Plan = tuple[float, float]
+HorizontalPoint = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Obstacle:
         heading = math.radians(shape.heading_deg)
         return cls(north, east, 0.5 * shape.length_m, 0.5 * shape.width_m, heading, 0.0, -shape.height_m)
 
-    def corners(self, margin_m: float) -> list[Plan]:
+    def corners(self, margin_m: float) -> list[HorizontalPoint]:
         """North and east of the octagon whose sides touch the shape grown by a margin."""
         reach = (self.round_m + margin_m) * _OUTSIDE
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)

@@ -1,7 +1,7 @@
-"""What is known of the pad's place: the ground station's beacon, the last sight, or where a search began.
+"""Where the pad is likely to be: by the ground station's beacon, the last sighting, or where a search began.
 
-Each is a `Lead`; the newest counts, and is led along its arc for a while only. The pad's own GPS is off by
-metres, but for long by the same ones: a sight tells by which. EKF's NED, m, s and rad.
+Each is a `Lead`; the newest counts, and is predicted along its arc for a while only. The pad's own GPS is off
+by metres, but its error changes slowly: a sighting shows it. EKF's NED, m, s and rad.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from companion.base.messages import PadBeacon
 from companion.base.motion import Motion
 from companion.config import SearchConfig
 
-# Slower than this a pad has no course to speak of; turning faster than that is noise, or turning back.
+# Slower than this a pad has no course; a faster turn is noise, or turning back.
 _COURSE_M_S = 0.3
 _FASTEST_TURN_RAD_S = 1.0
-# Courses are compared over so long: nearer ones differ by their noise, in longer it may have gone round.
+# Courses are compared over this time: over less they differ by noise, over more it may have circled.
 _TURN_OVER_S = 1.0
 _LONGEST_TURN_OVER_S = 3.0
-# What accelerates more in its turn is not followed all the way: the vehicle has to lean for it as well.
+# A turn that accelerates more is followed in part: the vehicle has to lean for it as well.
 _MOST_ACCELERATION_M_S2 = 2.0
-# A sight this much older than the beacon's word still says how far the beacon is off; farther is no offset.
+# A sighting this much older still gives the beacon's offset; a larger one is no offset.
 _COMPARABLE_S = 1.5
 _LARGEST_OFFSET_M = 10.0
 
@@ -54,9 +54,9 @@ class Lead:
 
 
 def turn_rate(before: Lead | None, time_s: float, velocity: Vector3) -> float:
-    """Rate (rad/s, clockwise from above) at which the course turned since an earlier word.
+    """Rate (rad/s, clockwise from above) at which the course turned since an earlier beacon.
 
-    A word that came too lately keeps the rate that there was; 0 where there is none to tell.
+    One that is too recent keeps the rate that there was; 0 where none can be computed.
     """
     if before is None or time_s - before.time_s < _TURN_OVER_S:
         return 0.0 if before is None else before.turn_rate_rad_s
@@ -73,13 +73,13 @@ def _believed(rate_rad_s: float) -> float:
     return rate_rad_s if abs(rate_rad_s) <= _FASTEST_TURN_RAD_S else 0.0
 
 
-class Whereabouts:
-    """The newest word of where the pad is."""
+class PadLocator:
+    """The newest lead to the pad."""
 
     def __init__(self, config: SearchConfig) -> None:
         self._config = config
         self._beacon: Lead | None = None
-        self._compared: Lead | None = None  # the beacon's word that the next course is compared with
+        self._compared: Lead | None = None  # the beacon whose course the next one is compared with
         self._beacon_heard: PadBeacon | None = None
         self._sight: Lead | None = None
         self._offset_m: tuple[float, float] | None = None
@@ -103,9 +103,9 @@ class Whereabouts:
         return math.dist(expected[:2], position[:2]) > self._config.spacing_m
 
     def remember(self, pad: Motion, seen_s: float, now_s: float) -> None:
-        """Keep the last sight of the pad; `pad` is what the filter leads it to now.
+        """Keep the last sighting of the pad; `pad` is the filter's prediction for now.
 
-        One that is kept already is not led back once more: the filter has led it straight on since.
+        One that is kept already is not predicted back again: the filter has predicted it straight on since.
         """
         if self._sight is not None and seen_s <= self._sight.time_s:
             return
@@ -117,15 +117,15 @@ class Whereabouts:
 
     @property
     def beacon_compared(self) -> bool:
-        """Whether it is known by how much the beacon is off."""
+        """Whether the beacon's offset is known."""
         return self._offset_m is not None
 
     def seen_lately(self, now_s: float) -> bool:
-        """Whether the last sight still says where to go."""
+        """Whether the last sighting is recent enough to fly to."""
         return self._sight is not None and now_s - self._sight.time_s <= self._config.lead_s
 
     def _corrected(self, time_s: float, position: Vector3) -> Vector3:
-        """The beacon's place less its offset: a GPS is off by metres, but for long by the same ones."""
+        """The beacon's position less its offset: a GPS is off by metres, but its error changes slowly."""
         if self._sight is not None and abs(time_s - self._sight.time_s) <= _COMPARABLE_S:
             seen = self._sight.at(time_s, self._config.lead_s).position_m
             offset = (seen[0] - position[0], seen[1] - position[1])
@@ -136,22 +136,22 @@ class Whereabouts:
         return (position[0] + self._offset_m[0], position[1] + self._offset_m[1], position[2])
 
     def distrust(self) -> None:
-        """The last sight proved wrong."""
+        """Drop the last sighting: it proved wrong."""
         self._sight = None
 
     def likely(self, now_s: float) -> Motion:
-        """Where the pad should be now; at rest where the search began when there is no word."""
+        """Where the pad should be now; at rest where the search began when nothing is known."""
         newest = self._newest(now_s)
         if newest is self.start:
             return Motion(newest.position_ned_m)
         return newest.at(now_s, self._config.lead_s)
 
     def source(self, now_s: float) -> str:
-        """What it goes by, in words."""
+        """The source of the newest lead, in words."""
         newest = self._newest(now_s)
         if newest is self.start:
-            return "no word of it yet"
-        return "by its beacon" if newest is self._beacon else "by the last sight"
+            return "no position known"
+        return "by its beacon" if newest is self._beacon else "by the last sighting"
 
     def _newest(self, now_s: float) -> Lead:
         words = [w for w in (self._beacon, self._sight) if w and now_s - w.time_s <= self._config.trust_s]

@@ -1,7 +1,7 @@
 """Looking for the pad: hold, ask the ground station where it is, fly there, spiral (Algorithm 1, else).
 
-A pad in view is taken up only when it will stay there: one seen in passing is flown back to first. Everything
-is in the EKF's NED, m, s and rad; the height is chosen on entry and kept, but for a floor that rises.
+The search ends only with a pad that will stay in view: the vehicle flies back to one seen in passing. All is
+in the EKF's NED, m, s and rad; the height is chosen on entry and kept, but for a floor that rises.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from companion.base.motion import Motion
 from companion.config import SearchConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.relative_state import PadKnowledge
-from companion.plan.search.pad_locator import Lead, Whereabouts
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.search.pad_locator import Lead, PadLocator
+from companion.plan.trajectory.guidance import ReferenceGenerator
 
-# The reference counts as at a corner when this close: the next one is taken up without a halt.
+# The reference is at a corner when this close, and goes on to the next without a halt.
 _CORNER_M = 1.0
-# A floor is heeded in steps, lest its noise be flown.
+# The floor acts in steps, so that its noise is not flown.
 _FLOOR_STEP_M = 0.3
 # A search that begins with a climb comes to rest first.
 _STOPPED_S = 0.6
-# A pad steadily in view for so long is taken up however it moves.
+# A pad steadily in view for this long ends the search however it moves.
 _LONG_IN_VIEW_S = 3.0
 _ANY_SIGHT_AFTER_S = 10.0
 _TELL_S = 5.0
-# A way round is not looked for in every cycle: after so long it has been, to the present corner.
+# Detours are not planned in every cycle: after this long one was tried to the present corner.
 _SOUGHT_S = 0.5
 
 
@@ -56,11 +56,11 @@ class SearchStep:
 
 
 class Search:
-    """One search after another: `begin`, then `step` every cycle. Steers the guide in the EKF's NED."""
+    """One search after another: `begin`, then `step` every cycle. Steers the reference in the EKF's NED."""
 
-    def __init__(self, config: SearchConfig, guide: Guide) -> None:
-        self._config, self._guide = config, guide
-        self.whereabouts = Whereabouts(config)
+    def __init__(self, config: SearchConfig, generator: ReferenceGenerator) -> None:
+        self._config, self._generator = config, generator
+        self.locator = PadLocator(config)
         self._down_m = 0.0
         self._corner = 0
         self._arrived_s: float | None = None
@@ -69,8 +69,8 @@ class Search:
         self._in_view = Debounce()
 
     def hear(self, beacon: PadBeacon | None, origin: Vector3 | None) -> None:
-        """Take in the beacon; one that is far from where the pad was thought starts the spiral again."""
-        if self.whereabouts.hear(beacon, origin):
+        """Take in the beacon; one far from the expected place restarts the spiral."""
+        if self.locator.hear(beacon, origin):
             self._corner, self._arrived_s = 0, None
 
     def request_now(self) -> None:
@@ -82,11 +82,11 @@ class Search:
 
         It ends no lower than lowest_down_m (EKF's NED), and that bounds it too.
         """
-        here = self._guide.at(now_s).position_m
-        self.whereabouts.start = Lead(-math.inf, here)
+        here = self._generator.at(now_s).position_m
+        self.locator.start = Lead(-math.inf, here)
         wished_m = max(0.0, min(self._config.climb_m, climb_m))
         self._down_m = min(here[2] - wished_m, lowest_down_m)
-        self._hold_m = self._guide.resting_place_m()
+        self._hold_m = self._generator.resting_place_m()
         climb_m = here[2] - self._down_m
         self._most_up_m = self._down_m - self._config.climb_m
         self._corner, self._arrived_s = 0, None
@@ -95,9 +95,9 @@ class Search:
         return climb_m
 
     def keep_above(self, lowest_down_m: float) -> float:
-        """Raise the height of searching over a floor (EKF's NED) that rose; returns the climb (m), if any.
+        """Keep the search above a floor (EKF's NED) that rose; returns the climb (m), if any.
 
-        All such climbs of a search together are bounded: a floor that goes on rising is a fault.
+        All such climbs of a search together are bounded: a floor that keeps rising is a fault.
         """
         floor_m = max(lowest_down_m, self._most_up_m)
         climb_m = self._down_m - floor_m
@@ -111,7 +111,7 @@ class Search:
 
         That is while the pad is unseen, and once while it is seen: to learn by how much the beacon is off.
         """
-        wanted = not self.whereabouts.beacon_compared or unseen_s > 0.5
+        wanted = not self.locator.beacon_compared or unseen_s > 0.5
         return wanted and self._request_due(now_s)
 
     def _request_due(self, now_s: float) -> bool:
@@ -121,10 +121,10 @@ class Search:
         return True
 
     def _takes_up(self, pad: PadKnowledge, now_s: float) -> bool:
-        """Whether the pad is in view and will stay so: its velocity known, and no overshoot out of view."""
+        """Whether the pad will stay in view: its velocity is known, and no overshoot loses it."""
         steady = pad.steady(now_s)
         long = self._in_view.held_s(steady, now_s) >= _LONG_IN_VIEW_S
-        # a pad that turns as fast as we can fly is never met with little overshoot: then any sight will do
+        # a pad that turns as fast as we fly is never met with little overshoot: then any sighting counts
         late = now_s - self._begun_s >= _ANY_SIGHT_AFTER_S
         return steady and pad.sight is not None and (long or late or self._stays_in_view(pad.sight))
 
@@ -139,21 +139,21 @@ class Search:
         """One cycle; `actual` is the vehicle in the EKF's NED."""
         seen = self._takes_up(pad, now_s)
         if not in_control:
-            # setpoints first, then the question: PX4 wants to see them before it obeys
+            # PX4 switches to offboard only while setpoints stream
             self._had_control = False
             return SearchStep(streaming=now_s - self._begun_s >= self._config.stream_s)
         if not self._had_control:
             self._had_control, self._control_s = True, now_s
-            self._guide.take_up(actual, now_s)
+            self._generator.take_up(actual, now_s)
         if seen:
             return SearchStep(seen=True)
         request = not pad.steady(now_s) and self._request_due(now_s)
         held_s = now_s - max(self._begun_s, self._control_s)
-        flying = held_s >= self._config.hold_s or self.whereabouts.seen_lately(now_s)
+        flying = held_s >= self._config.hold_s or self.locator.seen_lately(now_s)
         if flying:
-            self._guide.fly_to(self._target(now_s), now_s)
+            self._generator.fly_to(self._target(now_s), now_s)
         elif in_control and now_s - self._begun_s >= _STOPPED_S:
-            self._guide.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
+            self._generator.fly_to(Motion((*self._hold_m[:2], self._down_m)), now_s)
         tell = request and now_s - self._told_s >= _TELL_S
         if tell:
             self._told_s = now_s
@@ -161,24 +161,24 @@ class Search:
 
     def _target(self, now_s: float) -> Motion:
         """The pad's likely place first, then the corners of a spiral about it, moving as it does."""
-        centre = self.whereabouts.likely(now_s)
-        reference = self._guide.at(now_s).position_m
+        centre = self.locator.likely(now_s)
+        reference = self._generator.at(now_s).position_m
         place = self._corner_of(centre)
-        # a corner that cannot be had for an obstacle is as good as looked at, once a way to it was sought
+        # a corner that obstacles block counts as visited once a detour to it was tried
         sought = now_s - self._turned_s >= _SOUGHT_S
-        if math.dist(reference[:2], place) < _CORNER_M or (sought and self._guide.avoidance.blocked):
+        if math.dist(reference[:2], place) < _CORNER_M or (sought and self._generator.avoidance.blocked):
             self._at_corner(now_s)
             place = self._corner_of(centre)
         return Motion((*place, self._down_m), centre.velocity_m_s, centre.acceleration_m_s2)
 
     def _at_corner(self, now_s: float) -> None:
-        """Go on to the next corner; at the centre look about for a moment first."""
+        """Go on to the next corner; dwell at the centre first."""
         if self._arrived_s is None:
             self._arrived_s = now_s
         if self._corner == 0 and now_s - self._arrived_s < self._config.dwell_s:
             return
         north, east = square_spiral(self._corner + 1, self._config.spacing_m)
-        # beyond the radius it begins anew: the pad may have come closer meanwhile
+        # beyond the radius it restarts: the pad may have come closer
         self._corner = 0 if math.hypot(north, east) > self._config.radius_m else self._corner + 1
         self._arrived_s, self._turned_s = None, now_s
 

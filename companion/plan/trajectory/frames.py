@@ -13,12 +13,12 @@ from companion.base.geometry import ZERO3, FloatArray, add, scale
 from companion.base.motion import Motion
 
 STILL: Final = Motion(ZERO3)
-# Slower than this a pad has no course to speak of; turning faster than that is noise.
+# Slower than this a pad has no course; a faster turn is noise.
 _COURSE_M_S: Final = 0.3
 _FASTEST_TURN_RAD_S: Final = 1.0
 
 
-def seen(motion: Motion, frame: Motion) -> Motion:
+def in_space(motion: Motion, frame: Motion) -> Motion:
     """A motion in a frame that moves evenly, seen from space."""
     return Motion(
         add(motion.position_m, frame.position_m),
@@ -27,13 +27,13 @@ def seen(motion: Motion, frame: Motion) -> Motion:
     )
 
 
-def away(frame: Motion) -> Motion:
+def space_seen_from(frame: Motion) -> Motion:
     """Space as it moves seen from the frame."""
     return Motion(scale(frame.position_m, -1.0), scale(frame.velocity_m_s, -1.0))
 
 
-def led(frame: Motion, times_s: FloatArray) -> FloatArray:
-    """Where a frame will be, (n, 3), times (n,) from now: along the arc that its acceleration tells of."""
+def predicted_places(frame: Motion, times_s: FloatArray) -> FloatArray:
+    """Where a frame will be, (n, 3), at times (n,) from now: along the arc that its acceleration gives."""
     (vn, ve, vd), (an, ae, _) = frame.velocity_m_s, frame.acceleration_m_s2
     square = vn * vn + ve * ve
     turn = (vn * ae - ve * an) / square if square > _COURSE_M_S**2 else 0.0

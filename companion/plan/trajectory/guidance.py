@@ -1,4 +1,4 @@
-"""The reference: one minimum-jerk trajectory in one frame, replanned every cycle from its own state.
+"""The reference generator: one minimum-jerk trajectory in one frame, replanned from its own state.
 
 Replanning starts where the previous reference is now, not where the vehicle is: position, velocity and
 acceleration stay continuous and noise of the estimate never enters them. Only when the vehicle has strayed
@@ -23,20 +23,19 @@ from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.course import Course, Way
 from companion.plan.trajectory.frames import STILL
+from companion.plan.trajectory.limits import within_limits
 from companion.plan.trajectory.min_jerk import Trajectory, brake, carried, plan
 
-Origin = Literal["pad", "local"]
+ReferenceFrame = Literal["pad", "local"]
 SpeedLaw = Callable[[float, float, float], float]
 
 _STRAYS_AT = (0.1, 0.2, 0.3, 0.4, 0.5, 0.7)
 _MOST_STRAY_M = 0.3
-# How a descent that is broken off close to the pad begins to climb.
+# The climb that begins a break-off close to the pad.
 _RISES_M_S = 0.3
 _RISES_WITHIN_S = 0.3
-_CHECKED_AT = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-_MOST_STRETCHES = 4
 _KEPT_SHARE = 0.9
-# Levelling off is a safety matter, and takes no view of the pad away: quicker than the plan's own limits.
+# Levelling off is for safety and keeps the pad in view: quicker than the plan's own limits.
 _LEVEL_OFF_M_S2 = 3.0
 _TOO_LOW_M = 0.15
 _LONGEST_TIMES = 6.0
@@ -44,7 +43,7 @@ _SAME_POINT_M = 0.5
 _PEAK = 1.875  # a quintic's greatest speed over its mean
 
 
-class Guide:
+class ReferenceGenerator:
     """Holds the reference and moves it on. Before `start` there is none."""
 
     def __init__(
@@ -58,7 +57,7 @@ class Guide:
         self._config, self._law = config, law
         self.avoidance = avoidance or Avoidance(PlanConfig(), 0.0)
         self._count, self._step_s = horizon_steps + 1, step_s
-        self.origin: Origin = "local"
+        self.origin: ReferenceFrame = "local"
         self._trajectory: Way | None = None
         self._along: Course | None = None
         self._pad = STILL
@@ -94,7 +93,7 @@ class Guide:
         ends_s = [t.end_s for t in (self._trajectory, self._level) if t is not None]
         return self.at(max(ends_s, default=math.inf)).position_m
 
-    def start(self, origin: Origin, motion: Motion, now_s: float) -> None:
+    def start(self, origin: ReferenceFrame, motion: Motion, now_s: float) -> None:
         """Begin afresh at a state, coming to rest in the frame."""
         self.origin = origin
         self.rest(motion, now_s)
@@ -109,7 +108,7 @@ class Guide:
         self._trajectory = None
         self.speed_m_s = self.time_to_go_s = 0.0
 
-    def change_frame(self, origin: Origin, pad: Motion, now_s: float) -> None:
+    def change_frame(self, origin: ReferenceFrame, pad: Motion, now_s: float) -> None:
         """Go on in the other frame with the same motion in space; `pad` is the pad in the EKF's NED."""
         if self.origin == origin:
             return
@@ -188,7 +187,7 @@ class Guide:
         slowest_s = distance / min(speed, self._config.vertical_speed_m_s)
         stopping_s = norm(closing) / self._config.vertical_acceleration_m_s2
         longest_s = _LONGEST_TIMES * (self._config.minimum_time_s + slowest_s + stopping_s)
-        relative = self._within_limits(moving, asked_s, longest_s, now_s)
+        relative = within_limits(moving, asked_s, longest_s, now_s, self._config)
         direct = carried(relative, target, now_s)
         self._look_from_frame()
         way = self.avoidance.way(
@@ -331,45 +330,6 @@ class Guide:
         """
         return 0.0 if self._trajectory is None else _KEPT_SHARE * (self._trajectory.end_s - now_s)
 
-    def _within_limits(self, moving: Motion, duration_s: float, longest_s: float, now_s: float) -> Trajectory:
-        """The way to the origin at rest, longer than asked where speed or acceleration would be too much.
-
-        Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
-        the speed that it leads to worse.
-        """
-        best, least = None, math.inf
-        for _ in range(_MOST_STRETCHES + 1):
-            trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
-            stretch = self._stretch(trajectory, moving)
-            if best is None or stretch < least:
-                best, least = trajectory, stretch
-            if stretch <= 1.001:
-                break
-            duration_s = min(duration_s * min(stretch, 1.5), longest_s)
-        assert best is not None
-        return best
-
-    def _stretch(self, trajectory: Trajectory, start: Motion) -> float:
-        """By what factor the duration should grow; what the start already exceeds cannot be mended."""
-        c = self._config
-        flat, steep = _flat(start.velocity_m_s), abs(start.velocity_m_s[2])
-        push, lift = _flat(start.acceleration_m_s2), abs(start.acceleration_m_s2[2])
-        speed = acceleration = 1.0
-        for tau in _CHECKED_AT:
-            motion = trajectory.at(trajectory.start_s + tau * trajectory.duration_s)
-            v, a = motion.velocity_m_s, motion.acceleration_m_s2
-            speed = max(
-                speed,
-                _flat(v) / max(c.horizontal_speed_m_s, flat),
-                abs(v[2]) / max(c.vertical_speed_m_s, steep),
-            )
-            acceleration = max(
-                acceleration,
-                _flat(a) / max(c.horizontal_acceleration_m_s2, push),
-                abs(a[2]) / max(c.vertical_acceleration_m_s2, lift),
-            )
-        return max(speed, math.sqrt(acceleration))
-
 
 def _upright(motion: Motion) -> Motion:
     """The vertical part of a motion alone."""
@@ -382,7 +342,3 @@ def _with_down(motion: Motion, vertical: Motion) -> Motion:
     (x, y, _), (vx, vy, _), (ax, ay, _) = motion.position_m, motion.velocity_m_s, motion.acceleration_m_s2
     z, vz, az = vertical.position_m[2], vertical.velocity_m_s[2], vertical.acceleration_m_s2[2]
     return Motion((x, y, z), (vx, vy, vz), (ax, ay, az))
-
-
-def _flat(v: Vector3) -> float:
-    return math.hypot(v[0], v[1])

@@ -16,7 +16,7 @@ from companion.base.motion import Motion
 from companion.config import ConfigError, MissionConfig, PlanConfig
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 
 # The reference passes through a point exactly: this near to it, it has.
 _PASSED_M: Final = 0.5
@@ -55,10 +55,10 @@ def _places(mission: MissionConfig) -> list[Vector3]:
 
 
 class Waypoints:
-    """One flight through them: `begin`, then `step` every cycle. Steers the guide in the EKF's NED."""
+    """One flight through them: `begin`, then `step` every cycle. Steers the reference in the EKF's NED."""
 
-    def __init__(self, config: MissionConfig, guide: Guide) -> None:
-        self._config, self._guide = config, guide
+    def __init__(self, config: MissionConfig, generator: ReferenceGenerator) -> None:
+        self._config, self._generator = config, generator
         self._left: list[Vector3] = []
         self._last: Vector3 | None = None
 
@@ -90,11 +90,11 @@ class Waypoints:
         """One cycle with control ours; `actual` and home are in the EKF's NED."""
         if self._last is None:
             return MissionEvent.ARRIVED, "no further waypoints"
-        reference = self._guide.at(now_s).position_m
+        reference = self._generator.at(now_s).position_m
         while self._left and math.dist(reference, add(self._left[0], home_ned_m)) <= _PASSED_M:
             self._left.pop(0)
         last = add(self._last, home_ned_m)
-        self._guide.fly_along([*(add(p, home_ned_m) for p in self._left[:-1]), last], now_s)
+        self._generator.fly_along([*(add(p, home_ned_m) for p in self._left[:-1]), last], now_s)
         slow = norm(actual.velocity_m_s) <= self._config.arrival_speed_m_s
         distance_m = math.dist(actual.position_m, last)
         if not self._left and slow and distance_m <= self._config.arrival_radius_m:

@@ -9,7 +9,7 @@ from companion.base.motion import Motion
 from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, _graph, clearance_m
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 from companion.plan.trajectory.min_jerk import plan
 
 CYCLE_S = 1.0 / 30.0
@@ -33,9 +33,9 @@ def wall(north: float, east: float, length: float, heading: float = 90.0, height
     )
 
 
-def guide(*shapes: Shape, ceiling: float = 15.0) -> Guide:
+def generator(*shapes: Shape, ceiling: float = 15.0) -> ReferenceGenerator:
     config = PlanConfig(obstacles=shapes, obstacle_ceiling_m=ceiling)
-    made = Guide(config.guidance, lambda _d, _v, _a: 2.0, 20, 0.1, Avoidance(config, RADIUS_M))
+    made = ReferenceGenerator(config.guidance, lambda _d, _v, _a: 2.0, 20, 0.1, Avoidance(config, RADIUS_M))
     made.see(HOME, None)
     return made
 
@@ -49,7 +49,7 @@ def clearance(places: list[Vector3], shapes: tuple[Shape, ...]) -> float:
     return float(np.min(clearance_m(points, [Obstacle.of(shape) for shape in shapes])))
 
 
-def fly(g: Guide, target: Motion, seconds: float, start_s: float = 0.0) -> list[Motion]:
+def fly(g: ReferenceGenerator, target: Motion, seconds: float, start_s: float = 0.0) -> list[Motion]:
     """Every cycle towards a target that goes on at its velocity; the reference's states in the EKF's NED."""
     flown = []
     for k in range(round(seconds / CYCLE_S)):
@@ -79,7 +79,7 @@ def assert_smooth(flown: list[Motion]) -> None:
 def test_what_stands_in_the_way_is_flown_round_smoothly_and_the_target_reached(
     shapes: tuple[Shape, ...],
 ) -> None:
-    g = guide(*shapes)
+    g = generator(*shapes)
     g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
     goal = from_home(15.0, 0.0, 5.0)
     flown = fly(g, Motion(goal), 25.0)
@@ -89,7 +89,7 @@ def test_what_stands_in_the_way_is_flown_round_smoothly_and_the_target_reached(
 
 
 def test_without_obstacles_in_the_way_nothing_changes() -> None:
-    far, none = guide(pole(5.0, 30.0)), guide()
+    far, none = generator(pole(5.0, 30.0)), generator()
     for g in (far, none):
         g.start("local", Motion(from_home(0.0, 0.0, 5.0), (1.0, 0.5, 0.0)), 0.0)
     target = Motion(from_home(15.0, 3.0, 4.0), (0.5, 0.0, 0.0))
@@ -99,7 +99,7 @@ def test_without_obstacles_in_the_way_nothing_changes() -> None:
 def test_a_low_wall_is_flown_over_and_not_over_the_ceiling() -> None:
     low = (wall(6.0, 0.0, 40.0, height=3.0),)
     for ceiling, highest in ((8.0, 5.8), (4.0, 3.2)):
-        g = guide(*low, ceiling=ceiling)
+        g = generator(*low, ceiling=ceiling)
         g.start("local", Motion(from_home(0.0, 0.0, 3.0)), 0.0)
         flown = fly(g, Motion(from_home(12.0, 0.0, 3.0)), 60.0 if ceiling < 5.0 else 25.0)
         assert clearance([m.position_m for m in flown], low) >= MARGIN_M - 0.02
@@ -109,7 +109,7 @@ def test_a_low_wall_is_flown_over_and_not_over_the_ceiling() -> None:
 
 def test_where_there_is_no_way_it_brakes_and_holds_and_says_so() -> None:
     target = pole(10.0, 0.0, radius=1.0)
-    g = guide(target)
+    g = generator(target)
     # on its way already, at speed
     g.start("local", Motion(from_home(0.0, 0.0, 5.0), (3.0, 0.0, 0.0)), 0.0)
     flown = fly(g, Motion(from_home(10.0, 0.5, 5.0)), 10.0)
@@ -125,13 +125,13 @@ def test_where_there_is_no_way_it_brakes_and_holds_and_says_so() -> None:
     assert math.dist(onward[-1].position_m, from_home(10.0, 6.0, 5.0)) < 0.1
 
 
-def relative(g: Guide, pad: Motion, now_s: float) -> Vector3:
+def relative(g: ReferenceGenerator, pad: Motion, now_s: float) -> Vector3:
     return add(g.at(now_s).position_m, pad.position_m)
 
 
 def test_over_a_pad_that_passes_beneath_a_gantry_it_goes_along_higher_up_and_comes_down_behind() -> None:
     gantry = wall(0.0, 12.0, 8.0, heading=0.0, height=4.0)
-    g = guide(gantry, ceiling=12.0)
+    g = generator(gantry, ceiling=12.0)
     flown, waited, heights = [], 0, []
     for k in range(round(40.0 / CYCLE_S)):
         t = k * CYCLE_S
@@ -151,7 +151,7 @@ def test_over_a_pad_that_passes_beneath_a_gantry_it_goes_along_higher_up_and_com
 
 
 def test_a_place_on_a_moving_pad_stays_clear_only_until_the_pad_comes_near() -> None:
-    g = guide(pole(0.0, 10.0))
+    g = generator(pole(0.0, 10.0))
     g.see(HOME, Motion(from_home(0.0, 0.0, 0.3), (0.0, 2.0, 0.0)))
     g.start("pad", Motion((0.0, 0.0, -1.0)), 0.0)
     assert g.stays_clear((0.0, 0.0, -0.2), 3.5)
@@ -163,7 +163,7 @@ def test_a_place_on_a_moving_pad_stays_clear_only_until_the_pad_comes_near() -> 
 
 def test_a_gust_into_the_margin_is_left_the_short_way() -> None:
     p = pole(0.0, 0.0)
-    g = guide(p)
+    g = generator(p)
     g.start("local", Motion(from_home(-1.0, 0.0, 5.0)), 0.0)
     flown = [m.position_m for m in fly(g, Motion(from_home(8.0, 0.0, 5.0)), 25.0)]
     assert clearance(flown, (p,)) >= 0.69
@@ -173,7 +173,7 @@ def test_a_gust_into_the_margin_is_left_the_short_way() -> None:
 
 def test_a_route_goes_through_all_points_without_a_halt_and_round_what_is_between() -> None:
     shapes = (pole(5.0, 0.0), wall(10.0, 9.0, 6.0, heading=0.0))
-    g = guide(*shapes)
+    g = generator(*shapes)
     g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
     points = [from_home(10.0, 0.0, 5.0), from_home(10.0, 5.0, 6.0), from_home(10.0, 14.0, 5.0)]
     flown = []
@@ -190,7 +190,7 @@ def test_a_route_goes_through_all_points_without_a_halt_and_round_what_is_betwee
 
 
 def test_a_route_that_cannot_be_had_is_not_begun() -> None:
-    g = guide(pole(10.0, 0.0, radius=1.0))
+    g = generator(pole(10.0, 0.0, radius=1.0))
     g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
     for k in range(60):
         g.fly_along([from_home(10.0, 0.0, 5.0)], k * CYCLE_S)
@@ -200,7 +200,7 @@ def test_a_route_that_cannot_be_had_is_not_begun() -> None:
 
 def test_the_reference_has_no_step_where_a_way_round_begins_while_sinking() -> None:
     shapes = (wall(6.0, 2.0, 7.0), pole(12.0, -2.0))
-    g = guide(*shapes, ceiling=5.0)
+    g = generator(*shapes, ceiling=5.0)
     g.start("local", Motion(from_home(0.0, 0.0, 9.0), (0.0, 0.0, 1.2), (0.0, 0.0, 0.8)), 0.0)
     flown = fly(g, Motion(from_home(18.0, 0.0, 8.8)), 25.0)
     assert_smooth(flown)
@@ -208,7 +208,7 @@ def test_the_reference_has_no_step_where_a_way_round_begins_while_sinking() -> N
 
 
 def test_a_thin_pole_on_a_way_of_many_minutes_is_not_stepped_over() -> None:
-    g = guide(*(pole(n, 0.0, radius=0.1) for n in (6.0,)))
+    g = generator(*(pole(n, 0.0, radius=0.1) for n in (6.0,)))
     start, goal = Motion(from_home(0.0, 0.0, 5.0)), Motion(from_home(1900.0, 0.0, 5.0))
     for phase_s in np.arange(0.0, 1.0, 0.1).tolist():
         assert not g.avoidance.still_clear(plan(start, goal, -60.0 - phase_s, 3600.0), -60.0 - phase_s)
@@ -220,7 +220,7 @@ def test_a_thin_pole_on_a_way_of_many_minutes_is_not_stepped_over() -> None:
 def test_no_graph_is_made_in_flight() -> None:
     rng = np.random.default_rng(3)
     places = rng.uniform((5.0, -15.0, 3.0), (40.0, 15.0, 14.0), (12, 3)).tolist()
-    g = guide(wall(20.0, 0.0, 12.0, height=9.0), *(pole(n, e, height=h) for n, e, h in places))
+    g = generator(wall(20.0, 0.0, 12.0, height=9.0), *(pole(n, e, height=h) for n, e, h in places))
     made = _graph.cache_info().misses
     g.start("local", Motion(from_home(0.0, 0.0, 5.0)), 0.0)
     fly(g, Motion(from_home(45.0, 0.0, 4.0)), 3.0)

@@ -9,7 +9,7 @@ from companion.base.motion import Motion
 from companion.config import GuidanceConfig, PlanConfig
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.trajectory.course import Way, paced
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 
 CYCLE_S = 1.0 / 30.0
 CONFIG = GuidanceConfig()
@@ -19,12 +19,12 @@ def constant_law(_d: float, _v: float, _a: float) -> float:
     return 1.0
 
 
-def guide(config: GuidanceConfig = CONFIG) -> Guide:
-    return Guide(config, constant_law, 20, 0.1)
+def generator(config: GuidanceConfig = CONFIG) -> ReferenceGenerator:
+    return ReferenceGenerator(config, constant_law, 20, 0.1)
 
 
 def test_the_time_to_go_is_distance_over_speed_plus_the_least_time() -> None:
-    g = guide()
+    g = generator()
     g.start("pad", Motion((0.0, 0.0, -7.0)), 0.0)
     g.fly_to(Motion((3.0, 4.0, -7.0)), 0.0)
     # eq. 37, where no limit asks for more
@@ -39,7 +39,7 @@ def test_the_law_is_asked_with_distance_closing_speed_and_closing_acceleration()
         asked.append((d, v, a))
         return 1.0
 
-    g = Guide(CONFIG, law, 20, 0.1)
+    g = ReferenceGenerator(CONFIG, law, 20, 0.1)
     g.start("pad", Motion((0.0, 0.0, 0.0), (0.6, 0.8, 0.0), (-0.3, -0.4, 0.0)), 0.0)
     g.fly_to(Motion((3.0, 4.0, 0.0), (0.0, 0.5, 0.0)), 0.0)
     # along (0.6, 0.8): closing at 1.0 less the target's own 0.4, and slowing at 0.5
@@ -47,7 +47,7 @@ def test_the_law_is_asked_with_distance_closing_speed_and_closing_acceleration()
 
 
 def test_replanning_every_cycle_never_steps_in_position_velocity_or_acceleration() -> None:
-    g = guide()
+    g = generator()
     g.start("pad", Motion((2.0, -1.0, -7.0), (1.5, 0.5, 0.0), (0.5, 0.0, 0.2)), 0.0)
     target = Motion((0.0, 0.0, -3.0))
     for k in range(1, 300):
@@ -64,7 +64,7 @@ def test_replanning_every_cycle_never_steps_in_position_velocity_or_acceleration
 
 
 def test_speed_and_acceleration_stay_within_their_limits_however_fast_the_law() -> None:
-    g = Guide(CONFIG, lambda _d, _v, _a: 50.0, 20, 0.1)
+    g = ReferenceGenerator(CONFIG, lambda _d, _v, _a: 50.0, 20, 0.1)
     g.start("pad", Motion((0.0, 0.0, -10.0)), 0.0)
     for k in range(600):
         now = k * CYCLE_S
@@ -78,7 +78,7 @@ def test_speed_and_acceleration_stay_within_their_limits_however_fast_the_law() 
 
 
 def test_descending_onto_a_height_overshoots_it_by_centimetres_at_most() -> None:
-    g = guide()
+    g = generator()
     g.start("pad", Motion((0.0, 0.0, -3.2)), 0.0)
     lowest = math.inf
     for k in range(400):
@@ -88,7 +88,7 @@ def test_descending_onto_a_height_overshoots_it_by_centimetres_at_most() -> None
 
 
 def test_a_moving_target_is_met_at_its_own_velocity() -> None:
-    g = guide()
+    g = generator()
     g.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
     for k in range(400):
         now = k * CYCLE_S
@@ -101,7 +101,7 @@ def test_a_moving_target_is_met_at_its_own_velocity() -> None:
 def test_changing_the_frame_keeps_the_motion_in_space() -> None:
     pad = Motion((10.0, -3.0, 0.5), (1.0, 2.0, -0.2), (0.3, 0.0, 0.1))
     start = Motion((4.0, 5.0, -6.0), (0.5, -0.5, 0.1), (0.1, 0.2, 0.0))
-    g = guide()
+    g = generator()
     g.start("local", start, 3.0)
     g.change_frame("pad", pad, 3.0)
     assert g.origin == "pad"
@@ -114,7 +114,7 @@ def test_changing_the_frame_keeps_the_motion_in_space() -> None:
 
 
 def test_only_an_estimate_beyond_the_bound_is_taken_up() -> None:
-    g = guide()
+    g = generator()
     g.start("pad", Motion((0.0, 0.0, -3.0)), 0.0)
     assert g.keep_near(Motion((0.79, 0.0, -3.0)), 1.0) == 0.0
     assert g.at(1.0).position_m == (0.0, 0.0, -3.0)
@@ -124,7 +124,7 @@ def test_only_an_estimate_beyond_the_bound_is_taken_up() -> None:
 
 
 def test_sinking_blends_into_a_constant_speed_that_goes_on_below_the_surface() -> None:
-    g = guide()
+    g = generator()
     g.start("pad", Motion((0.01, -0.02, -0.53)), 0.0)
     depth = g.sink(0.22, 0.8, 0.0)
     assert depth == pytest.approx(0.088)
@@ -138,7 +138,7 @@ def test_sinking_blends_into_a_constant_speed_that_goes_on_below_the_surface() -
 def test_the_heading_slews_the_short_way_at_its_rate(quarter: int, offset_deg: float) -> None:
     start = math.radians(90.0 * quarter)
     wanted = start + math.radians(offset_deg)
-    g = guide()
+    g = generator()
     g.heading_rad = start
     g.turn(wanted, 0.0)
     g.turn(wanted, 1.0)
@@ -150,7 +150,7 @@ def test_the_heading_slews_the_short_way_at_its_rate(quarter: int, offset_deg: f
 
 
 def test_without_a_wish_the_heading_stays_and_no_rate_is_saved_up() -> None:
-    g = guide()
+    g = generator()
     g.turn(None, 0.0)
     g.turn(None, 60.0)
     g.turn(1.0, 60.1)
@@ -158,7 +158,7 @@ def test_without_a_wish_the_heading_stays_and_no_rate_is_saved_up() -> None:
 
 
 def test_the_reference_holds_the_horizon_from_now_on() -> None:
-    g = guide()
+    g = generator()
     assert g.reference(0.0, None) is None
     g.start("pad", Motion((1.0, 2.0, -5.0), (0.5, 0.0, 0.0)), 4.0)
     reference = g.reference(4.5, 0.33)
@@ -171,7 +171,7 @@ def test_the_reference_holds_the_horizon_from_now_on() -> None:
 
 
 def test_asking_for_the_state_of_no_reference_is_an_error() -> None:
-    g = guide()
+    g = generator()
     g.start("pad", Motion((0.0, 0.0, 0.0)), 0.0)
     g.stop()
     assert not g.active
@@ -179,9 +179,9 @@ def test_asking_for_the_state_of_no_reference_is_an_error() -> None:
         g.at(0.0)
 
 
-def level_flight(lowest_down_m: float) -> tuple[Guide, list[Motion]]:
+def level_flight(lowest_down_m: float) -> tuple[ReferenceGenerator, list[Motion]]:
     """From a climb or sink of 1 m/s on, towards a point that moves and (by its own word) rises."""
-    g = guide()
+    g = generator()
     g.start("local", Motion((0.0, 0.0, -4.0), (0.5, 0.0, 0.0)), 0.0)
     g.sink(1.0, 0.3, 0.0)
     way = []
@@ -226,7 +226,7 @@ def test_level_flight_ends_with_the_next_plan() -> None:
 
 
 def test_an_acceleration_at_the_start_beyond_the_limits_does_not_draw_the_way_out_for_ever() -> None:
-    g = guide()
+    g = generator()
     # as after a climb that was broken off: still rising, and pushed down harder than the plan may
     g.start("local", Motion((0.0, 0.0, -0.5), (-1.3, 0.6, -0.3), (0.3, 0.2, 1.4)), 0.0)
     lowest_m = -0.5
@@ -246,7 +246,7 @@ def test_a_way_round_obstacles_keeps_its_own_heights() -> None:
         def way(self, *_: object, **__: object) -> Way:
             return course
 
-    led = Guide(CONFIG, constant_law, 20, 0.1, Leading(PlanConfig(), 0.3))
+    led = ReferenceGenerator(CONFIG, constant_law, 20, 0.1, Leading(PlanConfig(), 0.3))
     led.start("local", start, 0.0)
     for k in range(40):
         now_s = 0.1 * k
@@ -258,7 +258,7 @@ def test_a_way_round_obstacles_keeps_its_own_heights() -> None:
 def test_a_climb_or_sink_at_the_start_is_stopped_before_the_way_to_a_goal_on_the_other_side(
     upwards: float,
 ) -> None:
-    g = guide()
+    g = generator()
     # as after a hold that stopped a descent: pushed up, harder than the plan may, the pad far below
     g.start("pad", Motion((0.2, -0.1, -5.0), (0.3, 0.2, -0.9 * upwards), (-0.5, 0.4, -2.6 * upwards)), 0.0)
     farthest_m = 0.0

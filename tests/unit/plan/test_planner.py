@@ -451,7 +451,7 @@ def test_an_autopilot_whose_filter_does_not_know_where_it_is_is_not_asked_to_arm
     w.autopilot.ekf_ready_from_s = 30.0
     flight = w.fly(60.0)
     assert min(t for t, kind in w.autopilot.heard if kind is ActionKind.ARM) > 30.0
-    assert "waiting for its filter to know where it is" in flight.told("waiting")
+    assert "waiting for its estimate of position" in flight.told("waiting")
 
 
 def test_a_take_off_whose_answers_are_lost_is_landed_not_left_in_the_air() -> None:

@@ -9,9 +9,9 @@ from companion.base.messages import PadBeacon
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, SearchConfig
 from companion.plan.landing.relative_state import PadKnowledge
-from companion.plan.search.pad_locator import Lead, Whereabouts, turn_rate
+from companion.plan.search.pad_locator import Lead, PadLocator, turn_rate
 from companion.plan.search.search import Search, square_spiral
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 from tests.unit.plan.plan_harness import World, still
 
 ORIGIN = (47.0, 8.0, 400.0)
@@ -38,12 +38,12 @@ def beacon(time_s: float, north: float, east: float, velocity: tuple[float, floa
     return PadBeacon(time_s, latitude, longitude, altitude, velocity, 1.5)
 
 
-def searching() -> tuple[Search, Guide]:
-    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
-    guide.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
-    search = Search(CONFIG, guide)
+def searching() -> tuple[Search, ReferenceGenerator]:
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
+    generator.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
+    search = Search(CONFIG, generator)
     search.begin(0.0, math.inf, 0.0)
-    return search, guide
+    return search, generator
 
 
 def test_the_spiral_leaves_no_gap_wider_than_its_spacing() -> None:
@@ -96,9 +96,9 @@ def on_circle(radius_m: float, now_s: float) -> tuple[tuple[float, float], tuple
 @pytest.mark.parametrize("gap_s", [0.2, 0.6, 1.5])
 def test_a_pad_that_turns_is_caught_up_with(radius_m: float, gap_s: float) -> None:
     # GIVEN a search that dwells over where the pad should be
-    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
-    guide.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
-    search = Search(CONFIG.model_copy(update={"dwell_s": 30.0}), guide)
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
+    generator.start("local", Motion((0.0, 0.0, -7.0)), 0.0)
+    search = Search(CONFIG.model_copy(update={"dwell_s": 30.0}), generator)
     search.begin(0.0, math.inf, 0.0)
     heard_s, farthest_m = -math.inf, 0.0
     for k in range(round(24.0 * 30.0)):
@@ -107,9 +107,9 @@ def test_a_pad_that_turns_is_caught_up_with(radius_m: float, gap_s: float) -> No
             heard_s = now_s
             place, velocity = on_circle(radius_m, now_s)
             search.hear(beacon(now_s, *place, velocity), ORIGIN)
-        search.step(guide.at(now_s), True, UNSEEN, now_s)
+        search.step(generator.at(now_s), True, UNSEEN, now_s)
         if now_s > 14.0:
-            here = guide.at(now_s).position_m
+            here = generator.at(now_s).position_m
             farthest_m = max(farthest_m, math.dist(here[:2], on_circle(radius_m, now_s)[0]))
     # THEN it does not lag; planned towards a point that goes straight on it did, by a metre on the tightest
     assert farthest_m < 0.5
@@ -129,7 +129,7 @@ def test_the_turn_rate_comes_from_two_words_across_south_too() -> None:
 
 
 def test_the_newest_word_counts_until_it_is_stale() -> None:
-    w = Whereabouts(CONFIG)
+    w = PadLocator(CONFIG)
     w.start = Lead(-math.inf, (1.0, 1.0, -7.0))
     assert w.likely(0.0).position_m[:2] == (1.0, 1.0)
     w.remember(Motion((5.0, 0.0, 0.0)), 2.0, 2.0)
@@ -141,7 +141,7 @@ def test_the_newest_word_counts_until_it_is_stale() -> None:
 
 
 def test_the_last_sight_counts_from_when_it_was_seen_not_from_what_the_filter_made_of_it() -> None:
-    w = Whereabouts(CONFIG)
+    w = PadLocator(CONFIG)
     # seen at 1 s; at 3 s the filter has led it on by 4 m
     w.remember(Motion((14.0, 0.0, 0.0), (2.0, 0.0, 0.0)), 1.0, 3.0)
     assert w.likely(3.0).position_m[0] == pytest.approx(14.0)
@@ -149,7 +149,7 @@ def test_the_last_sight_counts_from_when_it_was_seen_not_from_what_the_filter_ma
 
 
 def test_a_sight_that_is_kept_is_not_led_on_a_second_time() -> None:
-    w = Whereabouts(CONFIG)
+    w = PadLocator(CONFIG)
     # GIVEN a pad on a circle of 4 m at 2 m/s, seen at 1 s, when it went north
     w.remember(Motion((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 1.0, 0.0)), 1.0, 1.0)
     for k in range(1, 4):
@@ -170,19 +170,19 @@ def test_no_more_acceleration_is_followed_than_a_vehicle_can_lean_for() -> None:
 
 
 def test_setpoints_stream_before_control_is_asked_for() -> None:
-    search, guide = searching()
-    here = guide.at(0.0)
+    search, generator = searching()
+    here = generator.at(0.0)
     asked = [t / 30.0 for t in range(30) if search.step(here, False, UNSEEN, t / 30.0).streaming]
     assert asked[0] == pytest.approx(CONFIG.stream_s, abs=0.04)
-    assert guide.active
+    assert generator.active
 
 
 def test_it_holds_asks_at_once_and_every_few_seconds() -> None:
-    search, guide = searching()
+    search, generator = searching()
     requests, told, first_move = [], 0, None
     for k in range(600):
         now = k / 30.0
-        step = search.step(guide.at(now), True, UNSEEN, now)
+        step = search.step(generator.at(now), True, UNSEEN, now)
         if step.request_pad:
             requests.append(now)
         told += step.worth_telling
@@ -196,35 +196,35 @@ def test_it_holds_asks_at_once_and_every_few_seconds() -> None:
 
 
 def test_a_pad_in_view_ends_the_search_without_a_request() -> None:
-    search, guide = searching()
-    step = search.step(guide.at(0.0), True, in_view(), 0.0)
+    search, generator = searching()
+    step = search.step(generator.at(0.0), True, in_view(), 0.0)
     assert step.seen
     assert not step.request_pad
 
 
 def test_it_flies_to_the_beacon_and_goes_along_with_it() -> None:
-    search, guide = searching()
+    search, generator = searching()
     along = 0
     for k in range(450):
         now = k / 30.0
         if k % 90 == 30:
             search.hear(beacon(now, 12.0 + 1.0 * now, -6.0, (1.0, 0.0, 0.0)), ORIGIN)
-        search.step(guide.at(now), True, UNSEEN, now)
-        north, east, down = guide.at(now).position_m
+        search.step(generator.at(now), True, UNSEEN, now)
+        north, east, down = generator.at(now).position_m
         if math.hypot(north - 12.0 - now, east + 6.0) < 1.0:
-            along += abs(guide.at(now).velocity_m_s[0] - 1.0) < 0.3
+            along += abs(generator.at(now).velocity_m_s[0] - 1.0) < 0.3
             assert down == pytest.approx(-7.0, abs=0.05)
     # for a second at least before it looks elsewhere
     assert along >= 30
 
 
 def test_without_any_word_it_spirals_out_and_stays_within_its_radius() -> None:
-    search, guide = searching()
+    search, generator = searching()
     farthest, quadrants = 0.0, set()
     for k in range(3000):
         now = k / 30.0
-        search.step(guide.at(now), True, UNSEEN, now)
-        north, east, _ = guide.at(now).position_m
+        search.step(generator.at(now), True, UNSEEN, now)
+        north, east, _ = generator.at(now).position_m
         farthest = max(farthest, math.hypot(north, east))
         if farthest > 3.0:
             quadrants.add((north > 0.0, east > 0.0))
@@ -233,17 +233,17 @@ def test_without_any_word_it_spirals_out_and_stays_within_its_radius() -> None:
 
 
 def test_the_climb_of_a_search_is_bounded() -> None:
-    search, guide = searching()
+    search, generator = searching()
     assert search.begin(50.0, math.inf, 0.0) == CONFIG.climb_m
     assert search.begin(-3.0, math.inf, 0.0) == 0.0
     assert search.begin(2.0, math.inf, 0.0) == 2.0
     for k in range(300):
-        search.step(guide.at(k / 30.0), True, UNSEEN, k / 30.0)
-    assert guide.at(10.0).position_m[2] == pytest.approx(-9.0, abs=0.05)
+        search.step(generator.at(k / 30.0), True, UNSEEN, k / 30.0)
+    assert generator.at(10.0).position_m[2] == pytest.approx(-9.0, abs=0.05)
 
 
 def test_a_word_far_from_the_old_one_is_a_surprise() -> None:
-    w = Whereabouts(CONFIG)
+    w = PadLocator(CONFIG)
     w.start = Lead(-math.inf, (0.0, 0.0, -7.0))
     assert w.hear(beacon(1.0, 10.0, 0.0, (1.0, 0.0, 0.0)), ORIGIN)
     assert not w.hear(beacon(3.0, 12.2, 0.0, (1.0, 0.0, 0.0)), ORIGIN)
@@ -254,13 +254,13 @@ def test_a_word_far_from_the_old_one_is_a_surprise() -> None:
 
 
 def test_a_search_that_begins_below_the_floor_climbs_to_it_however_small_the_bound() -> None:
-    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
-    guide.start("local", Motion((0.0, 0.0, -0.5)), 0.0)
-    search = Search(CONFIG.model_copy(update={"climb_m": 0.5}), guide)
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 1.5, 20, 0.1)
+    generator.start("local", Motion((0.0, 0.0, -0.5)), 0.0)
+    search = Search(CONFIG.model_copy(update={"climb_m": 0.5}), generator)
     assert search.begin(0.0, -1.5, 0.0) == pytest.approx(1.0)
     for k in range(150):
-        search.step(guide.at(k / 30.0), True, UNSEEN, k / 30.0)
-    assert guide.at(5.0).position_m[2] == pytest.approx(-1.5, abs=0.05)
+        search.step(generator.at(k / 30.0), True, UNSEEN, k / 30.0)
+    assert generator.at(5.0).position_m[2] == pytest.approx(-1.5, abs=0.05)
 
 
 def test_a_floor_that_rises_is_kept_above_in_steps_and_not_without_end() -> None:
@@ -289,31 +289,31 @@ def test_a_floor_that_rises_is_kept_above_in_steps_and_not_without_end() -> None
     ],
 )
 def test_a_pad_is_taken_up_when_it_is_known_and_will_stay_in_view(known: PadKnowledge, taken: bool) -> None:
-    search, guide = searching()
-    step = search.step(guide.at(0.0), True, known, 0.0)
+    search, generator = searching()
+    step = search.step(generator.at(0.0), True, known, 0.0)
     assert step.seen is taken
     assert not step.request_pad
 
 
 def test_a_pad_in_view_for_long_is_taken_up_however_it_moves() -> None:
-    search, guide = searching()
+    search, generator = searching()
     for now, taken in ((0.0, False), (2.9, False), (3.1, True)):
         known = in_view(velocity_std_m_s=2.0, now_s=now)
-        assert search.step(guide.at(now), True, known, now).seen is taken
+        assert search.step(generator.at(now), True, known, now).seen is taken
 
 
 def test_a_pad_seen_in_passing_is_flown_back_to_at_once() -> None:
-    search, guide = searching()
-    search.whereabouts.remember(Motion((5.0, 0.0, -0.3), (0.5, 0.0, 0.0)), 0.0, 0.0)
-    assert search.step(guide.at(0.0), True, UNSEEN, 0.0).flying
-    assert not searching()[0].step(guide.at(0.0), True, UNSEEN, 0.0).flying
+    search, generator = searching()
+    search.locator.remember(Motion((5.0, 0.0, -0.3), (0.5, 0.0, 0.0)), 0.0, 0.0)
+    assert search.step(generator.at(0.0), True, UNSEEN, 0.0).flying
+    assert not searching()[0].step(generator.at(0.0), True, UNSEEN, 0.0).flying
     for k in range(120):
-        search.step(guide.at(k / 30.0), True, UNSEEN, k / 30.0)
-    assert guide.at(4.0).position_m[0] > 5.5
+        search.step(generator.at(k / 30.0), True, UNSEEN, k / 30.0)
+    assert generator.at(4.0).position_m[0] > 5.5
 
 
 def test_the_beacons_offset_is_learnt_from_a_sight_and_kept() -> None:
-    w = Whereabouts(CONFIG)
+    w = PadLocator(CONFIG)
     w.start = Lead(-math.inf, (0.0, 0.0, -7.0))
     # GIVEN a pad at 1 m/s and a beacon 3 m north and 2 m west of it
     w.remember(Motion((10.0, 5.0, 0.0), (1.0, 0.0, 0.0)), 1.0, 1.0)
@@ -329,7 +329,7 @@ def test_the_beacons_offset_is_learnt_from_a_sight_and_kept() -> None:
 
 def test_neither_an_old_sight_nor_a_far_one_says_how_far_the_beacon_is_off() -> None:
     for seen_s, north in ((0.4, 12.0), (1.9, 40.0)):
-        w = Whereabouts(CONFIG)
+        w = PadLocator(CONFIG)
         w.start = Lead(-math.inf, (0.0, 0.0, -7.0))
         w.remember(Motion((10.0, 5.0, 0.0)), seen_s, seen_s)
         w.hear(beacon(2.0, north, 5.0, (0.0, 0.0, 0.0)), ORIGIN)
@@ -345,15 +345,15 @@ def test_until_the_beacon_is_compared_its_position_is_asked_for_every_so_often()
 
 def test_once_compared_it_is_asked_for_while_the_pad_is_unseen_only() -> None:
     search, _ = searching()
-    search.whereabouts.remember(Motion((0.0, 0.0, 0.0)), 1.0, 1.0)
+    search.locator.remember(Motion((0.0, 0.0, 0.0)), 1.0, 1.0)
     search.hear(beacon(1.5, 1.0, 0.0, (0.0, 0.0, 0.0)), ORIGIN)
     assert [search.ask_again(unseen_s, 20.0) for unseen_s in (0.0, 1.0)] == [False, True]
 
 
 def test_each_corner_is_sought_before_it_is_given_up_for_an_obstacle() -> None:
     # GIVEN a search whose every corner is out of reach
-    search, guide = searching()
-    guide.avoidance.blocked = True
+    search, generator = searching()
+    generator.avoidance.blocked = True
     corners = set()
     for k in range(round(10.0 * 30.0)):
         search._target(k / 30.0)

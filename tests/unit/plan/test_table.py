@@ -2,6 +2,7 @@
 
 from itertools import product
 
+import numpy as np
 import pytest
 
 from companion.base.messages import ActionKind, Phase
@@ -30,7 +31,7 @@ EVERY_CIRCUMSTANCE = [
 ]
 
 
-def led(state: State, event: MissionEvent, circumstances: Circumstances = FLYING) -> Branch:
+def taken(state: State, event: MissionEvent, circumstances: Circumstances = FLYING) -> Branch:
     branch = follows(state, event, circumstances)
     assert branch is not None
     return branch
@@ -91,7 +92,7 @@ def test_every_state_can_be_reached_and_left_whatever_the_circumstances(state: S
     assert state in reached
     assert state in left
     for circumstances in EVERY_CIRCUMSTANCE:
-        assert led(state, E.TIMEOUT, circumstances).to not in {None, state}
+        assert taken(state, E.TIMEOUT, circumstances).to not in {None, state}
 
 
 @pytest.mark.parametrize("state", sorted(LIVE))
@@ -130,7 +131,7 @@ def test_the_mission_ends_released_and_asks_for_no_position_on_the_ground() -> N
                 assert branch.authority is Authority.RELEASED
             if ActionKind.HOLD in kinds(branch) and state in ON_PAD:
                 assert branch.guard is Guard.ALWAYS
-                standing = led(state, event, Circumstances(Authority.OURS, on_surface=True))
+                standing = taken(state, event, Circumstances(Authority.OURS, on_surface=True))
                 assert ActionKind.HOLD not in kinds(standing)
 
 
@@ -162,7 +163,7 @@ def test_what_should_not_happen_returns_control_to_the_autopilot() -> None:
         (S.DESCEND, E.ONWARD),
     ):
         assert impossible(*pair)
-        branch = led(*pair)
+        branch = taken(*pair)
         assert branch.to is S.HOLD
         assert kinds(branch) == [ActionKind.HOLD]
         assert branch.authority is Authority.RELEASED
@@ -211,7 +212,7 @@ def test_a_good_flight_goes_through_in_order() -> None:
 
 @pytest.mark.parametrize("state", sorted(LIVE - {S.CONNECT}))
 def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
-    branch = led(state, E.PILOT_TOOK_OVER)
+    branch = taken(state, E.PILOT_TOOK_OVER)
     assert (branch.to, branch.actions, branch.authority) == (S.ABORT, (), Authority.RELEASED)
     assert Effect.STOP_SETPOINTS in branch.effects
 
@@ -220,20 +221,20 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
 @pytest.mark.parametrize("state", sorted(IN_AIR - ON_PAD))
 def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
     if TABLE[state, event]:
-        assert led(state, event).to is S.ABORT
-        assert kinds(led(state, event)) == [ActionKind.HOLD]
+        assert taken(state, event).to is S.ABORT
+        assert kinds(taken(state, event)) == [ActionKind.HOLD]
         # one that stands would lift off to hold a position
-        assert kinds(led(state, event, Circumstances(Authority.OURS, on_surface=True))) == [ActionKind.LAND]
+        assert kinds(taken(state, event, Circumstances(Authority.OURS, on_surface=True))) == [ActionKind.LAND]
 
 
 def test_stopped_on_the_ground_it_disarms_or_does_nothing() -> None:
-    assert led(S.CONNECT, E.STOP).actions == ()
-    assert kinds(led(S.ARM, E.STOP)) == [ActionKind.DISARM]
+    assert taken(S.CONNECT, E.STOP).actions == ()
+    assert kinds(taken(S.ARM, E.STOP)) == [ActionKind.DISARM]
 
 
 @pytest.mark.parametrize("state", [S.APPROACH, S.DESCEND])
 def test_losing_the_pad_asks_for_a_new_position(state: State) -> None:
-    branch = led(state, E.PAD_LOST)
+    branch = taken(state, E.PAD_LOST)
     assert branch.to is S.SEARCH
     assert branch.effects == (Effect.ASK_PAD_POSITION,)
 
@@ -248,7 +249,7 @@ def test_losing_the_pad_asks_for_a_new_position(state: State) -> None:
 def test_a_missed_touchdown_goes_round_again_until_its_tries_are_used_up(
     state: State, event: MissionEvent
 ) -> None:
-    again, last = led(state, event), led(state, event, Circumstances(Authority.OURS, tries_left=False))
+    again, last = taken(state, event), taken(state, event, Circumstances(Authority.OURS, tries_left=False))
     assert (again.to, last.to) == (S.APPROACH, S.HOLD)
     assert Effect.COUNT_TRY in again.effects
 
@@ -267,24 +268,41 @@ def test_so_many_tries_more_than_the_first() -> None:
 
 def test_motors_off_on_the_pad_are_a_landing_and_before_that_none() -> None:
     for state in IN_AIR:
-        assert led(state, E.DISARMED).to is (S.LANDED if state in ON_PAD else S.ABORT)
+        assert taken(state, E.DISARMED).to is (S.LANDED if state in ON_PAD else S.ABORT)
 
 
 def test_land_is_asked_on_the_pad_only_where_no_disarm_is_open() -> None:
-    assert kinds(led(S.STAND, E.UNPROVEN)) == [ActionKind.LAND]
+    assert kinds(taken(S.STAND, E.UNPROVEN)) == [ActionKind.LAND]
     assert follows(S.STAND, E.UNPROVEN, Circumstances(Authority.OURS, disarm_asked=True)) is None
 
 
 def test_a_link_that_is_back_is_of_use_only_while_control_is_ours() -> None:
-    assert led(S.AWAIT_LINK, E.LINK_UP).to is S.SEARCH
+    assert taken(S.AWAIT_LINK, E.LINK_UP).to is S.SEARCH
     for authority in (Authority.NONE, Authority.RELEASED):
         assert follows(S.AWAIT_LINK, E.LINK_UP, Circumstances(authority)) is None
 
 
 def test_what_the_autopilot_cannot_fly_straight_to_and_further_waypoints_are_flown_by_us() -> None:
-    assert led(S.TAKE_OFF, E.BLOCKED).to is S.ROUTE
-    assert led(S.TAKE_OFF, E.BLOCKED).actions == ()
-    assert led(S.WAYPOINT, E.ONWARD).to is S.ROUTE
+    assert taken(S.TAKE_OFF, E.BLOCKED).to is S.ROUTE
+    assert taken(S.TAKE_OFF, E.BLOCKED).actions == ()
+    assert taken(S.WAYPOINT, E.ONWARD).to is S.ROUTE
     for event in (E.ARRIVED, E.PAD_SEEN, E.TIMEOUT):
-        assert led(S.ROUTE, event).to is S.SEARCH
-    assert kinds(led(S.ROUTE, E.REFUSED)) == [ActionKind.HOLD]
+        assert taken(S.ROUTE, event).to is S.SEARCH
+    assert kinds(taken(S.ROUTE, E.REFUSED)) == [ActionKind.HOLD]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_whatever_happens_in_whatever_order_a_released_vehicle_stays_released(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    machine = StateMachine(retries=2)
+    for _ in range(300):
+        possible = [event for event in MissionEvent if not impossible(machine.state, event)]
+        event = possible[int(rng.integers(len(possible)))]
+        released = machine.authority is Authority.RELEASED
+        branch = machine.follows(event, on_surface=bool(rng.integers(2)), disarm_asked=bool(rng.integers(2)))
+        if branch is None:
+            continue
+        machine.take(branch)
+        if released:
+            assert branch.actions == ()
+            assert machine.authority is Authority.RELEASED

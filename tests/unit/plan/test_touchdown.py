@@ -13,7 +13,7 @@ from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import Circumstances, DetectedEvent, MissionEvent, State
 from companion.plan.mission.table import COMMITTED, ON_PAD, TOUCHDOWN, follows
-from companion.plan.trajectory.guidance import Guide
+from companion.plan.trajectory.guidance import ReferenceGenerator
 from tests.unit.plan.plan_harness import LEG_M, VEHICLE
 
 CONFIG = TouchdownConfig()
@@ -37,8 +37,8 @@ def sight(
 class Attempt:
     """A try that goes from state to state as the table says; `step` returns what ends it, and a contact."""
 
-    def __init__(self, sequence: TouchdownSequence, guide: Guide) -> None:
-        self._sequence, self._guide = sequence, guide
+    def __init__(self, sequence: TouchdownSequence, generator: ReferenceGenerator) -> None:
+        self._sequence, self._generator = sequence, generator
         self.state = State.WAIT
         self.broken_off_by = ""
         self.contact_s = math.nan
@@ -73,11 +73,11 @@ class Attempt:
 
 
 def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Attempt:
-    guide = Guide(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
-    guide.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
-    sequence = TouchdownSequence(config, VEHICLE, 0.35, guide)
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
+    generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
+    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator)
     sequence.begin(0.0, slack)
-    return Attempt(sequence, guide)
+    return Attempt(sequence, generator)
 
 
 def wait(touchdown: Attempt, seen: PadState, until_s: float) -> tuple[float, MissionEvent | None]:
@@ -282,14 +282,14 @@ def test_a_debounce_counts_from_the_last_break() -> None:
     assert held.held_s(True, 2.0) == 0.0
 
 
-def descent(touchdown: Attempt, lags_m: float, sink_m_s: float, count: int = 15) -> Guide:
+def descent(touchdown: Attempt, lags_m: float, sink_m_s: float, count: int = 15) -> ReferenceGenerator:
     """Cycles of a vehicle that is so much above the reference and sinks at its own speed."""
-    guide = touchdown._guide
+    generator = touchdown._generator
     for k in range(count):
         now = 1.2 + k * CYCLE_S
-        height = -guide.at(now).position_m[2] + lags_m
+        height = -generator.at(now).position_m[2] + lags_m
         touchdown.step(sight(height=height, velocity=(0.0, 0.0, sink_m_s)), None, LandedState.IN_AIR, now)
-    return guide
+    return generator
 
 
 def test_on_the_last_way_down_the_reference_gives_way_to_the_vehicles_height_but_not_its_speed() -> None:
@@ -307,7 +307,7 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
     for k in range(60):
         now = 1.0 + k * CYCLE_S
         touchdown.step(sight(height=LEG_M + 0.03), None, LandedState.IN_AIR, now)
-    assert touchdown._guide.at(3.0).position_m[2] > -LEG_M + 0.05
+    assert touchdown._generator.at(3.0).position_m[2] > -LEG_M + 0.05
 
 
 @pytest.mark.parametrize(
@@ -333,10 +333,10 @@ def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
     assert touchdown.committed is not broken
     if broken:
         # and rises to where it waits, without a step, and may commit again
-        before = touchdown._guide.at(1.2)
+        before = touchdown._generator.at(1.2)
         for k in range(6, 80):
             touchdown.step(sight(height=height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
-        after = touchdown._guide.at(3.5)
+        after = touchdown._generator.at(3.5)
         assert before.velocity_m_s[2] > 0.0
         assert after.position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
         assert wait(touchdown, sight(), 9.0)[1] is None
@@ -349,23 +349,23 @@ def test_a_break_off_climbs_at_once() -> None:
         touchdown.step(low, None, LandedState.IN_AIR, now_s)
         now_s += CYCLE_S
     begun_s = now_s - CYCLE_S
-    start = touchdown._guide.at(begun_s)
+    start = touchdown._generator.at(begun_s)
     lowest_m = start.position_m[2]
     while now_s < begun_s + 0.3:
         touchdown.step(low, None, LandedState.IN_AIR, now_s)
-        lowest_m = max(lowest_m, touchdown._guide.at(now_s).position_m[2])
+        lowest_m = max(lowest_m, touchdown._generator.at(now_s).position_m[2])
         now_s += CYCLE_S
     assert start.velocity_m_s[2] == pytest.approx(CONFIG.contact_speed_m_s, abs=0.02)
     assert lowest_m - start.position_m[2] < 0.03
-    assert touchdown._guide.at(now_s).velocity_m_s[2] < -0.25
+    assert touchdown._generator.at(now_s).velocity_m_s[2] < -0.25
     # and comes to rest where it waits, not far over it
     highest_m = 0.0
     while now_s < begun_s + 3.0:
         touchdown.step(sight(0.1), None, LandedState.IN_AIR, now_s)
-        highest_m = min(highest_m, touchdown._guide.at(now_s).position_m[2])
+        highest_m = min(highest_m, touchdown._generator.at(now_s).position_m[2])
         now_s += CYCLE_S
     assert -highest_m < WAIT_M + 0.1
-    assert touchdown._guide.at(now_s).position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
+    assert touchdown._generator.at(now_s).position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
 
 
 def test_one_fast_sample_is_no_reason_to_break_off() -> None:
@@ -582,11 +582,11 @@ def test_who_gives_the_last_way_down_up_climbs_at_once(lateral_m: float) -> None
     assert found is not None
     assert found[0] is MissionEvent.MISALIGNED
     # WHEN the landing flies back to over the pad from the next cycle on
-    before = touchdown._guide.at(late_s)
-    touchdown._guide.fly_to(Motion((0.0, 0.0, -LEG_M - 1.5)), late_s + CYCLE_S)
-    lowest_m = max(touchdown._guide.at(late_s + 0.01 * k).position_m[2] for k in range(30))
+    before = touchdown._generator.at(late_s)
+    touchdown._generator.fly_to(Motion((0.0, 0.0, -LEG_M - 1.5)), late_s + CYCLE_S)
+    lowest_m = max(touchdown._generator.at(late_s + 0.01 * k).position_m[2] for k in range(30))
     assert lowest_m < before.position_m[2] + 0.03
-    assert touchdown._guide.at(late_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3, abs=0.01)
+    assert touchdown._generator.at(late_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3, abs=0.01)
 
 
 def test_leaning_back_from_far_aside_a_low_foot_is_no_contact() -> None:

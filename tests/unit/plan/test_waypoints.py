@@ -66,7 +66,7 @@ def test_the_pad_in_view_ends_the_route() -> None:
     world = World(still(10.0, 6.0), config=PlanConfig(mission=mission))
     world.fly(90.0)
     assert world.flight.phase is Phase.LANDED
-    assert any("on the way through the waypoints" in text for text in world.flight.told("phase"))
+    assert any("between the waypoints" in text for text in world.flight.told("phase"))
 
 
 def test_an_obstacle_in_the_autopilots_straight_way_makes_the_first_waypoint_ours() -> None:
@@ -115,7 +115,7 @@ def test_a_waypoint_to_which_no_way_leads_is_held_before_and_told_and_ends_by_ti
     world = World(still(60.0, 60.0), config=config)
     track = Track(world)
     world.fly(60.0)
-    assert any("no way" in text for text in world.flight.told("blocked"))
+    assert any("no clear path" in text for text in world.flight.told("blocked"))
     assert phases(world)[-3:] == [Phase.ROUTE, Phase.SEARCH, Phase.ABORT]
     assert track.clearance_m(*config.obstacles) > 1.8
 
@@ -154,7 +154,7 @@ def test_with_no_estimate_at_the_take_off_obstacles_have_no_place_and_it_lands()
     world.fly(40.0)
     assert phases(world)[-2:] == [Phase.TAKE_OFF, Phase.ABORT]
     assert ActionKind.LAND in {kind for _, kind in world.autopilot.heard}
-    assert any("where the obstacles are is not known" in text for text in world.flight.told("phase"))
+    assert any("position of the obstacles unknown" in text for text in world.flight.told("phase"))
 
 
 def test_an_estimate_that_is_lost_before_the_motors_turn_is_not_flown_by() -> None:

@@ -1,0 +1,9 @@
+"""How the parts of the planner announce something: kind, text, time and severity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+NoticeSeverity = Literal["info", "warning", "error"]
+NoticeSink = Callable[[str, str, float, NoticeSeverity], None]

@@ -1,0 +1,61 @@
+"""A trajectory within the limits of speed and acceleration: as long as it takes, within reason. m, s."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from companion.base.geometry import Vector3
+from companion.base.motion import Motion
+from companion.config import GuidanceConfig
+from companion.plan.trajectory.min_jerk import Trajectory, plan
+
+_CHECKED_AT: Final = (0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+_MOST_STRETCHES: Final = 4
+
+
+def within_limits(
+    moving: Motion, duration_s: float, longest_s: float, now_s: float, limits: GuidanceConfig
+) -> Trajectory:
+    """The way to the origin at rest, longer than asked where speed or acceleration would be too much.
+
+    Within reason: an acceleration at the start lasts the longer the longer the way, and more time makes
+    the speed that it leads to worse.
+    """
+    best, least = None, math.inf
+    for _ in range(_MOST_STRETCHES + 1):
+        trajectory = plan(moving, Motion((0.0, 0.0, 0.0)), now_s, duration_s)
+        stretch = _stretch(trajectory, moving, limits)
+        if best is None or stretch < least:
+            best, least = trajectory, stretch
+        if stretch <= 1.001:
+            break
+        duration_s = min(duration_s * min(stretch, 1.5), longest_s)
+    assert best is not None
+    return best
+
+
+def _stretch(trajectory: Trajectory, start: Motion, limits: GuidanceConfig) -> float:
+    """By what factor the duration should grow; what the start already exceeds cannot be helped."""
+    c = limits
+    flat, steep = _flat(start.velocity_m_s), abs(start.velocity_m_s[2])
+    push, lift = _flat(start.acceleration_m_s2), abs(start.acceleration_m_s2[2])
+    speed = acceleration = 1.0
+    for tau in _CHECKED_AT:
+        motion = trajectory.at(trajectory.start_s + tau * trajectory.duration_s)
+        v, a = motion.velocity_m_s, motion.acceleration_m_s2
+        speed = max(
+            speed,
+            _flat(v) / max(c.horizontal_speed_m_s, flat),
+            abs(v[2]) / max(c.vertical_speed_m_s, steep),
+        )
+        acceleration = max(
+            acceleration,
+            _flat(a) / max(c.horizontal_acceleration_m_s2, push),
+            abs(a[2]) / max(c.vertical_acceleration_m_s2, lift),
+        )
+    return max(speed, math.sqrt(acceleration))
+
+
+def _flat(v: Vector3) -> float:
+    return math.hypot(v[0], v[1])
