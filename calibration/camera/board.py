@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from calibration.camera.surface import Surface
 from companion.base.geometry import FloatArray
-from companion.base.page import Rectangle, code_rectangles
+from companion.base.printing.page import Rectangle, code_rectangles
 from companion.config import ConfigError, StrictModel
 
 Pattern = Literal["charuco", "grid", "chessboard"]

@@ -21,7 +21,7 @@ from calibration.camera.capture import CaptureSession
 from calibration.camera.detection import BoardFinder, View
 from calibration.camera.overlay import draw
 from calibration.camera.quality import assess
-from companion.base.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.source import FrameSource, open_camera
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from calibration.camera.board import Board
 from companion.base.files import write_atomically
-from companion.base.page import RULER_MM, Page, save
-from companion.base.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
+from companion.base.printing.page import RULER_MM, Page, save
+from companion.base.printing.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 from companion.config import ConfigError
 
 

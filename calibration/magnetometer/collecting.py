@@ -20,7 +20,7 @@ from calibration.magnetometer.guidance import Progress, progress
 from calibration.magnetometer.live import LiveSource
 from calibration.magnetometer.recording import Recording, paired
 from companion.base.clock import Clock
-from companion.base.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer
 from companion.config import ConfigError
 
 ENOUGH: Final = 0.88  # of the sphere: then it stops by itself

@@ -49,7 +49,7 @@ from calibration.mount.shared import (
 )
 from calibration.mount.solve import NoSolutionError, solve
 from calibration.mount.verdict import reasons
-from companion.base.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_config, load_model
 
 HELP: Final = """How camera and inertial sensor sit on the vehicle, found in the field.

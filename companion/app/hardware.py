@@ -18,21 +18,14 @@ from companion.link.transport import Transport, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins
+from companion.sense.range.range_finder import BytePort
 from companion.sense.serial_port import SerialPort
 
 ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], VehicleActions]
 
 
-class BytePort(Protocol):
-    """A serial line to a sensor."""
-
-    async def read(self) -> bytes:
-        """Wait for at least one byte. OSError when the line is gone."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Send without waiting. OSError when the line is gone."""
-        ...
+class BaudRatePort(BytePort, Protocol):
+    """A serial line whose rate can be changed."""
 
     def set_baud(self, baud: int) -> None:
         """Change the rate. OSError when the line is gone."""
@@ -53,8 +46,8 @@ class Hardware:
     transport: Transport
     frames: FrameSource
     imu_bus: RegisterBus | None = None
-    gps_port: BytePort | None = None
-    range_port: BytePort | EchoPins | None = None
+    gps_port: BaudRatePort | None = None
+    range_port: BaudRatePort | EchoPins | None = None
 
 
 @asynccontextmanager
@@ -74,8 +67,8 @@ async def open_hardware(config: CompanionConfig, *, linked: bool = True) -> Asyn
         if linked:
             transport = opened.enter_context(closing(await open_transport(link.connection, link.system_id)))
         imu_bus: RegisterBus | None = None
-        gps_port: BytePort | None = None
-        range_port: BytePort | EchoPins | None = None
+        gps_port: BaudRatePort | None = None
+        range_port: BaudRatePort | EchoPins | None = None
         if sense.source == "boards":
             imu_bus = opened.enter_context(closing(open_bus(sense.imu.bus)))
             gps_port = opened.enter_context(closing(SerialPort(sense.gps.port, sense.gps.baud)))

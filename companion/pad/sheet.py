@@ -17,7 +17,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field, model_validator
 
-from companion.base.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
+from companion.base.printing.paper import FOOT_MM, MARGIN_MM, PAPERS_MM, PaperName
 from companion.config import StrictModel
 
 Metres = Annotated[float, Field(gt=0.05, le=12.0)]

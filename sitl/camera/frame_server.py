@@ -1,4 +1,4 @@
-"""Serves frames to other processes on a unix socket or a TCP port (companion/base/frame_format.py).
+"""Serves frames to other processes on a unix socket or a TCP port (companion/base/formats/frame_format.py).
 
 A client that has not taken its last frame yet misses this one: the camera never waits.
 """
@@ -9,7 +9,7 @@ import asyncio
 from collections.abc import Callable
 from pathlib import Path
 
-from companion.base.frame_format import pack_frame
+from companion.base.formats.frame_format import pack_frame
 from companion.base.messages import Frame
 from sitl.camera.unix_socket import UnixServer
 

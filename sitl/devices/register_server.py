@@ -1,4 +1,4 @@
-"""Serves a register bus to an app in another process: `companion.base.bus_format` on a unix socket."""
+"""Serves a register bus to an app in another process (`companion.base.formats.bus_format`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from companion.base.bus_format import (
+from companion.base.formats.bus_format import (
     REQUEST_BYTES,
     BusFormatError,
     ReadRequest,

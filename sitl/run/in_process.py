@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from companion.base.messages import Frame
-from companion.base.slots import Slot
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
 from sitl.firmware.spec import FirmwareSpec
+from sitl.run.latest_value import LatestValue
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
@@ -38,7 +38,7 @@ class MemoryFrames:
     """The camera of an app in the same process: the newest frame replaces the one before."""
 
     def __init__(self) -> None:
-        self._slot: Slot[Frame] = Slot()
+        self._slot: LatestValue[Frame] = LatestValue()
 
     def deliver(self, frame: Frame) -> None:
         """A frame has arrived."""

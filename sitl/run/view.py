@@ -21,9 +21,9 @@ import typer
 from numpy.typing import NDArray
 
 from companion.base.clock import Clock
-from companion.base.frame_format import FrameHeader
-from companion.base.frame_stream import FrameStream
-from companion.base.mjpeg import MjpegServer
+from companion.base.formats.frame_format import FrameHeader
+from companion.base.formats.frame_stream import FrameStream
+from companion.base.formats.mjpeg import MjpegServer
 from companion.config import ConfigError
 from sitl.run.process_control import terminated_as_interrupted
 

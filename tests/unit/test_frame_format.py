@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from companion.base.frame_format import HEADER_SIZE, pack_frame, unpack_header, unpack_image
+from companion.base.formats.frame_format import HEADER_SIZE, pack_frame, unpack_header, unpack_image
 
 IMAGE = np.arange(12, dtype=np.uint8).reshape(3, 4)
 

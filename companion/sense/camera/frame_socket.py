@@ -1,4 +1,4 @@
-"""Frames from another process on a socket (`companion.base.frame_format`), as a camera."""
+"""Frames from another process on a socket (`companion.base.formats.frame_format`), as a camera."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import asyncio
 from typing import Final
 
 from companion.base.clock import Clock
-from companion.base.frame_format import FrameHeader
-from companion.base.frame_stream import FrameStream
+from companion.base.formats.frame_format import FrameHeader
+from companion.base.formats.frame_stream import FrameStream
 from companion.base.messages import Frame
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.reader import Newest, ReadBack, check_size, grey

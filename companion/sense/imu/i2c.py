@@ -15,7 +15,7 @@ from typing import Final, Protocol
 
 import smbus2
 
-from companion.base.bus_format import (
+from companion.base.formats.bus_format import (
     REPLY_HEADER_BYTES,
     BusFormatError,
     ReadRequest,
@@ -79,7 +79,7 @@ class SmbusBus:
 
 
 class SocketBus:
-    """A client of `companion.base.bus_format` on a stream socket; connects again when the peer was gone."""
+    """A client of `companion.base.formats.bus_format` on a stream socket; reconnects."""
 
     def __init__(self, path: str | Path) -> None:
         self._path = str(path)

@@ -13,7 +13,7 @@ from rich.text import Text
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import open_hardware
 from companion.base.files import write_atomically
-from companion.base.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
 from companion.tools.check.report import cause_lines, report_json, report_table, verdict_line
 from companion.tools.check.session import Outlets, PadCheck

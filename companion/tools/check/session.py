@@ -19,7 +19,7 @@ from typing import Final
 from companion.app.hardware import Hardware
 from companion.app.sensing import Sensing
 from companion.base.clock import Clock
-from companion.base.mjpeg import MjpegServer
+from companion.base.formats.mjpeg import MjpegServer
 from companion.config import (
     CameraConfig,
     CompanionConfig,

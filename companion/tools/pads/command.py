@@ -11,8 +11,8 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from companion.base.page import ENDINGS, png_dpi, save
-from companion.base.paper import PaperName
+from companion.base.printing.page import ENDINGS, png_dpi, save
+from companion.base.printing.paper import PaperName
 from companion.config import CameraConfig, ConfigError, find_file, load_model, validate
 from companion.pad import Pad, Sheet, checked, load_pad
 from companion.tools.pads.coverage import HOVER, HoverSpread, predict

@@ -15,8 +15,8 @@ from typing import Final
 
 import cv2
 
-from companion.base.page import RULER_MM, Page, Point, Rectangle, code_rectangles
-from companion.base.paper import FOOT_MM, PAPERS_MM
+from companion.base.printing.page import RULER_MM, Page, Point, Rectangle, code_rectangles
+from companion.base.printing.paper import FOOT_MM, PAPERS_MM
 from companion.pad import DICTIONARIES, Marker, Pad
 from companion.pad.rules import extent
 from companion.pad.sheet import Tiling

@@ -13,7 +13,7 @@ import pytest
 from calibration.camera.board import Board, read_dictionary
 from calibration.camera.detection import BoardFinder
 from calibration.camera.printing import board_yaml, pattern_corner_mm, sheet_mm, write_board
-from companion.base.paper import PaperName
+from companion.base.printing.paper import PaperName
 from companion.config import CONFIG_FOLDER, ConfigError, load_model, validate
 
 CHARUCO = Board(columns=7, rows=5, square_m=0.034, marker_m=0.025)

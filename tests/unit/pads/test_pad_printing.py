@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from companion.base.page import PNG_DPI, save
+from companion.base.printing.page import PNG_DPI, save
 from companion.pad import Pad, load_pad
 from companion.tools.pads.labels import place_labels, words_of
 from companion.tools.pads.printing import clip, draw_pad, tiles

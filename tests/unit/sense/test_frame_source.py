@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from companion.base.clock import Clock
-from companion.base.frame_format import pack_frame
+from companion.base.formats.frame_format import pack_frame
 from companion.base.messages import Frame
 from companion.config import CameraConfig, ConfigError
 from companion.sense.camera.frame_socket import MOST_STRANGE, SocketCamera

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from companion.base import bus_format
-from companion.base.bus_format import BusFormatError, ReadRequest, WriteRequest
+from companion.base.formats import bus_format
+from companion.base.formats.bus_format import BusFormatError, ReadRequest, WriteRequest
 from companion.config import ConfigError
 from companion.sense.imu.i2c import SmbusBus, SocketBus, open_bus
 from sitl.devices.register_server import answer, serve_registers

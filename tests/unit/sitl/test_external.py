@@ -21,8 +21,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from companion.base.clock import Clock
-from companion.base.frame_format import FrameHeader
-from companion.base.frame_stream import FrameStream
+from companion.base.formats.frame_format import FrameHeader
+from companion.base.formats.frame_stream import FrameStream
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER, CameraConfig, RangeConfig, VehicleConfig, find_file, load_model

@@ -14,8 +14,8 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from companion.base.bus_format import REPLY_HEADER_BYTES, WriteRequest, encode_request
 from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.formats.bus_format import REPLY_HEADER_BYTES, WriteRequest, encode_request
 from companion.base.geometry import (
     FloatArray,
     Vector3,

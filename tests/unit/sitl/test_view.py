@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from companion.base.clock import Clock
-from companion.base.frame_format import FrameHeader, pack_frame
+from companion.base.formats.frame_format import FrameHeader, pack_frame
+from companion.base.formats.mjpeg import MjpegServer
 from companion.base.messages import Frame
-from companion.base.mjpeg import MjpegServer
 from companion.config import CONFIG_FOLDER, ConfigError
 from sitl.camera.frame_server import FrameServer
 from sitl.cli import main

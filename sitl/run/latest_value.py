@@ -1,7 +1,6 @@
-"""Latest-value slots: how stages hand messages on inside the app.
+"""The newest value of something, and a way to wait for the next.
 
-A slow reader sees the newest value and never a queue of old ones: a control loop that works through a
-backlog flies in the past.
+A slow reader sees the newest value and never a queue of old ones.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Slot(Generic[T]):
+class LatestValue(Generic[T]):
     """The newest value of one topic, and a way to wait for the next."""
 
     def __init__(self) -> None:

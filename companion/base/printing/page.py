@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from companion.base.files import write_atomically
-from companion.base.paper import MM_PER_INCH
+from companion.base.printing.paper import MM_PER_INCH
 from companion.config import ConfigError
 
 RULER_MM: Final = 100

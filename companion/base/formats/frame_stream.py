@@ -1,4 +1,4 @@
-"""Reads frames (`companion.base.frame_format`) from whoever serves them: a unix socket, or TCP.
+"""Reads frames (`companion.base.formats.frame_format`) from whoever serves them: a unix socket, or TCP.
 
 Addresses: "socket:/run/companion/frames", "tcp:127.0.0.1:5600". What goes wrong is an OSError with one line
 that says what: nobody there, closed half way, not frames.
@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from companion.base.frame_format import HEADER_SIZE, FrameHeader, unpack_header, unpack_image
+from companion.base.formats.frame_format import HEADER_SIZE, FrameHeader, unpack_header, unpack_image
 
 ADDRESS_FORM: Final = re.compile(r"socket:(?P<path>.+)|tcp:(?P<host>[^:\s]+):(?P<port>\d{1,5})")
 CONNECT_TIMEOUT_S: Final = 5.0

@@ -2,11 +2,11 @@
 
 import asyncio
 
-from companion.base.slots import Slot
+from sitl.run.latest_value import LatestValue
 
 
 async def test_a_slow_reader_sees_the_newest_value_only() -> None:
-    slot: Slot[int] = Slot()
+    slot: LatestValue[int] = LatestValue()
     slot.put(1)
     slot.put(2)
     assert await slot.next() == 2

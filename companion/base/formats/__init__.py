@@ -1,0 +1,1 @@
+"""Byte formats and streams that the app, the simulator and the tools share."""

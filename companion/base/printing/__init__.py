@@ -1,0 +1,1 @@
+"""Printed pages: paper sizes, vector pages as PDF, SVG and PNG."""
