@@ -106,10 +106,13 @@ class Planner:
             self._steering.search.locator.remember(self._pad.motion, inputs.pad.seen_time_s, now_s)
 
     def _within_fence(self, inputs: PlanInputs) -> bool:
-        """Whether the beacon lies inside the fence; one outside is announced once and ignored."""
+        """Whether the beacon lies inside the fence; one outside is announced once and ignored.
+
+        Without a home position the fence cannot be checked, so the beacon is ignored until there is one.
+        """
         beacon, home = inputs.beacon, inputs.autopilot.home
         if beacon is None or home is None:
-            return beacon is not None
+            return False
         north, east, _ = ned_from_geodetic(beacon.latitude_deg, beacon.longitude_deg, beacon.altitude_m, home)
         distance_m, fence_m = math.hypot(north, east), self._fence_m
         if distance_m > fence_m and not self._fence_told:
