@@ -517,6 +517,7 @@ def test_stopped_it_holds_hands_back_and_ends(at_s: float) -> None:
     flight = w.flight
     assert flight.phase is Phase.ABORT
     assert flight.entered(Phase.ABORT) == pytest.approx(at_s, abs=0.1)
+    assert flight.told("phase")[-1] == "abort: stop requested: by the operator"
     if at_s < 2.0:
         assert w.autopilot.heard == []
         return
