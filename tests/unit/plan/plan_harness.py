@@ -198,6 +198,7 @@ class World:
         self.position: Vector3 = (0.0, 0.0, -LEG_M)
         self.velocity: Vector3 = ZERO3
         self.acceleration: Vector3 = ZERO3
+        self.home: Callable[[float], Vector3 | None] = lambda _t: HOME
         self.blind: Callable[[float, float], bool] = lambda _t, _height: False
         self.noise_m = 0.0
         self.jolted: Callable[[float], bool] = lambda _t: False  # the IMU feels 4 m/s2 more, upward
@@ -296,7 +297,7 @@ class World:
             ekf_ready=self.now_s > a.ekf_ready_from_s,
             landed=a.landed,
             global_position=geodetic_from_ned(self.position, HOME),
-            home=HOME,
+            home=self.home(self.now_s),
         )
 
     def _sense(self) -> None:

@@ -254,6 +254,21 @@ def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:
     assert any("by its beacon" in text for text in flight.told("pad_lost"))
 
 
+def test_a_beacon_outside_the_fence_is_ignored_and_announced() -> None:
+    w = world(still(0.0, 200.0))
+    flight = w.fly(60.0)
+    assert flight.told("fence") == ["pad beacon 200 m from home, outside the fence of 150 m: ignored"]
+    assert w.position[1] < 20.0  # by the beacon it would be at 48 m
+
+
+def test_without_a_home_position_the_fence_is_closed() -> None:
+    w = world(still(0.0, 200.0))
+    w.home = lambda _t: HOME if w.autopilot.mode != "OFFBOARD" else None  # known until the search
+    flight = w.fly(60.0)
+    assert flight.told("fence") == []
+    assert w.position[1] < 20.0  # by the beacon it would be at 48 m
+
+
 def test_a_pad_without_a_beacon_is_found_by_the_spiral() -> None:
     w = World(still(6.0, 6.0))
     flight = w.fly(150.0)
