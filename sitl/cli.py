@@ -5,7 +5,6 @@ Exit codes: 0 success, 1 a run failed, 2 a user error.
 
 from __future__ import annotations
 
-import asyncio
 import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -14,25 +13,23 @@ from typing import Annotated, Final
 import typer
 from typer.exceptions import TyperException
 
-from companion.base.messages import Manner
-from companion.config import ConfigError
-from sitl.campaign.command import HELP as CAMPAIGN_HELP
-from sitl.campaign.command import campaign_command
-from sitl.external.server import serve_external
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.command_line import Command, VersionOption, lazy_app, print_error
+from companion.base.errors import ConfigError
+from companion.base.files import find_file
+from sitl.firmware.errors import FirmwareError
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
-from sitl.firmware.process import FirmwareError
-from sitl.firmware.spec import FirmwareSpec
-from sitl.mavlink.signing import read_key
-from sitl.run.hold_command import HELP as HOLD_HELP
-from sitl.run.hold_command import hold_command
-from sitl.run.port_options import GroundPortOption, PortOption, TcpPortOption
-from sitl.run.process_control import socket_folder, terminated_as_interrupted
-from sitl.run.server import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT, Service, serve, serve_child
-from sitl.run.view import HELP as VIEW_HELP
-from sitl.run.view import view_command
-from sitl.scenario.commands import SCENARIOS_HELP, SCHEMA_HELP, scenarios_command, schema_command
-from sitl.scenario.scenario import load_scenario
+from sitl.run.port_options import (
+    COMPANION_PORT,
+    GROUND_PORT,
+    LOOPBACK,
+    TCP_PORT,
+    GroundPortOption,
+    PortOption,
+    TcpPortOption,
+)
 
+PROGRAM: Final = "companion-sitl"
 FIRMWARE_FAILED: Final = 1
 USER_ERROR: Final = 2
 WITH_CHILD: Final = (
@@ -44,12 +41,18 @@ WITH_FIRMWARE: Final = (
 )  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
 
-cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-cli.command("scenarios", help=SCENARIOS_HELP)(scenarios_command)
-cli.command("schema", help=SCHEMA_HELP)(schema_command)
-cli.command("campaign", help=CAMPAIGN_HELP, short_help="Fly scenarios under many seeds.")(campaign_command)
-cli.command("view", help=VIEW_HELP)(view_command)
-cli.command("hold", help=HOLD_HELP, short_help="Serve a vehicle that is carried by hand.")(hold_command)
+COMMANDS: Final = {
+    "scenarios": Command(
+        "sitl.scenario.commands:scenarios_command", "List the scenarios, or print one.", "SCENARIOS_HELP"
+    ),
+    "schema": Command(
+        "sitl.scenario.commands:schema_command", "Print the JSON schema of scenario files.", "SCHEMA_HELP"
+    ),
+    "campaign": Command("sitl.campaign.command:campaign_command", "Fly scenarios under many seeds."),
+    "view": Command("sitl.run.view:view_command", "Show or record the frames that a socket serves."),
+    "hold": Command("sitl.run.hold_command:hold_command", "Serve a vehicle that is carried by hand."),
+}
+cli = lazy_app(COMMANDS)
 
 
 @cli.callback(invoke_without_command=True)
@@ -59,7 +62,7 @@ def companion_sitl(
     scenario: Annotated[str, typer.Option(help="A name in configs/scenarios, or a file.")] = "line",
     seed: Annotated[int, typer.Option(min=0, help="Repeats a flight.")] = 0,
     autopilot: Annotated[
-        Manner | None, typer.Option(help="Autopilot profile, instead of the scenario's.")
+        AutopilotKind | None, typer.Option(help="Autopilot profile, instead of the scenario's.")
     ] = None,
     bind: Annotated[
         str, typer.Option(help="Address to serve at; 0.0.0.0 opens it to the network.", metavar="ADDRESS")
@@ -90,6 +93,7 @@ def companion_sitl(
     firmware_path: FirmwarePathOption = None,
     firmware_param: FirmwareParamOption = None,
     child: Annotated[bool, typer.Option("--child", hidden=True)] = False,
+    version: VersionOption = False,
 ) -> None:
     """Serve a simulated quadrotor with a camera over a moving pad."""
     if context.invoked_subcommand is not None:
@@ -104,21 +108,12 @@ def companion_sitl(
         refuse(context, WITH_CHILD, "expected it without --child")
     elif firmware is not None:
         refuse(context, WITH_FIRMWARE, "applies to the bundled autopilot; expected it without --firmware")
-    loaded = load_scenario(scenario)
-    if autopilot is not None:
-        loaded = loaded.model_copy(update={"autopilot": autopilot})
-    flown = FirmwareSpec.of(firmware, firmware_path, firmware_param or ())
-    if flown is not None:
-        loaded = loaded.model_copy(update={"autopilot": flown.kind})
-    key = None if signing_key is None else read_key(signing_key)
-    with terminated_as_interrupted(), socket_folder(folder) as place:
-        if external is not None:
-            asyncio.run(serve_external(loaded, seed, place, external, child=child))
-        elif child:
-            asyncio.run(serve_child(loaded, seed, place, firmware=flown))
-        else:
-            service = Service(bind, port, gcs_port, tcp_port)
-            asyncio.run(serve(loaded, seed, place, service, key, serve_truth=serve_truth, firmware=flown))
+    find_file("scenarios", scenario)
+    from sitl.run.serve_command import Served, serve_vehicle  # noqa: PLC0415 - imports what simulates
+
+    flown = (firmware, firmware_path, firmware_param)
+    served = Served(scenario, seed, autopilot, flown, folder, external, signing_key, child, serve_truth)
+    serve_vehicle(served, bind, (port, gcs_port, tcp_port))
 
 
 def refuse(context: typer.Context, allowed: Collection[str], why: str) -> None:
@@ -140,19 +135,14 @@ def main(words: Sequence[str] | None = None) -> None:
     except TyperException as error:
         # a list of choices takes several lines
         said = " ".join(error.format_message().split()).rstrip(".")
-        code = _fail(f"{said}; see companion-sitl --help")
+        code = print_error(PROGRAM, f"{said}; see companion-sitl --help", USER_ERROR)
     except ConfigError as error:
-        code = _fail(str(error))
+        code = print_error(PROGRAM, str(error), USER_ERROR)
     except FirmwareError as error:
-        code = _fail(str(error), FIRMWARE_FAILED)
+        code = print_error(PROGRAM, str(error), FIRMWARE_FAILED)
     except (KeyboardInterrupt, typer.Abort):
         code = 0
     sys.exit(code)
-
-
-def _fail(text: str, code: int = USER_ERROR) -> int:
-    print(f"companion-sitl: {text}", file=sys.stderr)
-    return code
 
 
 if __name__ == "__main__":

@@ -18,10 +18,11 @@ from typer.core import TyperGroup
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command: `function` as "package.module:name", with its help as HELP in that module, and one line."""
+    """A command: `function` as "package.module:name", one line, and where in that module its help is."""
 
     function: str
     summary: str
+    help_name: str = "HELP"
     hidden: bool = False
 
     def load(self, name: str) -> Any:
@@ -29,7 +30,7 @@ class Command:
         module_name, _, function_name = self.function.partition(":")
         module = import_module(module_name)
         app = new_app()
-        app.command(name, help=module.HELP)(getattr(module, function_name))
+        app.command(name, help=getattr(module, self.help_name))(getattr(module, function_name))
         return typer.main.get_command(app)
 
 

@@ -30,7 +30,7 @@ from companion.flightlog.record import FlightLog
 from companion.link.inbox import MemoryTransport, memory_pair
 from companion.sim.process import SimulatorError, SimulatorProcess
 from companion.sim.trial import Trial
-from sitl.firmware.process import FirmwareError
+from sitl.firmware.errors import FirmwareError
 from sitl.run.in_process import InProcess
 from sitl.run.report import SimulationReport
 

@@ -17,12 +17,12 @@ from companion.base.clock import wall_clock_s
 from companion.base.geometry import Vector3
 from companion.config import ConfigError
 from sitl.firmware.base import ANSWER_S, Moment, Setup
+from sitl.firmware.errors import FirmwareError
 from sitl.firmware.process import (
     INSTANCES,
     LOOK_S,
     LOOPBACK,
     Datagrams,
-    FirmwareError,
     Process,
     is_free,
 )

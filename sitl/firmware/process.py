@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from companion.config import ConfigError
+from sitl.firmware.errors import FirmwareError
 
 LOOPBACK: Final = "127.0.0.1"
 INSTANCES: Final = 10  # PX4 gives further ones a shared port
@@ -26,10 +27,6 @@ _LOG_NAME: Final = "firmware.log"
 _WORDS_BYTES: Final = 4096
 # $1 is the process group, $2 the folder; the end of standard input is ours
 _WATCH: Final = 'read -r _; kill -s KILL -- "-$1"; rm -rf -- "$2"'
-
-
-class FirmwareError(RuntimeError):
-    """The firmware has ended, or does not answer; the text is one line."""
 
 
 class Process:

@@ -21,13 +21,13 @@ from companion.config import ConfigError
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware.barometer import Barometer, pressure_hpa
 from sitl.firmware.base import ANSWER_S, Moment, Setup
+from sitl.firmware.errors import FirmwareError
 from sitl.firmware.process import (
     INSTANCES,
     LAST_S,
     LOOK_S,
     LOOPBACK,
     Datagrams,
-    FirmwareError,
     Process,
     is_free,
 )

@@ -12,7 +12,7 @@ from companion.config import ConfigError
 from sitl.firmware.ardupilot import ArduPilot
 from sitl.firmware.barometer import Barometer
 from sitl.firmware.base import Firmware, Moment, Setup
-from sitl.firmware.process import FirmwareError
+from sitl.firmware.errors import FirmwareError
 from sitl.firmware.px4 import Px4
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect

@@ -8,9 +8,16 @@ from typing import Annotated, Final
 
 import typer
 
-from sitl.run.port_options import GroundPortOption, PortOption, TcpPortOption
+from sitl.run.port_options import (
+    COMPANION_PORT,
+    GROUND_PORT,
+    TCP_PORT,
+    GroundPortOption,
+    PortOption,
+    TcpPortOption,
+)
 from sitl.run.process_control import socket_folder, terminated_as_interrupted
-from sitl.run.server import COMPANION_PORT, GROUND_PORT, TCP_PORT, Service, serve, serve_child
+from sitl.run.server import Service, serve, serve_child
 from sitl.scenario.scenario import load_scenario
 from sitl.vehicle.hand_paths import HandMotion
 

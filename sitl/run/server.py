@@ -29,6 +29,7 @@ from sitl.devices.ports import PtyPort
 from sitl.devices.register_server import serve_registers
 from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.links import TcpServer, UdpServer
+from sitl.run.port_options import COMPANION_PORT, GROUND_PORT, LOOPBACK, TCP_PORT
 from sitl.run.process_control import final_phase, print_json, run_until_finished
 from sitl.run.simulation import Simulation
 from sitl.scenario.app_settings import settings_text
@@ -37,10 +38,6 @@ from sitl.vehicle.hand_paths import HandMotion
 
 REPORT_NAME: Final = "report.json"
 SENSOR_BAUD: Final = 9600
-LOOPBACK: Final = "127.0.0.1"
-COMPANION_PORT: Final = 14540
-GROUND_PORT: Final = 14550
-TCP_PORT: Final = 5760
 # from which the vehicle sends to those two, as PX4's simulator does; to others it sends from a free one
 _OWN_PORTS: Final = {COMPANION_PORT: 14580, GROUND_PORT: 18570}
 

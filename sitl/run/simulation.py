@@ -24,7 +24,7 @@ from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
 from sitl.faults.injection import FaultSchedule, FaultTargets
-from sitl.firmware.process import FirmwareError
+from sitl.firmware.errors import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
 from sitl.mavlink.ground_station import GroundStation

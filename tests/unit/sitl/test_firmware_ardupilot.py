@@ -12,7 +12,7 @@ import pytest
 from companion.base.geometry import quat_from_euler
 from companion.config import ConfigError
 from sitl.firmware import ardupilot
-from sitl.firmware.process import FirmwareError
+from sitl.firmware.errors import FirmwareError
 from sitl.vehicle.quadrotor import QuadrotorState
 from tests.unit.sitl.fake_firmware import (
     HOME,

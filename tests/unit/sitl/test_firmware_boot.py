@@ -20,7 +20,8 @@ from companion.base.messages import Manner
 from companion.config import ConfigError
 from sitl.firmware import ardupilot, process, px4, start
 from sitl.firmware.base import Moment
-from sitl.firmware.process import Datagrams, FirmwareError, Process
+from sitl.firmware.errors import FirmwareError
+from sitl.firmware.process import Datagrams, Process
 from sitl.firmware.vehicle import FirmwareVehicle
 from sitl.mavlink.ground_station import GroundStation
 from sitl.scenario.scenario import load_scenario

@@ -16,7 +16,7 @@ from companion.config import ConfigError
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.firmware import px4
 from sitl.firmware.base import Firmware
-from sitl.firmware.process import FirmwareError
+from sitl.firmware.errors import FirmwareError
 from sitl.vehicle.quadrotor import QuadrotorState, resting_state
 from tests.unit.sitl.fake_firmware import (
     STEP_S,

@@ -1,0 +1,56 @@
+"""`companion-sitl` without a command: serve a vehicle until it is interrupted."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+
+from companion.base.autopilot_kind import AutopilotKind
+from sitl.external.server import serve_external
+from sitl.firmware.spec import FirmwareSpec
+from sitl.mavlink.signing import read_key
+from sitl.run.process_control import socket_folder, terminated_as_interrupted
+from sitl.run.server import Service, serve, serve_child
+from sitl.scenario.scenario import load_scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """What the options ask for; `firmware` is its kind, its program and its parameters."""
+
+    scenario: str
+    seed: int
+    autopilot: AutopilotKind | None
+    firmware: tuple[AutopilotKind | None, Path | None, list[str] | None]
+    folder: Path | None
+    external: str | None
+    signing_key: Path | None
+    child: bool
+    serve_truth: bool
+
+
+def serve_vehicle(served: Served, bind: str, ports: tuple[int, int, int]) -> None:
+    """Serve it; `ports` are those for companions, for ground stations (UDP) and for clients (TCP).
+
+    Raises:
+        ConfigError: the options, the scenario or a file are wrong.
+        FirmwareError: the firmware ended or does not answer.
+    """
+    loaded = load_scenario(served.scenario)
+    if served.autopilot is not None:
+        loaded = loaded.model_copy(update={"autopilot": served.autopilot})
+    kind, program, parameters = served.firmware
+    flown = FirmwareSpec.of(kind, program, parameters or ())
+    if flown is not None:
+        loaded = loaded.model_copy(update={"autopilot": flown.kind})
+    key = None if served.signing_key is None else read_key(served.signing_key)
+    seed, truth = served.seed, served.serve_truth
+    with terminated_as_interrupted(), socket_folder(served.folder) as place:
+        if served.external is not None:
+            asyncio.run(serve_external(loaded, seed, place, served.external, child=served.child))
+        elif served.child:
+            asyncio.run(serve_child(loaded, seed, place, firmware=flown))
+        else:
+            service = Service(bind, *ports)
+            asyncio.run(serve(loaded, seed, place, service, key, serve_truth=truth, firmware=flown))
