@@ -23,14 +23,14 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import chi2
 
-from calibration.camera.adjustment import UnsolvableError
-from calibration.camera.board import Board, read_dictionary
-from calibration.camera.detection import BoardFinder, View
-from calibration.camera.images import photo_paths, read_photos
-from calibration.camera.quality import Assessment, assess
+from calibration.camera.board.board import CalibrationBoard, read_dictionary
+from calibration.camera.solve.adjustment import UnsolvableError
+from calibration.camera.solve.quality import Assessment, assess
+from calibration.camera.views.detection import BoardFinder, BoardView
+from calibration.camera.views.images import photo_paths, read_photos
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
-from tests.unit.calibration.board_pictures import BoardPainter, hand_held_poses
+from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses
 
 VIEWS: Final = 25
 FOCAL_SHARE: Final = 0.001
@@ -51,11 +51,11 @@ class Run:
     found: Assessment
 
 
-def calibrated(camera: CameraConfig, board: Board, bow_m: float, seed: int) -> Run:
+def calibrated(camera: CameraConfig, board: CalibrationBoard, bow_m: float, seed: int) -> Run:
     """Take pictures, find the board, calibrate, and hold it against the truth."""
     rng = np.random.default_rng(seed)
     painter, finder = BoardPainter(board, camera, bow_m), BoardFinder(board)
-    views: list[View] = []
+    views: list[BoardView] = []
     for number, pose in enumerate(hand_held_poses(board, camera, VIEWS, rng)):
         image = painter.take(
             pose,
@@ -114,9 +114,9 @@ def table(rows: dict[float, list[Run]], camera: CameraConfig) -> Table:
 # ---------------------------------------------------------------- real photos
 
 
-def real_rows(folder: Path) -> list[tuple[str, Board, list[Path]]]:
+def real_rows(folder: Path) -> list[tuple[str, CalibrationBoard, list[Path]]]:
     """What there is to try of OpenCV's tutorial photos: name, board, photos."""
-    grid = Board(
+    grid = CalibrationBoard(
         pattern="grid",
         columns=5,
         rows=7,
@@ -124,7 +124,7 @@ def real_rows(folder: Path) -> list[tuple[str, Board, list[Path]]]:
         gap_m=0.01,
         dictionary=read_dictionary(str(folder / "tutorial_dict.yml")),
     )
-    charuco = Board(columns=5, rows=7, square_m=0.04, marker_m=0.02, dictionary="6x6_250")
+    charuco = CalibrationBoard(columns=5, rows=7, square_m=0.04, marker_m=0.02, dictionary="6x6_250")
     return [
         ("ChArUco", charuco, [folder / "choriginal.jpg", folder / "chocclusion_original.jpg"]),
         ("grid", grid, [folder / "gboriginal.jpg", folder / "gbocclusion.jpg"]),
@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     camera = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))
-    board = load_model(Board, find_file("boards", "charuco_a4"))
+    board = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
     rows = {bow_m: [calibrated(camera, board, bow_m, seed) for seed in seeds] for bow_m in BOWS_M}
     Console(width=200).print(table(rows, camera))

@@ -26,12 +26,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from calibration.magnetometer.calibrate import Calibrated, TrueField, calibrate
-from calibration.magnetometer.collecting import Limits, collect
-from calibration.magnetometer.fit import fit_ellipsoid
-from calibration.magnetometer.live import Chip
-from calibration.magnetometer.report import yaml_text
-from calibration.magnetometer.sources import read_recording
+from calibration.magnetometer.collect.collecting import CollectionLimits, collect
+from calibration.magnetometer.collect.live import Mpu9250Compass
+from calibration.magnetometer.ellipsoid.fit import fit_ellipsoid
+from calibration.magnetometer.read.sources import read_recording
+from calibration.magnetometer.report.report import yaml_text
+from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, calibrate
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import ImuConfig
@@ -42,7 +42,7 @@ from sitl.run.sensor_quality import sensor_errors
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
 from sitl.scenario.scenario import Scenario, SensorSettings
 from tests.bench.streams import fly_stream, rerun, rms, settings_of
-from tests.unit.calibration.magnetometer_truth import FIELD_UT, turned
+from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
 
 OFFSET: Final = 0.01  # share of the field, in 95 of 100
 BAR_SAMPLES: Final = 6000  # a minute of the AK8963
@@ -127,8 +127,8 @@ def magnetometer_from_the_shop(settings: SensorSettings) -> SensorErrors:
 async def carried_about(scenario: Scenario, seed: int) -> tuple[Calibrated, FloatArray]:
     """Calibrate a vehicle that is turned about by hand; and its true hard iron (µT)."""
     async with carried(scenario, seed, "tumble", camera=False) as vehicle:
-        source = Chip(vehicle.imu_bus, ImuConfig())
-        recording = await collect(source, Limits(150.0), Console(file=io.StringIO()))
+        source = Mpu9250Compass(vehicle.imu_bus, ImuConfig())
+        recording = await collect(source, CollectionLimits(150.0), Console(file=io.StringIO()))
         truth = vehicle.simulation.sensor_truth.boards.magnetometer.offset
     field = TrueField(MAGNETIC_FIELD_NED_UT, "the simulator's")
     rng = np.random.default_rng(0)

@@ -31,18 +31,18 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from calibration.mount.inertial_command import calibrate_accelerometer, faces_from
-from calibration.mount.recording import read_recording
-from calibration.mount.result import configured_rotation, mount_calibration, shutter_s, trust_in
-from calibration.mount.rotations import log
-from calibration.mount.solve import Solution, solve
-from calibration.mount.verdict import reasons
+from calibration.mount.imu.inertial_command import calibrate_accelerometer, faces_from
+from calibration.mount.record.recording import read_recording
+from calibration.mount.report.result import configured_rotation, mount_calibration, shutter_s, trust_in
+from calibration.mount.solve.rotations import log
+from calibration.mount.solve.solve import MountSolution, solve
+from calibration.mount.solve.verdict import reasons
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import CompanionConfig, InertialCalibration, MountCalibration, load_model, validate
 from tests.bench.consistency import band
 from tests.scenario.flying import fly, scenario_file
-from tests.unit.calibration.mount_world import Held, mount_errors, record_sway, scenario_of
+from tests.unit.calibration.mount.mount_world import Held, mount_errors, record_sway, scenario_of
 
 ROTATION_DEG: Final = 0.3
 OFFSET_S: Final = 0.002
@@ -67,7 +67,7 @@ class Row:
     to_gyro: FloatArray
     off_level_deg: tuple[float, float]
     offset_s: float
-    solution: Solution
+    solution: MountSolution
     against: tuple[str, ...]
 
     @property
@@ -101,7 +101,7 @@ def rested(held: Held, output: Path) -> Path:
     return output
 
 
-def off_level_deg(held: Held, found: Solution, calibrated: InertialCalibration | None) -> float:
+def off_level_deg(held: Held, found: MountSolution, calibrated: InertialCalibration | None) -> float:
     """The camera's tilt against what the accelerometer, calibrated so, takes for level."""
     right = held.felt_level(calibrated) @ held.body_from_camera
     apart = log(found.unknowns.body_from_camera @ right.T)
@@ -130,7 +130,7 @@ def swayed(seed: int, folder: Path) -> Row:
     )
 
 
-def solved(folder: Path) -> tuple[Solution, tuple[str, ...], MountCalibration]:
+def solved(folder: Path) -> tuple[MountSolution, tuple[str, ...], MountCalibration]:
     """As the program does it."""
     recording = read_recording(folder)
     place = np.array(recording.vehicle.camera_position_body_m)
