@@ -17,7 +17,7 @@ from companion.config import CompanionConfig, ConfigError, ImuConfig, SenseConfi
 from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_magnetometer_calibration
 from companion.sense.imu.mpu9250 import Mpu9250
 from tests.unit.calibration.magnetometer.magnetometer_truth import turned
-from tests.unit.sense.imu_rig import FIELD, REST, STILL, Rig
+from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, Rig
 
 CASE = turned(5, samples=2000, half=False)
 

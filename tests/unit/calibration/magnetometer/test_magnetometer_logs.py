@@ -21,7 +21,7 @@ from companion.flightlog.record import FlightLog
 from companion.link.codec import Codec, mavlink
 from companion.pad import load_pad
 from tests.unit.calibration.magnetometer.magnetometer_truth import Turned, turned
-from tests.unit.replay.log_files import DataFlash
+from tests.unit.flightlog.replay.log_files import DataFlash
 
 CASE = turned(7, samples=400, half=False, noise=0.005)
 FIELD = TrueField((20.0, 0.0, 43.634), "test")

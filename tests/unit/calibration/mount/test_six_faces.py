@@ -30,7 +30,7 @@ from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.config import ConfigError, ImuConfig, InertialCalibration, SenseConfig, load_inertial
 from companion.config.calibration import Provenance
 from companion.sense.imu.mounting import body_axes
-from tests.unit.sense.imu_rig import Rig
+from tests.unit.sense.imu.imu_rig import Rig
 
 USUAL = (180.0, 0.0, 0.0)
 OFFSET = np.array([0.4, -0.3, 0.5])
