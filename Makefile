@@ -30,7 +30,7 @@ RUNS ?= 200
 STATE_SEEDS ?= 20
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
-BENCH_STATE = $(BIN)/python -m tests.bench.bench_state --seeds $(STATE_SEEDS)
+BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
 .PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
@@ -61,11 +61,11 @@ test: lint
 # each prints its table beside the bars and ends in a line that says which hold; all of them run
 bench: $(VENV)/.dev
 	@status=0; \
-	$(BIN)/python tests/bench/bench_time.py || status=1; \
+	$(BIN)/python -m tests.bench.cpu.bench_time || status=1; \
 	$(BENCH_STATE) || status=1; \
-	$(BIN)/python -m tests.bench.bench_pad_filter || status=1; \
-	$(BIN)/python -m tests.bench.bench_mpc || status=1; \
-	$(BIN)/python -m tests.bench.bench_fuzz || status=1; \
+	$(BIN)/python -m tests.bench.state.bench_pad_filter || status=1; \
+	$(BIN)/python -m tests.bench.control.bench_mpc || status=1; \
+	$(BIN)/python -m tests.bench.mavlink.bench_fuzz || status=1; \
 	$(BIN)/companion-sitl campaign --runs $(SEEDS) --bars || status=1; \
 	exit $$status
 
@@ -77,68 +77,68 @@ bench-experiments: $(VENV)/.dev
 	$(BIN)/python -m companion.research.command fig14 --seed 100 --seeds $(STATE_SEEDS) --jobs 2 -o fig14.png
 
 bench-pad: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_pad_filter
+	$(BIN)/python -m tests.bench.state.bench_pad_filter
 
 bench-obstacles: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_obstacles
+	$(BIN)/python -m tests.bench.control.bench_obstacles
 
 # a landing in real time: the other core is the simulator's
 bench-cpu: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_cpu --record
+	$(BIN)/python -m tests.bench.cpu.bench_cpu --record
 
 # an hour on two cores; give it again after an interruption, and it goes on
 bench-margins: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_margins
+	$(BIN)/python -m tests.bench.campaign.bench_margins
 
 bench-mpc: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_mpc
+	$(BIN)/python -m tests.bench.control.bench_mpc
 
 # needs the machine to itself, for half an hour
 bench-campaign: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_campaign --runs $(CAMPAIGN_RUNS)
+	$(BIN)/python -m tests.bench.campaign.bench_campaign --runs $(CAMPAIGN_RUNS)
 
 bench-precision: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_precision_landing
+	$(BIN)/python -m tests.bench.autopilot.bench_precision_landing
 
 # an hour on two cores; give it again after an interruption, and it goes on
 bench-landing: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_landing --runs $(RUNS)
+	$(BIN)/python -m tests.bench.campaign.bench_landing --runs $(RUNS)
 
 # three quarters of an hour on two cores; give it again after an interruption, and it goes on
 bench-firmware: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_firmware $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER)) --seeds $(SEEDS)
+	$(BIN)/python -m tests.bench.firmware.bench_firmware $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER)) --seeds $(SEEDS)
 
 bench-response: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_response $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
+	$(BIN)/python -m tests.bench.autopilot.bench_response $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
 
 bench-fuzz: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_fuzz
+	$(BIN)/python -m tests.bench.mavlink.bench_fuzz
 
 bench-sitl-speed: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_sitl_speed
+	$(BIN)/python -m tests.bench.cpu.bench_sitl_speed
 
 # real logs and photos are in DATA's folders magnetometer and aruco; without DATA: made-up truth alone
 bench-calibration: $(VENV)/.dev
 	@status=0; \
-	$(BIN)/python -m tests.bench.bench_magnetometer $(DATA) || status=1; \
-	$(BIN)/python -m tests.bench.bench_camera $(DATA) || status=1; \
-	$(BIN)/python -m tests.bench.bench_mount || status=1; \
+	$(BIN)/python -m tests.bench.calibration.bench_magnetometer $(DATA) || status=1; \
+	$(BIN)/python -m tests.bench.calibration.bench_camera $(DATA) || status=1; \
+	$(BIN)/python -m tests.bench.calibration.bench_mount || status=1; \
 	exit $$status
 
 # ten minutes on two cores, the timing alone at the end; real photos are in DATA's folder aruco; QUICK=--quick
 # looks at few frames
 bench-vision: $(VENV)/.dev
-	$(BIN)/python -m tests.bench.bench_vision $(DATA) $(QUICK)
+	$(BIN)/python -m tests.bench.vision.bench_vision $(DATA) $(QUICK)
 
 # the peers are for comparison alone: without them the bench judges by their published figures
 bench-ahrs: $(VENV)/.dev
 	@test -d "$(DATA)" || { echo "bench-ahrs: expected DATA=DIR, a folder of BROAD trials"; exit 2; }
 	-$(PIP) -e '.[peers]'
-	$(BIN)/python -m tests.bench.bench_ahrs $(DATA)
+	$(BIN)/python -m tests.bench.state.bench_ahrs $(DATA)
 
 bench-sitl: $(VENV)/.dev
 	@test -d "$(DATA)" || { echo "bench-sitl: expected DATA=DIR, a folder of arducopter.tlog and px4.tlog"; exit 2; }
-	$(BIN)/python -m tests.bench.bench_sitl $(DATA)
+	$(BIN)/python -m tests.bench.autopilot.bench_sitl $(DATA)
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -14,20 +14,20 @@ from typing import Annotated, Final, Literal
 import cv2
 import typer
 
-from calibration.camera.adjustment import Model, UnsolvableError
-from calibration.camera.board import Board, Pattern, read_dictionary
-from calibration.camera.gathering import (
+from calibration.camera.board.board import CalibrationBoard, Pattern, read_dictionary
+from calibration.camera.board.printing import board_yaml, write_board
+from calibration.camera.collect.gathering import (
     BOARD_FILE,
     DEFAULT_BOARD,
-    Found,
+    CollectedViews,
     choose_board,
     two_numbers,
     views_of_photos,
 )
-from calibration.camera.live import LiveOptions, capture_live
-from calibration.camera.printing import board_yaml, write_board
-from calibration.camera.quality import Assessment, assess
-from calibration.camera.result import Origin, camera_config, camera_yaml, summary_lines
+from calibration.camera.collect.live import LiveOptions, capture_live
+from calibration.camera.report.result import Origin, camera_config, camera_yaml, summary_lines
+from calibration.camera.solve.adjustment import Model, UnsolvableError
+from calibration.camera.solve.quality import Assessment, assess
 from calibration.command_line import RefusedError, run
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
@@ -185,8 +185,8 @@ def calibrate_camera(
 
 
 def finish(
-    found: Found,
-    board: Board,
+    found: CollectedViews,
+    board: CalibrationBoard,
     capture: CaptureConfig,
     model: Model,
     output: Path,
@@ -207,7 +207,7 @@ def finish(
     for line in summary_lines(result):
         typer.echo(line)
     if plots is not None:
-        from calibration.camera.plots import write_plots  # noqa: PLC0415 - matplotlib is slow
+        from calibration.camera.report.plots import write_plots  # noqa: PLC0415 - matplotlib is slow
 
         write_plots(plots, result, board)
         typer.echo(f"plots in {plots}")
@@ -238,12 +238,12 @@ def _origin(source: str) -> Origin:
 # ---------------------------------------------------------------- where views come from
 
 
-def _live(board: Board, options: LiveOptions) -> Found:
+def _live(board: CalibrationBoard, options: LiveOptions) -> CollectedViews:
     if options.keep is not None:
         write_atomically(options.keep / BOARD_FILE, board_yaml(board))
     typer.echo(f"looking for {board.text}")
     session = asyncio.run(capture_live(board, options, typer.echo))
-    return Found(session.views, session.size_px, options.source)
+    return CollectedViews(session.views, session.size_px, options.source)
 
 
 # ---------------------------------------------------------------- words

@@ -16,15 +16,15 @@ import typer
 from rich.console import Console
 
 from calibration.command_line import RefusedError, run
-from calibration.magnetometer.calibrate import Calibrated, TrueField, UnfitError, calibrate
-from calibration.magnetometer.collecting import Limits, collect
-from calibration.magnetometer.fit import Objective
-from calibration.magnetometer.live import open_autopilot, open_chip
-from calibration.magnetometer.pictures import write_picture
-from calibration.magnetometer.recording import Recording
-from calibration.magnetometer.report import lines, result_table, yaml_text
-from calibration.magnetometer.sources import read_recording
-from calibration.magnetometer.true_field import field_at, field_by, year_of
+from calibration.magnetometer.collect.collecting import CollectionLimits, collect
+from calibration.magnetometer.collect.live import open_autopilot, open_chip
+from calibration.magnetometer.ellipsoid.fit import Objective
+from calibration.magnetometer.read.recording import MagnetometerRecording
+from calibration.magnetometer.read.sources import read_recording
+from calibration.magnetometer.report.pictures import write_picture
+from calibration.magnetometer.report.report import lines, result_table, yaml_text
+from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, UnfitError, calibrate
+from calibration.magnetometer.solve.true_field import field_at, field_by, year_of
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.config import CompanionConfig, ConfigError, load_config
@@ -160,7 +160,7 @@ def calibrate_command(
         _check_writable("--plot", picture)
         if picture.suffix.lower() not in PICTURE_KINDS:
             raise ConfigError(f"--plot {picture}: expected a name that ends in {', '.join(PICTURE_KINDS)}")
-    taken: Recording
+    taken: MagnetometerRecording
     if recording is not None:
         if bus is not None or connect is not None or serve is not None:
             raise ConfigError("RECORDING: expected it without --bus, --connect and --serve, which are live")
@@ -170,7 +170,7 @@ def calibrate_command(
             recording, columns=columns, unit=unit, sensor=as_sensor, field_ut=strength, rng=_rng()
         )
     else:
-        limits = Limits(time_limit_s, output.with_suffix(".coverage.png"), serve)
+        limits = CollectionLimits(time_limit_s, output.with_suffix(".coverage.png"), serve)
         taken = asyncio.run(_live(bus, connect, config is not None, settings, limits, console))
     if field is None and taken.place is not None:
         field = field_at(taken.place, year, f"{taken.source}'s own position")
@@ -184,7 +184,7 @@ def calibrate_command(
 
 
 def _calibrated(
-    taken: Recording, field: TrueField | None, aligned: bool, objective: Objective | None
+    taken: MagnetometerRecording, field: TrueField | None, aligned: bool, objective: Objective | None
 ) -> Calibrated:
     now = datetime.fromtimestamp(start_unix_s(virtual=True), UTC)
     try:
@@ -232,9 +232,9 @@ async def _live(
     connect: str | None,
     configured: bool,
     settings: CompanionConfig,
-    limits: Limits,
+    limits: CollectionLimits,
     console: Console,
-) -> Recording:
+) -> MagnetometerRecording:
     """Collect from whichever device is named, by an option or as the one that the settings use."""
     if bus is not None and connect is not None:
         raise ConfigError("--bus and --connect: expected one of them")

@@ -16,17 +16,17 @@ import numpy as np
 import typer
 
 from calibration.command_line import RefusedError, run
-from calibration.mount.coverage import Progress
-from calibration.mount.inertial_command import (
+from calibration.mount.imu.inertial_command import (
     ACCELEROMETER_HELP,
     GYRO_HELP,
     accelerometer_command,
     gyro_command,
 )
-from calibration.mount.live import MountRecorder, ShowImage
-from calibration.mount.plots import write_mount_plots
-from calibration.mount.recording import read_recording
-from calibration.mount.result import (
+from calibration.mount.record.coverage import MotionProgress
+from calibration.mount.record.live import MountRecorder, ShowImage
+from calibration.mount.record.recording import read_recording
+from calibration.mount.report.plots import write_mount_plots
+from calibration.mount.report.result import (
     configured_rotation,
     mount_calibration,
     mount_lines,
@@ -38,8 +38,8 @@ from calibration.mount.shared import (
     SETTINGS,
     ConfigOption,
     ForceOption,
-    OpenBoards,
     OutputOption,
+    SensorOpener,
     check_output,
     judge,
     new_log,
@@ -47,8 +47,8 @@ from calibration.mount.shared import (
     plugged,
     write_file,
 )
-from calibration.mount.solve import NoSolutionError, solve
-from calibration.mount.verdict import reasons
+from calibration.mount.solve.solve import NoSolutionError, solve
+from calibration.mount.solve.verdict import reasons
 from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_config, load_model
 
@@ -125,10 +125,10 @@ async def record(
     folder: Path,
     longest_s: float,
     serve: int | None,
-    boards_of: OpenBoards,
+    boards_of: SensorOpener,
     *,
     virtual: bool,
-) -> Progress:
+) -> MotionProgress:
     """Record from boards into a folder; returns how far it came.
 
     Raises:

@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from calibration.command_line import RefusedError
-from calibration.mount.devices import Boards, open_boards
+from calibration.mount.record.devices import MountSensors, open_sensors
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
 from companion.config import (
@@ -30,10 +30,10 @@ ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings
 OutputOption = Annotated[Path, typer.Option("--output", "-o", help="The file to write.", metavar="FILE")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Write it even when refused; the file says so.")]
 SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
-OpenBoards = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[Boards]]
+SensorOpener = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[MountSensors]]
 
 
-def plugged(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[Boards]:
+def plugged(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[MountSensors]:
     """The vehicle's own boards.
 
     Raises:
@@ -44,7 +44,7 @@ def plugged(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManage
             f"sense.source: '{config.sense.source}'; live it takes boards, expected those or the log of a "
             "flight over the pad"
         )
-    return open_boards(config, camera=camera)
+    return open_sensors(config, camera=camera)
 
 
 def new_log(folder: Path, *, virtual: bool) -> FlightLog:

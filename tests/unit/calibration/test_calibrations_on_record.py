@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 import yaml
 
-from calibration.mount.recording import read_recording
-from calibration.mount.result import trust_in
+from calibration.mount.record.recording import read_recording
+from calibration.mount.report.result import trust_in
 from companion.config import (
     CONFIG_FOLDER,
     AccelerometerCalibration,
@@ -29,7 +29,7 @@ from companion.flightlog.replay.settings import choose
 from companion.sim.runner import fly
 from companion.sim.settings import calibrations_left_out, sitl_settings
 from companion.sim.trial import Trial
-from tests.unit.calibration.mount_world import Held, record_sway, scenario_of
+from tests.unit.calibration.mount.mount_world import Held, record_sway, scenario_of
 
 ORIGIN = Provenance(tool="t", source="s", date="d", samples=1)
 INERTIAL = InertialCalibration(

@@ -1,0 +1,1 @@
+"""The calibration board: its description, its shape and its print."""

@@ -1,0 +1,1 @@
+"""Collects views: from photos and videos, or live with hints."""

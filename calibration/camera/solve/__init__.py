@@ -1,0 +1,1 @@
+"""Corners in, intrinsics out: bundle adjustment, uncertainty and the acceptance test."""

@@ -1,0 +1,85 @@
+"""How much each view counts: by how sharply its corners lie on the board. Pure.
+
+Corners are found more sharply in a view that is near, in focus and at rest. Such views also tell most of the
+camera. Where all views count alike, they are thought as poor as the others: the camera is a little worse than
+it need be, and the stated deviations are too large. So each view counts by one over the variance of its own
+errors. A few corners tell little of a variance: it is drawn towards the usual one, the more the fewer they
+are and the more alike the views have been found to be (Smyth's empirical Bayes variances, 2004).
+
+Outliers are left out before. And no view is silenced: a model that does not fit shows in some views more than
+in others, and is to be found out by them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from scipy.special import digamma, polygamma
+
+from calibration.camera.solve.adjustment import CameraSolution, normal_equations, refine, solve_scaled
+from companion.base.geometry import FloatArray
+
+ROUNDS: Final = 4
+SMALLEST_CHANGE: Final = 0.01  # of a weight
+# a view that is farther off than this is not less sharp: the model does not fit it, which is to be seen
+SMALLEST_WEIGHT: Final = 0.25
+# views as like as if their common variance were known from so many errors are taken as alike
+MOST_FREEDOM: Final = 1e4
+FEWEST_FREEDOM: Final = 1.0
+HALVINGS: Final = 60
+
+
+def weighted(solution: CameraSolution) -> CameraSolution:
+    """From the least squares in which views count alike to those in which each does as it was seen.
+
+    Raises:
+        UnsolvableError: the views leave some of the numbers open.
+    """
+    for _ in range(ROUNDS):
+        weights = view_weights(solution)
+        before = np.array([seen.weight for seen in solution.seen])
+        pairs = zip(solution.seen, weights.tolist(), strict=True)
+        seen = tuple(replace(view, weight=weight) for view, weight in pairs)
+        solution = refine(replace(solution, seen=seen))
+        if float(np.abs(weights / before - 1.0).max()) < SMALLEST_CHANGE:
+            break
+    return solution
+
+
+def view_weights(solution: CameraSolution) -> FloatArray:
+    """What each view should count, the usual one 1.
+
+    Raises:
+        UnsolvableError: as `weighted`.
+    """
+    information = [normal_equations(solution.camera, solution.surface, s).information for s in solution.seen]
+    total = np.sum(information, axis=0)
+    inverse = solve_scaled(total, np.eye(len(total)))
+    # numbers that a view has fitted to its own errors: its pose, and its share of those that are common
+    fitted = 6.0 + np.array([np.sum(inverse * share) for share in information])
+    freedom = np.maximum(np.array([s.errors_px.size for s in solution.seen]) - fitted, FEWEST_FREEDOM)
+    squares = np.array([np.sum(s.errors_px**2) for s in solution.seen])
+    # corners without any error at all are no reason to divide by nought
+    variances = np.maximum(squares / freedom, 1e-6 * np.sum(squares) / np.sum(freedom) + 1e-18)
+    usual, of_usual = usual_variance(variances, freedom)
+    weights = usual * (freedom + of_usual) / (freedom * variances + of_usual * usual)
+    return np.asarray(np.maximum(weights, SMALLEST_WEIGHT))
+
+
+def usual_variance(variances: FloatArray, freedom: FloatArray) -> tuple[float, float]:
+    """The usual one of variances, each with so many degrees of freedom, and how many it is worth itself.
+
+    If true variances are usual · n / χ²(n), then logarithms of those found scatter by ψ'(n/2) more than by
+    the ψ'(freedom/2) of chance.
+    """
+    logs = np.log(variances) - digamma(0.5 * freedom) + np.log(0.5 * freedom)
+    excess = float(np.var(logs, ddof=1) - np.mean(polygamma(1, 0.5 * freedom)))
+    worth = MOST_FREEDOM
+    if excess > float(polygamma(1, 0.5 * MOST_FREEDOM)):
+        low, high = 1e-3, MOST_FREEDOM
+        for _ in range(HALVINGS):
+            worth = float(np.sqrt(low * high))
+            low, high = (worth, high) if float(polygamma(1, 0.5 * worth)) > excess else (low, worth)
+    return float(np.exp(np.mean(logs) + digamma(0.5 * worth) - np.log(0.5 * worth))), worth

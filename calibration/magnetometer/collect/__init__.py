@@ -1,0 +1,1 @@
+"""Collects samples live and guides the rotation."""

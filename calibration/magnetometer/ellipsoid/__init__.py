@@ -1,0 +1,1 @@
+"""The ellipsoid fit: raw field in, offset (hard iron) and matrix (soft iron) out."""

@@ -1,0 +1,1 @@
+"""Reads samples: tables, logs and an autopilot's messages."""

@@ -1,0 +1,102 @@
+"""Opening a recording: what it is by its first bytes, else by its name, else a table of text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calibration.magnetometer.ellipsoid.ellipsoid import NoEllipsoidError, robust_start
+from calibration.magnetometer.read.logs import (
+    read_dataflash_compass,
+    read_own_log,
+    read_tlog,
+    read_ulog_compass,
+)
+from calibration.magnetometer.read.recording import MagnetometerRecording
+from calibration.magnetometer.read.tables import SampleTable, read_numpy_table, read_text_table
+from calibration.magnetometer.read.units import COUNTS, UT_PER, unit_called, worked_out
+from companion.base.geometry import FloatArray
+from companion.config import ConfigError
+from companion.config.magnetometer import Sensor
+from companion.flightlog.replay.reading import log_file
+
+_LOGS: Final[dict[bytes, Callable[[Path], MagnetometerRecording]]] = {
+    b"\x89MCAP0\r\n": read_own_log,
+    b"\xa3\x95": read_dataflash_compass,
+    b"ULog\x01\x12\x35": read_ulog_compass,
+}
+_NUMPY: Final = (b"PK\x03\x04", b"\x93NUMPY")
+
+
+def read_recording(
+    path: Path,
+    *,
+    columns: str | None,
+    unit: str | None,
+    sensor: Sensor,
+    field_ut: float | None,
+    rng: np.random.Generator,
+) -> MagnetometerRecording:
+    """Read a file of samples.
+
+    Args:
+        path: of the file, or of a flight's folder.
+        columns: the magnetometer's columns in a table of text; None: by their headings.
+        unit: of a table's field; None: by the headings, else worked out from the field's size.
+        sensor: what measured a table's samples; logs say so themselves.
+        field_ut: the field's true size, where it is known, to work out the unit.
+        rng: for the robust look at the field's size.
+
+    Raises:
+        ConfigError: it cannot be read, or holds no magnetometer.
+    """
+    path = log_file(path)
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(16)
+        reader = next((read for magic, read in _LOGS.items() if start.startswith(magic)), None)
+        if reader is None and path.suffix.lower() == ".tlog":
+            reader = read_tlog
+        if reader is not None:
+            return reader(path).checked()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}; expected a recording") from error
+    table = read_numpy_table(path) if start.startswith(_NUMPY) else read_text_table(path, columns)
+    return _of_table(str(path), table, unit, sensor, field_ut, rng)
+
+
+def _of_table(
+    source: str,
+    table: SampleTable,
+    unit: str | None,
+    sensor: Sensor,
+    field_ut: float | None,
+    rng: np.random.Generator,
+) -> MagnetometerRecording:
+    recording = MagnetometerRecording(
+        source, sensor, table.raw, force=table.force, notes=list(table.notes)
+    ).checked()
+    known = unit_called(unit) if unit is not None else table.unit
+    if unit is not None and known is None:
+        raise ConfigError(f"--unit {unit}: expected one of {', '.join(UT_PER)}, counts")
+    if known is None:
+        known = _by_size(recording.raw, field_ut, rng)
+        told = "counts of the sensor, so nothing is said of its scale" if known == COUNTS else known
+        recording.notes.append(f"unit by the field's size: {told}; --unit takes another")
+    if known == COUNTS:
+        recording.unit = "counts"
+    else:
+        recording.raw = recording.raw * UT_PER[known]
+    return recording
+
+
+def _by_size(raw: FloatArray, field_ut: float | None, rng: np.random.Generator) -> str:
+    try:
+        matrix = robust_start(raw, rng).matrix
+    except NoEllipsoidError:
+        return COUNTS
+    radius = 1.0 / float(np.cbrt(np.linalg.det(matrix)))
+    return worked_out(radius, field_ut, whole_numbers=bool(np.array_equal(raw, np.round(raw))))

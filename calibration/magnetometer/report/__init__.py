@@ -1,0 +1,1 @@
+"""The calibration file, the figures and the pictures."""

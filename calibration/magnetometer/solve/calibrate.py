@@ -1,0 +1,202 @@
+"""From a recording to a calibration: fit, scale, align, judge. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calibration.magnetometer.ellipsoid.coverage import covered_share
+from calibration.magnetometer.ellipsoid.ellipsoid import NoEllipsoidError
+from calibration.magnetometer.ellipsoid.fit import EllipsoidFit, Objective, fit_ellipsoid
+from calibration.magnetometer.read.onboard import parameters_for
+from calibration.magnetometer.read.recording import MagnetometerRecording
+from calibration.magnetometer.solve.alignment import AxisMisalignment, align, dip_of
+from calibration.magnetometer.solve.quality import FLATTEST, Figures, flatness, judge
+from companion.base.geometry import FloatArray, Vector3, vector3
+from companion.config.calibration import Provenance
+from companion.config.magnetometer import MagnetometerCalibration, MagnetometerQuality
+
+_LEAST_KEPT: Final = 0.1  # of the samples; fewer are what happened to lie near something
+
+
+class UnfitError(Exception):
+    """No calibration can be made of these samples; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueField:
+    """The Earth's field (µT, NED) where and when the samples were taken, and who says so."""
+
+    ned_ut: Vector3
+    source: str
+
+    @property
+    def strength_ut(self) -> float:
+        """Its size."""
+        return math.hypot(*self.ned_ut)
+
+    @property
+    def dip_deg(self) -> float:
+        """Its angle below the horizontal."""
+        return math.degrees(math.asin(self.ned_ut[2] / self.strength_ut))
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """A calibration with what it was made of.
+
+    `matrix` and `centre` are of the compass's raw readings, where the file's are of what is heard from an
+    autopilot; `sphere` (n, 3) are all samples on the unit sphere.
+    """
+
+    file: MagnetometerCalibration
+    recording: MagnetometerRecording
+    fit: EllipsoidFit
+    figures: Figures
+    matrix: FloatArray
+    centre: FloatArray
+    sphere: FloatArray
+    parameters: dict[str, float]
+
+
+def calibrate(
+    recording: MagnetometerRecording,
+    rng: np.random.Generator,
+    *,
+    field: TrueField | None,
+    aligned: bool,
+    objective: Objective | None,
+    tool: str,
+    date: str,
+) -> Calibrated:
+    """Calibrate; the verdict is in the file, good or bad.
+
+    Raises:
+        UnfitError: there is no fit at all to judge.
+    """
+    fit = _fit(recording.raw, rng, objective)
+    sphere = fit.ellipsoid.apply(recording.raw)
+    alignment = _alignment(recording, fit, sphere) if aligned else None
+    rotation = np.eye(3) if alignment is None else alignment.rotation
+    sphere = sphere @ rotation.T
+    figures = _figures(recording, fit, sphere, field, alignment)
+    symmetric = (fit.radius if field is None else field.strength_ut) * fit.ellipsoid.matrix
+    parameters: dict[str, float] = {}
+    if recording.onboard is not None:
+        parameters = parameters_for(recording.onboard.manner, symmetric, fit.ellipsoid.centre)
+    matrix = rotation @ symmetric
+    file = _file(recording, fit, figures, matrix, field, tool, date)
+    return Calibrated(file, recording, fit, figures, matrix, fit.ellipsoid.centre, sphere, parameters)
+
+
+def _alignment(recording: MagnetometerRecording, fit: EllipsoidFit, sphere: FloatArray) -> AxisMisalignment:
+    """The rotation into the accelerometer's axes."""
+    found = None
+    if recording.force is not None:
+        used = fit.kept & np.isfinite(recording.force).all(axis=1)
+        found = align(_directions(sphere[used]), recording.force[used])
+    if found is None:
+        raise UnfitError(
+            "--align needs an accelerometer's samples beside the magnetometer's, at rest or slow"
+        )
+    return found
+
+
+def _figures(
+    recording: MagnetometerRecording,
+    fit: EllipsoidFit,
+    sphere: FloatArray,
+    field: TrueField | None,
+    alignment: AxisMisalignment | None,
+) -> Figures:
+    """What the verdict is made of."""
+    dip = None
+    if recording.force is not None:
+        used = fit.kept & np.isfinite(recording.force).all(axis=1)
+        dip = dip_of(_directions(sphere[used]), recording.force[used])
+    deviation = fit.ellipsoid.deviation(recording.raw)
+    return Figures(
+        samples=len(recording.raw),
+        kept=int(fit.kept.sum()),
+        residual=_rms(deviation),
+        residual_kept=_rms(deviation[fit.kept]),
+        coverage=covered_share(_directions(sphere[fit.kept])),
+        strength_ratio=None
+        if field is None or recording.unit == "counts"
+        else fit.radius / field.strength_ut,
+        dip=dip,
+        true_dip_deg=None if field is None else field.dip_deg,
+        alignment=alignment,
+    )
+
+
+def _directions(sphere: FloatArray) -> FloatArray:
+    unit: FloatArray = sphere / np.linalg.norm(sphere, axis=1)[:, None]
+    return unit
+
+
+def _fit(raw: FloatArray, rng: np.random.Generator, objective: Objective | None) -> EllipsoidFit:
+    try:
+        fit = fit_ellipsoid(raw, rng, objective or "auto")
+    except NoEllipsoidError as error:
+        raise UnfitError(f"{error}: turn it about all three axes") from error
+    if fit.kept.mean() < _LEAST_KEPT or not np.isfinite(fit.covariance).all():
+        raise UnfitError("the samples are on no ellipsoid: was it turned about at all?")
+    if flatness(raw[fit.kept]) < FLATTEST:
+        raise UnfitError("the samples lie in one plane or on a narrow band: turn it about the other axes too")
+    return fit
+
+
+def _rms(values: FloatArray) -> float:
+    return math.sqrt(float(np.mean(values**2)))
+
+
+def _file(
+    recording: MagnetometerRecording,
+    fit: EllipsoidFit,
+    figures: Figures,
+    matrix: FloatArray,
+    field: TrueField | None,
+    tool: str,
+    date: str,
+) -> MagnetometerCalibration:
+    verdict, reasons = judge(fit, figures)
+    centre, onboard = fit.ellipsoid.centre, recording.onboard
+    if onboard is not None:
+        matrix, centre = onboard.on_top(matrix, centre)
+    rows = [vector3(row) for row in matrix.tolist()]
+    return MagnetometerCalibration(
+        kind="magnetometer",
+        sensor=recording.sensor,
+        axes=recording.axes,
+        form="calibrated = soft_iron (raw - hard_iron)",
+        raw_unit=recording.unit,
+        calibrated_unit="uT" if field is not None or recording.unit == "uT" else "raw",
+        hard_iron=vector3(centre.tolist()),
+        soft_iron=(rows[0], rows[1], rows[2]),
+        aligned=figures.alignment is not None,
+        field_strength=fit.radius if field is None else field.strength_ut,
+        field_source="as measured" if field is None else field.source,
+        quality=MagnetometerQuality(
+            verdict=verdict,
+            reasons=reasons,
+            residual=figures.residual,
+            residual_kept=figures.residual_kept,
+            noise=fit.noise,
+            coverage=figures.coverage,
+            condition=fit.condition,
+            hard_iron_std=vector3(fit.centre_std.tolist()),
+            soft_iron_std=fit.matrix_std,
+        ),
+        provenance=Provenance(
+            tool=tool,
+            source=recording.source,
+            date=date,
+            samples=figures.kept,
+            dropped=figures.samples - figures.kept,
+        ),
+        autopilot_parameters={} if onboard is None else onboard.parameters,
+    )

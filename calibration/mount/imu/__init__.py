@@ -1,0 +1,1 @@
+"""Calibrates the accelerometer and the gyroscope from static intervals."""

@@ -1,0 +1,102 @@
+"""Rests taken live: the inertial sensor on the bench, a person turning it. A thin shell about `FaceGuide`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+from calibration.mount.imu.guide import FaceGuide, ImuBuffer
+from calibration.mount.imu.rest import find_rests
+from calibration.mount.imu.six_faces import mounting_matrix
+from calibration.mount.record.devices import MountSensors
+from calibration.mount.record.live import read_imu, until_done
+from calibration.mount.record.samples import ImuSamples
+from companion.base.clock import Clock
+from companion.base.messages import ImuSample
+from companion.config import ConfigError, ImuConfig
+from companion.sense.imu.mpu9250 import Mpu9250
+
+LOOK_S: Final = 0.5
+REMIND_S: Final = 10.0
+
+Tell = Callable[[str], None]
+Keep = Callable[[ImuSample, float], None]
+
+
+async def six_faces_live(
+    imu: ImuConfig, boards: MountSensors, tell: Tell, longest_s: float, keep: Keep | None = None
+) -> tuple[ImuSamples, FaceGuide]:
+    """Ask for the six faces one after another; all samples (sensor axes), and what was asked and felt.
+
+    Raises:
+        ConfigError: the sensor does not answer, or the person did not go through with it.
+    """
+    turn = mounting_matrix(imu.body_from_sensor_deg)
+    samples, guide, clock = ImuBuffer(turn), FaceGuide(turn), Clock()
+
+    async def watch() -> None:
+        start_s = clock.now_s()
+        told_s, told = -REMIND_S, ""
+        while not guide.done:
+            if clock.now_s() - start_s > longest_s:
+                raise ConfigError(f"no end after {longest_s:g} s; expected: {guide.advice}")
+            if guide.advice != told or clock.now_s() - told_s >= REMIND_S:
+                told_s, told = clock.now_s(), guide.advice
+                tell(told)
+            await asyncio.sleep(LOOK_S)
+            if (line := guide.take(samples.since(guide.after_s))) is not None:
+                tell(line)
+
+    await _with_imu(imu, boards, tell, samples, watch, keep)
+    return samples.since(-1e9), guide
+
+
+async def still_live(
+    imu: ImuConfig,
+    boards: MountSensors,
+    tell: Tell,
+    seconds: float,
+    longest_s: float,
+    keep: Keep | None = None,
+) -> ImuSamples:
+    """Wait until it has lain still for a while; all samples (sensor axes).
+
+    Raises:
+        ConfigError: the sensor does not answer, or is not left alone.
+    """
+    samples, clock = ImuBuffer(mounting_matrix(imu.body_from_sensor_deg)), Clock()
+
+    async def watch() -> None:
+        start_s = clock.now_s()
+        tell(f"leave it alone for {seconds:g} s")
+        while not any(rest.to_s - rest.from_s >= seconds for rest in find_rests(samples.since(start_s))):
+            if clock.now_s() - start_s > longest_s:
+                raise ConfigError(
+                    f"not still for {seconds:g} s within {longest_s:g} s; expected it left alone"
+                )
+            await asyncio.sleep(LOOK_S)
+
+    await _with_imu(imu, boards, tell, samples, watch, keep)
+    return samples.since(-1e9)
+
+
+async def _with_imu(
+    imu: ImuConfig,
+    boards: MountSensors,
+    tell: Tell,
+    samples: ImuBuffer,
+    watch: Callable[[], Awaitable[None]],
+    keep: Keep | None,
+) -> None:
+    """Run `watch` to its end while samples come."""
+    # as the chip measures it: an earlier calibration would be taken for the chip's own
+    driver = Mpu9250(boards.imu_bus, imu)
+    clock = Clock()
+
+    def take(sample: ImuSample) -> None:
+        if keep is not None:
+            keep(sample, clock.now_s())
+        samples.add(sample)
+
+    await until_done(watch, read_imu(driver, imu, take, tell))

@@ -1,0 +1,216 @@
+"""The accelerometer by the six-position method, and the gyroscope's bias. Pure, sensor axes.
+
+At rest an accelerometer feels g whichever way it lies: |M (a - o)| = g for every rest, with an offset o and
+a matrix M of scales and skew. |.| does not see a rotation, so M comes out symmetric and turns nothing: the
+mounting stays what the settings say. Six faces determine offsets and scales, however crookedly the vehicle
+lies on them (the error is of second order); the skew needs more attitudes than six, and until then stays
+near zero, by how large the data sheet has it (MPU-9250, PS-MPU-9250A-01 table 2: ±2 % cross-axis, ±3 %).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from calibration.mount.imu.rest import StaticInterval
+from companion.base.geometry import (
+    GRAVITY_M_S2,
+    FloatArray,
+    Vector3,
+    euler_from_quat,
+    matrix_from_quat,
+    quat_from_euler,
+    quat_from_matrix,
+)
+
+MEAN_STD_M_S2: Final = 0.01  # of a rest's mean: noise, and what warmth moves within minutes
+OFFSET_STD_M_S2: Final = 0.6
+SCALE_STD: Final = 0.02
+SKEW_STD: Final = 0.01
+FACE_DEG: Final = 30.0
+
+# body axes (FRD): which way is down when the vehicle lies on that face
+FACES: Final[dict[str, Vector3]] = {
+    "level": (0.0, 0.0, 1.0),
+    "upside-down": (0.0, 0.0, -1.0),
+    "nose-down": (1.0, 0.0, 0.0),
+    "nose-up": (-1.0, 0.0, 0.0),
+    "right-down": (0.0, 1.0, 0.0),
+    "left-down": (0.0, -1.0, 0.0),
+}
+ASKED: Final[dict[str, str]] = {
+    "level": "lay it down level, as it flies",
+    "upside-down": "lay it upside down",
+    "nose-down": "stand it on its nose",
+    "nose-up": "stand it on its tail, nose up",
+    "right-down": "lay it on its right side",
+    "left-down": "lay it on its left side",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerometerFit:
+    """True force = matrix (3, 3) (measured - offset (3,)); misses (n,) of |a| - g, before and after."""
+
+    matrix: FloatArray
+    offset: FloatArray
+    offset_std: FloatArray
+    scale_std: FloatArray
+    raw_misses: FloatArray
+    misses: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class GyroFit:
+    """Bias (3,) rad/s; `std` is how far the rests' own biases scatter about it, rad/s."""
+
+    bias: FloatArray
+    std: float
+    temperature_c: float
+
+
+def fit_accelerometer(rests: Sequence[StaticInterval]) -> AccelerometerFit:
+    """Least squares over all rests; what they do not determine stays by the data sheet."""
+    forces = np.array([rest.force for rest in rests])
+    scale = np.where(np.eye(3) > 0.0, SCALE_STD, SKEW_STD).ravel()
+    believed = np.concatenate((np.full(3, OFFSET_STD_M_S2), scale))
+
+    def residuals(x: FloatArray) -> FloatArray:
+        misses = _sizes(forces, x[:3], np.eye(3) + x[3:].reshape(3, 3)) - GRAVITY_M_S2
+        return np.concatenate((misses / MEAN_STD_M_S2, x / believed))
+
+    found = least_squares(residuals, np.zeros(12), x_scale=believed, method="lm")
+    covariance = np.linalg.inv(found.jac.T @ found.jac)
+    std = np.sqrt(np.diag(covariance))
+    offset, matrix = found.x[:3], np.eye(3) + found.x[3:].reshape(3, 3)
+    return AccelerometerFit(
+        matrix=0.5 * (matrix + matrix.T),
+        offset=offset,
+        offset_std=std[:3],
+        scale_std=std[[3, 7, 11]],
+        raw_misses=np.linalg.norm(forces, axis=1) - GRAVITY_M_S2,
+        misses=_sizes(forces, offset, 0.5 * (matrix + matrix.T)) - GRAVITY_M_S2,
+    )
+
+
+def _sizes(forces: FloatArray, offset: FloatArray, matrix: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm((forces - offset) @ matrix.T, axis=1))
+
+
+def fit_gyro(rests: Sequence[StaticInterval]) -> GyroFit:
+    """The mean over all rests, each by its samples."""
+    weight = np.array([rest.samples for rest in rests], dtype=float)
+    rates = np.array([rest.rate for rest in rests])
+    bias = weight @ rates / weight.sum()
+    spread = float(np.sqrt(weight @ ((rates - bias) ** 2).mean(axis=1) / weight.sum()))
+    warmth = np.array([rest.temperature_c for rest in rests])
+    return GyroFit(bias, spread, float(weight @ warmth / weight.sum()))
+
+
+# ---------------------------------------------------------------- faces and the mounting
+
+
+def mounting_matrix(body_from_sensor_deg: Vector3) -> FloatArray:
+    """Body from sensor (3, 3) by the settings' roll, pitch, yaw."""
+    roll, pitch, yaw = (math.radians(angle) for angle in body_from_sensor_deg)
+    return matrix_from_quat(quat_from_euler(roll, pitch, yaw))
+
+
+def face_of(force: FloatArray, body_from_sensor: FloatArray) -> str | None:
+    """Which face is down at a specific force (3,) in sensor axes; None when it lies on an edge."""
+    down = -(body_from_sensor @ force) / np.linalg.norm(force)
+    name, axis = max(FACES.items(), key=lambda item: float(np.dot(item[1], down)))
+    return name if float(np.dot(axis, down)) > math.cos(math.radians(FACE_DEG)) else None
+
+
+def faces_down(rests: Sequence[StaticInterval], body_from_sensor: FloatArray) -> list[str]:
+    """The faces that were down in some rest."""
+    seen = {face_of(rest.force, body_from_sensor) for rest in rests}
+    return [name for name in FACES if name in seen]
+
+
+def fitting_mountings(asked: Sequence[str], rests: Sequence[StaticInterval]) -> list[Vector3]:
+    """The right-angled mountings (roll, pitch, yaw; deg) under which every rest has the asked face down."""
+    fitting = []
+    for matrix in _right_angled():
+        if all(face_of(rest.force, matrix) == name for name, rest in zip(asked, rests, strict=True)):
+            roll, pitch, yaw = (
+                round(math.degrees(a)) + 0.0 for a in euler_from_quat(quat_from_matrix(matrix))
+            )
+            fitting.append((roll, pitch, yaw))
+    return fitting
+
+
+def _right_angled() -> list[FloatArray]:
+    """The 24 rotations by quarter turns."""
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        matrix = np.zeros((3, 3))
+        matrix[range(3), order] = signs
+        if np.linalg.det(matrix) > 0.0:
+            found.append(matrix)
+    return found
+
+
+# ---------------------------------------------------------------- verdict
+
+MOST_RESIDUAL_M_S2: Final = 0.05
+MOST_OFFSET_M_S2: Final = 1.5
+MOST_SCALE: Final = 0.1
+MOST_GYRO_STD_RAD_S: Final = math.radians(0.1)
+MOST_BIAS_RAD_S: Final = math.radians(20.0)
+MOST_WARMING_C: Final = 8.0
+
+
+def accelerometer_reasons(
+    fit: AccelerometerFit, rests: Sequence[StaticInterval], faces: Sequence[str]
+) -> tuple[str, ...]:
+    """Why not to fly by an accelerometer's calibration; empty when nothing speaks against it."""
+    found = []
+    if missing := [name for name in FACES if name not in faces]:
+        found.append(f"never lay still on: {', '.join(missing)}; expected all six faces")
+    residual = float(np.sqrt(np.mean(fit.misses**2)))
+    if residual > MOST_RESIDUAL_M_S2:
+        found.append(
+            f"the rests do not agree: |a| misses g by {residual:.3f} m/s² rms, expected "
+            f"{MOST_RESIDUAL_M_S2:g} at most (was it moved while it lay?)"
+        )
+    if np.abs(fit.offset).max() > MOST_OFFSET_M_S2:
+        found.append(
+            f"an offset of {np.abs(fit.offset).max():.2f} m/s²; expected {MOST_OFFSET_M_S2:g} at most "
+            "(a broken chip, or another range than the settings'?)"
+        )
+    if np.abs(np.diag(fit.matrix) - 1.0).max() > MOST_SCALE:
+        found.append(
+            f"a scale of {np.diag(fit.matrix)[np.argmax(np.abs(np.diag(fit.matrix) - 1.0))]:.3f}; expected "
+            f"1 within {MOST_SCALE:g} (another range than the settings', or another unit?)"
+        )
+    return (*found, *gyro_reasons(fit_gyro(rests), rests))
+
+
+def gyro_reasons(fit: GyroFit, rests: Sequence[StaticInterval]) -> tuple[str, ...]:
+    """Why not to fly by a gyroscope's bias."""
+    found = []
+    if fit.std > MOST_GYRO_STD_RAD_S:
+        found.append(
+            f"the gyroscope's bias changed by {math.degrees(fit.std):.2f}°/s between rests; expected "
+            f"{math.degrees(MOST_GYRO_STD_RAD_S):g}°/s at most (let it warm up)"
+        )
+    if np.linalg.norm(fit.bias) > MOST_BIAS_RAD_S:
+        found.append(
+            f"a bias of {math.degrees(float(np.linalg.norm(fit.bias))):.0f}°/s; expected less than "
+            f"{math.degrees(MOST_BIAS_RAD_S):g}°/s (was it turning?)"
+        )
+    warmth = [rest.temperature_c for rest in rests]
+    if max(warmth) - min(warmth) > MOST_WARMING_C:
+        found.append(
+            f"it warmed by {max(warmth) - min(warmth):.0f} °C meanwhile; expected {MOST_WARMING_C:g} at most "
+            "(let it warm up first)"
+        )
+    return tuple(found)

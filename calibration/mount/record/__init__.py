@@ -1,0 +1,1 @@
+"""IMU samples and pad observations: live, from a log, from a table."""

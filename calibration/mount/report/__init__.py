@@ -1,0 +1,1 @@
+"""The mount's file, the summary and the plots."""

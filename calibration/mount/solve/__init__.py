@@ -1,0 +1,1 @@
+"""Samples in, camera-IMU extrinsics and time offset out."""

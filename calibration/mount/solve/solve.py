@@ -1,0 +1,339 @@
+"""From a recording to how the camera sits and when its frames were exposed, with how far that may be off.
+
+The coarse search (`correlation`) gives rotation and offset to a degree and a few milliseconds. Then all
+unknowns are fitted together (Gauss-Newton), first with Student's weights, which false sightings and flipped
+poses cannot pull, then without what the first fit has shown to be one. What sightings say is weighed by how
+far they really scatter about the fit, and by how much the misses of one stretch hang together (the scores'
+variance from stretch to stretch against what white noise would give; Liang and Zeger 1986): a lens's error
+repeats from frame to frame, and a hundred frames that are wrong alike count as few.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from calibration.mount.record.samples import ImuSamples, Mask, PadObservations
+from calibration.mount.solve.correlation import CoarseAlignment, correlate
+from calibration.mount.solve.path import MARGIN_S, STRETCH_S, ImuSegments, at_times, cut
+from calibration.mount.solve.problem import MountLeastSquares, ReducedNormalEquations
+from calibration.mount.solve.rotations import log, nearest_rotation, transposed
+from calibration.mount.solve.unknowns import (
+    COUNT,
+    GYRO_BIAS,
+    GYRO_MATRIX,
+    OFFSET,
+    POSITION,
+    ROTATION,
+    SHUTTER,
+    MountPrior,
+    SegmentStarts,
+    Unknowns,
+)
+from companion.base.geometry import FloatArray
+
+FEWEST_OF_STRETCH: Final = 8
+STUDENT_FREEDOM: Final = 5.0
+ROBUST_ITERATIONS: Final = 12
+ITERATIONS: Final = 12
+CONVERGED: Final = 0.03  # of a standard deviation
+NEARLY_CONVERGED: Final = 1.0
+ROUNDS: Final = 2
+OUTLIER: Final = float(chi2.ppf(0.9995, 6))
+MIDDLE: Final = float(chi2.ppf(0.5, 6))
+# of a stretch's sightings, those whose attitude is within this of its middle one start it
+START_RAD: Final = 0.12
+NO_FIT: Final = "no mount fits what was recorded"
+
+
+class NoSolutionError(Exception):
+    """The recording does not determine anything; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class MountSolution:
+    """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without what
+    the fit cannot see (lens, stamps).
+
+    `kept` (k,) says which sightings were used, and `odd_stretches` in how many stretches most were not;
+    `misses` (k, 6) are all sightings' residuals in their own standard deviations; `scatter` is how large
+    those are against what was expected; `correlated` by how much the information was divided because they
+    hang together (both 1 for white noise as stated). `halves` (4,) is by how much the recording's first half
+    would have it otherwise than the second: rotation about the body's axes (rad) and time offset (s).
+    """
+
+    unknowns: Unknowns
+    covariance: FloatArray
+    coarse: CoarseAlignment
+    sightings: PadObservations
+    kept: Mask
+    misses: FloatArray
+    scatter: float
+    correlated: float
+    halves: FloatArray
+    stretches: int
+    odd_stretches: int
+    converged: bool
+    trust: MountPrior
+
+    @property
+    def time_offset_s(self) -> float:
+        """To be added to frames' stamps."""
+        return float(self.unknowns.values[OFFSET][0])
+
+    @property
+    def position_m(self) -> FloatArray:
+        """The camera (3,) from the inertial sensor, body axes."""
+        return self.unknowns.values[POSITION]
+
+    @property
+    def gyro_from_camera(self) -> FloatArray:
+        """The camera's rotation (3, 3) into the axes about which the gyroscope, as it is, feels turns."""
+        flaw = self.unknowns.values[GYRO_MATRIX].reshape(3, 3)
+        return nearest_rotation(np.eye(3) + flaw) @ self.unknowns.body_from_camera
+
+    @property
+    def rotation_covariance(self) -> FloatArray:
+        """Of the rotation about the body's axes (3, 3), rad²; what the lens's centre may be off included."""
+        across = self.unknowns.body_from_camera @ np.diag((1.0, 1.0, 0.0)) @ self.unknowns.body_from_camera.T
+        return np.asarray(self.covariance[ROTATION, ROTATION] + self.trust.lens_rad**2 * across)
+
+    @property
+    def time_offset_std_s(self) -> float:
+        """Of the offset; what the inertial samples' own stamps may be off included."""
+        return float(np.hypot(self.std(OFFSET)[0], self.trust.stamp_s))
+
+    def std(self, which: slice) -> FloatArray:
+        """Standard deviations of some unknowns, by the fit alone."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[which]))
+
+
+def solve(
+    inertial: ImuSamples,
+    sightings: PadObservations,
+    position_m: FloatArray,
+    shutter_s: float = 0.0,
+    trust: MountPrior | None = None,
+) -> MountSolution:
+    """Find the mount.
+
+    Args:
+        inertial: samples in body axes.
+        sightings: the pad in camera axes.
+        shutter_s: the time in which a rolling shutter passes one focal length of the image, by its file.
+        position_m: the camera (3,) by the vehicle's file: where the search for it begins, and what it is
+            held to by `trust.position_m`.
+
+    Raises:
+        NoSolutionError: too little was seen, or it contradicts itself.
+    """
+    try:
+        return _solved(inertial, sightings, position_m, shutter_s, trust or MountPrior())
+    except np.linalg.LinAlgError as error:
+        raise NoSolutionError(NO_FIT) from error
+
+
+def _solved(
+    inertial: ImuSamples,
+    sightings: PadObservations,
+    position_m: FloatArray,
+    shutter_s: float,
+    trust: MountPrior,
+) -> MountSolution:
+    try:
+        coarse = correlate(inertial, sightings)
+    except ValueError as error:
+        raise NoSolutionError(str(error)) from error
+    problem = _problem(inertial, sightings, coarse.time_offset_s)
+    believed = np.zeros(COUNT)
+    believed[POSITION], believed[SHUTTER] = position_m, (shutter_s, 0.5 * shutter_s)
+    unknowns = Unknowns(coarse.body_from_camera, believed.copy())
+    unknowns.values[OFFSET], unknowns.values[GYRO_BIAS] = coarse.time_offset_s, coarse.gyro_bias
+    fit = _Fit(problem, unknowns, _begin(problem, unknowns), believed, trust.standard_deviations(shutter_s))
+    fit.run_robust()
+    for _ in range(ROUNDS):
+        fit.drop_outliers()
+        fit.run()
+        fit.weigh()
+    fit.run()
+    return fit.solution(coarse, trust)
+
+
+def _problem(inertial: ImuSamples, sightings: PadObservations, offset_s: float) -> MountLeastSquares:
+    """Stretches with enough sightings in them, and within reach of the inertial samples."""
+    inside = (sightings.time_s + offset_s > inertial.time_s[0]) & (
+        sightings.time_s + offset_s < inertial.time_s[-1]
+    )
+    sightings = sightings.taken(inside)
+    if not len(sightings):
+        raise NoSolutionError("no sighting while inertial samples came")
+    stretches = cut(inertial, float(sightings.time_s[0]), float(sightings.time_s[-1]))
+    which = np.searchsorted(stretches.start_s, sightings.time_s - MARGIN_S, side="right") - 1
+    which = np.maximum(which, 0)
+    since = sightings.time_s - MARGIN_S - stretches.start_s[which] if len(stretches.start_s) else which
+    counts = np.bincount(which, minlength=len(stretches.start_s))
+    used = (since >= 0.0) & (since < STRETCH_S) & (counts[which] >= FEWEST_OF_STRETCH)
+    full = np.unique(which[used])
+    if len(full) < 2:
+        raise NoSolutionError(f"fewer than two stretches of {STRETCH_S:g} s in which the pad was seen")
+    kept = ImuSegments(stretches.start_s[full], stretches.step_s, stretches.rate[full], stretches.force[full])
+    return MountLeastSquares(kept, sightings.taken(used), np.searchsorted(full, which[used]))
+
+
+def _begin(problem: MountLeastSquares, unknowns: Unknowns) -> SegmentStarts:
+    """Each stretch's beginning, from those of its sightings that agree with most of the others."""
+    count = len(problem.stretches.start_s)
+    turning, moving = problem.path(unknowns)
+    since = problem.since_s(unknowns)
+    moment = at_times(problem.stretches, turning, moving, problem.which, since)
+    seen = problem.sightings
+    pad_from_body = transposed(seen.camera_from_pad) @ unknowns.body_from_camera.T
+    first = pad_from_body @ transposed(moment.rotation)
+    lever = unknowns.values[POSITION]
+    in_body = seen.position_m @ unknowns.body_from_camera.T + lever
+    place = -(pad_from_body @ in_body[..., None])[..., 0]
+    begin = SegmentStarts(np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)))
+    for k in range(count):
+        own = problem.which == k
+        apart = np.linalg.norm(log(transposed(first[own])[:, None] @ first[own][None]), axis=-1)
+        middle = int(np.argmin(np.minimum(apart, 0.5).sum(axis=1)))
+        agree = apart[middle] < START_RAD
+        start = first[own][middle]
+        begin.pad_from_body[k] = start
+        t = since[own][agree][:, None]
+        known = 0.5 * unknowns.gravity_pad * t**2 + moment.position[own][agree] @ start.T
+        line = np.column_stack((np.ones(len(t)), t[:, 0]))
+        found = np.linalg.lstsq(line, place[own][agree] - known, rcond=None)[0]
+        begin.position_m[k], begin.velocity_m_s[k] = found
+    return begin
+
+
+class _Fit:
+    """A fit on its way."""
+
+    def __init__(
+        self,
+        problem: MountLeastSquares,
+        unknowns: Unknowns,
+        begin: SegmentStarts,
+        believed: FloatArray,
+        std: FloatArray,
+    ) -> None:
+        """`believed` (35,) to `std` (35,) is what is known beforehand."""
+        self._problem, self._unknowns, self._begin = problem, unknowns, begin
+        self._believed = believed
+        self._prior = np.diag(std**-2)
+        self._kept = np.ones(len(problem.sightings), dtype=bool)
+        self._scatter2 = self._correlated = 1.0
+        self._converged = False
+
+    def _squares(self) -> FloatArray:
+        """Each sighting's squared distance (k,) from the fit, in its own standard deviations."""
+        path = self._problem.path(self._unknowns)
+        misses = self._problem.residuals(self._unknowns, self._begin, *path)
+        return np.asarray(np.sum(misses**2, axis=1))
+
+    def _step(self, weight: FloatArray, share: float = 1.0) -> float:
+        """A share of one step of Gauss-Newton; returns the whole step's length in standard deviations."""
+        reduced = self._problem.reduced(self._problem.linear(self._unknowns, self._begin), weight)
+        full = reduced.information + self._prior
+        gradient = reduced.scores.sum(axis=0) - self._prior @ (self._unknowns.values - self._believed)
+        step = np.linalg.solve(full, gradient)
+        if not np.isfinite(step).all():
+            raise NoSolutionError(NO_FIT)
+        self._unknowns = self._unknowns.moved(share * step)
+        self._begin = self._begin.moved(share * reduced.beginnings(step))
+        return float(np.sqrt(step @ full @ step))
+
+    def run_robust(self) -> None:
+        """Student's weights about a scale by the median."""
+        for _ in range(ROBUST_ITERATIONS):
+            squares = self._squares()
+            self._scatter2 = float(np.median(squares)) / MIDDLE
+            weight = (STUDENT_FREEDOM + 6.0) / (STUDENT_FREEDOM + squares / self._scatter2)
+            if self._step(weight / self._scatter2) < NEARLY_CONVERGED:
+                break
+
+    def drop_outliers(self) -> None:
+        """Use what lies within the scatter of most."""
+        squares = self._squares()
+        self._scatter2 = float(np.median(squares[self._kept])) / MIDDLE
+        self._kept = squares < OUTLIER * self._scatter2
+
+    def run(self) -> None:
+        """Least squares over what is kept.
+
+        Rates are constant between samples, so the misfit has small kinks over the offset; a step that only
+        goes to and fro about one is shortened.
+        """
+        self._converged, share, last = False, 1.0, np.inf
+        for _ in range(ITERATIONS):
+            length = self._step(self._weight(), share)
+            if share * length < CONVERGED:
+                self._converged = True
+                return
+            if 0.5 * last < length < 1.0:
+                share *= 0.5
+            last = length
+
+    def _weight(self) -> FloatArray:
+        return np.asarray(self._kept / (self._scatter2 * self._correlated))
+
+    def weigh(self) -> None:
+        """How far the sightings scatter, and how much the misses of a stretch hang together."""
+        count = int(self._kept.sum())
+        freedom = 6 * count - 9 * len(self._begin.position_m) - 10
+        self._scatter2 = float(self._squares()[self._kept].sum()) / max(freedom, 1)
+        self._correlated = 1.0
+        reduced = self._problem.reduced(self._problem.linear(self._unknowns, self._begin), self._weight())
+        self._correlated = max(1.0, self._inflation(reduced))
+
+    def _inflation(self, reduced: ReducedNormalEquations) -> float:
+        """The estimate's variance by the scores' scatter over that by white noise: rotation and offset."""
+        scores = reduced.scores - reduced.scores.mean(axis=0)
+        stretches = len(scores)
+        between = scores.T @ scores * (stretches / (stretches - 1.0))
+        gain = np.linalg.inv(reduced.information + self._prior)
+        found, expected = (np.diag(gain @ m @ gain)[[0, 1, 2, 6]] for m in (between, reduced.information))
+        return float(np.mean(found / expected))
+
+    def solution(self, coarse: CoarseAlignment, trust: MountPrior) -> MountSolution:
+        """What has come of it.
+
+        Raises:
+            NoSolutionError: a time offset that the search did not reach.
+        """
+        if abs(offset_s := float(self._unknowns.values[OFFSET][0])) > MARGIN_S:
+            raise NoSolutionError(f"{NO_FIT}: the time offset ran off to {offset_s:+.2f} s")
+        linear = self._problem.linear(self._unknowns, self._begin)
+        reduced = self._problem.reduced(linear, self._weight())
+        which = self._problem.which
+        covariance = np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float)
+        return MountSolution(
+            unknowns=self._unknowns,
+            covariance=covariance,
+            coarse=coarse,
+            sightings=self._problem.sightings,
+            kept=self._kept,
+            misses=linear.residuals,
+            scatter=float(np.sqrt(self._scatter2)),
+            correlated=self._correlated,
+            halves=_halves(reduced, covariance)[[0, 1, 2, OFFSET.start]],
+            stretches=len(self._begin.position_m),
+            odd_stretches=int(np.sum(np.bincount(which, self._kept) < 0.5 * np.bincount(which))),
+            converged=self._converged,
+            trust=trust,
+        )
+
+
+def _halves(reduced: ReducedNormalEquations, covariance: FloatArray) -> FloatArray:
+    """The unknowns (35,) by the first half of the stretches less those by the second, to first order.
+
+    At the fit the scores of the halves cancel; each half alone, with half of the information, would step by
+    twice the covariance times its own.
+    """
+    scores = reduced.scores - reduced.scores.mean(axis=0)
+    return np.asarray(4.0 * covariance @ scores[: len(scores) // 2].sum(axis=0))

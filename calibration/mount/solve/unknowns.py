@@ -1,0 +1,136 @@
+"""What a mount calibration solves for, and what is believed of it before the first sample.
+
+The same for every stretch: the camera's rotation and place, its time offset, the pad's lean, what a rolling
+shutter does to a pose, and what is wrong with the inertial sensors. Of each stretch: where it begins. A
+measured rate is (I + E) w + b, and so is a force; E and b are known to a standard deviation only, which is
+what bounds how well "the body's axes" are known at all: a chip whose axes are askew by 0.3° cannot say where
+forward is any better.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from calibration.mount.solve.rotations import exp
+from companion.base.geometry import GRAVITY_M_S2, FloatArray
+
+ROTATION: Final = slice(0, 3)
+POSITION: Final = slice(3, 6)
+OFFSET: Final = slice(6, 7)
+TILT: Final = slice(7, 9)
+SHUTTER: Final = slice(9, 11)
+GYRO_BIAS: Final = slice(11, 14)
+GYRO_MATRIX: Final = slice(14, 23)
+ACCEL_BIAS: Final = slice(23, 26)
+ACCEL_MATRIX: Final = slice(26, 35)
+COUNT: Final = 35
+# from here on the path through the inertial samples changes; before it only what the camera sees of it
+FIRST_OF_PATH: Final = 11
+
+STRETCH_COUNT: Final = 9
+# of the shutter's two times, where the camera's file says that there is none
+SHUTTER_STD_S: Final = 0.003
+
+
+@dataclass(frozen=True, slots=True)
+class MountPrior:
+    """How far things are believed, standard deviations. The sensors': an MPU9250 after its calibration.
+
+    Cross-axis sensitivity of ±2 % in the data sheet (PS-MPU-9250A-01, tables 1 and 2) is a bound; a quarter
+    of that is usual. `lens_rad` is how far the lens's centre may be off, as an angle: a rotation to all
+    that looks through it; `stamp_s` how far the driver's stamps of inertial samples may be off, of which
+    the chip says nothing (a tenth of a sample's period).
+    """
+
+    position_m: float = 0.02  # a tape measure's
+    level_rad: float = math.radians(3.0)
+    gyro_bias_rad_s: float = math.radians(5.0)
+    gyro_scale: float = 0.005
+    gyro_cross: float = 0.005
+    accel_bias_m_s2: float = 0.07
+    accel_scale: float = 0.003
+    accel_cross: float = 0.005
+    lens_rad: float = 0.003
+    stamp_s: float = 0.0005
+
+    def standard_deviations(self, shutter_s: float) -> FloatArray:
+        """One for each unknown (35,); infinite where nothing is believed.
+
+        `shutter_s` is the time in which a rolling shutter passes one focal length of the image.
+        """
+        cross = np.eye(3)
+        gyro = np.where(cross > 0.0, self.gyro_scale, self.gyro_cross)
+        accel = np.where(cross > 0.0, self.accel_scale, self.accel_cross)
+        out = np.full(COUNT, math.inf)
+        out[POSITION], out[TILT] = self.position_m, self.level_rad
+        out[SHUTTER] = 0.3 * shutter_s + SHUTTER_STD_S
+        out[GYRO_BIAS], out[ACCEL_BIAS] = self.gyro_bias_rad_s, self.accel_bias_m_s2
+        out[GYRO_MATRIX], out[ACCEL_MATRIX] = gyro.ravel(), accel.ravel()
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Unknowns:
+    """The unknowns of the whole recording.
+
+    `values` (35,) holds all but the rotation, which stands in `body_from_camera` (3, 3): its three values
+    are small turns about the body's axes, and zero here.
+    """
+
+    body_from_camera: FloatArray
+    values: FloatArray
+
+    def moved(self, step: FloatArray) -> Unknowns:
+        """A step (35,) further."""
+        values = self.values + step
+        values[ROTATION] = 0.0
+        return Unknowns(exp(step[ROTATION]) @ self.body_from_camera, values)
+
+    @property
+    def gravity_pad(self) -> FloatArray:
+        """Gravity (3,) m/s² in the pad's axes: straight down but for the pad's lean."""
+        x, y = self.values[TILT]
+        return np.array([x, y, math.sqrt(max(1.0 - x * x - y * y, 0.0))]) * GRAVITY_M_S2
+
+    def shutter_turn(self, closing_1_s: FloatArray, roll_rad_s: FloatArray) -> FloatArray:
+        """What a rolling shutter adds to poses (k, 3), a small rotation about the camera's axes.
+
+        The eyes' pose takes out that the image drifts while its rows are read. What is left: that it grows
+        (`closing_1_s`, speed along the optical axis over distance) looks like a lean about the image's
+        horizontal, and that it turns (`roll_rad_s`, about the optical axis) like half a lean about the
+        vertical. Rows k (in focal lengths) are read k s later, so grown and turned points are off by
+        s k (u, v) and s k (v, -u); a leaning plane's by (uv, v²) and (u², uv).
+        """
+        grows, turns = self.values[SHUTTER]
+        return np.stack((-grows * closing_1_s, -turns * roll_rad_s, np.zeros_like(roll_rad_s)), axis=-1)
+
+    def true_rate(self, measured: FloatArray) -> FloatArray:
+        """Rates (..., 3) without what the gyroscope adds, to first order in its errors."""
+        flaw = self.values[GYRO_MATRIX].reshape(3, 3)
+        return np.asarray((measured - self.values[GYRO_BIAS]) @ (np.eye(3) - flaw).T)
+
+    def true_force(self, measured: FloatArray) -> FloatArray:
+        """Specific forces (..., 3) without what the accelerometer adds, to first order in its errors."""
+        flaw = self.values[ACCEL_MATRIX].reshape(3, 3)
+        return np.asarray((measured - self.values[ACCEL_BIAS]) @ (np.eye(3) - flaw).T)
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentStarts:
+    """Where the stretches begin, in the pad's axes: attitude (s, 3, 3), position and velocity (s, 3)."""
+
+    pad_from_body: FloatArray
+    position_m: FloatArray
+    velocity_m_s: FloatArray
+
+    def moved(self, steps: FloatArray) -> SegmentStarts:
+        """Steps (s, 9) further: turns about the body's axes, position, velocity."""
+        return SegmentStarts(
+            self.pad_from_body @ exp(steps[:, :3]),
+            self.position_m + steps[:, 3:6],
+            self.velocity_m_s + steps[:, 6:],
+        )

@@ -1,0 +1,134 @@
+"""Landings on the real PX4 and the real ArduCopter, in lockstep with the bundled world.
+
+    python -m tests.bench.firmware.bench_firmware --px4 BIN --arducopter BIN --seeds 10
+
+`--out DIR` says where the flights are kept (default: flights/bench-firmware).
+
+BIN is each firmware's SITL build. Give the same command again after an interruption, and it goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, get_args
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from companion.base.messages import Manner
+from companion.config import ConfigError, Kind
+from sitl.campaign.figures import Bar, values
+from sitl.campaign.rows import Row
+from sitl.campaign.tables import print_worst
+from sitl.firmware.spec import FirmwareSpec
+from tests.bench.campaign.bench_landing import fly, landed_share
+from tests.bench.firmware.firmware_cases import CASES, SETPOINTS, FirmwareCase, write_flights
+
+LEAST_LANDED: Final = 0.98
+CALM_MEDIAN_CM: Final = 5.0
+WINDY_MEDIAN_CM: Final = 8.0
+
+
+def median_bar(name: str, case: FirmwareCase, rows: Sequence[Row]) -> Bar:
+    """The bar on a case's median lateral error."""
+    limit = WINDY_MEDIAN_CM if case.windy else CALM_MEDIAN_CM
+    lateral = values(rows, "touchdown_lateral_m")
+    median = 100.0 * float(np.median(lateral)) if lateral else float("inf")
+    return Bar(f"{name} lateral p50", f"{median:.1f} (<= {limit:g}) cm", median <= limit)
+
+
+def line(name: str, rows: Sequence[Row]) -> list[str]:
+    """A row of the table."""
+    columns = ("touchdown_lateral_m", "vertical_speed_m_s", "horizontal_speed_m_s")
+    figures = [values(rows, column) for column in columns]
+    cells = [
+        f"{factor * float(np.median(v)):.{digits}f} {factor * max(v):.{digits}f}" if v else "-"
+        for v, factor, digits in zip(figures, (100.0, 1.0, 1.0), (1, 2, 2), strict=True)
+    ]
+    ends = ", ".join(sorted({row.outcome for row in rows if not row.landed}))
+    return [name, f"{sum(row.landed for row in rows)}/{len(rows)}", *cells, ends]
+
+
+def table(lines: Sequence[Sequence[str]]) -> Table:
+    """All lines."""
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    shown.add_column("firmware, setpoint, case", no_wrap=True)
+    for heading in ("landed", "lateral cm\np50 worst", "down m/s\np50 worst", "sideways m/s\np50 worst"):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    shown.add_column("other ends")
+    for cells in lines:
+        shown.add_row(*cells)
+    return shown
+
+
+def main() -> int:
+    """Fly, print the table, and say which bars hold."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--px4", type=Path, help="the program px4")
+    parser.add_argument("--arducopter", type=Path, help="the program arducopter")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--case", default="", help="cases whose name begins so, alone")
+    parser.add_argument(
+        "--setpoint", choices=get_args(Kind), default="", help="this kind alone, instead of those shipped"
+    )
+    parser.add_argument(
+        "--sensors",
+        choices=("boards", "autopilot"),
+        default="boards",
+        help="IMU, compass and GPS of whom the app flies by",
+    )
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--out", type=Path, default=Path("flights/bench-firmware"))
+    options = parser.parse_args()
+    paths: dict[Manner, Path | None] = {"px4": options.px4, "ardupilot": options.arducopter}
+    specs = [spec for kind, path in paths.items() if path and (spec := FirmwareSpec.of(kind, path))]
+    if not specs:
+        raise ConfigError("bench-firmware: expected --px4 BIN, --arducopter BIN or both")
+    return judge(specs, options, Console(width=None if sys.stdout.isatty() else 150))
+
+
+def judge(specs: Sequence[FirmwareSpec], options: argparse.Namespace, console: Console) -> int:
+    """Fly what has no row yet; returns the exit status."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(options.first, options.first + options.seeds)
+    cases = tuple(case for case in CASES if case.name.startswith(options.case))
+    kinds = [
+        (spec, setpoint)
+        for spec in specs
+        for setpoint in ((options.setpoint,) if options.setpoint else SETPOINTS[spec.kind])
+    ]
+    flights = [
+        f for spec, s in kinds for f in write_flights(spec, s, options.sensors, cases, seeds, options.out)
+    ]
+    console.print(f"{len(flights)} flights")
+    rows = fly(flights, options.out, options.jobs, console)
+    lines, bars = [], []
+    for spec, setpoint in kinds:
+        of_kind: list[Row] = []
+        for case in cases:
+            name = case.title(spec.kind, setpoint, options.sensors)
+            of_case = [row for row in rows if row.scenario == name]
+            of_kind += of_case
+            lines.append(line(name, of_case))
+            bars.append(median_bar(name, case, of_case))
+        bars.append(landed_share(f"{spec.kind} {setpoint} landed", of_kind, LEAST_LANDED))
+    console.print(table(lines))
+    print_worst(console, rows)
+    console.print(f"bars: {', '.join(map(str, bars))}", highlight=False, soft_wrap=True)
+    return 0 if bars and all(bar.holds for bar in bars) else 1
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except ConfigError as problem:
+        sys.exit(str(problem))
+    except KeyboardInterrupt:
+        sys.exit("stopped; the same command goes on")

@@ -1,0 +1,134 @@
+"""How well the estimators do in the SITL, beside their bars: errors, consistency, faults, costs.
+
+    python -m tests.bench.state.bench_state --seeds 20 --jobs 2 --pictures pictures
+
+Flies each scenario under many seeds in virtual time with rendering, then measures from take-off to touchdown
+with the truth: attitude, velocity, the pad's velocity while seen for 2 s, and the NEES of both filters with
+the 95 % band of its mean over the seeds; then the faults in closed loop; then the costs. Ends in one line
+that says which bars hold; the exit status is 0 when all do. `--streams` keeps the flights: those already
+there are not flown again, but the estimators run over them again as they are now (in closed loop only the
+flights know what an estimator does: empty the folder for that).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from companion.sim.trial import Trial
+from tests.bench.state import pictures
+from tests.bench.state.consistency import Consistency
+from tests.bench.state.costs import measure
+from tests.bench.state.fault_flights import CASES, FaultFlight, trial_of
+from tests.bench.state.figures import Flight, bars, consistencies, cost_bars, fault_bars
+from tests.bench.state.streams import Stream, fly_stream, load, rerun, save, settings_of, stream_path
+from tests.bench.state.tables import consistency_table, cost_table, error_table, fault_table
+
+SCENARIOS: Final = ("figure_8", "static", "line", "circle", "heave")
+
+
+# ---------------------------------------------------------------- flying
+
+
+def obtain(trial: Trial, name: str, folder: Path | None) -> Stream:
+    """Fly, or take what is kept under the name."""
+    path = None if folder is None else stream_path(folder, name, trial.seed)
+    if path is not None and path.exists():
+        return load(path)
+    stream = fly_stream(trial)
+    if path is not None:
+        save(stream, path)
+    return stream
+
+
+def flown(scenario: str, seed: int, folder: Path | None) -> Flight:
+    """One flight, measured."""
+    trial = Trial.load(scenario, seed)
+    stream = obtain(trial, scenario, folder)
+    return Flight(scenario, seed, stream.outcome, rerun(stream, settings_of(trial)))
+
+
+def flown_with_fault(index: int, seed: int, folder: Path | None) -> FaultFlight:
+    """One flight of `CASES`, measured."""
+    case = CASES[index]
+    trial = trial_of(case, seed)
+    stream = obtain(trial, case.slug, folder)
+    return FaultFlight(case, seed, stream.outcome, rerun(stream, settings_of(trial)))
+
+
+def draw(
+    folder: Path,
+    flights: Sequence[Flight],
+    by_scenario: dict[str, dict[str, Consistency]],
+    faulted: Sequence[FaultFlight],
+) -> None:
+    """All pictures into a folder."""
+    for name, figures in by_scenario.items():
+        first = next(flight for flight in flights if flight.scenario == name)
+        title = f"{name}, seed {first.seed}: truth minus estimate"
+        pictures.draw_errors(first.samples, title, folder / f"errors_{name}.png")
+        pictures.draw_consistency(figures, name, folder / f"nees_{name}.png")
+    if faulted:
+        curves = [
+            (f"{f.case.name}", f.times_s, f.errors()["attitude °"], f.errors()["velocity m/s"])
+            for f in faulted
+            if f.seed == faulted[0].seed
+        ]
+        pictures.draw_faults(curves, folder / "faults.png")
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="bench_state", description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS))
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--fault-seeds", type=int, default=3)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--streams", type=Path, help="folder that keeps the flights")
+    parser.add_argument("--pictures", type=Path, help="folder for PNGs")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    chosen, console = parse(arguments), Console()
+    with ProcessPoolExecutor(chosen.jobs) as pool:
+        waiting = [
+            pool.submit(flown, scenario, seed, chosen.streams)
+            for scenario in chosen.scenarios
+            for seed in range(chosen.seeds)
+        ]
+        more = [
+            pool.submit(flown_with_fault, index, seed, chosen.streams)
+            for index in range(len(CASES))
+            for seed in range(chosen.fault_seeds)
+        ]
+        flights, faulted = [f.result() for f in waiting], [f.result() for f in more]
+    by_scenario = {
+        name: consistencies([flight for flight in flights if flight.scenario == name])
+        for name in chosen.scenarios
+    }
+    console.print(error_table(flights), consistency_table(by_scenario))
+    held = bars(flights, by_scenario)
+    if faulted:
+        console.print(fault_table(faulted))
+        held |= fault_bars(faulted)
+    trial = Trial.load(chosen.scenarios[0], 0)
+    costs = measure(obtain(trial, chosen.scenarios[0], chosen.streams), settings_of(trial))
+    console.print(cost_table(costs))
+    held |= cost_bars(costs)
+    if chosen.pictures is not None:
+        draw(chosen.pictures, flights, by_scenario, faulted)
+    words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in held.items())
+    console.print(f"bars: {words}", highlight=False, soft_wrap=True)
+    return 0 if all(held.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""Flights on the autopilot's own sensors, by its telemetry: no MPU9250, NEO-6M or ultrasonic of ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.base.messages import Manner, Outcome, Phase
+from companion.config import CONFIG_FOLDER
+from companion.flightlog.record import FlightLog
+from companion.sim.runner import SitlFlight, fly
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
+from sitl.mavlink.sensor_telemetry import SensorMessages
+from tests.scenario.flights.test_faults import failing, texts
+from tests.scenario.flying import fly as fly_command
+from tests.scenario.flying import run, scenario_file
+
+LATERAL_M = 0.15
+IN_DESCENT_S = 26.0
+SENSE: dict[str, Any] = {"source": "autopilot"}
+FIFTY_HZ: dict[str, Any] = {**SENSE, "autopilot": {"imu_rate_hz": 50.0}}
+
+
+def by_telemetry(manner: Manner, sense: dict[str, Any]) -> dict[str, Any]:
+    return {"autopilot": manner, "companion": {"sense": sense}}
+
+
+def fly_static(folder: Path, manner: Manner = "px4", **changes: Any) -> tuple[SitlFlight, FlightLog]:
+    path = scenario_file(folder, "static", {**by_telemetry(manner, SENSE), **changes})
+    trial = Trial.load(str(path), 0)
+    log = FlightLog(None, start_unix_s=0.0)
+    settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    return fly(settings, trial, log, lambda _status: None, fast=True), log
+
+
+@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+@pytest.mark.parametrize(
+    ("scenario", "sense"),
+    [("static", SENSE), ("circle", SENSE), ("circle", FIFTY_HZ)],
+    ids=["static", "circle", "circle at 50 Hz"],
+)
+def test_lands_on_the_autopilots_sensors(
+    manner: Manner, scenario: str, sense: dict[str, Any], tmp_path: Path
+) -> None:
+    flown = fly_command(scenario_file(tmp_path, scenario, by_telemetry(manner, sense)), 0, tmp_path)
+    touchdown = flown.landing["touchdown"]
+    assert touchdown["lateral_error_m"] <= LATERAL_M, flown
+    print(f"{scenario}, {manner}: {touchdown}")
+
+
+def test_a_replay_gives_the_flights_estimates_again_to_the_bit(tmp_path: Path) -> None:
+    scenario = scenario_file(tmp_path, "static", by_telemetry("px4", SENSE))
+    flown = fly_command(scenario, 0, tmp_path, "--record", tmp_path / "log")
+    assert flown.landing
+    replayed = run("replay", tmp_path / "log", "-o", tmp_path, result=tmp_path / "replay.json")
+    assert replayed.result is not None, replayed
+    assert replayed.result["repetition"]["identical"], replayed
+    assert all(replayed.result["samples"][kind] for kind in ("imu", "mag", "gps", "range")), replayed
+
+
+def test_our_ultrasonic_may_stay_beside_the_autopilots_other_sensors(tmp_path: Path) -> None:
+    sense = {**SENSE, "autopilot": {"range_source": "boards"}}
+    flown = fly_command(scenario_file(tmp_path, "static", by_telemetry("ardupilot", sense)), 0, tmp_path)
+    assert flown.landing["touchdown"]["lateral_error_m"] <= LATERAL_M, flown
+    assert any("short echo" in event["text"] for event in flown.landing["events"]), flown
+
+
+def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build = SensorMessages.build
+
+    def until_then(self: SensorMessages, message_id: int, now_s: float) -> Any:
+        gone = message_id == mavlink.MAVLINK_MSG_ID_HIGHRES_IMU and now_s > IN_DESCENT_S - 3.0
+        return None if gone else build(self, message_id, now_s)
+
+    monkeypatch.setattr(SensorMessages, "build", until_then)
+    flight, log = fly_static(tmp_path)
+    assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
+    assert "the vehicle's own estimate is gone" in texts(log)
+    assert texts(log).count("autopilot's sensors: no HIGHRES_IMU comes; expected it at 200 Hz") == 1
+
+
+@pytest.mark.parametrize(("manner", "name"), [("px4", "HIGHRES_IMU"), ("ardupilot", "RAW_IMU")])
+def test_an_imu_stream_that_never_comes_is_told_once_and_nothing_is_armed(
+    manner: Manner, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    missing = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
+    has = SensorMessages.__contains__
+    monkeypatch.setattr(
+        SensorMessages, "__contains__", lambda self, number: number != missing and has(self, number)
+    )
+    flight, log = fly_static(tmp_path, manner, time_limit_s=15.0)
+    assert flight.report.outcome is Outcome.TIMEOUT, flight.report.failures
+    assert [plan.phase for plan in log.kept["plan"]][-1] is Phase.CONNECT
+    assert texts(log).count(f"autopilot's sensors: no {name} comes; expected it at 200 Hz") == 1
+    assert texts(log).count("autopilot's sensors") == 1
+
+
+def test_the_same_seed_gives_the_same_flight(tmp_path: Path) -> None:
+    first, second = fly_static(tmp_path), fly_static(tmp_path)
+    assert first[0].report.touchdown == second[0].report.touchdown
+    assert first[0].report.truth == second[0].report.truth
+
+
+def test_no_board_of_ours_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from sitl.devices.mpu9250 import Mpu9250Device
+
+    broken = failing(Mpu9250Device.read, OSError("nobody reads this bus"), lambda _: True)
+    monkeypatch.setattr(Mpu9250Device, "read", broken)
+    flight, log = fly_static(tmp_path)
+    assert flight.report.outcome is Outcome.LANDED, flight.report.failures
+    assert "sensor" not in {notice.kind for notice in log.kept["notice"]}

@@ -1,0 +1,160 @@
+"""`calibrate-magnetometer` end to end from files: what it writes, what it refuses, what it tells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from calibration.command_line import run
+from calibration.magnetometer import command
+from companion.base.geometry import FloatArray
+from companion.base.magnetic_field import field_ned_ut
+from companion.config import ConfigError, load_model
+from companion.config.magnetometer import MagnetometerCalibration
+from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
+
+CASE = turned(11, samples=1500)
+ZURICH = "47.4,8.55,430"
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def csv(name: str, raw: FloatArray, force: FloatArray | None = None) -> str:
+    heading, rows = ("mx,my,mz", raw) if force is None else ("mx,my,mz,ax,ay,az", np.hstack([raw, force]))
+    np.savetxt(name, rows, delimiter=",", header=heading, comments="", fmt="%.4f")
+    return name
+
+
+def calibrate(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        run(command.cli, command.PROGRAM, words)
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def test_a_recording_becomes_a_file_a_picture_and_a_table(capsys: pytest.CaptureFixture[str]) -> None:
+    source = csv("turns.csv", CASE.raw, CASE.force)
+    assert calibrate(source, "--position", ZURICH, "--date", "2026-05-01", "--sensor", "mpu9250") == 0
+    shown = capsys.readouterr().out
+    assert "World Magnetic Model 2026.3, --position" in shown
+    assert "residual" in shown
+    file = load_model(MagnetometerCalibration, Path("magnetometer.yaml"))
+    strength = float(np.linalg.norm(field_ned_ut(47.4, 8.55, 430.0, 2026.33)))
+    assert file.field_strength == pytest.approx(strength, rel=1e-5)
+    assert (file.sensor, file.axes, file.raw_unit, file.calibrated_unit) == ("mpu9250", "sensor", "uT", "uT")
+    assert np.linalg.norm(np.array(file.hard_iron) - CASE.centre) < 0.015 * FIELD_UT
+    assert np.linalg.norm(file.apply(CASE.raw), axis=1).mean() == pytest.approx(strength, rel=3e-3)
+    assert file.provenance.samples + file.provenance.dropped == 1500
+    assert file.quality.verdict == "usable"
+    assert Path("magnetometer.png").stat().st_size > 20_000
+    # the same samples give the same file, but for the date
+    first = Path("magnetometer.yaml").read_text()
+    assert (
+        calibrate(source, "--position", ZURICH, "--date", "2026-05-01", "--sensor", "mpu9250", "--no-plot")
+        == 0
+    )
+    again = yaml.safe_load(Path("magnetometer.yaml").read_text())
+    again["provenance"]["date"] = file.provenance.date
+    assert again == yaml.safe_load(first)
+
+
+def test_the_settings_field_serves_where_they_say_it(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("mine.yaml").write_text("estimate:\n  magnetic_field_ned_ut: [21.0, 1.0, 43.0]\n")
+    assert calibrate(csv("a.csv", CASE.raw), "--config", "mine.yaml", "--no-plot") == 0
+    assert "estimate.magnetic_field_ned_ut of mine.yaml" in capsys.readouterr().out
+
+
+def test_a_bad_one_is_refused_and_nothing_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+    noisy = CASE.raw + np.random.default_rng(0).normal(0.0, 12.0, CASE.raw.shape)
+    source = csv("a.csv", noisy)
+    assert calibrate(source, "--no-plot") == 1
+    told = capsys.readouterr().err
+    assert told.startswith("calibrate-magnetometer: refused: a.csv: ")
+    assert told.count("\n") == 1
+    assert not Path("magnetometer.yaml").exists()
+    assert calibrate(source, "--no-plot", "--force") == 0
+    file = load_model(MagnetometerCalibration, Path("magnetometer.yaml"))
+    assert file.quality.verdict == "refused"
+    assert file.quality.forced
+
+
+def test_a_plane_is_refused_even_by_force(capsys: pytest.CaptureFixture[str]) -> None:
+    flat = CASE.raw * (1.0, 1.0, 0.0)
+    assert calibrate(csv("flat.csv", flat), "--force") == 1
+    assert "in a plane" in capsys.readouterr().err
+    assert not Path("magnetometer.yaml").exists()
+
+
+def test_an_old_file_stays_when_the_new_one_is_refused() -> None:
+    Path("magnetometer.yaml").write_text("old")
+    assert calibrate(csv("flat.csv", CASE.raw * (1.0, 1.0, 0.0))) == 1
+    assert Path("magnetometer.yaml").read_text() == "old"
+
+
+def test_interrupted_it_leaves_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "write_picture", interrupt)
+    assert calibrate(csv("a.csv", CASE.raw)) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert sorted(path.name for path in Path().iterdir()) == ["a.csv"]
+
+
+def test_a_picture_that_cannot_be_written_does_not_cost_the_calibration(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(path: Path, _: object) -> None:
+        raise ConfigError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr(command, "write_picture", full)
+    assert calibrate(csv("a.csv", CASE.raw)) == 2
+    assert "magnetometer.png: cannot be written" in capsys.readouterr().err
+    assert load_model(MagnetometerCalibration, Path("magnetometer.yaml")).quality.verdict == "usable"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), "nothing to calibrate: expected RECORDING, --bus, --connect or --config"),
+        (("none.csv",), "none.csv: cannot be read: No such file or directory"),
+        (("a.csv", "--bus", "i2c:1"), "RECORDING: expected it without --bus"),
+        (("--bus", "i2c:1", "--connect", "udp:127.0.0.1:1"), "--bus and --connect: expected one of them"),
+        (("--bus", "two"), "bus 'two': expected i2c:NUMBER"),
+        (("--connect", "carrier pigeon"), "expected serial:PATH:BAUD"),
+        (("a.csv", "--position", "here"), "--position here: expected latitude,longitude"),
+        (("a.csv", "--position", "91,0"), "--position 91,0: expected"),
+        (("a.csv", "--date", "yesterday"), "--date yesterday: expected YYYY-MM-DD"),
+        (("a.csv", "--sensor", "bmm"), "--sensor bmm: expected mpu9250, autopilot or other"),
+        (("a.csv", "--fit", "best"), "--fit best: expected auto, likelihood or residual"),
+        (("a.csv", "-o", "no/where.yaml"), "--output no/where.yaml: cannot be written"),
+        (("a.csv", "--plot", "no/where.png"), "--plot no/where.png: cannot be written"),
+        (("a.csv", "--plot", "a.xyz"), "--plot a.xyz: expected a name that ends in .png"),
+        (("a.csv", "--date", "0001-01-01"), "--date 0001-01-01: expected YYYY-MM-DD, from 2000 to 2040"),
+        (("a.csv", "--colour"), "see calibrate-magnetometer --help"),
+    ],
+)
+def test_what_a_user_can_mend_is_one_line(
+    words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv("a.csv", CASE.raw[:60])
+    assert calibrate(*words) == 2
+    told = capsys.readouterr().err
+    assert expected in told
+    assert told.startswith("calibrate-magnetometer: ")
+    assert told.count("\n") == 1
+
+
+def test_help_has_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibrate("--help") == 0
+    shown = capsys.readouterr().out
+    assert "calibrate-magnetometer turns.csv --unit mG" in shown
+    assert "Exit codes" in shown

@@ -1,0 +1,158 @@
+"""Live against the simulator's devices: the vehicle is turned about by hand, in virtual time."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from calibration.magnetometer.collect.collecting import ENOUGH, CollectionLimits, collect
+from calibration.magnetometer.collect.live import AutopilotCompass, Mpu9250Compass
+from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, UnfitError, calibrate
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.geometry import FloatArray
+from companion.config import ConfigError, ImuConfig
+from companion.link.inbox import memory_pair
+from companion.sense.imu.mpu9250 import Mpu9250
+from sitl.run.in_process import InProcess, carried
+from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.vehicle.hand_paths import HandMotion
+
+FIELD = TrueField(MAGNETIC_FIELD_NED_UT, "the simulator's")
+
+
+def uncalibrated() -> Scenario:
+    scenario = load_scenario("static")
+    return scenario.model_copy(update={"sensors": scenario.sensors.model_copy(update={"calibrated": False})})
+
+
+def carry(
+    motion: HandMotion, task: Callable[[InProcess], Awaitable[Any]], *, seed: int = 3, link: Any = None
+) -> Any:
+    async def main() -> Any:
+        async with carried(uncalibrated(), seed, motion, camera=False, link=link) as vehicle:
+            return await task(vehicle)
+
+    return main()
+
+
+def calibrated(recording: Any) -> Calibrated:
+    rng = np.random.default_rng(0)
+    return calibrate(recording, rng, field=FIELD, aligned=False, objective=None, tool="t", date="d")
+
+
+def offset_error(done: Calibrated, truth: FloatArray) -> float:
+    """Of the hard iron, as a share of the field."""
+    return float(np.linalg.norm(done.centre - truth)) / FIELD.strength_ut
+
+
+def test_the_chip_turned_about_is_calibrated_to_the_truth(tmp_path: Path) -> None:
+    shown = io.StringIO()
+    picture = tmp_path / "coverage.png"
+
+    async def collected(vehicle: InProcess) -> Any:
+        source = Mpu9250Compass(vehicle.imu_bus, ImuConfig())
+        recording = await collect(source, CollectionLimits(150.0, picture), Console(file=shown, width=200))
+        return recording, vehicle.simulation.sensor_truth.boards.magnetometer
+
+    recording, flaws = run_in_virtual_time(carry("tumble", collected))
+    done = calibrated(recording)
+    assert done.file.quality.verdict == "good"
+    assert done.figures.coverage >= ENOUGH
+    assert offset_error(done, flaws.offset) < 0.003
+    # what the app reads undoes what the sensor does, rotation and all
+    assert done.file.matrix @ flaws.matrix == pytest.approx(np.eye(3), abs=4e-3)
+    assert done.figures.dip is not None
+    assert done.figures.dip.median_deg == pytest.approx(FIELD.dip_deg, abs=1.0)
+    lines = [line for line in shown.getvalue().splitlines() if "covered," in line]
+    # it stopped by itself, and told its way there in plain lines
+    assert len(lines) > 5
+    assert float(lines[-1].split("s")[0]) < 145.0
+    assert any("nose" in line or "roll" in line for line in lines)
+    assert picture.exists()
+
+
+def test_the_calibration_makes_the_drivers_field_true() -> None:
+    async def collected(vehicle: InProcess) -> Any:
+        recording = await collect(
+            Mpu9250Compass(vehicle.imu_bus, ImuConfig()), CollectionLimits(30.0), Console(file=io.StringIO())
+        )
+        file = calibrated(recording).file
+        clock, driver, found = Clock(), Mpu9250(vehicle.imu_bus, ImuConfig(), file), []
+        for _ in range(300):
+            found += driver.poll(clock.now_s)[1]
+            await clock.sleep_until(clock.now_s() + 0.01)
+        return [np.linalg.norm(sample.field_body_ut) for sample in found[5:]]
+
+    sizes = run_in_virtual_time(carry("tumble", collected))
+    assert len(sizes) > 50
+    assert np.mean(sizes) == pytest.approx(FIELD.strength_ut, rel=0.01)
+
+
+def test_an_autopilots_compass_is_calibrated_over_mavlink() -> None:
+    async def main() -> Any:
+        ours, theirs = memory_pair()
+
+        async def collected(vehicle: InProcess) -> Any:
+            source = AutopilotCompass(ours, "the line")
+            try:
+                recording = await collect(source, CollectionLimits(60.0), Console(file=io.StringIO()))
+            finally:
+                source.close()
+            return recording, vehicle.simulation.sensor_truth.autopilot.magnetometer
+
+        return await carry("tumble", collected, link=theirs)
+
+    recording, flaws = run_in_virtual_time(main())
+    assert recording.source == "the line (HIGHRES_IMU)"
+    done = calibrated(recording)
+    assert done.file.axes == "body"
+    assert offset_error(done, flaws.offset) < 0.006
+    assert done.matrix @ flaws.matrix == pytest.approx(np.eye(3), abs=8e-3)
+
+
+def test_a_vehicle_that_stands_still_is_refused() -> None:
+    async def collected(vehicle: InProcess) -> Any:
+        return await collect(
+            Mpu9250Compass(vehicle.imu_bus, ImuConfig()), CollectionLimits(20.0), Console(file=io.StringIO())
+        )
+
+    recording = run_in_virtual_time(carry("still", collected))
+    with pytest.raises(UnfitError, match="was it turned about at all"):
+        calibrated(recording)
+
+
+class DeadBus:
+    """Nobody answers."""
+
+    def read(self, address: int, register: int, length: int) -> bytes:
+        raise OSError(121, "Remote I/O error")
+
+    def write(self, address: int, register: int, value: int) -> None:
+        raise OSError(121, "Remote I/O error")
+
+
+def test_a_chip_or_an_autopilot_that_is_not_there_is_told() -> None:
+    async def chip() -> None:
+        await collect(
+            Mpu9250Compass(DeadBus(), ImuConfig()), CollectionLimits(60.0), Console(file=io.StringIO())
+        )
+
+    with pytest.raises(ConfigError, match=r"MPU9250 on i2c:1: .*Remote I/O error; expected its magnetometer"):
+        run_in_virtual_time(chip())
+
+    async def autopilot() -> None:
+        source = AutopilotCompass(memory_pair()[0], "the line")
+        try:
+            await collect(source, CollectionLimits(60.0), Console(file=io.StringIO()))
+        finally:
+            source.close()
+
+    with pytest.raises(ConfigError, match="the line: no heartbeat for 8 s"):
+        run_in_virtual_time(autopilot())

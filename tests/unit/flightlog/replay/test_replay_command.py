@@ -1,0 +1,187 @@
+"""`companion replay` as a user meets it: files, words and exit codes."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from companion import cli
+from companion.flightlog.record import FlightLog
+from companion.flightlog.replay.command import log_name
+from tests.unit.estimate.estimate_flight import Flight, hover, pad_at_rest, sprint
+from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
+
+PLOTS = {"attitude.png", "velocity.png", "position.png", "biases.png", "refused.png"}
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> int:
+    """The command in this process; returns its exit code."""
+    monkeypatch.setattr(sys, "argv", ["companion", *(str(word) for word in words)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def test_a_flight_of_ours_leaves_numbers_and_plots(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_own(tmp_path / "circle")
+    assert run(monkeypatch, "replay", tmp_path / "circle") == 0
+    said = capsys.readouterr()
+    folder = Path("replay/circle")
+    assert {path.name for path in folder.iterdir()} == PLOTS | {"pad_motion.png", "replay.json"}
+    result = json.loads((folder / "replay.json").read_text())
+    assert result["repetition"]["identical"] is True
+    assert result["errors"]["recorded"]["attitude_deg"]["worst"] == 0.0
+    assert result["settings"] == "the flight's own"
+    assert "recorded states to the bit" in said.out
+    assert str(folder) in said.out
+    assert said.err == ""
+    for plot in PLOTS:
+        assert (folder / plot).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("write", [write_dataflash, write_ulog])
+def test_an_autopilots_log_leaves_them_where_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: object
+) -> None:
+    assert callable(write)
+    log = write(tmp_path / "log.of.mine")
+    assert run(monkeypatch, "replay", log, "-o", tmp_path / "out" / "first") == 0
+    left = {path.name for path in (tmp_path / "out" / "first").iterdir()}
+    assert left == PLOTS | {"replay.json"}
+    result = json.loads((tmp_path / "out" / "first" / "replay.json").read_text())
+    assert result["repetition"] is None
+    assert result["errors"]["recorded"]["pad_position_m"] is None
+    assert result["samples"]["imu"] == 3199
+    assert result["duration_s"] == pytest.approx(16.0, abs=0.1)
+
+
+def test_the_same_replay_twice_gives_the_same_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = write_ulog(tmp_path / "a.ulg")
+    texts = []
+    for name in ("one", "two"):
+        assert run(monkeypatch, "replay", log, "--output", tmp_path / name) == 0
+        texts.append((tmp_path / name / "replay.json").read_text())
+    assert texts[0] == texts[1]
+
+
+def test_a_cut_log_is_replayed_and_said_to_be_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_own(tmp_path / "flight")
+    log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    assert run(monkeypatch, "replay", log) == 0
+    assert "note: the log is cut after" in capsys.readouterr().out
+
+
+def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+    """What is said in the one line of a command that a user can mend."""
+    assert run(monkeypatch, *words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("companion: ")
+    assert said.err.count("\n") == 1
+    return said.err
+
+
+def test_what_is_no_log_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty.bin").touch()
+    (tmp_path / "text.log").write_text("FMT, 128, 89, FMT, BBnNZ, Type")
+    (tmp_path / "magic.bin").write_bytes(b"\xa3\x95")
+    (tmp_path / "magic.ulg").write_bytes(b"ULog\x01\x12\x35")
+    (tmp_path / "magic.mcap").write_bytes(b"\x89MCAP0\r\n")
+    for name, words in {
+        "missing.bin": "cannot be read: No such file",
+        "here": "flight.mcap: cannot be read: No such file",
+        "empty.bin": "not a flight log; expected a flight's folder",
+        "text.log": "not a flight log",
+        "magic.bin": "no IMU samples",
+        "magic.ulg": "not a ULog that can be read",
+        "magic.mcap": "no IMU samples in the log (the log is cut after 0.0 s",
+    }.items():
+        assert words in refused(monkeypatch, capsys, "replay", tmp_path / name), name
+    assert not Path("replay").exists()
+
+
+def test_a_log_that_nothing_can_be_replayed_from_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    FlightLog(tmp_path / "own", 0.0).close()
+    assert "no IMU samples" in refused(monkeypatch, capsys, "replay", tmp_path / "own")
+    no_imu = write_dataflash(tmp_path / "a.bin", leave_out=("IMU",))
+    assert "no IMU samples" in refused(monkeypatch, capsys, "replay", no_imu)
+    no_mag = write_dataflash(tmp_path / "b.bin", leave_out=("MAG",))
+    assert "no magnetometer samples" in refused(monkeypatch, capsys, "replay", no_mag)
+    short = write_ulog(tmp_path / "c.ulg", Flight(hover, pad_at_rest, duration_s=1.0))
+    assert "never aligned in its 1.0 s" in refused(monkeypatch, capsys, "replay", short)
+
+
+def test_settings_and_folders_that_are_wrong_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = write_ulog(tmp_path / "a.ulg", Flight(hover, pad_at_rest, duration_s=4.0))
+    (tmp_path / "bad.yaml").write_text("estimat: {}\n")
+    config = refused(monkeypatch, capsys, "replay", log, "--config", tmp_path / "bad.yaml")
+    assert "unknown key 'estimat'" in config
+    assert "cannot be made" in refused(monkeypatch, capsys, "replay", log, "-o", log / "inside")
+    assert "--config: belongs to a flight" in refused(
+        monkeypatch, capsys, "--config", tmp_path / "bad.yaml", "replay", log
+    )
+    assert "companion --help" in refused(monkeypatch, capsys, "replay")
+    assert "companion --help" in refused(monkeypatch, capsys, "replai", log)
+
+
+def test_a_log_that_starts_in_flight_is_aligned_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = write_ulog(tmp_path / "a.ulg", Flight(sprint, pad_at_rest, duration_s=42.0), start_s=12.0)
+    assert run(monkeypatch, "replay", log, "-o", tmp_path / "out") == 0
+    result = json.loads((tmp_path / "out" / "replay.json").read_text())
+    assert 15.0 < result["aligned_after_s"] < 19.0
+    assert result["errors"]["recorded"]["inclination_deg"]["rms"] < 5.0
+    assert result["errors"]["recorded"]["velocity_m_s"]["rms"] < 1.0
+
+
+def test_the_help_shows_how_to_start() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "companion.cli", "replay", "--help"],
+        cwd=Path(__file__).resolve().parents[4],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert "\n companion replay flights/circle\n" in done.stdout.replace("  ", " ")
+    assert "--config" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("path", "name"),
+    [("/a/circle/flight.mcap", "circle"), ("/a/00000042.BIN", "00000042"), ("/a/b.ulg", "b")],
+)
+def test_a_log_is_called_by_its_file_or_its_folder(path: str, name: str) -> None:
+    assert log_name(Path(path)) == name
+
+
+def test_nothing_is_drawn_while_nobody_watches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(monkeypatch, "replay", write_ulog(tmp_path / "a.ulg", FLIGHT), "-o", tmp_path / "o") == 0
+    said = capsys.readouterr()
+    assert "\x1b" not in said.out
+    assert "━━━━━━━━━ 1" not in said.out
+    assert said.err == ""

@@ -1,0 +1,298 @@
+"""A camera that is kept: lost in every way, told, and opened anew; in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Frame
+from companion.config import CameraConfig, ConfigError
+from companion.sense.camera import keeper as camera_keeper
+from companion.sense.camera.health import patience_with
+from companion.sense.camera.keeper import CameraReport, KeptCamera, LiveSource
+from companion.sense.camera.reader import Device, EndOfFrames, ThreadedCamera
+from tests.unit.sense.camera.camera_frames import ScriptedCamera
+
+Act = Callable[[Frame], Frame | None]
+
+
+@dataclass
+class Seen:
+    """What came of a run: reports and frames with the time at which they came, and openings."""
+
+    reports: list[tuple[float, CameraReport]] = field(default_factory=list)
+    frames: list[tuple[float, Frame]] = field(default_factory=list)
+    openings: list[float] = field(default_factory=list)
+    problems: list[str | None] = field(default_factory=list)
+    error: Exception | None = None
+
+    def told(self, text: str) -> list[float]:
+        """When something was told."""
+        return [time_s for time_s, report in self.reports if text in report.text]
+
+    def frames_between(self, from_s: float, to_s: float) -> int:
+        """How many frames came then."""
+        return sum(from_s <= time_s <= to_s for time_s, _ in self.frames)
+
+
+def good(frame: Frame) -> Frame:
+    return frame
+
+
+def until(end_s: float, act: Act) -> Act:
+    """Good frames up to that time (s, loop's), then what `act` says."""
+    return lambda frame: frame if frame.time_s < end_s else act(frame)
+
+
+def silent(_: Frame) -> None:
+    return None
+
+
+def gone(_: Frame) -> Frame:
+    raise OSError("unplugged")
+
+
+def run(
+    camera: CameraConfig,
+    acts: list[Act | Exception],
+    lasting_s: float,
+    *,
+    socket: bool = False,
+    held_for_s: float = 0.0,
+) -> Seen:
+    """A camera whose first life is as the first of `acts` says, the next as the next; then as the last."""
+    seen, lives = Seen(), iter(acts)
+    last: list[Act | Exception] = [good]
+
+    async def open_it() -> LiveSource:
+        seen.openings.append(Clock().now_s())
+        last[0] = next(lives, last[0])
+        if isinstance(last[0], Exception):
+            raise last[0]
+        return ScriptedCamera(last[0], held_for_s=held_for_s)
+
+    async def collect(get: Callable[[], Awaitable[Any]], into: list[tuple[float, Any]]) -> None:
+        while True:
+            into.append((Clock().now_s(), await get()))
+            into[-1] = (Clock().now_s(), into[-1][1])
+
+    async def main() -> None:
+        kept = KeptCamera(await open_it(), open_it, patience_with(camera, "socket" if socket else "device"))
+        tasks = [
+            asyncio.create_task(collect(kept.report, seen.reports)),
+            asyncio.create_task(collect(kept.next, seen.frames)),
+        ]
+        for _ in range(round(lasting_s / 0.1)):
+            await asyncio.sleep(0.1)
+            seen.problems.append(kept.problem)
+        if tasks[1].done():
+            seen.error = tasks[1].exception()  # type: ignore[assignment]
+        for task in tasks:
+            task.cancel()
+        kept.close()
+
+    run_in_virtual_time(main())
+    return seen
+
+
+def test_a_good_camera_is_handed_on_frame_by_frame_and_says_nothing(camera: CameraConfig) -> None:
+    seen = run(camera, [good], 3.0)
+    assert len(seen.frames) == pytest.approx(90, abs=2)
+    assert [frame.sequence for _, frame in seen.frames] == list(range(len(seen.frames)))
+    assert seen.reports == []
+    assert seen.problems == [None] * 30
+
+
+def test_a_stall_is_told_within_a_third_of_a_second_and_ends_by_opening_anew(camera: CameraConfig) -> None:
+    seen = run(camera, [until(2.0, silent), good], 6.0)
+    (told_s,) = seen.told("no frame for")
+    assert 2.0 < told_s <= 2.3
+    assert len(seen.openings) == 2
+    assert seen.openings[1] == pytest.approx(3.25, abs=0.1)
+    assert seen.frames_between(2.1, seen.openings[1]) == 0
+    assert seen.frames_between(seen.openings[1], 6.0) > 75
+    (back_s,) = seen.told("frames again after")
+    assert back_s < seen.openings[1] + 0.7
+    assert seen.problems[25] is not None
+    assert seen.problems[-1] is None
+
+
+def test_frames_go_on_being_counted_after_the_camera_was_opened_anew(camera: CameraConfig) -> None:
+    seen = run(camera, [until(2.0, gone), good], 5.0)
+    numbers = [frame.sequence for _, frame in seen.frames]
+    assert numbers == list(range(len(numbers)))
+
+
+def test_an_unplugged_camera_is_tried_again_and_again_with_a_bounded_pause(camera: CameraConfig) -> None:
+    missing = ConfigError("no camera at /dev/video0")
+    seen = run(camera, [until(1.0, gone), *[missing] * 15, good], 40.0)
+    pauses = np.diff(seen.openings[1:])
+    assert len(pauses) == 15
+    assert pauses.max() == pytest.approx(camera_keeper.LONGEST_PAUSE_S, abs=0.1)
+    (told_s,) = seen.told("unplugged")
+    assert told_s <= 1.3
+    assert len(seen.told("no camera at /dev/video0")) == 1  # once for the whole trouble
+    assert len(seen.told("frames again after")) == 1
+    assert seen.problems[-1] is None
+
+
+def test_whatever_opening_raises_it_is_tried_again(camera: CameraConfig) -> None:
+    seen = run(camera, [until(1.0, gone), RuntimeError("can't start new thread"), good], 6.0)
+    assert len(seen.told("can't start new thread")) == 1
+    assert seen.frames_between(3.0, 6.0) > 60
+
+
+def test_a_camera_that_opens_and_gives_nothing_is_tried_with_growing_pauses_too(camera: CameraConfig) -> None:
+    seen = run(camera, [until(1.0, gone), gone], 40.0)
+    assert np.diff(seen.openings[-5:]) == pytest.approx(camera_keeper.LONGEST_PAUSE_S, abs=0.1)
+    seen = run(camera, [until(1.0, gone), gone, gone, gone, until(15.0, gone), good], 20.0)
+    assert seen.openings[-1] < 15.5  # after good ones the first pause is short again
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda frame: replace(frame, image=np.zeros((480, 640), np.uint8)), "one grey"),
+        (lambda frame: replace(frame, time_s=frame.time_s - 9.0), "9.0 s before"),
+        (lambda frame: replace(frame, time_s=2.0), "stand still"),
+    ],
+)
+def test_garbage_is_told_kept_from_the_eyes_and_opened_anew(
+    camera: CameraConfig, spoil: Act, told: str
+) -> None:
+    seen = run(camera, [until(2.0, spoil), good], 6.0)
+    assert [time_s <= 2.35 for time_s in seen.told(told)] == [True]
+    assert len(seen.openings) == 2
+    assert seen.frames_between(2.1, seen.openings[1]) == 0
+    assert seen.frames_between(seen.openings[1], 6.0) > 60
+    assert len(seen.told("frames again after")) == 1
+
+
+def test_a_dark_image_is_given_more_and_more_time(camera: CameraConfig) -> None:
+    dark: Act = lambda frame: replace(frame, image=np.zeros((480, 640), np.uint8))  # noqa: E731
+    seen = run(camera, [dark], 100.0)
+    assert len(seen.told("one grey")) == 1
+    pauses = np.diff(seen.openings)
+    assert pauses[0] < 3.0
+    assert pauses[-1] > camera_keeper.LONGEST_PATIENCE_S
+    assert len(seen.openings) < 10
+
+
+def test_a_driver_that_hangs_is_left_alone(camera: CameraConfig) -> None:
+    seen = run(camera, [until(2.0, silent), good], 8.0, held_for_s=1e6)
+    assert len(seen.openings) == 2
+    assert seen.frames_between(5.0, 8.0) > 60
+
+
+def test_no_more_than_a_few_drivers_are_left_hanging(camera: CameraConfig) -> None:
+    seen = run(camera, [silent], 200.0, held_for_s=1e6)
+    assert len(seen.openings) == camera_keeper.MOST_HANGING
+    assert len(seen.told("does not let go")) == 1
+
+
+def test_a_camera_whose_driver_hangs_in_opening_is_tried_a_few_times(camera: CameraConfig) -> None:
+    never, makers = threading.Event(), list[float]()
+
+    def hang(_: threading.Event) -> Device:
+        never.wait()
+        raise OSError
+
+    async def main() -> list[str]:
+        async def open_it() -> LiveSource:
+            makers.append(Clock().now_s())
+            return await ThreadedCamera.open(hang)
+
+        kept = KeptCamera(ScriptedCamera(gone), open_it, patience_with(camera, "device"))
+        await asyncio.sleep(200.0)
+        kept.close()
+        return [(await kept.report()).text for _ in range(3)]
+
+    told = run_in_virtual_time(main())
+    never.set()
+    assert told == [
+        "camera: unplugged",
+        "camera: the camera does not open within 6 s: its driver hangs",
+        "camera: its driver hangs, and does not let go of it",
+    ]
+    assert len(makers) == camera_keeper.MOST_HANGING
+
+
+def test_images_of_another_size_from_the_start_are_a_mistake_in_the_settings(camera: CameraConfig) -> None:
+    def another_size(_: Frame) -> Frame:
+        raise ConfigError("images of 320x240")
+
+    seen = run(camera, [another_size], 3.0)
+    assert isinstance(seen.error, ConfigError)
+    assert len(seen.openings) == 1
+
+
+def test_images_of_another_size_in_flight_are_trouble_like_any_other(camera: CameraConfig) -> None:
+    def another_size(_: Frame) -> Frame:
+        raise ConfigError("images of 320x240")
+
+    seen = run(camera, [until(1.0, another_size), good], 4.0)
+    assert len(seen.told("images of 320x240")) == 1
+    assert seen.frames_between(2.0, 4.0) > 50
+
+
+def test_the_end_of_a_recording_is_told_and_not_played_again(camera: CameraConfig) -> None:
+    def over(_: Frame) -> Frame:
+        raise EndOfFrames("flight.mp4 has ended")
+
+    seen = run(camera, [until(1.0, over)], 10.0)
+    assert [report.text for _, report in seen.reports] == ["camera: flight.mp4 has ended"]
+    assert len(seen.openings) == 1
+    assert seen.problems[-1] == "flight.mp4 has ended"
+
+
+def test_a_silent_server_is_told_as_soon_but_parted_from_later(camera: CameraConfig) -> None:
+    seen = run(camera, [until(1.0, silent), good], 9.0, socket=True)
+    assert [time_s <= 1.3 for time_s in seen.told("no frame for")] == [True]
+    assert seen.openings[1] > 5.5
+
+
+def test_short_gaps_are_told_once_each_and_the_camera_is_not_closed_for_them(camera: CameraConfig) -> None:
+    gappy: Act = lambda frame: None if frame.time_s % 2.0 < 0.5 else frame  # noqa: E731
+    seen = run(camera, [gappy], 10.0)
+    assert len(seen.openings) == 1
+    assert len(seen.told("no frame for")) == len(seen.told("frames again after")) == 4
+
+
+def test_what_a_driver_did_not_take_is_told_as_a_warning(camera: CameraConfig) -> None:
+    async def main() -> CameraReport:
+        source = ScriptedCamera(good)
+        source.notes.append("gain 30 asked for, the driver says 0")
+        kept = KeptCamera(source, lambda: asyncio.sleep(0, source), patience_with(camera, "device"))
+        report = await kept.report()
+        kept.close()
+        assert source.closed
+        return report
+
+    report = run_in_virtual_time(main())
+    assert report == CameraReport("camera: gain 30 asked for, the driver says 0", "warning")
+
+
+def test_what_a_driver_never_takes_is_not_told_at_every_opening(camera: CameraConfig) -> None:
+    texts = list[str]()
+
+    async def open_it() -> LiveSource:
+        source = ScriptedCamera(until(Clock().now_s() + 1.0, gone))
+        source.notes.append("gain 30 asked for, the driver says 0")
+        return source
+
+    async def main() -> None:
+        kept = KeptCamera(await open_it(), open_it, patience_with(camera, "device"))
+        while True:
+            texts.append((await kept.report()).text)
+
+    with pytest.raises(TimeoutError):
+        run_in_virtual_time(asyncio.wait_for(main(), 10.0))
+    assert sum("gain 30" in text for text in texts) == 1
+    assert sum("unplugged" in text for text in texts) > 3

@@ -1,0 +1,163 @@
+"""The MPU9250 in every wiring: I2C or SPI, magnetometer through the chip or past it, FIFO or registers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.config import ConfigError, ImuConfig, validate
+from companion.sense.imu.ak8963 import Ak8963
+from companion.sense.imu.ak8963_path import BypassPath
+from tests.unit.sense.imu.imu_rig import FIELD, REST, STILL, Rig
+
+WIRINGS: dict[str, dict[str, Any]] = {
+    "i2c, master, fifo": {},
+    "i2c, bypass, fifo": {"mag_path": "bypass"},
+    "i2c, bypass, registers": {"mag_path": "bypass", "read": "registers", "poll_hz": 200},
+    "i2c, master, registers": {"read": "registers", "poll_hz": 200},
+    "spi, master, fifo": {"bus": "spi:0.0"},
+    "spi, master, registers": {"bus": "spi:0.0", "read": "registers", "poll_hz": 200},
+}
+
+
+@pytest.fixture(params=WIRINGS, ids=list(WIRINGS))
+def config(request: pytest.FixtureRequest) -> ImuConfig:
+    return ImuConfig.model_validate(WIRINGS[request.param])
+
+
+def test_samples_of_all_three_sensors_flow(config: ImuConfig) -> None:
+    truth = ((1.0, -2.0, -9.0), (0.3, -0.2, 0.1), (20.0, -5.0, 40.0))
+    rig = Rig(config)
+    rig.run(2.0, lambda _now_s: truth)
+    assert not rig.faults
+    assert rig.problem() is None
+    assert rig.imu[-1].specific_force_body_m_s2 == pytest.approx(truth[0], abs=0.05)
+    assert rig.imu[-1].rate_body_rad_s == pytest.approx(truth[1], abs=0.001)
+    assert np.mean([m.field_body_ut for m in rig.mag], axis=0) == pytest.approx(truth[2], abs=0.3)
+    assert len([s for s in rig.imu if s.time_s > 1.0]) == pytest.approx(200, rel=0.02)
+    assert len([m for m in rig.mag if m.time_s > 1.0]) == pytest.approx(100, rel=0.05)
+
+
+@pytest.mark.parametrize("clock_error", [-0.01, 0.01])
+def test_stamps_are_the_instants_of_measurement(config: ImuConfig, clock_error: float) -> None:
+    """GIVEN rate and field that ramp THEN value and time stamp of each sample agree."""
+    rig = Rig(config, clock_error=clock_error)
+    slope, drift = 0.6, 50.0
+    rig.run(10.0, lambda now_s: (REST, (slope * now_s, 0.0, 0.0), (drift * now_s, 0.0, 40.0)))
+    errors_s = [s.rate_body_rad_s[0] / slope - s.time_s for s in rig.imu if s.time_s > 6.0]
+    assert abs(float(np.mean(errors_s))) < 0.001
+    assert max(abs(e) for e in errors_s) < 0.004
+    mag_errors_s = [m.field_body_ut[0] / drift - m.time_s for m in rig.mag if m.time_s > 6.0]
+    assert abs(float(np.mean(mag_errors_s))) < 0.003
+    assert max(abs(e) for e in mag_errors_s) < 0.03
+
+
+@pytest.mark.parametrize("fault", ["nack", "ones", "stuck"])
+def test_a_fault_is_told_in_one_line_and_recovered_from(config: ImuConfig, fault: str) -> None:
+    rig = Rig(config)
+    rig.run(1.0)
+    rig.device.fault = fault  # type: ignore[assignment]
+    rig.run(0.8)
+    assert rig.faults
+    assert all("\n" not in str(f) for f in rig.faults)
+    rig.device.fault = "none"
+    count, mags = len(rig.imu), len(rig.mag)
+    rig.run(1.2)
+    assert len(rig.imu) > count + 100
+    assert len(rig.mag) > mags + 30
+
+
+def test_a_power_cut_is_mended(config: ImuConfig) -> None:
+    rig = Rig(config)
+    rig.run(1.0)
+    rig.device.power_cycle()
+    rig.run(2.0)
+    assert rig.faults
+    assert rig.imu[-1].time_s > 2.9
+    assert rig.mag[-1].time_s > 2.9
+    assert rig.problem() is None
+    # and never a sample at the scale of a chip that has forgotten its ranges
+    for sample in rig.imu:
+        assert sample.specific_force_body_m_s2 == pytest.approx(REST, abs=0.05)
+
+
+def test_the_same_sample_for_ever_is_a_dead_sensor(config: ImuConfig) -> None:
+    rig = Rig(config)
+    rig.run(0.5)
+    rig.device.fault = "none"
+    for _ in range(300):
+        rig.now_s += 1.0 / config.poll_hz
+        for _ in range(max(1, config.rate_hz // config.poll_hz)):
+            rig.device.push_sample((0.0, 0.0, 9.8), STILL)
+        rig.poll(rig.now_s)
+    assert "stuck" in str(rig.faults[0])
+
+
+def test_a_dead_magnetometer_costs_its_own_samples_alone_and_comes_back(config: ImuConfig) -> None:
+    rig = Rig(config)
+    rig.run(1.5)
+    rig.device.magnetometer.silent = True
+    rig.run(3.0)
+    assert not rig.faults
+    assert "AK8963" in str(rig.problem())
+    assert rig.imu[-1].time_s > 4.4
+    assert rig.mag[-1].time_s < 1.7
+    rig.device.magnetometer.silent = False
+    rig.run(2.0)
+    assert rig.problem() is None
+    assert np.mean([m.field_body_ut for m in rig.mag[-50:]], axis=0) == pytest.approx(FIELD, abs=0.3)
+
+
+def test_magnetic_overflow_is_no_sample_and_leaves_the_rest_alone(config: ImuConfig) -> None:
+    rig = Rig(config)
+    rig.run(1.5, lambda now_s: (REST, STILL, FIELD if now_s < 0.8 else (4000.0, 2000.0, 0.0)))
+    assert rig.mag
+    assert all(abs(m.field_body_ut[0]) < 100.0 for m in rig.mag)
+    assert rig.imu[-1].time_s > 1.45
+
+
+@pytest.mark.parametrize("fuses", [bytes(3), b"\xff\xff\xff"])
+def test_a_sensitivity_adjustment_that_reads_as_nothing_is_told(fuses: bytes) -> None:
+    class Chip:
+        """An AK8963 whose fuse ROM cannot be read."""
+
+        def read(self, address: int, register: int, length: int) -> bytes:
+            return {0x00: b"\x48"}.get(register) or fuses[:length]
+
+        def write(self, address: int, register: int, value: int) -> None:
+            assert address == 0x0C
+
+    mag = Ak8963(BypassPath(Chip()), 100)
+    for k in range(20):
+        mag.poll(0.02 * k, copied=True)
+    assert mag.problem == f"AK8963: sensitivity adjustment 0x{fuses.hex()} is none"
+
+
+def test_on_spi_the_chips_i2c_is_switched_off() -> None:
+    rig = Rig(ImuConfig(bus="spi:0.0"))
+    rig.run(0.5)
+    assert rig.device.read(0x68, 0x6A, 1)[0] & 0x10
+    assert rig.driver.ready
+
+
+def test_a_chip_on_i2c_whose_i2c_is_switched_off_answers_no_more() -> None:
+    """What the simulated chip does when SPI is set for a chip that is wired to I2C."""
+    rig = Rig(ImuConfig())
+    rig.device.write(0x68, 0x6A, 0x10)
+    with pytest.raises(OSError, match="Remote I/O"):
+        rig.device.read(0x68, 0x75, 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"bus": "spi:0.0", "mag_path": "bypass"}, "expected master on SPI"),
+        ({"bus": "spi-socket:/run/x", "mag_path": "bypass"}, "expected master on SPI"),
+        ({"read": "registers"}, r"poll_hz 100: expected at least 200"),
+    ],
+)
+def test_wirings_that_cannot_work_are_refused(settings: dict[str, str], expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        validate(ImuConfig, settings, "test.yaml")

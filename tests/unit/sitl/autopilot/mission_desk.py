@@ -1,0 +1,126 @@
+"""A ground station's side of the mission protocol, for tests: uploads, downloads, and items by hand."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.base.messages import Manner
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+
+RELATIVE = mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
+NANS = (math.nan,) * 7
+
+
+class Station:
+    """A flight with its endpoint, and a ground station (system 255) at the other end."""
+
+    def __init__(self, manner: Manner, booted_s: float = 6.0) -> None:
+        self.manner = manner
+        self.flight = Flight(manner)
+        self.endpoint = MavlinkEndpoint(self.flight.autopilot)
+        self.us = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        self.parser = mavlink.MAVLink(None)
+        self.heard: list[Any] = []
+        self.run(booted_s)
+
+    def run(self, seconds: float) -> list[Any]:
+        """Step on, listening at 20 Hz; returns the messages heard meanwhile."""
+        new: list[Any] = []
+        for _ in range(max(1, round(seconds * 20))):
+            self.flight.run(0.05)
+            new += self.parser.parse_buffer(self.endpoint.transmit(self.flight.now_s)) or []
+        self.heard += new
+        return new
+
+    def send(self, message: Any) -> list[Any]:
+        """Send one message; returns the answers to it (telemetry left out)."""
+        self.endpoint.receive(bytes(message.pack(self.us)), self.flight.now_s)
+        new = self.parser.parse_buffer(self.endpoint.transmit(self.flight.now_s)) or []
+        self.heard += new
+        return [m for m in new if m.get_type() in ANSWERS]
+
+    def command(self, number: int, *parameters: float) -> int:
+        """Send a COMMAND_LONG; returns the result in its COMMAND_ACK."""
+        filled = (*parameters, *NANS[len(parameters) :])
+        return self.result(mavlink.MAVLink_command_long_message(1, 1, number, 0, *filled))
+
+    def result(self, command: Any) -> int:
+        """Send a COMMAND_LONG or COMMAND_INT; returns the result in its COMMAND_ACK."""
+        return int(next(m for m in self.send(command) if m.get_type() == "COMMAND_ACK").result)
+
+    def upload(self, items: list[Any]) -> int:
+        """A whole upload as the protocol has it; returns the MISSION_ACK's result."""
+        answers = self.send(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
+        while answers and answers[-1].get_type().startswith("MISSION_REQUEST"):
+            answers = self.send(items[answers[-1].seq])
+        return int(answers[-1].type)
+
+    def download(self) -> list[Any]:
+        """All items."""
+        count = self.send(mavlink.MAVLink_mission_request_list_message(1, 1))[-1].count
+        return [self.send(mavlink.MAVLink_mission_request_int_message(1, 1, n))[-1] for n in range(count)]
+
+    def fly(self, items: list[Any]) -> None:
+        """Upload, arm and start; home goes first where it has to."""
+        assert self.upload(mission(self.manner, items)) == 0
+        if self.manner == "ardupilot":
+            assert self.flight.autopilot.set_mode(4) == 0
+            assert self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+        assert self.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == 0
+
+    @property
+    def texts(self) -> list[str]:
+        """What the autopilot has said, over the link or before it got there."""
+        return self.flight.texts + [m.text for m in self.heard if m.get_type() == "STATUSTEXT"]
+
+    def reached(self) -> list[int]:
+        """Numbers in the MISSION_ITEM_REACHED heard."""
+        return [m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"]
+
+
+ANSWERS = {
+    "COMMAND_ACK",
+    "PARAM_VALUE",
+    "MISSION_ACK",
+    "MISSION_COUNT",
+    "MISSION_CURRENT",
+    "MISSION_ITEM",
+    "MISSION_ITEM_INT",
+    "MISSION_REQUEST",
+    "MISSION_REQUEST_INT",
+}
+
+
+def mission(manner: Manner, items: list[Any]) -> list[Any]:
+    """Numbered items, after home where that is item 0."""
+    listed = [item(16), *items] if manner == "ardupilot" else items
+    for number, each in enumerate(listed):
+        each.seq = number
+    return listed
+
+
+def item(
+    command: int,
+    north_m: float = 0.0,
+    east_m: float = 0.0,
+    height_m: float = 0.0,
+    parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, math.nan),
+    **other: int,
+) -> Any:
+    """A MISSION_ITEM_INT at so many metres from home."""
+    latitude = HOME[0] + north_m / 111_170.0
+    longitude = HOME[1] + east_m / 76_056.0
+    return mavlink.MAVLink_mission_item_int_message(
+        1, 1, other.get("seq", 0), other.get("frame", RELATIVE), command, 0, 1, *parameters,
+        round(latitude * 1e7), round(longitude * 1e7), height_m, other.get("mission_type", 0),
+    )  # fmt: skip
+
+
+def plain(command: int, *parameters: float) -> Any:
+    """An item that has no place."""
+    filled = (*parameters, 0.0, 0.0, 0.0, 0.0)[:4]
+    return mavlink.MAVLink_mission_item_int_message(1, 1, 0, 2, command, 0, 1, *filled, 0, 0, 0.0, 0)

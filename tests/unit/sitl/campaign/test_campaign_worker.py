@@ -1,0 +1,128 @@
+"""A campaign's processes: one flies many, and one that dies, hangs or fails takes only its own run along."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from companion.config import ConfigError
+from sitl.campaign.pool import fly_locally
+from sitl.campaign.worker import RunResult, Worker
+from tests.unit.sitl.campaign.campaign_parts import flight
+from tests.unit.sitl.campaign.fake_flights import COMMAND, DIES, FAULTS, HANGS, IS_REFUSED, LEAVES, WAITS
+
+
+@pytest.fixture
+def worker() -> Iterator[Worker]:
+    made = Worker(COMMAND, flights_per_process=3)
+    yield made
+    made.close()
+
+
+def process_of(flown: RunResult) -> int:
+    assert flown.result is not None, flown.error
+    return int(flown.result["events"][0]["text"])
+
+
+def alive(pid: int) -> bool:
+    return Path(f"/proc/{pid}").exists()
+
+
+def test_one_process_flies_several_and_is_then_replaced(worker: Worker) -> None:
+    processes = [process_of(worker.fly(flight(seed))) for seed in range(5)]
+    assert len(set(processes[:3])) == 1
+    assert processes[3] == processes[4] != processes[0]
+    assert not alive(processes[0])
+
+
+def test_a_flown_run_has_its_result_and_its_place(worker: Worker) -> None:
+    flown = worker.fly(flight(12, "line"))
+    assert flown.result is not None
+    assert (flown.result["seed"], flown.result["scenario"], flown.error) == (12, "line", "")
+    assert flown.touchdown_pad_m == [0.012, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("seed", "words"),
+    [
+        (DIES, f"killed by SIGKILL: last words of {DIES}"),
+        (LEAVES, f"ended with exit status 7: last words of {LEAVES}"),
+        (FAULTS, "KeyError: 'x'"),
+    ],
+)
+def test_what_fails_has_last_words_and_the_next_runs_flies_elsewhere(
+    seed: int, words: str, worker: Worker
+) -> None:
+    before = process_of(worker.fly(flight(0)))
+    flown = worker.fly(flight(seed))
+    assert (flown.result, flown.error) == (None, words)
+    assert process_of(worker.fly(flight(1))) != before
+    assert not alive(before)
+
+
+def test_one_that_hangs_is_ended(worker: Worker) -> None:
+    before = process_of(worker.fly(flight(0)))
+    flown = worker.fly(flight(HANGS), timeout_s=0.3)
+    assert flown.error == f"no answer within 0 s: last words of {HANGS}"
+    assert not alive(before)
+    assert worker.fly(flight(1)).result is not None
+
+
+def test_a_command_that_is_not_there_or_says_nothing_is_a_failed_run() -> None:
+    worker = Worker(("/bin/sh", "-c", "exit 3"))
+    assert worker.fly(flight(0)).error == "ended with exit status 3: no output"
+    worker.close()
+
+
+def test_what_the_app_refuses_ends_the_campaign(worker: Worker) -> None:
+    with pytest.raises(ConfigError, match=r"^a\.yaml: no$"):
+        worker.fly(flight(IS_REFUSED))
+
+
+def test_stopping_from_another_thread_ends_the_run_and_all_further_ones(worker: Worker) -> None:
+    worker.fly(flight(0))
+    timer = threading.Timer(0.2, worker.stop)
+    timer.start()
+    assert worker.fly(flight(HANGS)).error.startswith("killed by SIGKILL")
+    timer.join()
+    assert worker.fly(flight(1)).error == "stopped"
+
+
+# ---------------------------------------------------------------- side by side
+
+
+def test_every_run_is_flown_once_on_as_many_processes_as_jobs() -> None:
+    flights = [flight(WAITS, f"s{k}") for k in range(4)] + [flight(seed) for seed in range(8)]
+    flown = list(fly_locally(flights, 2, lambda: Worker(COMMAND)))
+    assert {run.flight for run in flown} == set(flights)
+    assert len(flown) == len(flights)
+    assert len({process_of(run) for run in flown}) == 2
+
+
+def test_a_run_that_fails_does_not_stop_the_others() -> None:
+    flights = [flight(DIES), flight(0), flight(LEAVES), flight(1)]
+    flown = {run.flight.seed: run.error for run in fly_locally(flights, 1, lambda: Worker(COMMAND))}
+    assert [bool(flown[run.seed]) for run in flights] == [True, False, True, False]
+
+
+def test_closing_it_early_leaves_nothing_running() -> None:
+    workers: list[Worker] = []
+
+    def make() -> Worker:
+        workers.append(Worker(COMMAND))
+        return workers[-1]
+
+    with contextlib.closing(fly_locally([flight(0), flight(HANGS), flight(1)], 1, make)) as flown:
+        process = process_of(next(flown))
+        assert alive(process)
+    assert not alive(process)
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("campaign")]
+
+
+def test_a_refusal_comes_out_of_the_pool() -> None:
+    with pytest.raises(ConfigError, match="no"):
+        list(fly_locally([flight(IS_REFUSED), flight(HANGS)], 2, lambda: Worker(COMMAND)))

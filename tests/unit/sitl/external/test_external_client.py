@@ -1,0 +1,285 @@
+"""The client that watches somebody else's vehicle, without a socket: what it asks, hears and says."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.base.geometry import ned_from_geodetic
+from companion.link.codec import Codec
+from sitl.external.client import COMPONENT, ESTIMATES, VehicleClient
+from tests.unit.sitl.external.external_vehicle import (
+    ARDUPILOT,
+    GROUND,
+    PX4,
+    Sender,
+    heartbeat,
+    hil_state,
+    sim_state,
+)
+
+SET_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+SIM, HIL = mavlink.MAVLINK_MSG_ID_SIM_STATE, mavlink.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+
+
+class Bench:
+    """A client and the vehicle's side of its link, on a clock of our own."""
+
+    def __init__(self, autopilot: int) -> None:
+        self.texts: list[str] = []
+        self.client = VehicleClient(self.texts.append)
+        self.vehicle = Sender()
+        self.autopilot = autopilot
+        self.armed = False
+        self.now_s = 100.0
+        self.sent: list[Any] = []
+        self._listener = Codec(0)
+
+    def hear(self, *messages: Any, sender: Sender | None = None) -> None:
+        self.client.receive((sender or self.vehicle).pack(*messages), self.now_s)
+
+    def run(self, seconds: float, *every_20_ms: Any, beats: bool = True) -> None:
+        """Let time pass; the vehicle says these at 50 Hz, and its heartbeat at 1 Hz."""
+        for k in range(round(seconds / 0.02)):
+            if beats and k % 50 == 0:
+                self.hear(heartbeat(self.autopilot, armed=self.armed))
+            if every_20_ms:
+                self.hear(*every_20_ms)
+            self.sent += self._listener.decode(self.client.transmit(self.now_s))
+            self.now_s += 0.02
+
+    def asked(self) -> Counter[int]:
+        commands = [m for m in self.sent if m.get_type() == "COMMAND_LONG" and m.command == SET_INTERVAL]
+        return Counter(round(m.param1) for m in commands)
+
+
+@pytest.mark.parametrize(("autopilot", "wanted"), [(ARDUPILOT, SIM), (PX4, HIL)])
+def test_it_asks_for_the_truth_that_this_simulator_has(autopilot: int, wanted: int) -> None:
+    bench = Bench(autopilot)
+    bench.run(3.0)
+    assert set(bench.asked()) == {wanted}
+    (first, *_) = [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == wanted]
+    assert (first.target_system, first.target_component, first.param2) == (1, 1, 1e4)
+
+
+def test_it_is_a_component_of_its_own_that_no_autopilot_waits_for() -> None:
+    bench = Bench(PX4)
+    bench.run(5.0)
+    beats = [m for m in bench.sent if m.get_type() == "HEARTBEAT"]
+    assert 4 <= len(beats) <= 6
+    assert {(m.type, m.autopilot) for m in beats} == {
+        (mavlink.MAV_TYPE_GENERIC, mavlink.MAV_AUTOPILOT_INVALID)
+    }
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in bench.sent} == {(1, COMPONENT)}
+
+
+def test_a_rate_that_comes_is_not_asked_for_again_and_one_that_is_lost_is() -> None:
+    bench = Bench(ARDUPILOT)
+    bench.run(10.0, sim_state((0.0, 0.0, 0.0)), sim_state((0.0, 0.0, 0.0)))
+    assert bench.asked()[SIM] == 1
+    bench.run(10.0)
+    assert bench.asked()[SIM] >= 4
+
+
+def test_poses_come_out_and_others_are_not_heard() -> None:
+    bench = Bench(ARDUPILOT)
+    bench.hear(sim_state((9.0, 9.0, -9.0)))  # before anybody said who it is
+    bench.run(0.02, sim_state((1.0, 2.0, -3.0)))
+    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=Sender(system=7))
+    bench.hear(sim_state((50.0, 0.0, 0.0)), sender=Sender(component=30))
+    bench.hear(heartbeat(PX4, armed=True), sender=Sender(system=7))
+    (sample,) = bench.client.take_samples()
+    assert ned_from_geodetic(*sample.place, GROUND) == pytest.approx((1.0, 2.0, -3.0), abs=0.012)
+    assert sample.time_s == 100.0
+    assert not bench.client.armed
+    assert bench.client.source == "SIM_STATE"
+
+
+def test_a_stamp_is_turned_into_our_time_by_timesync_and_no_stamp_means_now() -> None:
+    bench = Bench(PX4)
+    bench.run(0.5)
+    question = [m for m in bench.sent if m.get_type() == "TIMESYNC"][-1]
+    # the vehicle's clock shows 40 s when ours shows 100 s and a little
+    bench.now_s = question.ts1 / 1e9 + 0.004
+    bench.hear(mavlink.MAVLink_timesync_message(40_000_000_000, question.ts1))
+    middle_s = question.ts1 / 1e9 + 0.002
+    bench.client.take_samples()
+    bench.now_s = middle_s + 1.010
+    bench.hear(hil_state((0.0, 0.0, 0.0), time_usec=41_000_000))
+    bench.hear(hil_state((0.0, 0.0, 0.0)))
+    bench.hear(hil_state((0.0, 0.0, 0.0), time_usec=77_000_000))  # of another clock
+    stamped, unstamped, wrong = (s.time_s for s in bench.client.take_samples())
+    assert stamped == pytest.approx(middle_s + 1.0, abs=1e-6)
+    assert unstamped == wrong == bench.now_s
+
+
+ESTIMATE = (
+    mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    mavlink.MAVLink_global_position_int_message(0, 470000000, 80000000, 400000, 0, 0, 0, 0, 0),
+    mavlink.MAVLink_local_position_ned_message(0, 3.0, 4.0, -5.0, 1.0, 0.0, 0.0),
+)
+
+
+def test_without_the_truth_it_warns_once_and_takes_the_estimates() -> None:
+    bench = Bench(PX4)
+    bench.run(12.0, *ESTIMATE)
+    (text,) = bench.texts
+    assert text.startswith("WARNING: no HIL_STATE_QUATERNION within 5 s, so no truth")
+    samples = bench.client.take_samples()
+    assert bench.client.source == ESTIMATES
+    assert samples[-1].place == pytest.approx(GROUND, abs=1e-6)
+    assert samples[-1].velocity_ned_m_s == (1.0, 0.0, 0.0)
+    bench.hear(mavlink.MAVLink_local_position_ned_message(0, 4.0, 4.0, -5.0, 1.0, 0.0, 0.0))
+    moved = ned_from_geodetic(*bench.client.take_samples()[-1].place, GROUND)
+    assert moved == pytest.approx((1.0, 0.0, 0.0), abs=1e-4)
+
+
+TRUE_PLACE = (0.3, -0.4, 1.2)  # from where the estimates have it
+
+
+def test_a_truth_that_comes_late_takes_their_place_on_the_ground_and_not_in_the_air() -> None:
+    bench = Bench(ARDUPILOT)
+    bench.run(7.0, *ESTIMATE)
+    bench.client.take_samples()
+    bench.armed = True
+    bench.run(1.0, sim_state(TRUE_PLACE))
+    assert bench.client.take_samples() == []
+    assert bench.texts[1:] == [
+        "SIM_STATE comes after all, but the vehicle is armed: keeping to the estimates"
+    ]
+    bench.armed = False
+    # what the estimates said in the same breath is not taken for truth
+    bench.hear(heartbeat(ARDUPILOT), *ESTIMATE, sim_state(TRUE_PLACE))
+    (sample,) = bench.client.take_samples()
+    assert ned_from_geodetic(*sample.place, GROUND) == pytest.approx(TRUE_PLACE, abs=0.012)
+    assert bench.client.source == "SIM_STATE"
+    assert bench.texts[2:] == ["SIM_STATE comes after all: the pose is the simulator's truth"]
+
+
+def test_after_a_flight_on_estimates_its_score_is_kept_to() -> None:
+    bench = Bench(ARDUPILOT)
+    bench.run(7.0, *ESTIMATE)
+    bench.client.take_samples()
+    bench.client.flown = True
+    bench.run(0.8, sim_state(TRUE_PLACE))
+    assert bench.client.source == ESTIMATES
+    assert bench.texts[1:] == [
+        "SIM_STATE comes after all, but the vehicle has flown: keeping to the estimates"
+    ]
+
+
+ATTITUDE, GLOBAL, LOCAL = ESTIMATE
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        (mavlink.MAVLink_attitude_quaternion_message(0, NAN, NAN, NAN, NAN, 0.0, 0.0, 0.0), GLOBAL, LOCAL),
+        (mavlink.MAVLink_attitude_quaternion_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), GLOBAL, LOCAL),
+        (mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, NAN, 0.0, 0.0), GLOBAL, LOCAL),
+        (ATTITUDE, GLOBAL, mavlink.MAVLink_local_position_ned_message(0, NAN, 4.0, -5.0, 1.0, 0.0, 0.0)),
+        (ATTITUDE, GLOBAL, mavlink.MAVLink_local_position_ned_message(0, 3.0, 4.0, math.inf, 0.0, 0.0, 0.0)),
+        (ATTITUDE, GLOBAL, mavlink.MAVLink_local_position_ned_message(0, 3.0, 4.0, -5.0, NAN, 0.0, 0.0)),
+        (ATTITUDE, mavlink.MAVLink_global_position_int_message(0, 0, 0, 0, 0, 0, 0, 0, 0), LOCAL),
+        (ATTITUDE, mavlink.MAVLink_global_position_int_message(0, 910000000, 0, 0, 0, 0, 0, 0, 0), LOCAL),
+    ],
+)
+def test_estimates_that_hold_no_pose_are_not_taken_and_spoil_none_that_follows(
+    wrong: tuple[Any, ...],
+) -> None:
+    bench = Bench(PX4)
+    bench.run(8.0, *wrong)
+    assert bench.client.take_samples() == []
+    bench.run(0.1, *ESTIMATE)
+    assert bench.client.take_samples()[-1].place == pytest.approx(GROUND, abs=1e-6)
+
+
+def test_an_estimate_that_goes_to_infinity_is_passed_over() -> None:
+    bench = Bench(PX4)
+    bench.run(6.0, *ESTIMATE)
+    bench.client.take_samples()
+    bench.hear(mavlink.MAVLink_local_position_ned_message(0, math.inf, 4.0, -5.0, 0.0, 0.0, 0.0), LOCAL)
+    (sample,) = bench.client.take_samples()
+    assert sample.place == pytest.approx(GROUND, abs=1e-6)
+
+
+def test_an_attitude_that_is_nearly_of_unit_length_is_made_so() -> None:
+    bench = Bench(PX4)
+    bench.run(
+        6.0, mavlink.MAVLink_attitude_quaternion_message(0, 1.02, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), GLOBAL, LOCAL
+    )
+    assert bench.client.take_samples()[-1].attitude == pytest.approx((1.0, 0.0, 0.0, 0.0))
+
+
+def test_a_vehicle_that_falls_silent_is_told_once_and_so_is_its_return() -> None:
+    bench = Bench(ARDUPILOT)
+    truth = sim_state((0.0, 0.0, 0.0)), sim_state((0.0, 0.0, 0.0))
+    bench.run(3.0, *truth)
+    assert bench.texts == []
+    bench.run(20.0, beats=False)
+    assert bench.texts == [
+        "no SIM_STATE for 1 s; the camera waits for it",
+        "vehicle 1: no heartbeat for 5 s; waiting for it",
+    ]
+    bench.run(3.0, *truth)
+    assert bench.texts[2:] == ["vehicle 1: received again"]
+
+
+def test_a_truth_that_comes_too_seldom_is_told() -> None:
+    bench = Bench(ARDUPILOT)
+    for _ in range(120):
+        bench.run(0.1, beats=False)
+        bench.hear(heartbeat(ARDUPILOT), sim_state((0.0, 0.0, 0.0)))
+    assert bench.texts == ["SIM_STATE comes at 10 Hz only; expected 40 Hz or more"]
+
+
+def test_noise_on_the_line_costs_nothing() -> None:
+    bench = Bench(ARDUPILOT)
+    bench.run(0.1)
+    bench.client.receive(b"\xfd\x00garbage\xfe" * 50, bench.now_s)
+    for _ in range(10):
+        bench.hear(sim_state((0.0, 0.0, 0.0)))
+    # the last of the noise claims a frame, which is not one once its end has come
+    assert len(bench.client.take_samples()) == 10
+
+
+def test_home_is_asked_for_until_it_comes() -> None:
+    bench = Bench(PX4)
+    bench.run(5.0)
+    home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
+    requests = [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == home]
+    assert len(requests) >= 2
+    nowhere = mavlink.MAVLink_home_position_message(
+        0, 0, 0, 0.0, 0.0, 0.0, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0
+    )
+    bench.hear(nowhere)
+    assert bench.client.home is None
+    bench.hear(
+        mavlink.MAVLink_home_position_message(
+            470000000, 80000000, 400000, 0.0, 0.0, 0.0, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0
+        )
+    )
+    assert bench.client.home == pytest.approx(GROUND)
+    bench.sent.clear()
+    bench.run(5.0)
+    assert not [m for m in bench.sent if m.get_type() == "COMMAND_LONG" and m.param1 == home]
+
+
+@pytest.mark.parametrize("wild", [math.nan, math.inf, 3.4e38])
+def test_wild_estimates_are_passed_over(wild: float) -> None:
+    bench = Bench(PX4)
+    bench.run(8.0)  # no truth comes
+    place = mavlink.MAVLink_global_position_int_message(0, 470_000_000, 80_000_000, 400_000, 0, 0, 0, 0, 0)
+    level = mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    spun = mavlink.MAVLink_attitude_quaternion_message(0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, wild)
+    here = mavlink.MAVLink_local_position_ned_message(0, 1.0, 2.0, -3.0, 0.0, 0.0, 0.0)
+    bench.hear(place, level, mavlink.MAVLink_local_position_ned_message(0, wild, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.hear(mavlink.MAVLink_local_position_ned_message(0, 0.0, 0.0, 0.0, wild, 0.0, 0.0), spun, here)
+    assert not bench.client.take_samples()
+    bench.hear(level, here)
+    assert len(bench.client.take_samples()) == 1

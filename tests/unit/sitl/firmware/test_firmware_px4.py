@@ -1,0 +1,315 @@
+"""PX4 in lockstep: who waits for whom, what it is told in which units, and how it starts and ends."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from companion.base.geometry import quat_from_euler
+from companion.config import ConfigError
+from sitl.devices.neo6m import UNIX_AT_START_S
+from sitl.firmware import px4
+from sitl.firmware.base import Firmware
+from sitl.firmware.errors import FirmwareError
+from sitl.vehicle.quadrotor import QuadrotorState, resting_state
+from tests.unit.sitl.firmware.fake_firmware import (
+    STEP_S,
+    Fake,
+    fake,
+    fix,
+    messages,
+    moment,
+    moments,
+    open_files,
+    running,
+    setup_of,
+    step_on,
+)
+
+IMU, MAG, BARO = 0b111_111, 0b111_000_000, 0b1_1010_0000_0000
+
+
+@pytest.fixture(autouse=True)
+def answered_from_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However busy the machine, the fake is not taken for one that boots."""
+    monkeypatch.setattr(px4, "BOOTING_STEP_S", 5.0)
+
+
+def told(program: Fake, kind: str) -> list[Any]:
+    return [message for message in program.sensors if message.get_type() == kind]
+
+
+# ---------------------------------------------------------------- lockstep
+
+
+def test_each_step_waits_for_the_answer_to_its_own_time(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    with running(program) as firmware:
+        for count in range(1, 30):
+            clock_s = 1.0 + count * STEP_S
+            assert firmware.step(moment(clock_s))[0] == pytest.approx(clock_s / 10.0, abs=1e-6)
+    times = [message.time_usec for message in told(program, "HIL_SENSOR")]
+    assert times == [round(1e6 * (1.0 + n * STEP_S)) for n in range(1, 30)]
+
+
+def test_while_it_boots_the_motors_are_off_and_nobody_waits_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(px4, "BOOTING_STEP_S", 0.002)
+    with running(fake("px4", tmp_path, boot_steps=1000, motors=[0.5] * 4)) as firmware:
+        assert {firmware.step(at) for at in moments(20)} == {(0.0, 0.0, 0.0, 0.0)}
+
+
+def test_motors_come_front_right_rear_left_as_they_were_told_to_it(tmp_path: Path) -> None:
+    with running(fake("px4", tmp_path, motors=[0.1, 0.2, 0.3, 0.4])) as firmware:
+        assert firmware.step(moment(STEP_S)) == pytest.approx((0.1, 0.2, 0.3, 0.4))
+
+
+def test_motors_stay_within_what_a_motor_can_do(tmp_path: Path) -> None:
+    with running(fake("px4", tmp_path, motors=[-0.5, 1.5, float("nan"), 1.0])) as firmware:
+        assert firmware.step(moment(STEP_S)) == (0.0, 1.0, 0.0, 1.0)
+
+
+# ---------------------------------------------------------------- what it is told
+
+
+def test_inertial_sensors_are_in_si_units_and_the_field_in_gauss(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    with running(program) as firmware:
+        firmware.step(
+            moment(STEP_S, force=(0.1, -0.2, -9.7), rate=(0.3, -0.4, 0.5), field=(20.0, -1.0, 43.0))
+        )
+    (heard,) = told(program, "HIL_SENSOR")
+    assert (heard.xacc, heard.yacc, heard.zacc) == pytest.approx((0.1, -0.2, -9.7))
+    assert (heard.xgyro, heard.ygyro, heard.zgyro) == pytest.approx((0.3, -0.4, 0.5))
+    assert (heard.xmag, heard.ymag, heard.zmag) == pytest.approx((0.20, -0.01, 0.43))
+    assert heard.id == 0
+
+
+def test_what_has_no_new_reading_is_not_marked_as_new(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    with running(program) as firmware:
+        for count in range(1, 10):
+            firmware.step(moment(count * STEP_S, mag_s=0.0 if count < 5 else 1.0))
+    fields = [message.fields_updated for message in told(program, "HIL_SENSOR")]
+    # the barometer every eighth step
+    assert fields == [IMU | MAG | BARO, IMU, IMU, IMU, IMU | MAG, IMU, IMU, IMU, IMU | BARO]
+
+
+def test_the_pressure_is_that_of_its_height_in_hectopascals(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    with running(program) as firmware:
+        for count in range(1, 40):
+            state = resting_state((0.0, 0.0, -500.0 if count > 20 else 0.0), 0.0)
+            firmware.step(moment(count * STEP_S, state))
+    heard = told(program, "HIL_SENSOR")
+    low, high = heard[0], heard[-1]
+    assert low.abs_pressure == pytest.approx(966.1, abs=0.2)  # standard atmosphere, 400 m and 900 m
+    assert high.abs_pressure == pytest.approx(909.7, abs=0.2)
+    assert (low.pressure_alt, high.pressure_alt) == pytest.approx((400.0, 900.0), abs=2.0)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "speed", "course"),
+    [
+        ((3.0, 0.0, -1.0), 300, 0),
+        ((0.0, 2.0, 0.5), 200, 9000),
+        ((-1.0, 0.0, 0.0), 100, 18000),
+        ((0.0, -4.0, 0.0), 400, 27000),
+        ((1.0, -1e-5, 0.0), 100, 0),
+    ],
+)
+def test_a_fix_is_in_integers_and_its_course_is_where_it_goes(
+    velocity: tuple[float, float, float], speed: int, course: int, tmp_path: Path
+) -> None:
+    program = fake("px4", tmp_path)
+    with running(program) as firmware:
+        firmware.step(moment(0.5, fix=fix(0.45, velocity)))
+        firmware.step(moment(0.5 + STEP_S, fix=fix(0.45, velocity)))  # the same one, told once
+    (heard,) = told(program, "HIL_GPS")
+    assert heard.time_usec == round(1e6 * (UNIX_AT_START_S + 0.5))
+    assert (heard.fix_type, heard.satellites_visible) == (3, 11)
+    assert (heard.lat, heard.lon, heard.alt) == (471234567, -87654321, 432100)
+    assert (heard.eph, heard.epv) == (250, 380)
+    assert (heard.vn, heard.ve, heard.vd) == tuple(round(100 * v) for v in velocity)
+    assert (heard.vel, heard.cog) == (speed, course)
+
+
+def test_attitude_and_place_are_for_it_to_find_out(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    state = QuadrotorState((10.0, -20.0, -5.0), attitude=quat_from_euler(0.3, -0.2, 1.0))
+    with running(program) as firmware:
+        firmware.step(moment(STEP_S, state))
+    assert {message.get_type() for message in program.sensors} == {"HIL_SENSOR"}
+
+
+# ---------------------------------------------------------------- parameters
+
+
+def parameters(program: Fake) -> dict[str, float]:
+    return {
+        name.removeprefix("PX4_PARAM_"): float(value)
+        for name, value in program.started.items()
+        if name.startswith("PX4_PARAM_")
+    }
+
+
+def test_it_is_told_of_a_plus_frame_by_values_that_are_never_its_own_defaults(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    setup = setup_of(program.spec)
+    # PX4's default for this one: told as it is, it would count as not set
+    body = setup.airframe.body.model_copy(update={"torque_to_thrust_m": 0.05})
+    with running(program, setup._replace(airframe=setup.airframe.model_copy(update={"body": body}))):
+        pass
+    set_ = parameters(program)
+    arm_m = body.arm_length_m
+    for rotor, place in enumerate(((arm_m, 0.0), (0.0, arm_m), (-arm_m, 0.0), (0.0, -arm_m))):
+        found = set_[f"CA_ROTOR{rotor}_PX"], set_[f"CA_ROTOR{rotor}_PY"]
+        assert found == pytest.approx(place, abs=1e-4)
+        assert 0.0 not in found
+    turns = [set_[f"CA_ROTOR{rotor}_KM"] for rotor in range(4)]
+    assert turns == pytest.approx([0.05, -0.05, 0.05, -0.05], abs=1e-4)  # front and rear anticlockwise
+    assert not {0.05, -0.05, 0.0} & set(turns)
+
+
+def test_it_is_told_of_the_hover_thrust_and_the_receivers_delay(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    setup = setup_of(program.spec, gps_delay_s=0.2)
+    with running(program, setup):
+        pass
+    set_ = parameters(program)
+    assert set_["MPC_THR_HOVER"] == pytest.approx(setup.airframe.body.hover_share(), abs=1e-5)
+    assert set_["EKF2_GPS_DELAY"] == 200
+
+
+def test_a_users_parameter_is_over_all_others_and_keeps_its_digits(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path, {"MPC_THR_HOVER": 0.4, "SOME_NUMBER": 12345678.0, "SMALL": 0.123456789})
+    with running(program):
+        pass
+    given = program.started
+    assert given["PX4_PARAM_MPC_THR_HOVER"] == "0.4"
+    assert given["PX4_PARAM_SOME_NUMBER"] == "12345678"
+    assert given["PX4_PARAM_SMALL"] == "0.123456789"
+
+
+# ---------------------------------------------------------------- instances
+
+
+def test_two_at_once_have_ports_of_their_own(tmp_path: Path) -> None:
+    programs = [
+        fake("px4", tmp_path / name, motors=[share] * 4) for name, share in (("a", 0.25), ("b", 0.75))
+    ]
+    with running(programs[0]) as first, running(programs[1]) as second:
+        for at in moments(30):
+            found = first.step(at), second.step(at)
+        assert found == ((0.25,) * 4, (0.75,) * 4)
+        systems = [{m.get_srcSystem() for m in heard(f)} for f in (first, second)]
+    (one,), (other,) = (program.instances for program in programs)
+    assert one != other
+    assert systems == [{one + 1}, {other + 1}]  # PX4 numbers itself so
+
+
+def heard(firmware: Firmware) -> list[Any]:
+    return messages(b"".join(firmware.read()))
+
+
+@contextlib.contextmanager
+def taken(port: int, kind: socket.SocketKind) -> Iterator[None]:
+    with contextlib.closing(socket.socket(socket.AF_INET, kind)) as other:
+        with contextlib.suppress(OSError):  # somebody else has it, who is as good
+            other.bind(("127.0.0.1", port))
+            if kind is socket.SOCK_STREAM:
+                other.listen(1)
+        yield
+
+
+@pytest.mark.parametrize("port", [14540, 14580, 18570])
+def test_an_instance_with_a_port_in_use_is_passed_over(port: int, tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    with taken(port, socket.SOCK_DGRAM), running(program):
+        pass
+    assert 0 not in program.instances
+
+
+def test_without_a_free_instance_it_is_said_and_nothing_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    files = open_files()
+    with contextlib.closing(socket.create_server(("127.0.0.1", 0))) as other:
+        monkeypatch.setattr(px4, "SIMULATOR_PORT", other.getsockname()[1])
+        monkeypatch.setattr(px4, "INSTANCES", 1)
+        with pytest.raises(ConfigError, match="no PX4 instance from 0 to 0 has its ports free"):
+            running(fake("px4", tmp_path)).__enter__()
+    assert open_files() == files
+    assert not list(tmp_path.glob("px4-*"))
+
+
+# ---------------------------------------------------------------- what goes wrong
+
+
+def test_a_folder_that_is_no_build_is_said(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    script = program.spec.path.parent.parent / "etc" / "init.d-posix" / "rcS"
+    script.unlink()
+    with pytest.raises(ConfigError) as caught, running(program):
+        pass
+    assert str(caught.value) == (
+        f"--firmware-path {program.spec.path}: expected {script} beside the program's folder"
+    )
+
+
+def test_what_is_no_program_for_this_machine_is_said(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path)
+    program.spec.path.write_bytes(b"\x7fELF of another kind")
+    with pytest.raises(ConfigError, match=r"px4: cannot be run \(Exec format error\)"), running(program):
+        pass
+
+
+def test_one_that_ends_before_it_calls_is_told_of_by_its_last_words(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path, ends_after=-1)
+    with pytest.raises(ConfigError) as caught, running(program):
+        pass
+    assert str(caught.value) == "px4 has ended (exit status 3): last words of px4"
+
+
+def test_one_that_never_calls_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(px4, "CALL_S", 0.5)
+    program = fake("px4", tmp_path, calls=False)
+    with pytest.raises(ConfigError) as caught, running(program):
+        pass
+    assert str(caught.value) == "px4 did not call the simulator within 0.5 s: booting"
+    assert program.is_gone
+
+
+def test_one_that_ends_in_flight_is_told_of_by_its_last_words(tmp_path: Path) -> None:
+    program = fake("px4", tmp_path, ends_after=10)
+    with running(program) as firmware, pytest.raises(FirmwareError) as caught:
+        step_on(firmware, 20)
+    assert str(caught.value) == "px4 has ended (exit status 3): last words of px4"
+
+
+def test_one_that_answers_no_more_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(px4, "ANSWER_S", 0.2)
+    with (
+        running(fake("px4", tmp_path, silent_after=10, says="I am\n\nstuck  here\n \n")) as firmware,
+        pytest.raises(FirmwareError) as caught,
+    ):
+        step_on(firmware, 20)
+    assert str(caught.value) == "px4 has not answered for 0.2 s: stuck here"
+
+
+def test_nothing_is_left_of_it_in_the_end(tmp_path: Path) -> None:
+    program, files = fake("px4", tmp_path), open_files()
+    with running(program) as firmware:
+        firmware.step(moment(STEP_S))
+        assert Path(program.started["folder"]).name.startswith("px4-")
+    assert program.is_gone
+    assert open_files() == files
+    firmware.close()  # twice does no harm

@@ -1,0 +1,245 @@
+"""Several clients of one vehicle: each has a link of its own, and what is for others gets to them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.base.geometry import ZERO3
+from companion.base.messages import Manner
+from sitl.mavlink.framing import FrameReader, dialect
+from sitl.mavlink.ground_station import GroundStation
+from sitl.mavlink.network import Network
+from sitl.mavlink.signing import Signing
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.vehicle.quadrotor import resting_state
+from tests.bench.mavlink.fuzzing import Fuzz
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+
+mavlink: Any = dialect
+UNIX_S = 1.8e9
+BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+
+
+class Client:
+    """One end of the network, by its name."""
+
+    def __init__(self, network: Network, system: int, component: int) -> None:
+        self.us = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+        self._network, self._data = network, bytearray()
+        self.port = network.connect(self._take, datagrams=True)
+
+    def _take(self, frames: Sequence[bytes]) -> None:
+        for frame in frames:
+            self._data += frame
+
+    def send(self, message: Any, now_s: float = 6.0) -> None:
+        self._network.receive(self.port, bytes(message.pack(self.us)), now_s)
+
+    def heard(self, name: str = "") -> list[Any]:
+        frames = FrameReader().read(bytes(self._data), 0.0)
+        self._data.clear()
+        messages = [self.us.decode(bytearray(frame.data)) for frame in frames]
+        return [m for m in messages if name in ("", m.get_type())]
+
+
+class Desk:
+    """A vehicle with a network."""
+
+    def __init__(self, manner: Manner = "px4") -> None:
+        self.flight = Flight(manner)
+        self.sensors = SimulatedAutopilotSensors(
+            np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
+        )
+        signing = Signing(manner)
+        ground = GroundStation(np.random.default_rng(0), 1.0, HOME, signing=signing)
+        self.network = Network(self.flight.autopilot, self.sensors, ground, signing, UNIX_S)
+        self.flight.run(6.0)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * 100)):
+            self.flight.run(0.01)
+            self.network.transmit(self.flight.now_s, ZERO3, ZERO3)
+
+
+def command(number: int, *values: float, target: tuple[int, int] = (1, 1)) -> Any:
+    return mavlink.MAVLink_command_long_message(*target, number, 0, *values, *(0.0,) * (7 - len(values)))
+
+
+def test_rates_and_sequence_numbers_are_each_client_s_own() -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    one.send(command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_ATTITUDE, 1e6))
+    one.heard()
+    other.heard()
+    desk.run(2.0)
+    frames, others = one.heard(), other.heard()
+    assert Counter(m.get_type() for m in frames)["ATTITUDE"] == 2
+    assert Counter(m.get_type() for m in others)["ATTITUDE"] == 100
+    for heard in (frames, others):
+        ours = [m.get_seq() for m in heard if m.get_srcSystem() == 1]
+        assert all((b - a) % 256 == 1 for a, b in pairwise(ours))
+
+
+def test_answers_go_to_the_sender_at_once_and_texts_to_all() -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    one.send(command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0))
+    assert [m.result for m in one.heard("COMMAND_ACK")] == [0]
+    heard = other.heard()
+    assert not [m for m in heard if m.get_type() == "COMMAND_ACK"]
+    assert "Armed by external command" in [m.text for m in heard if m.get_type() == "STATUSTEXT"]
+
+
+def test_a_text_that_time_brings_goes_to_all() -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    desk.run(0.5)
+    one.send(mavlink.MAVLink_mission_count_message(1, 1, 3, 0), desk.flight.now_s)
+    desk.run(10.0)
+    for client in (one, other):
+        assert [m.text for m in client.heard("STATUSTEXT")][-1] == "Operation timeout"
+
+
+def test_a_parameter_that_one_sets_is_told_to_all() -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    one.send(mavlink.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.0, 9))
+    assert [m.param_value for m in one.heard("PARAM_VALUE")] == [7.0]
+    assert [m.param_value for m in other.heard("PARAM_VALUE")] == [7.0]
+
+
+def test_what_is_for_another_goes_where_that_one_was_heard_and_nowhere_else() -> None:
+    desk = Desk()
+    ground, companion, third = (Client(desk.network, *who) for who in ((255, 1), (1, 191), (30, 1)))
+    beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
+    for client in (ground, companion, third):
+        client.send(beat)
+    assert {m.get_srcSystem() for m in ground.heard("HEARTBEAT")} == {1, 30}
+    companion.heard()
+    third.heard()
+    ground.send(command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0, target=(1, 191)))
+    assert [m.target_component for m in companion.heard("COMMAND_LONG")] == [191]
+    assert not third.heard("COMMAND_LONG")
+    assert not ground.heard("COMMAND_ACK"), "it was not for the autopilot"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        mavlink.MAVLink_setup_signing_message(0, 0, bytes(32), 0),
+        mavlink.MAVLink_radio_status_message(0, 0, 0, 0, 0, 0, 0),
+        command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),
+    ],
+)
+def test_some_things_are_not_passed_on(message: Any) -> None:
+    desk = Desk()
+    one, other = Client(desk.network, 255, 1), Client(desk.network, 254, 1)
+    one.send(message)
+    assert not other.heard(message.get_type())
+
+
+def test_the_vehicle_s_own_frames_that_come_back_are_dropped() -> None:
+    desk = Desk()
+    loop, other = Client(desk.network, 1, 1), Client(desk.network, 254, 1)
+    loop.send(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3))
+    assert not other.heard()
+
+
+def test_the_beacon_at_the_pad_is_heard_by_all_when_one_asks() -> None:
+    desk = Desk()
+    companion, other = Client(desk.network, 1, 191), Client(desk.network, 254, 1)
+    companion.send(command(mavlink.MAV_CMD_REQUEST_MESSAGE, 144.0, target=(255, 0)))
+    desk.run(1.0)
+    assert [m.get_srcSystem() for m in companion.heard("FOLLOW_TARGET")] == [255]
+    assert len(other.heard("FOLLOW_TARGET")) == 1
+
+
+# ---------------------------------------------------------------- messages that need the vehicle's context
+
+
+def test_timesync_is_answered_with_the_time_of_arrival() -> None:
+    desk = Desk()
+    client = Client(desk.network, 255, 1)
+    client.send(mavlink.MAVLink_timesync_message(0, 9), now_s=6.00123)
+    assert client.heard("TIMESYNC")[0].tc1 == 6_001_230_000
+
+
+def test_pings_are_answered() -> None:
+    desk = Desk()
+    client = Client(desk.network, 250, 3)
+    client.send(mavlink.MAVLink_ping_message(11, 12, 0, 0))
+    (answer,) = client.heard("PING")
+    assert (answer.time_usec, answer.seq, answer.target_system, answer.target_component) == (11, 12, 250, 3)
+
+
+def test_stream_groups_are_ardupilot_s() -> None:
+    counts = []
+    for manner in ("ardupilot", "px4"):
+        desk = Desk(manner)
+        client = Client(desk.network, 255, 1)
+        client.send(mavlink.MAVLink_request_data_stream_message(1, 1, 10, 5, 1))
+        client.heard()
+        desk.run(2.0)
+        counts.append(len(client.heard("ATTITUDE")))
+    assert counts == [10, 100]
+
+
+@BOTH
+def test_health_is_told_as_it_is(manner: Manner) -> None:
+    desk = Desk(manner)
+    client = Client(desk.network, 255, 1)
+    state = resting_state((0.0, 0.0, -0.18), 0.0)
+    gps, mag = mavlink.MAV_SYS_STATUS_SENSOR_GPS, mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+
+    def ill() -> int:
+        client.heard()
+        for _ in range(200):
+            desk.sensors.step(desk.flight.now_s, state, 0.0, lambda: 1.0)
+            desk.run(0.01)
+        heard = client.heard()
+        fix = next(m.fix_type for m in reversed(heard) if m.get_type() == "GPS_RAW_INT")
+        status = next(m for m in reversed(heard) if m.get_type() == "SYS_STATUS")
+        assert (fix >= mavlink.GPS_FIX_TYPE_3D_FIX) is desk.sensors.has_sky
+        return int(~status.onboard_control_sensors_health & (gps | mag))
+
+    assert ill() == 0
+    desk.sensors.has_sky = False
+    assert ill() == gps
+    desk.sensors.has_sky, desk.sensors.stray_field_ut = True, (0.0, 40.0, 0.0)
+    assert ill() == mag
+
+
+@BOTH
+def test_everything_that_is_streamed_by_default_is_said(manner: Manner) -> None:
+    desk = Desk(manner)
+    client = Client(desk.network, 255, 1)
+    desk.run(3.0)
+    kinds = {m.get_type() for m in client.heard()}
+    common = {"VFR_HUD", "SYSTEM_TIME", "VIBRATION", "SERVO_OUTPUT_RAW", "RC_CHANNELS", "BATTERY_STATUS"}
+    own = {"px4": {"ALTITUDE", "ESTIMATOR_STATUS"}, "ardupilot": {"EKF_STATUS_REPORT"}}
+    assert common | own[manner] <= kinds
+    assert not own["px4" if manner == "ardupilot" else "ardupilot"] & kinds
+
+
+# ---------------------------------------------------------------- what a vehicle has to stand
+
+
+@pytest.mark.parametrize(("manner", "key"), [("px4", None), ("ardupilot", None), ("px4", bytes(range(32)))])
+def test_wrong_frames_cost_no_legal_one(manner: Manner, key: bytes | None) -> None:
+    found = Fuzz(manner, 7, key).run(7000)
+    assert found.holds, found
+    assert found.lost == 0
+    assert (found.refused > 1000) is (key is not None)
+
+
+@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+def test_orders_that_make_no_sense_cost_no_legal_frame(manner: Manner) -> None:
+    found = Fuzz(manner, 3, orders=True).run(5000)
+    assert found.holds, found
+    assert found.kinds["orders"] > 3000

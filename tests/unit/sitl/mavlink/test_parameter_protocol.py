@@ -1,0 +1,143 @@
+"""The parameter protocol and tables of both manners, in bytes: paced lists, types, bounds, hash, reboots."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.base.messages import Manner
+from sitl.autopilot import PROFILES
+from tests.unit.sitl.autopilot.mission_desk import Station
+
+BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
+
+
+def read(station: Station, name: bytes, index: int = -1) -> list[Any]:
+    return station.send(mavlink.MAVLink_param_request_read_message(1, 1, name, index))
+
+
+def store(station: Station, name: bytes, value: float, kind: int) -> list[Any]:
+    return station.send(mavlink.MAVLink_param_set_message(1, 1, name, value, kind))
+
+
+def as_float(value: int) -> float:
+    return float(struct.unpack("<f", struct.pack("<i", value))[0])
+
+
+@BOTH
+def test_a_list_is_complete_in_order_and_paced(manner: Manner) -> None:
+    station = Station(manner, 0.1)
+    station.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    bursts = [[m for m in station.run(0.05) if m.get_type() == "PARAM_VALUE"] for _ in range(60)]
+    assert max(len(burst) for burst in bursts) <= 21
+    values = [m for m in station.heard if m.get_type() == "PARAM_VALUE" and m.param_id != "_HASH_CHECK"]
+    table = station.flight.autopilot.parameters
+    assert [m.param_id for m in values] == list(table)
+    assert [m.param_index for m in values] == list(range(len(table)))
+    assert {m.param_count for m in values} == {len(table)}
+
+
+def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
+    for manner in PROFILES.values():
+        names = [parameter.name for parameter in manner.parameters]
+        assert len(names) > 100
+        assert len(set(names)) == len(names)
+    names = [parameter.name for parameter in PROFILES["px4"].parameters]
+    assert names == sorted(names)
+
+
+@pytest.mark.parametrize(
+    ("manner", "name", "kind"),
+    [
+        ("px4", b"SYS_AUTOSTART", INT32),
+        ("px4", b"NAV_ACC_RAD", REAL32),
+        ("ardupilot", b"FRAME_CLASS", INT8),
+        ("ardupilot", b"LAND_SPEED", INT16),
+        ("ardupilot", b"RTL_ALT", INT32),
+        ("ardupilot", b"WPNAV_SPEED", REAL32),
+    ],
+)
+def test_types_are_told(manner: Manner, name: bytes, kind: int) -> None:
+    assert read(Station(manner, 0.1), name)[0].param_type == kind
+
+
+def test_integers_are_set_bytewise_and_a_wrong_type_is_not_taken_by_px4() -> None:
+    station = Station("px4", 0.1)
+    answer = store(station, b"COM_RCL_EXCEPT", as_float(4), INT32)[0]
+    assert struct.unpack("<i", struct.pack("<f", answer.param_value))[0] == 4
+    assert not store(station, b"COM_RCL_EXCEPT", 2.0, REAL32)
+    station.run(0.1)
+    assert any("types mismatch" in text for text in station.texts)
+    assert station.flight.autopilot.parameters["COM_RCL_EXCEPT"] == 4.0
+
+
+def test_ardupilot_casts_integers_and_names_no_index_in_answers_by_name() -> None:
+    station = Station("ardupilot", 0.1)
+    answer = store(station, b"LAND_SPEED", 60.4, REAL32)[0]
+    assert (answer.param_value, answer.param_index) == (60.0, 0xFFFF)
+    assert read(station, b"", 3)[0].param_index == 3
+
+
+@BOTH
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30, -1e30])
+def test_values_out_of_bounds_are_answered_by_the_one_that_stands(manner: Manner, value: float) -> None:
+    station = Station(manner, 0.1)
+    name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
+    before = station.flight.autopilot.parameters[name]
+    assert store(station, name.encode(), value, REAL32)[0].param_value == before
+
+
+def test_px4s_hash_changes_with_a_value_and_ends_a_list() -> None:
+    station = Station("px4", 0.1)
+
+    def crc() -> int:
+        message = read(station, b"_HASH_CHECK")[0]
+        assert message.param_type == mavlink.MAV_PARAM_TYPE_UINT32
+        return int(struct.unpack("<I", struct.pack("<f", message.param_value))[0])
+
+    table, expected = station.flight.autopilot.parameters, 0xFFFFFFFF
+    for name in table:
+        kind, value = ("<i", int(table[name])) if table.is_integer(name) else ("<f", table[name])
+        expected = zlib.crc32(name.encode() + struct.pack(kind, value), expected)
+    first = crc()
+    assert first == expected ^ 0xFFFFFFFF
+    store(station, b"NAV_ACC_RAD", 3.0, REAL32)
+    assert crc() != first
+    assert station.send(mavlink.MAVLink_param_request_list_message(1, 1))[0].param_id == "_HASH_CHECK"
+    store(station, b"_HASH_CHECK", 0.0, mavlink.MAV_PARAM_TYPE_UINT32)
+    assert not [m for m in station.run(0.5) if m.get_type() == "PARAM_VALUE"]
+
+
+@BOTH
+def test_values_and_mission_outlive_a_reboot_which_is_one(manner: Manner) -> None:
+    station = Station(manner)
+    name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
+    store(station, name.encode(), 7.5, REAL32)
+    station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
+    assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == 0
+    station.run(0.5)
+    assert not station.flight.autopilot.aligned
+    assert station.flight.autopilot.mode == station.flight.autopilot.profile.boot_mode
+    assert station.flight.autopilot.parameters[name] == 7.5
+    assert station.flight.autopilot.arm() != 0
+    station.run(6.0)
+    assert station.flight.autopilot.arm() == 0
+    assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) != 0
+    assert station.flight.autopilot.armed
+
+
+@BOTH
+def test_storage_resets_all_when_told_to(manner: Manner) -> None:
+    station = Station(manner, 0.1)
+    name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
+    before = station.flight.autopilot.parameters[name]
+    store(station, name.encode(), 7.5, REAL32)
+    assert station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1) == 0
+    assert station.flight.autopilot.parameters[name] == 7.5
+    assert station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2) == 0
+    assert station.flight.autopilot.parameters[name] == before

@@ -1,0 +1,206 @@
+"""The simulated autopilot's own sensors: what they tell by MAVLink, in either manner, and what they cost."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
+from companion.base.messages import Manner
+from sitl.autopilot import SimulatedAutopilot
+from sitl.mavlink.endpoint import MavlinkEndpoint
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
+from sitl.sensors.inertial import NO_IMU_ERRORS
+from sitl.sensors.sensors import NO_GPS_ERRORS, NO_MAG_ERRORS, NO_RANGE_ERRORS
+from sitl.vehicle.quadrotor import QuadrotorState, resting_state
+from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
+
+DT_S = 1.0 / 400.0
+FIELD_UT = (20.9, 0.6, 42.9)
+BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+YAWS = pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
+
+
+class Vehicle:
+    """An autopilot on its feet with sensors in a state of our choice."""
+
+    def __init__(self, manner: Manner, seed: int = 1, flawless: bool = True) -> None:
+        self.autopilot: SimulatedAutopilot = Flight(manner).autopilot
+        errors: dict[str, Any] = {
+            "imu_errors": NO_IMU_ERRORS,
+            "mag_errors": NO_MAG_ERRORS,
+            "gps_errors": NO_GPS_ERRORS,
+            "range_errors": NO_RANGE_ERRORS,
+        }
+        self.sensors = SimulatedAutopilotSensors(
+            np.random.default_rng(seed),
+            DT_S,
+            home=HOME,
+            field_ned_ut=FIELD_UT,
+            imu_filter=self.autopilot.profile.imu_filter,
+            antenna_body_m=(0.0, 0.0, 0.0),
+            **(errors if flawless else {}),
+        )
+        self.endpoint = MavlinkEndpoint(self.autopilot, self.sensors)
+        self.flight = Flight(manner)
+        self.flight.autopilot = self.autopilot
+        self.state: QuadrotorState = resting_state((0.0, 0.0, -0.18), 0.0)
+        self.range_height_m = 1.5
+        self.parser = mavlink.MAVLink(None)
+
+    def run(self, seconds: float) -> list[Any]:
+        heard: list[Any] = []
+        for _ in range(round(seconds * 200)):
+            self.flight.run(2 * DT_S)
+            for step in (1, 0):
+                self.sensors.step(
+                    self.flight.now_s - step * DT_S, self.state, 0.0, lambda: self.range_height_m
+                )
+            heard += self.parser.parse_buffer(self.endpoint.transmit(self.flight.now_s)) or []
+        return heard
+
+    def ask(self, name: str, rate_hz: float) -> bool:
+        return self.endpoint.set_interval(getattr(mavlink, f"MAVLINK_MSG_ID_{name}"), 1e6 / rate_hz)
+
+
+def of(messages: list[Any], name: str) -> list[Any]:
+    return [message for message in messages if message.get_type() == name]
+
+
+@pytest.mark.parametrize(
+    ("manner", "has", "has_not"),
+    [
+        ("px4", ["HIGHRES_IMU"], ["RAW_IMU", "SCALED_IMU"]),
+        ("ardupilot", ["RAW_IMU", "SCALED_IMU"], ["HIGHRES_IMU"]),
+    ],
+)
+def test_each_manner_has_its_own_imu_messages(manner: Manner, has: list[str], has_not: list[str]) -> None:
+    vehicle = Vehicle(manner)
+    assert [name for name in has + has_not if vehicle.ask(name, 100.0)] == has
+    heard = vehicle.run(2.0)
+    for name in has:
+        assert len(of(heard, name)) == pytest.approx(200, abs=3)
+
+
+@BOTH
+@YAWS
+def test_a_leaning_vehicle_that_moves_is_told_in_the_messages_own_units(
+    manner: Manner, yaw_deg: float
+) -> None:
+    vehicle = Vehicle(manner)
+    vehicle.ask("HIGHRES_IMU" if manner == "px4" else "RAW_IMU", 50.0)
+    yaw = math.radians(yaw_deg)
+    vehicle.state = QuadrotorState(
+        position_ned_m=(30.0, -20.0, -7.0),
+        velocity_ned_m_s=(1.5 * math.cos(yaw), 1.5 * math.sin(yaw), 0.4),
+        attitude=quat_from_euler(0.0, 0.0, yaw),
+        rate_body_rad_s=(0.1, -0.2, 0.3),
+        specific_force_body_m_s2=(1.0, -2.0, -9.0),
+    )
+    heard = vehicle.run(12.0)
+    fix = of(heard, "GPS_RAW_INT")[-1]
+    assert fix.fix_type == mavlink.GPS_FIX_TYPE_3D_FIX
+    assert (fix.vel, fix.cog) == (150, round(100 * yaw_deg))
+    assert fix.alt == pytest.approx(407_000, abs=5)
+    if manner == "px4":
+        imu = of(heard, "HIGHRES_IMU")[-1]
+        assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx((1.0, -2.0, -9.0))
+        assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0.1, -0.2, 0.3))
+        field_ut = (100 * imu.xmag, 100 * imu.ymag, 100 * imu.zmag)
+    else:
+        imu = of(heard, "RAW_IMU")[-1]
+        g = GRAVITY_M_S2 / 1e3
+        assert (imu.xacc * g, imu.yacc * g, imu.zacc * g) == pytest.approx((1.0, -2.0, -9.0), abs=0.011)
+        assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((100, -200, 300), abs=1)
+        field_ut = (0.1 * imu.xmag, 0.1 * imu.ymag, 0.1 * imu.zmag)
+    north, east, down = FIELD_UT
+    c, s = math.cos(yaw), math.sin(yaw)
+    assert field_ut == pytest.approx((c * north + s * east, -s * north + c * east, down), abs=0.11)
+
+
+@BOTH
+def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(manner: Manner) -> None:
+    vehicle = Vehicle(manner)
+    vehicle.ask("HIGHRES_IMU" if manner == "px4" else "RAW_IMU", 100.0)
+    heard = vehicle.run(12.0)
+    booted_s = vehicle.autopilot.booted_s
+    assert booted_s is not None
+    imu = of(heard, "HIGHRES_IMU" if manner == "px4" else "RAW_IMU")[-1]
+    assert imu.time_usec * 1e-6 == pytest.approx(vehicle.flight.now_s - booted_s, abs=0.006)
+    stamps = [m.time_usec * 1e-6 + booted_s for m in of(heard, "GPS_RAW_INT") if m.fix_type >= 3]
+    assert [(stamp - 0.12) % 0.2 for stamp in stamps[-5:]] == pytest.approx(
+        [stamps[-1] % 0.2 - 0.12] * 5, abs=1e-3
+    )
+
+
+def test_px4_says_which_fields_are_new() -> None:
+    vehicle = Vehicle("px4")
+    vehicle.ask("HIGHRES_IMU", 200.0)
+    bits = [m.fields_updated for m in of(vehicle.run(1.0), "HIGHRES_IMU")]
+    assert set(bits) == {0b111_111, 0b111_111_111}
+    assert bits.count(0b111_111_111) == pytest.approx(50, abs=2)
+
+
+def test_the_rangefinder_tells_centimetres_and_a_lost_echo_lies_out_of_range() -> None:
+    vehicle = Vehicle("px4")
+    vehicle.ask("DISTANCE_SENSOR", 20.0)
+    near = of(vehicle.run(1.0), "DISTANCE_SENSOR")
+    assert len(near) == pytest.approx(20, abs=2)
+    assert {m.current_distance for m in near} == {150}
+    assert near[-1].orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
+    vehicle.range_height_m = 99.0
+    far = of(vehicle.run(0.5), "DISTANCE_SENSOR")
+    assert all(m.current_distance > m.max_distance for m in far[2:])
+
+
+@BOTH
+def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(manner: Manner) -> None:
+    vehicle = Vehicle(manner, flawless=False)
+    heard = of(vehicle.run(12.0), "GPS_RAW_INT")
+    assert heard[0].fix_type < mavlink.GPS_FIX_TYPE_3D_FIX
+    fixes = [m for m in heard if m.fix_type >= 3]
+    assert len({(m.lat, m.lon, m.alt) for m in fixes}) > 0.9 * len(fixes)
+    assert np.std([m.alt for m in fixes]) > 50  # mm, on the ground
+
+
+def test_nobody_who_asks_costs_nothing() -> None:
+    vehicle = Vehicle("px4")
+    vehicle.run(1.0)
+    assert vehicle.sensors.imu is None
+    assert vehicle.sensors.range is None
+    vehicle.ask("HIGHRES_IMU", 50.0)
+    vehicle.run(0.1)
+    assert vehicle.sensors.imu is not None
+
+
+def test_the_same_seed_gives_the_same_samples_whoever_else_draws() -> None:
+    def samples(seed: int) -> list[Any]:
+        vehicle = Vehicle("px4", seed, flawless=False)
+        vehicle.ask("HIGHRES_IMU", 100.0)
+        return [m.to_dict() for m in of(vehicle.run(1.0), "HIGHRES_IMU")]
+
+    assert samples(5) == samples(5)
+    assert samples(5) != samples(6)
+
+
+@pytest.mark.parametrize("latency_s", [0.12, 0.2, 0.5])
+def test_however_late_its_fixes_come_none_is_lost(latency_s: float) -> None:
+    sensors = SimulatedAutopilotSensors(
+        np.random.default_rng(1),
+        DT_S,
+        home=HOME,
+        field_ned_ut=FIELD_UT,
+        imu_filter=2,
+        gps_latency_s=latency_s,
+    )
+    state, told = resting_state((0.0, 0.0, -0.18), 0.0), set()
+    for step in range(round(10.0 / DT_S)):
+        sensors.step(step * DT_S, state, 0.0, lambda: 1.0)
+        if sensors.gps is not None:
+            told.add(sensors.gps.time_s)
+    assert min(told) == pytest.approx(latency_s)
+    assert (10.0 - latency_s) / 0.2 - 1.0 < len(told) < 52
