@@ -211,7 +211,7 @@ def _table(rows: Iterable[TableRow]) -> dict[tuple[State, MissionEvent], tuple[B
     """
     table: dict[tuple[State, MissionEvent], tuple[Branch, ...]] = {}
     for row in rows:
-        for state in (*row.states, *row.except_):
+        for state in sorted({*row.states, *row.except_}):
             if (state, row.event) in table:
                 raise ValueError(f"{state} and {row.event} stand in the table twice")
             table[state, row.event] = row.branches if state in row.states else ()
