@@ -1,6 +1,6 @@
-"""`calibrate-mount`: how the camera and the inertial sensor sit, and when frames were exposed.
+"""`calibrate-mount`: options, help, and the subcommands `record` and `camera`.
 
-Thin: options in, files and lines out; what is reckoned is in the modules beside it.
+Thin: options in, files and messages out. The computation is in the folders beside it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import typer
 
 from calibration.command_line import RefusedError, run
-from calibration.mount.imu.inertial_command import (
+from calibration.mount.imu.command import (
     ACCELEROMETER_HELP,
     GYRO_HELP,
     accelerometer_command,
@@ -30,8 +30,8 @@ from calibration.mount.report.result import (
     configured_rotation,
     mount_calibration,
     mount_lines,
+    prior_of,
     shutter_s,
-    trust_in,
 )
 from calibration.mount.shared import (
     NAME,
@@ -41,10 +41,10 @@ from calibration.mount.shared import (
     OutputOption,
     SensorOpener,
     check_output,
+    connected_sensors,
     judge,
     new_log,
     now,
-    plugged,
     write_file,
 )
 from calibration.mount.solve.solve import NoSolutionError, solve
@@ -52,10 +52,10 @@ from calibration.mount.solve.verdict import reasons
 from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_config, load_model
 
-HELP: Final = """How camera and inertial sensor sit on the vehicle, found in the field.
+HELP: Final = """Calibrate the IMU and the camera mount (camera-IMU extrinsics and time offset) in the field.
 
-First the inertial sensor (once, on a table), then the camera: record while you move the vehicle over
-the pad, and solve. Every step works without a screen; a flight's own log of a hover will do, too.
+First calibrate the IMU (once, on a table). Then record while you move the vehicle over the pad, and solve
+for the camera. No step needs a screen. The log of a flight that hovered over the pad also works.
 
 \b
 calibrate-mount accelerometer -o inertial.yaml
@@ -65,18 +65,18 @@ calibrate-mount gyro -o inertial.yaml
 
 The settings then say: mount: mount.yaml, and sense.imu.inertial_calibration: inertial.yaml.
 
-Exit codes: 0 calibrated, 1 refused (the line says why), 2 something to mend, 130 interrupted.
+Exit codes: 0 calibrated, 1 refused (the message says why), 2 user error, 130 interrupted.
 """
-RECORD_HELP: Final = """Record inertial samples and the pad's sightings into DIR/flight.mcap.
+RECORD_HELP: Final = """Record IMU samples and pad sightings to DIR/flight.mcap.
 
-Hold the vehicle over the pad, camera towards it, and move it as the lines say; it stops by itself.
-No autopilot is needed.
+Hold the vehicle over the pad with the camera facing it, and move it as the program says. It stops by itself.
+It needs no autopilot.
 
 \b
 calibrate-mount record swayed
 calibrate-mount record swayed --config mine.yaml --serve 8080
 """
-CAMERA_HELP: Final = """The camera's rotation, place and time offset from a recording.
+CAMERA_HELP: Final = """Solve for the camera's rotation, position and time offset from a recording.
 
 LOG is the folder or flight.mcap of 'calibrate-mount record', or of a flight that hovered over the pad.
 
@@ -86,24 +86,27 @@ calibrate-mount camera flights/hover -o mount.yaml --plots pictures
 calibrate-mount camera swayed -o mount.yaml --camera my_camera.yaml
 """
 cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None, help=HELP)
-cli.command("accelerometer", help=ACCELEROMETER_HELP, short_help="Accelerometer on six faces, gyro bias.")(
-    accelerometer_command
-)
-cli.command("gyro", help=GYRO_HELP, short_help="Gyroscope's bias alone.")(gyro_command)
+cli.command(
+    "accelerometer",
+    help=ACCELEROMETER_HELP,
+    short_help="Calibrate the accelerometer on six faces, and the gyro bias.",
+)(accelerometer_command)
+cli.command("gyro", help=GYRO_HELP, short_help="Calibrate the gyro bias only.")(gyro_command)
 
 # ---------------------------------------------------------------- record
 
 
 @cli.command("record", help=RECORD_HELP, short_help="Record motion over the pad.")
 def record_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.", show_default=False)],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder.", show_default=False)],
     *,
     config: ConfigOption = SETTINGS,
     seconds: Annotated[
-        float, typer.Option("--seconds", min=5.0, max=1800.0, help="Stop after this time at the latest.")
+        float, typer.Option("--seconds", min=5.0, max=1800.0, help="Maximum duration.")
     ] = 180.0,
     serve: Annotated[
-        int | None, typer.Option("--serve", min=0, max=65535, help="Show the picture at this local port.")
+        int | None,
+        typer.Option("--serve", min=0, max=65535, help="Show the image in a browser on this port."),
     ] = None,
 ) -> None:
     """Record until the motion is enough.
@@ -114,7 +117,7 @@ def record_command(
     """
     settings = load_config(config)
     cv2.setNumThreads(1)
-    progress = asyncio.run(record(settings, folder, seconds, serve, plugged, virtual=False))
+    progress = asyncio.run(record(settings, folder, seconds, serve, connected_sensors, virtual=False))
     if not progress.complete:
         raise RefusedError(f"time is up, and it lacks: {progress.advice}; what there is of it is in {folder}")
     typer.echo(f"recorded in {folder}; next: {NAME} camera {folder} -o mount.yaml")
@@ -125,7 +128,7 @@ async def record(
     folder: Path,
     longest_s: float,
     serve: int | None,
-    boards_of: SensorOpener,
+    sensors_of: SensorOpener,
     *,
     virtual: bool,
 ) -> MotionProgress:
@@ -134,10 +137,10 @@ async def record(
     Raises:
         ConfigError: the folder holds a recording, or a device does not answer.
     """
-    async with boards_of(config, True) as boards, _served(serve) as show:
+    async with sensors_of(config, True) as sensors, _served(serve) as show:
         log = new_log(folder, virtual=virtual)
         try:
-            progress = await MountRecorder(config, boards, log, typer.echo, show).run(longest_s)
+            progress = await MountRecorder(config, sensors, log, typer.echo, show).run(longest_s)
         except BaseException:  # Ctrl-C as well: half a recording is none
             log.discard()
             raise
@@ -169,21 +172,31 @@ async def _served(port: int | None) -> AsyncIterator[ShowImage | None]:
 # ---------------------------------------------------------------- camera
 
 
-@cli.command("camera", help=CAMERA_HELP, short_help="Camera's rotation, place and time offset.")
+@cli.command(
+    "camera", help=CAMERA_HELP, short_help="Solve for the camera's rotation, position and time offset."
+)
 def camera_command(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The recording.", show_default=False)],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Recording to solve.", show_default=False)],
     *,
     output: OutputOption = Path("mount.yaml"),
     camera: Annotated[
-        str | None, typer.Option("--camera", help="Another calibration than the recording's.", metavar="FILE")
+        str | None,
+        typer.Option("--camera", help="Camera file to use instead of the recording's.", metavar="FILE"),
     ] = None,
-    plots: Annotated[Path | None, typer.Option("--plots", help="Leave pictures here.", metavar="DIR")] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", help="Write plots to this folder.", metavar="DIR")
+    ] = None,
     position_std: Annotated[
-        float, typer.Option("--position-std", min=0.001, max=1.0, help="How well its place is measured, m.")
+        float,
+        typer.Option(
+            "--position-std", min=0.001, max=1.0, help="Standard deviation of the configured position, m."
+        ),
     ] = 0.02,
     max_rotation_deg: Annotated[
         float,
-        typer.Option("--max-rotation-deg", min=0.1, max=180.0, help="From the settings', or it is refused."),
+        typer.Option(
+            "--max-rotation-deg", min=0.1, max=180.0, help="Maximum rotation from the configured mount."
+        ),
     ] = 10.0,
     force: ForceOption = False,
 ) -> None:
@@ -197,9 +210,9 @@ def camera_command(
     lens = None if camera is None else load_model(CameraConfig, find_file("cameras", camera))
     recording = read_recording(log, lens)
     place = np.array(recording.vehicle.camera_position_body_m)
-    trust = trust_in(recording, position_std)
+    prior = prior_of(recording, position_std)
     try:
-        found = solve(recording.inertial, recording.sightings, place, shutter_s(recording), trust)
+        found = solve(recording.inertial, recording.sightings, place, shutter_s(recording), prior)
     except NoSolutionError as error:
         raise RefusedError(f"{log}: {error}") from error
     configured = configured_rotation(recording)

@@ -1,4 +1,4 @@
-"""What the subcommands of `calibrate-mount` have in common: options, boards, the verdict, the file."""
+"""Shared by the subcommands of `calibrate-mount`: options, sensors, the verdict, the output file."""
 
 from __future__ import annotations
 
@@ -27,13 +27,15 @@ from companion.flightlog.record import LOG_NAMES, FlightLog
 
 NAME: Final = "calibrate-mount"
 ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]
-OutputOption = Annotated[Path, typer.Option("--output", "-o", help="The file to write.", metavar="FILE")]
-ForceOption = Annotated[bool, typer.Option("--force", help="Write it even when refused; the file says so.")]
+OutputOption = Annotated[Path, typer.Option("--output", "-o", help="File to write.", metavar="FILE")]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
+]
 SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
 SensorOpener = Callable[[CompanionConfig, bool], AbstractAsyncContextManager[MountSensors]]
 
 
-def plugged(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[MountSensors]:
+def connected_sensors(config: CompanionConfig, camera: bool) -> AbstractAsyncContextManager[MountSensors]:
     """The vehicle's own boards.
 
     Raises:

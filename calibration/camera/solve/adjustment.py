@@ -1,8 +1,8 @@
-"""Least squares over a camera, the poses of the board before it, and the board's own shape. Pure.
+"""Bundle adjustment of the intrinsics, the board's poses, and the board's shape. Pure.
 
 The model is eqs. 2 and 3: pixel = K distort(x/z, y/z), with distortion k1 k2 p1 p2 k3, or with the rational
 model's k4 k5 k6 after them (radial factor (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶)). The
-vector of a camera's numbers is everywhere fx fy cx cy and then the distortion.
+vector of a camera's parameters is fx fy cx cy, then the distortion.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from companion.base.geometry import FloatArray
 
 Model = Literal["brown", "rational"]
 STEPS: Final = 12
-SMALLEST_STEP: Final = 1e-7  # of what a number's own uncertainty is
+SMALLEST_STEP: Final = 1e-7  # as a share of a parameter's own uncertainty
 HALVINGS: Final = 6
-# eight numbers of distortion are hard to tell apart; beyond this, arithmetic cannot
+# eight distortion coefficients are nearly degenerate; beyond this, double precision fails
 LARGEST_CONDITION: Final = 1e15
 
 
 class UnsolvableError(ValueError):
-    """The views fix no camera; the text says why."""
+    """The views do not determine a camera; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A camera's numbers: fx fy cx cy (px) and the distortion (5 or 8), for images of one size."""
+    """A camera's parameters: fx fy cx cy (px) and the distortion (5 or 8), for images of one size."""
 
     numbers: FloatArray
     size_px: tuple[int, int]
@@ -49,19 +49,19 @@ class Intrinsics:
 
     @property
     def model(self) -> Model:
-        """Which one it is."""
+        """The distortion model."""
         return "brown" if len(self.distortion) == 5 else "rational"
 
 
 @dataclass(frozen=True, slots=True)
 class PosedView:
-    """A view with the board's pose in it: rotation vector (3,), and position in camera axes (3,) in m."""
+    """A view with the board's pose: rotation vector (3,), and position in camera axes (3,) in m."""
 
     view: BoardView
     turn: FloatArray
     position_m: FloatArray
     errors_px: FloatArray  # (n, 2), measured minus projected
-    weight: float = 1.0  # of its squared errors beside those of other views
+    weight: float = 1.0  # of its squared errors relative to other views
 
     @property
     def rms_px(self) -> float:
@@ -71,7 +71,7 @@ class PosedView:
 
 @dataclass(frozen=True, slots=True)
 class CameraSolution:
-    """A calibrated camera, the board as it is, the views it rests on, and what was left out."""
+    """A calibrated camera, the board's estimated shape, the views used, and what was left out."""
 
     camera: Intrinsics
     surface: Surface
@@ -81,12 +81,12 @@ class CameraSolution:
 
     @property
     def errors_px(self) -> FloatArray:
-        """Of all corners used (n, 2)."""
+        """Reprojection errors of all corners used (n, 2)."""
         return np.concatenate([s.errors_px for s in self.seen])
 
     @property
     def squares(self) -> float:
-        """What is made least: the squared errors, each as much as its view counts (px²)."""
+        """The cost: the squared errors, weighted by view (px²)."""
         return sum(s.weight * float(np.sum(s.errors_px**2)) for s in self.seen)
 
 
@@ -103,7 +103,7 @@ def seen_at(
     position_m: FloatArray,
     weight: float = 1.0,
 ) -> PosedView:
-    """A view with the errors that a pose leaves in it."""
+    """A view with its reprojection errors at a pose."""
     points = surface.of(view.points_m)
     pixels, _ = cv2.projectPoints(points, turn, position_m, camera.matrix, camera.distortion)
     return PosedView(view, turn, position_m, view.corners_px - np.asarray(pixels).reshape(-1, 2), weight)
@@ -111,10 +111,10 @@ def seen_at(
 
 @dataclass(frozen=True, slots=True)
 class ViewEquations:
-    """What one view says of the shared numbers (camera, then surface) once its own pose is solved for.
+    """A view's normal equations in the shared parameters (camera, then surface), its pose eliminated.
 
-    `information` (n, n) and `score` (n,) are its share of the normal equations; `pose_step` (6,) and
-    `pose_change` (6, n) give the step of its pose for a step of the shared numbers.
+    `information` (n, n) and `score` (n,) are its part of the normal equations; `pose_step` (6,) and
+    `pose_change` (6, n) give the step of its pose for a step of the shared parameters.
     """
 
     information: FloatArray
@@ -124,11 +124,11 @@ class ViewEquations:
 
 
 def normal_equations(camera: Intrinsics, surface: Surface, seen: PosedView) -> ViewEquations:
-    """A view's part of the least squares, its pose eliminated."""
+    """A view's part of the normal equations, its pose eliminated."""
     points = surface.of(seen.view.points_m)
     _, jacobian = cv2.projectPoints(points, seen.turn, seen.position_m, camera.matrix, camera.distortion)
     of_pose, of_camera = jacobian[:, :6], jacobian[:, 6 : 6 + len(camera.numbers)]
-    # a point that moves on the board moves in the camera by the board's axes
+    # a point's motion on the board, rotated into camera axes
     rotation, _ = cv2.Rodrigues(seen.turn)
     of_point = (jacobian[:, 3:6] @ rotation).reshape(-1, 2, 3)
     of_surface = (of_point @ surface.shapes(seen.view.points_m)).reshape(-1, surface.count)
@@ -142,10 +142,10 @@ def normal_equations(camera: Intrinsics, surface: Surface, seen: PosedView) -> V
 
 
 def refine(solution: CameraSolution) -> CameraSolution:
-    """Gauss-Newton from a good start, until the steps are nothing; each is halved until it is downhill.
+    """Gauss-Newton from a good initial guess to convergence; each step is halved until the cost falls.
 
     Raises:
-        UnsolvableError: the views leave some of the numbers open.
+        UnsolvableError: the views leave some of the parameters undetermined.
     """
     for _ in range(STEPS):
         parts = [normal_equations(solution.camera, solution.surface, seen) for seen in solution.seen]
@@ -159,7 +159,7 @@ def refine(solution: CameraSolution) -> CameraSolution:
 
 
 def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve with a normal matrix whose numbers have units of different size.
+    """Solve with a normal matrix whose parameters have different units.
 
     Raises:
         UnsolvableError: it is singular.
@@ -168,7 +168,7 @@ def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
     scaled = information / np.outer(scale, scale) if (scale > 0.0).all() else None
     if scaled is None or not np.isfinite(scaled).all() or np.linalg.cond(scaled) > LARGEST_CONDITION:
         raise UnsolvableError(
-            "the views leave some of the camera's numbers open; expected more, and tilted ones"
+            "the views leave some parameters undetermined; expected more views, and tilted ones"
         )
     solved = np.linalg.solve(scaled, (right.T / scale).T)
     return np.asarray((solved.T / scale).T)
@@ -177,7 +177,7 @@ def solve_scaled(information: FloatArray, right: FloatArray) -> FloatArray:
 def _stepped(
     solution: CameraSolution, parts: list[ViewEquations], step: FloatArray
 ) -> tuple[CameraSolution, bool]:
-    """The solution after a step, or as it was when no share of the step is downhill."""
+    """The solution after a step, or unchanged if no share of the step lowers the cost."""
     count = len(solution.camera.numbers)
     before = solution.squares
     for halving in range(HALVINGS):

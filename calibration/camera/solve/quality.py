@@ -1,4 +1,4 @@
-"""Whether a camera's calibration is good enough to fly by, and if not, why. Pure."""
+"""The acceptance test of a camera calibration: good enough to fly with, or why not. Pure."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGEST_CENTRE_STD: Final = 0.003
 LARGEST_PROJECTION_STD: Final = 0.004
 LARGEST_RMS: Final = 0.0012
 SMALLEST_LIMIT_PX: Final = 1.0
-# of the views; more, and the rest may be the wrong ones
+# of the views; with more, the rest may be the wrong ones
 MOST_DROPPED: Final = 0.3
 OVERFIT_RATIO: Final = 1.5
 FOLD_SAMPLES: Final = 60
@@ -36,7 +36,7 @@ FOLD_SAMPLES: Final = 60
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """A calibration with all that speaks for and against it."""
+    """A calibration with its quality figures and the reasons to refuse it."""
 
     solution: CameraSolution
     coverage: ImageCoverage
@@ -115,7 +115,7 @@ def _seen(found: Assessment) -> list[str]:
     if coverage.largest_tilt_deg < SMALLEST_TILT_DEG:
         reasons.append(
             f"the board was tilted by {coverage.largest_tilt_deg:.0f}° at most; "
-            f"expected {SMALLEST_TILT_DEG:.0f}° or more, without which the focal length is open"
+            f"expected {SMALLEST_TILT_DEG:.0f}° or more; without tilt the focal length is not observable"
         )
     return reasons
 
@@ -139,7 +139,7 @@ def _sure(found: Assessment) -> list[str]:
     worst, place = float(found.projection_std_px.max()), _place(found.projection_std_px)
     if worst > LARGEST_PROJECTION_STD * width:
         reasons.append(
-            f"what is seen at the {place} of the image is uncertain by {worst:.1f} px; "
+            f"the projection at the {place} of the image is uncertain by {worst:.1f} px; "
             f"expected {LARGEST_PROJECTION_STD * width:.1f} or less"
         )
     return reasons
@@ -150,7 +150,7 @@ def _fits(found: Assessment) -> list[str]:
     reasons = []
     if found.rms_px > limit:
         reasons.append(
-            f"corners are {found.rms_px:.2f} px off; expected {limit:.2f} or less "
+            f"the reprojection error is {found.rms_px:.2f} px; expected {limit:.2f} or less "
             "(board not flat or not as described, images blurred or scaled?)"
         )
     held_out = found.held_out_rms_px

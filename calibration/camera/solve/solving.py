@@ -1,4 +1,4 @@
-"""From views of the board to the camera: outliers left out, judged by views held out. Pure."""
+"""From views of the board to the intrinsics, with outlier rejection and cross-validation. Pure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from calibration.camera.views.detection import FEWEST_POINTS, BoardView, on_a_pl
 from companion.base.geometry import FloatArray
 
 FEWEST_VIEWS: Final = 2
-# with fewer, the board's shape and the camera cannot be told apart
+# with fewer, the board's shape and the camera are not separable
 FEWEST_VIEWS_FOR_SHAPE: Final = 6
 CRITERIA: Final = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
 # the median of a Rayleigh distribution over its σ: from a typical distance to the noise of a coordinate
@@ -49,7 +49,7 @@ def solve(
         model: of the distortion.
 
     Raises:
-        UnsolvableError: too few views, or views that fix no camera.
+        UnsolvableError: too few views, or views that do not determine the camera.
     """
     read = [v for v in (_without_misread(view, size_px) for view in views) if v is not None]
     kept = read
@@ -75,13 +75,13 @@ def fit(
     model: Model,
     guess: Intrinsics | None = None,
 ) -> CameraSolution:
-    """Least squares over all corners of the views: the library's with a flat board, then with its shape.
+    """Least squares over all corners: OpenCV's with a flat board, then with the board's shape.
 
     Raises:
         UnsolvableError: as `solve`.
     """
     if len(views) < FEWEST_VIEWS:
-        raise UnsolvableError(f"{len(views)} views of the board are of use; expected {FEWEST_VIEWS} or more")
+        raise UnsolvableError(f"{len(views)} usable views of the board; expected {FEWEST_VIEWS} or more")
     flags = cv2.CALIB_RATIONAL_MODEL if model == "rational" else 0
     matrix: Any = np.eye(3)
     distortion: Any = np.zeros(8 if model == "rational" else 5)
@@ -96,12 +96,14 @@ def fit(
         )
     except cv2.error as error:
         raise UnsolvableError(
-            "the views fix no camera; expected the board tilted to several sides"
+            "the views do not determine the camera; expected the board tilted to several sides"
         ) from error
     count = 8 if model == "rational" else 5
     numbers = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:count]])
     if not np.isfinite(numbers).all() or not (numbers[:2] > 0.0).all():
-        raise UnsolvableError("the views fix no camera: its focal length came out as no number")
+        raise UnsolvableError(
+            "the views do not determine the camera: the focal length is not a positive number"
+        )
     camera, surface = Intrinsics(numbers, size_px), board.flat()
     posed = zip(views, turns, positions, strict=True)
     seen = tuple(seen_at(camera, surface, v, np.ravel(t), np.ravel(p)) for v, t, p in posed)
@@ -110,7 +112,7 @@ def fit(
 
 
 def place(camera: Intrinsics, surface: Surface, view: BoardView) -> PosedView:
-    """Find the board's pose in a view with a camera and a board that are known."""
+    """Estimate the board's pose in a view, with a known camera and board."""
     corners = view.corners_px.reshape(-1, 1, 2)
     _, turn, position = cv2.solvePnP(
         view.points_m, corners, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
@@ -121,14 +123,14 @@ def place(camera: Intrinsics, surface: Surface, view: BoardView) -> PosedView:
 
 
 def rms_of_all(solution: CameraSolution, views: Sequence[BoardView]) -> float:
-    """Reprojection error of every corner that was found, the outliers too (px)."""
+    """Reprojection error of all detected corners, outliers included (px)."""
     return rms(np.concatenate([seen.errors_px for seen in _posed(solution, views)]))
 
 
 def held_out_rms_px(solution: CameraSolution) -> float | None:
-    """Reprojection error of views that a calibration from the others has not seen; None with too few.
+    """Reprojection error by five-fold cross-validation; None with too few views.
 
-    Every fifth view is held out in turn. Only the board's pose is fitted to it.
+    Only the board's pose is fitted to a held-out view.
     """
     views = [s.view for s in solution.seen]
     camera = solution.camera
@@ -150,13 +152,13 @@ def held_out_rms_px(solution: CameraSolution) -> float | None:
 
 
 def _without_misread(view: BoardView, size_px: tuple[int, int]) -> BoardView | None:
-    """The view without corners that lie where no plane could have them."""
+    """The view without corners that fit no plane."""
     fits = on_a_plane(view.points_m, view.corners_px, size_px)
     return view.only(fits) if np.count_nonzero(fits) >= FEWEST_POINTS else None
 
 
 def _posed(solution: CameraSolution, views: Sequence[BoardView]) -> Iterator[PosedView]:
-    """Views, whole, as the solution has them; those that are not part of it are placed with its camera."""
+    """Whole views at the solution's poses; a view that is not part of it gets its pose with its camera."""
     poses = {s.view.name: s for s in solution.seen}
     for view in views:
         known = poses.get(view.name) or place(solution.camera, solution.surface, view)
@@ -164,9 +166,9 @@ def _posed(solution: CameraSolution, views: Sequence[BoardView]) -> Iterator[Pos
 
 
 def _without_outliers(solution: CameraSolution, views: Sequence[BoardView]) -> list[BoardView]:
-    """The views without those, and without the corners, that are much farther off than is usual.
+    """The views without outlier views and outlier corners.
 
-    Each is judged anew: what did not fit the first, rough camera may well fit a better one.
+    All are judged again each time: an outlier of the first, rough camera may fit a better one.
     """
     usual = float(np.median([s.rms_px for s in solution.seen]))
     kept = []

@@ -1,13 +1,12 @@
-"""How sure a calibration is: of the camera's numbers, and of what is seen at each place of the image. Pure.
+"""The uncertainty of a calibration: of the intrinsics, and of the projection over the image. Pure.
 
 The usual standard deviations, σ² (JᵀJ)⁻¹ with σ from the residuals, hold when all corners err independently
-and alike. They do not. Some views are sharper than others: that is in their `weights`. And a view that was
-moved errs as a whole: so each view's pull on the camera's numbers is compared with what it should be, the
-views' scores, corrected for how far each has bent the fit towards itself (Bell and McCaffrey's CR2 of
-cluster-robust covariances, 2002). Where views disagree more than they should, all variances are stretched
-by that ratio. One ratio, and not the whole cluster-robust matrix, because 25 views do not tell a matrix of
-78 numbers. The board's bend is one of the unknowns (see `surface`): without it the focal length of a bowed
-board is wrong by many of its own deviations.
+and alike. They do not. Some views are sharper than others: `weights` accounts for that. And the errors within
+a view are correlated. So the scores of the views, corrected for leverage, are compared with their expected
+variance (Bell and McCaffrey's CR2 of cluster-robust covariances, 2002). If the views disagree more than
+expected, all variances are inflated by that ratio. It is one ratio and not the whole cluster-robust matrix,
+because 25 views do not determine a matrix of 78 numbers. The bend of the board is one of the unknowns (see
+`surface`): without it, a bowed board biases the focal length by many standard deviations.
 """
 
 from __future__ import annotations
@@ -36,19 +35,19 @@ MEAN_EXCESS: Final = 0.399
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """Covariance of the camera's numbers (n, n), and what it was stretched by because views disagree."""
+    """Covariance of the camera's parameters (n, n), and its inflation because views disagree."""
 
     covariance: FloatArray
     stretch: float  # of variances, >= 1
 
     @property
     def std(self) -> FloatArray:
-        """Standard deviations of the camera's numbers."""
+        """Standard deviations of the camera's parameters."""
         return np.sqrt(np.diag(self.covariance))
 
 
 def uncertainty(solution: CameraSolution) -> Uncertainty:
-    """How sure the camera's numbers are.
+    """The uncertainty of the camera's parameters.
 
     Raises:
         UnsolvableError: the views leave one of them open.
@@ -63,7 +62,7 @@ def uncertainty(solution: CameraSolution) -> Uncertainty:
     freedom = errors.size - 6 * len(parts) - count
     if freedom <= 0 or not (np.diag(inverse) > 0.0).all():
         raise UnsolvableError(
-            "the views leave some of the camera's numbers open; expected more, and tilted ones"
+            "the views leave some parameters undetermined; expected more views, and tilted ones"
         )
     variance = solution.squares / freedom
     stretch = max(1.0, _disagreement(inverse, shares) / variance)
@@ -71,10 +70,7 @@ def uncertainty(solution: CameraSolution) -> Uncertainty:
 
 
 def _disagreement(inverse: FloatArray, shares: list[tuple[FloatArray, FloatArray]]) -> float:
-    """The variance (px²) of a coordinate that the views' pulls on the shared numbers speak of.
-
-    Less what chance adds to it on average where, as here, what is below the usual variance counts as that.
-    """
+    """The variance (px²) of a coordinate by the views' scores, less its mean excess by chance."""
     scale = np.sqrt(np.diag(inverse))
     root = np.linalg.cholesky(inverse / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
     pulls = []
@@ -89,10 +85,10 @@ def _disagreement(inverse: FloatArray, shares: list[tuple[FloatArray, FloatArray
 
 
 def projection_std_px(camera: Intrinsics, covariance: FloatArray) -> FloatArray:
-    """How far off (px, standard deviation) what is seen at each place of the image may be: `MAP_SHAPE`.
+    """Standard deviation (px) of the projection on a mesh (`MAP_SHAPE`) over the whole image.
 
-    On a mesh over the whole image. A turn of the camera as a whole is taken out: that is the mounting's to
-    find, and a principal point that is off is mostly such a turn.
+    A rotation of the whole camera is projected out: the mount calibration finds it, and an error of the
+    principal point is mostly such a rotation.
     """
     width, height = camera.size_px
     rows, columns = MAP_SHAPE

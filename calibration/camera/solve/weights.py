@@ -1,13 +1,13 @@
-"""How much each view counts: by how sharply its corners lie on the board. Pure.
+"""Weights of the views by the variance of their reprojection errors. Pure.
 
-Corners are found more sharply in a view that is near, in focus and at rest. Such views also tell most of the
-camera. Where all views count alike, they are thought as poor as the others: the camera is a little worse than
-it need be, and the stated deviations are too large. So each view counts by one over the variance of its own
-errors. A few corners tell little of a variance: it is drawn towards the usual one, the more the fewer they
-are and the more alike the views have been found to be (Smyth's empirical Bayes variances, 2004).
+A view that is near, in focus and at rest has more precise corners, and determines most of the camera. With
+equal weights the result is less precise than it could be, and its stated uncertainty is too large. So the
+weight of a view is the inverse variance of its own errors. Few corners estimate a variance poorly, so it is
+shrunk towards the common variance: more if there are fewer corners or the views are more alike (Smyth's
+empirical Bayes variances, 2004).
 
-Outliers are left out before. And no view is silenced: a model that does not fit shows in some views more than
-in others, and is to be found out by them.
+Outliers are removed before. Weights have a lower bound, because a wrong model shows in some views more than
+in others, and those must keep their say.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ HALVINGS: Final = 60
 
 
 def weighted(solution: CameraSolution) -> CameraSolution:
-    """From the least squares in which views count alike to those in which each does as it was seen.
+    """Refit with each view weighted by its own error variance.
 
     Raises:
-        UnsolvableError: the views leave some of the numbers open.
+        UnsolvableError: the views leave some of the parameters undetermined.
     """
     for _ in range(ROUNDS):
         weights = view_weights(solution)
@@ -49,7 +49,7 @@ def weighted(solution: CameraSolution) -> CameraSolution:
 
 
 def view_weights(solution: CameraSolution) -> FloatArray:
-    """What each view should count, the usual one 1.
+    """The weight of each view; 1 at the common variance.
 
     Raises:
         UnsolvableError: as `weighted`.

@@ -1,7 +1,7 @@
-"""Leading a person through the six faces, and the samples of it. Pure but for the samples' growing.
+"""Guides a person through the six faces, and buffers the samples. Pure except for the growing buffer.
 
-A face counts once the vehicle has lain on it for HOLD_S, whichever was asked for: the calibration does not
-need an order. That what was asked and what is felt differ tells something else: how the chip is mounted.
+A face counts once the vehicle has lain on it for HOLD_S, whichever face was asked for: the calibration needs
+no order. If the face asked for and the face measured differ, the configured mounting of the chip is wrong.
 """
 
 from __future__ import annotations
@@ -11,26 +11,26 @@ from typing import Final
 
 import numpy as np
 
-from calibration.mount.imu.rest import StaticInterval, find_rests
 from calibration.mount.imu.six_faces import ASKED, FACES, face_of
+from calibration.mount.imu.static_intervals import StaticInterval, find_static_intervals
 from calibration.mount.record.samples import ImuSamples
 from companion.base.geometry import FloatArray
 from companion.base.messages import ImuSample
 
 HOLD_S: Final = 3.0
-# between two rests the vehicle has been turned by this at least
+# minimum rotation between two static intervals
 TURNED_RAD: Final = 0.8
 
 
 class ImuBuffer:
-    """Inertial samples as they come, turned back into the sensor's own axes."""
+    """IMU samples as they come, rotated back into sensor axes."""
 
     def __init__(self, body_from_sensor: FloatArray) -> None:
         self._turn = body_from_sensor
         self._rows: list[tuple[float, ...]] = []
 
     def add(self, sample: ImuSample) -> None:
-        """Take one, in body axes."""
+        """Add one sample, in body axes."""
         self._rows.append(
             (
                 sample.time_s,
@@ -41,13 +41,13 @@ class ImuBuffer:
         )
 
     def since(self, time_s: float) -> ImuSamples:
-        """Those from a time on."""
+        """The samples from a time on."""
         rows = np.array([row for row in self._rows if row[0] >= time_s]).reshape(-1, 8)
         return ImuSamples(rows[:, 0], rows[:, 1:4] @ self._turn, rows[:, 4:7] @ self._turn, rows[:, 7])
 
 
 class FaceGuide:
-    """Knows which face to ask for next."""
+    """Chooses the face to ask for next."""
 
     def __init__(self, body_from_sensor: FloatArray) -> None:
         self._turn = body_from_sensor
@@ -57,7 +57,7 @@ class FaceGuide:
 
     @property
     def done(self) -> bool:
-        """Whether there was a rest for every question."""
+        """Whether every face asked for has its static interval."""
         return not self._left
 
     @property
@@ -69,12 +69,12 @@ class FaceGuide:
 
     @property
     def after_s(self) -> float:
-        """From when on samples are of interest."""
+        """The end of the last static interval; earlier samples are not needed."""
         return self.rests[-1].to_s if self.rests else -np.inf
 
     def take(self, inertial: ImuSamples) -> str | None:
-        """Look for the next rest in samples after the last one; returns what to tell when there is one."""
-        for rest in find_rests(inertial):
+        """Look for the next static interval in samples; returns the message to show if there is one."""
+        for rest in find_static_intervals(inertial):
             if self.done or rest.to_s - rest.from_s < HOLD_S - 1.0 or not self._another(rest):
                 continue
             asked = self._left.pop(0)

@@ -1,10 +1,10 @@
-"""The accelerometer by the six-position method, and the gyroscope's bias. Pure, sensor axes.
+"""Accelerometer calibration by the six-position method, and the gyroscope's bias. Pure, sensor axes.
 
-At rest an accelerometer feels g whichever way it lies: |M (a - o)| = g for every rest, with an offset o and
-a matrix M of scales and skew. |.| does not see a rotation, so M comes out symmetric and turns nothing: the
-mounting stays what the settings say. Six faces determine offsets and scales, however crookedly the vehicle
-lies on them (the error is of second order); the skew needs more attitudes than six, and until then stays
-near zero, by how large the data sheet has it (MPU-9250, PS-MPU-9250A-01 table 2: ±2 % cross-axis, ±3 %).
+At rest an accelerometer measures g in any attitude: |M (a - o)| = g for every static interval, with an offset
+o and a matrix M of scale and skew. The norm does not observe a rotation, so M is symmetric and the configured
+mounting stays. Six faces determine offset and scale, even if the vehicle lies on them at an angle (a second
+order error). The skew needs more than six attitudes. Until then a prior from the data sheet holds it near
+zero (MPU-9250, PS-MPU-9250A-01 table 2: ±2 % cross-axis, ±3 % scale).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.mount.imu.rest import StaticInterval
+from calibration.mount.imu.static_intervals import StaticInterval
 from companion.base.geometry import (
     GRAVITY_M_S2,
     FloatArray,
@@ -29,7 +29,7 @@ from companion.base.geometry import (
     quat_from_matrix,
 )
 
-MEAN_STD_M_S2: Final = 0.01  # of a rest's mean: noise, and what warmth moves within minutes
+MEAN_STD_M_S2: Final = 0.01  # of an interval's mean: noise, and thermal drift within minutes
 OFFSET_STD_M_S2: Final = 0.6
 SCALE_STD: Final = 0.02
 SKEW_STD: Final = 0.01
@@ -62,13 +62,13 @@ class AccelerometerFit:
     offset: FloatArray
     offset_std: FloatArray
     scale_std: FloatArray
-    raw_misses: FloatArray
-    misses: FloatArray
+    raw_residuals: FloatArray
+    residuals: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class GyroFit:
-    """Bias (3,) rad/s; `std` is how far the rests' own biases scatter about it, rad/s."""
+    """Bias (3,) rad/s; `std` is the scatter of the intervals' own biases about it, rad/s."""
 
     bias: FloatArray
     std: float
@@ -76,16 +76,16 @@ class GyroFit:
 
 
 def fit_accelerometer(rests: Sequence[StaticInterval]) -> AccelerometerFit:
-    """Least squares over all rests; what they do not determine stays by the data sheet."""
+    """Least squares over all static intervals, with the data sheet as a prior."""
     forces = np.array([rest.force for rest in rests])
     scale = np.where(np.eye(3) > 0.0, SCALE_STD, SKEW_STD).ravel()
-    believed = np.concatenate((np.full(3, OFFSET_STD_M_S2), scale))
+    prior_std = np.concatenate((np.full(3, OFFSET_STD_M_S2), scale))
 
     def residuals(x: FloatArray) -> FloatArray:
-        misses = _sizes(forces, x[:3], np.eye(3) + x[3:].reshape(3, 3)) - GRAVITY_M_S2
-        return np.concatenate((misses / MEAN_STD_M_S2, x / believed))
+        residuals = _sizes(forces, x[:3], np.eye(3) + x[3:].reshape(3, 3)) - GRAVITY_M_S2
+        return np.concatenate((residuals / MEAN_STD_M_S2, x / prior_std))
 
-    found = least_squares(residuals, np.zeros(12), x_scale=believed, method="lm")
+    found = least_squares(residuals, np.zeros(12), x_scale=prior_std, method="lm")
     covariance = np.linalg.inv(found.jac.T @ found.jac)
     std = np.sqrt(np.diag(covariance))
     offset, matrix = found.x[:3], np.eye(3) + found.x[3:].reshape(3, 3)
@@ -94,8 +94,8 @@ def fit_accelerometer(rests: Sequence[StaticInterval]) -> AccelerometerFit:
         offset=offset,
         offset_std=std[:3],
         scale_std=std[[3, 7, 11]],
-        raw_misses=np.linalg.norm(forces, axis=1) - GRAVITY_M_S2,
-        misses=_sizes(forces, offset, 0.5 * (matrix + matrix.T)) - GRAVITY_M_S2,
+        raw_residuals=np.linalg.norm(forces, axis=1) - GRAVITY_M_S2,
+        residuals=_sizes(forces, offset, 0.5 * (matrix + matrix.T)) - GRAVITY_M_S2,
     )
 
 
@@ -104,7 +104,7 @@ def _sizes(forces: FloatArray, offset: FloatArray, matrix: FloatArray) -> FloatA
 
 
 def fit_gyro(rests: Sequence[StaticInterval]) -> GyroFit:
-    """The mean over all rests, each by its samples."""
+    """The mean over all static intervals, weighted by their sample counts."""
     weight = np.array([rest.samples for rest in rests], dtype=float)
     rates = np.array([rest.rate for rest in rests])
     bias = weight @ rates / weight.sum()
@@ -136,7 +136,7 @@ def faces_down(rests: Sequence[StaticInterval], body_from_sensor: FloatArray) ->
 
 
 def fitting_mountings(asked: Sequence[str], rests: Sequence[StaticInterval]) -> list[Vector3]:
-    """The right-angled mountings (roll, pitch, yaw; deg) under which every rest has the asked face down."""
+    """The right-angled mountings (roll, pitch, yaw; deg) with the asked face down in every interval."""
     fitting = []
     for matrix in _right_angled():
         if all(face_of(rest.force, matrix) == name for name, rest in zip(asked, rests, strict=True)):
@@ -171,11 +171,11 @@ MOST_WARMING_C: Final = 8.0
 def accelerometer_reasons(
     fit: AccelerometerFit, rests: Sequence[StaticInterval], faces: Sequence[str]
 ) -> tuple[str, ...]:
-    """Why not to fly by an accelerometer's calibration; empty when nothing speaks against it."""
+    """Reasons to refuse an accelerometer calibration; empty if it is good."""
     found = []
     if missing := [name for name in FACES if name not in faces]:
         found.append(f"never lay still on: {', '.join(missing)}; expected all six faces")
-    residual = float(np.sqrt(np.mean(fit.misses**2)))
+    residual = float(np.sqrt(np.mean(fit.residuals**2)))
     if residual > MOST_RESIDUAL_M_S2:
         found.append(
             f"the rests do not agree: |a| misses g by {residual:.3f} m/s² rms, expected "
@@ -195,7 +195,7 @@ def accelerometer_reasons(
 
 
 def gyro_reasons(fit: GyroFit, rests: Sequence[StaticInterval]) -> tuple[str, ...]:
-    """Why not to fly by a gyroscope's bias."""
+    """Reasons to refuse a gyroscope bias; empty if it is good."""
     found = []
     if fit.std > MOST_GYRO_STD_RAD_S:
         found.append(

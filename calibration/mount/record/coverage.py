@@ -1,8 +1,8 @@
-"""What motion a recording still lacks, as a person is told who holds the vehicle over the pad.
+"""The motion that a recording still lacks, as a hint to the person who holds the vehicle over the pad.
 
-Pure: samples in, words out. Counted is only what happens while the pad is in view: how far the vehicle has
-turned about each body axis, to and fro (the rotation between two sensors shows when they turn about two axes
-at least), and for how long it turned quickly (a millisecond is a turn of 0.06° at 60°/s).
+Pure: samples in, hints out. Only motion with the pad in view counts: the total rotation about each body axis
+(extrinsic rotation is observable with rotation about two axes at least), and the time of fast rotation (a
+time offset of one millisecond is a rotation of 0.06° at 60°/s).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ AXES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class MotionProgress:
-    """Where a recording stands: shares 0..1 of what is needed, what to do now, and whether that is all."""
+    """Progress of a recording: shares 0..1 of what is needed, what to do now, and whether it is complete."""
 
     seconds: float
     sightings: int
@@ -77,7 +77,7 @@ class MotionCoverage:
         self._seen_s = max(self._seen_s, sighting.time_s)
 
     def progress(self) -> MotionProgress:
-        """Where it stands now."""
+        """The progress now."""
         seconds = 0.0 if self._start_s is None else self._now_s - self._start_s
         roll, pitch, yaw = (min(1.0, turned / ENOUGH_TURN_RAD) for turned in self._turned)
         quick = min(1.0, self._quick_s / ENOUGH_QUICK_S)

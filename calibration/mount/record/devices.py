@@ -1,4 +1,4 @@
-"""The boards that a calibration needs, without an autopilot: inertial sensor, and camera if wanted."""
+"""The sensors that a mount calibration needs: IMU, and camera if wanted. No autopilot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from companion.sense.imu.i2c import RegisterBus, open_bus
 
 @dataclass(frozen=True, slots=True)
 class MountSensors:
-    """What is plugged in; a simulator in the same process gives the same interfaces."""
+    """Open sensors; a simulator in the same process has the same interfaces."""
 
     imu_bus: RegisterBus
     frames: FrameSource | None = None

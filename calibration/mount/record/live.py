@@ -1,6 +1,6 @@
-"""Reading the boards live: a thin shell of tasks about the drivers, for recordings and for rests.
+"""Reads the sensors live: a thin shell of tasks around the drivers.
 
-Every inertial sample and every sighting goes into the log before anything is reckoned with it.
+Every IMU sample and every sighting goes into the log before it is used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calibration.mount.record.coverage import MotionCoverage, MotionProgress
 from calibration.mount.record.devices import MountSensors
-from calibration.mount.record.eye import GravityFreeEye
+from calibration.mount.record.pad_detector import GravityFreePadDetector
 from calibration.mount.record.recording import INERTIAL, MARK, RecordingMark
 from companion.base.clock import Clock
 from companion.base.messages import Frame, FrameReport, ImuSample, PadSighting
@@ -94,7 +94,7 @@ class MountRecorder:
     def __init__(
         self,
         config: CompanionConfig,
-        boards: MountSensors,
+        sensors: MountSensors,
         log: FlightLog,
         tell: Callable[[str], None],
         show: ShowImage | None = None,
@@ -104,7 +104,7 @@ class MountRecorder:
         Raises:
             ConfigError: a settings file that the configuration names is missing or wrong.
         """
-        self._config, self._boards, self._log = config, boards, log
+        self._config, self._sensors, self._log = config, sensors, log
         self._tell, self._show = tell, show
         vehicle = load_model(VehicleConfig, find_file("vehicles", config.vehicle))
         vehicle = vehicle.model_copy(update={"camera_time_offset_s": 0.0})
@@ -114,8 +114,8 @@ class MountRecorder:
         inertial = load_inertial(config.sense)
         applied = {} if inertial is None else {INERTIAL: inertial}
         log.write_settings(config=config, vehicle=vehicle, camera=camera, pad=pad, **{MARK: mark}, **applied)
-        self._driver = Mpu9250(boards.imu_bus, config.sense.imu, inertial=inertial)
-        self._eye = GravityFreeEye(pad, camera, vehicle, config.sense.vision)
+        self._driver = Mpu9250(sensors.imu_bus, config.sense.imu, inertial=inertial)
+        self._detector = GravityFreePadDetector(pad, camera, vehicle, config.sense.vision)
         self._coverage = MotionCoverage()
         self._clock = Clock()
 
@@ -152,13 +152,13 @@ class MountRecorder:
         self._coverage.add_imu(sample)
 
     async def _read_camera(self) -> None:
-        assert self._boards.frames is not None
+        assert self._sensors.frames is not None
         while True:
-            frame = await self._boards.frames.next()
+            frame = await self._sensors.frames.next()
             self._log.write_frame(frame, self._clock.now_s())
             try:
                 sighting = await self._clock.run(
-                    self._eye.look, frame, modelled_s=self._config.compute.vision_s
+                    self._detector.look, frame, modelled_s=self._config.compute.vision_s
                 )
             except ValueError as error:
                 raise ConfigError(f"{self._config.sense.vision.source}: {error}") from error

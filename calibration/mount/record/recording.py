@@ -1,11 +1,10 @@
-"""A recording as the mount's calibration takes it: from `calibrate-mount record`, or a flight's own log.
+"""Reads a recording for the mount calibration: from `calibrate-mount record`, or a flight log.
 
-Both are a flight.mcap with the settings it was made under, so the mounting that its sightings were turned
-by is known and undone: what is kept is the pad in camera axes, at the frames' stamps as the camera gave them.
+Both are a flight.mcap with its settings, so the mounting that was applied to its sightings is known and
+undone. The result is the pad in camera axes, at the frames' stamps as the camera gave them.
 
-A flight's sightings had gravity in them (see `eye`), so its frames are looked at again instead; a log holds
-some five of them a second. Sightings stand in where no frames were recorded, and where the camera was
-calibrated since, frames are looked at again as well.
+The sightings of a flight used gravity (see `pad_detector`), so the pad is detected again in the logged frames
+(about five per second), and likewise if the camera was calibrated since. Without frames, the sightings stand.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import cv2
 import numpy as np
 from mcap.records import Channel, Message, Metadata
 
-from calibration.mount.record.eye import GravityFreeEye
+from calibration.mount.record.pad_detector import GravityFreePadDetector
 from calibration.mount.record.samples import ImuSamples, PadObservations
 from companion.base.geometry import FloatArray, matrix_from_quat
 from companion.base.messages import Frame, ImuSample, PadSighting
@@ -175,7 +174,7 @@ def _sightings(
     logged = [event.item for event in record.events if isinstance(event.item, PadSighting)]
     if gravity_free and camera == rig.camera:
         return logged, None
-    eye = GravityFreeEye(rig.pad, camera, rig.vehicle, rig.config.sense.vision)
+    eye = GravityFreePadDetector(rig.pad, camera, rig.vehicle, rig.config.sense.vision)
     again, count = [], 0
     for frame in frames_of(file):
         count += 1

@@ -1,8 +1,8 @@
-"""What the mount's calibration reckons with: inertial samples and sightings of one recording, as arrays.
+"""The input of the mount calibration: IMU samples and sightings of one recording, as arrays.
 
 Body axes are FRD; camera axes OpenCV's; the pad's frame has x along its heading, y to its right, z down.
 Times are seconds of the recording's clock: a sighting's is its frame's stamp (plus its rows' share of the
-readout), which is what the calibration finds to be early or late.
+readout); the calibration finds its time offset.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class ImuSamples:
         return float(np.median(np.diff(self.time_s)))
 
     def gaps(self) -> FloatArray:
-        """Stretches (k, 2) without samples, from and to (s)."""
+        """Segments (k, 2) without samples, from and to (s)."""
         wide = np.flatnonzero(np.diff(self.time_s) > LONGEST_IMU_GAP_S)
         return np.column_stack((self.time_s[wide], self.time_s[wide + 1]))
 

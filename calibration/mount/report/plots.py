@@ -1,4 +1,4 @@
-"""Pictures of a mount calibration, for people: rates before and after, misses, the offset's search."""
+"""Plots of a mount calibration: rates before and after, residuals, the time offset search."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def write_mount_plots(
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - half a second
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    rates, misses = Figure((11, 8), layout="constrained"), Figure((11, 8), layout="constrained")
+    rates, residuals = Figure((11, 8), layout="constrained"), Figure((11, 8), layout="constrained")
     _draw_rates(rates, solution, inertial, configured)
-    _draw_misses(misses, solution)
+    _draw_residuals(residuals, solution)
     paths = [folder / GYRO_NAME, folder / MISSES_NAME]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for figure, path in zip((rates, misses), paths, strict=True):
+        for figure, path in zip((rates, residuals), paths, strict=True):
             FigureCanvasAgg(figure)
             figure.savefig(path, dpi=100)
     except OSError as error:
@@ -89,7 +89,7 @@ def _draw_rates(figure: Any, solution: MountSolution, inertial: ImuSamples, conf
 
 
 def _liveliest(seen: PadObservations, inertial: ImuSamples) -> tuple[float, float]:
-    """The stretch of SHOWN_S, with the pad seen, in which it turned most."""
+    """The segment of SHOWN_S, with the pad seen, in which it turned most."""
     starts = np.arange(seen.time_s[0], max(seen.time_s[-1] - SHOWN_S, seen.time_s[0]) + 1e-6, 0.5 * SHOWN_S)
     speed = np.linalg.norm(inertial.rate, axis=1)
     within = [speed[(inertial.time_s >= s) & (inertial.time_s < s + SHOWN_S)].sum() for s in starts]
@@ -97,7 +97,7 @@ def _liveliest(seen: PadObservations, inertial: ImuSamples) -> tuple[float, floa
     return begin, begin + SHOWN_S
 
 
-def _draw_misses(figure: Any, solution: MountSolution) -> None:
+def _draw_residuals(figure: Any, solution: MountSolution) -> None:
     seen, kept = solution.sightings, solution.kept
     scale = np.sqrt(np.diagonal(seen.covariance, axis1=1, axis2=2)) * solution.scatter
     (place, turn), (spread, search) = figure.subplots(2, 2)
@@ -105,12 +105,12 @@ def _draw_misses(figure: Any, solution: MountSolution) -> None:
     for k, name in enumerate("xyz"):
         for axis, at, unit in ((place, k, 1e3), (turn, 3 + k, np.degrees(1.0))):
             # along the whitened axes, in the size that they stand for
-            values = solution.misses[kept, at] * np.median(scale[kept, at]) * unit
+            values = solution.residuals[kept, at] * np.median(scale[kept, at]) * unit
             axis.plot(seen.time_s[kept] - start_s, values, ".", ms=2, color=COLOURS[k], label=name)
     place.set(title="position, mm (camera axes)", xlabel="s")
     turn.set(title="rotation, deg (camera axes)", xlabel="s")
     turn.legend(loc="upper right")
-    spread.hist(solution.misses[kept].ravel() / solution.scatter, bins=60, density=True, color="0.6")
+    spread.hist(solution.residuals[kept].ravel() / solution.scatter, bins=60, density=True, color="0.6")
     x = np.linspace(-4.0, 4.0, 200)
     spread.plot(x, np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi), color="k", lw=1.0)
     spread.set(title="misses over their standard deviation", xlim=(-4.5, 4.5))

@@ -1,4 +1,4 @@
-"""From a solution to the file and the lines that people read."""
+"""The mount file and the summary lines, from a solution."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def shutter_s(recording: MountRecording) -> float:
     return camera.fy_px * camera.readout_s / camera.height_px
 
 
-def trust_in(recording: MountRecording, position_std_m: float) -> MountPrior:
-    """What is believed of this vehicle; an accelerometer that lay on its six faces is believed more."""
+def prior_of(recording: MountRecording, position_std_m: float) -> MountPrior:
+    """The prior for this vehicle; a calibrated accelerometer has a smaller one."""
     lens_rad = recording.config.sense.vision.scale_error
     if recording.calibrated is None or recording.calibrated.accelerometer is None:
         return MountPrior(position_m=position_std_m, lens_rad=lens_rad)
@@ -67,7 +67,7 @@ def provenance(source: str, date: str, used: int, dropped: int) -> Provenance:
 def mount_calibration(
     solution: MountSolution, recording: MountRecording, forced: tuple[str, ...], date: str
 ) -> MountCalibration:
-    """What is written."""
+    """The mount file."""
     roll, tilt, yaw = camera_angles_deg(solution.unknowns.body_from_camera)
     rotation_std = np.degrees(np.sqrt(np.diag(solution.rotation_covariance)))
     used = int(solution.kept.sum())
@@ -90,13 +90,13 @@ def mount_calibration(
 
 
 def mount_lines(found: MountCalibration, solution: MountSolution, recording: MountRecording) -> list[str]:
-    """What a person is told."""
+    """The summary lines."""
     vehicle, std = recording.vehicle, found.std
     turned = np.degrees(rotation_from(solution, configured_rotation(recording)))
     before = (vehicle.camera_roll_deg, vehicle.camera_tilt_deg, vehicle.camera_yaw_deg)
     rows = [
         f"sightings     {found.provenance.samples} used, {found.provenance.dropped} dropped, in "
-        f"{solution.stretches} stretches; they scatter by {solution.scatter:.2f} of what they say",
+        f"{solution.segments} segments; they scatter by {solution.scatter:.2f} of what they say",
         f"roll, tilt, yaw of the camera  {found.camera_roll_deg:+.2f} {found.camera_tilt_deg:+.2f} "
         f"{found.camera_yaw_deg:+.2f} deg (settings: {before[0]:+.2f} {before[1]:+.2f} {before[2]:+.2f})",
         f"turned from the settings  {_list(turned, '+.2f')} deg about forward, right, down "
@@ -107,7 +107,7 @@ def mount_lines(found: MountCalibration, solution: MountSolution, recording: Mou
         f"time offset   {1e3 * found.time_offset_s:+.1f} ms, to be added to frames' stamps "
         f"(standard deviation {1e3 * std.time_offset_s:.1f})",
     ]
-    if solution.std(POSITION).max() > 0.8 * solution.trust.position_m:
+    if solution.std(POSITION).max() > 0.8 * solution.prior.position_m:
         rows.append("the position is the settings': the motion says no more of it")
     return [*rows, *(f"note: {note}" for note in recording.notes)]
 

@@ -1,9 +1,9 @@
-"""Where the search starts: the time offset and the rotation at which the camera turns as the gyroscope does.
+"""The coarse alignment: time offset and rotation that make the camera's rotation match the gyroscope's.
 
-Between two sightings the camera has turned by c (camera axes); over the same time, shifted by the offset,
-the gyroscope has turned by g (body axes). With the right offset g = R c + b dt, b being the gyroscope's bias.
-For every offset on a grid R is Kabsch's, with outliers weighed down; the offset that fits best is kept. No
-guess is needed for either, so a camera that is mounted the wrong way round is found as well.
+Between two sightings the camera rotates by c (camera axes). Over the same time, shifted by the offset, the
+gyroscope measures a rotation g (body axes). With the right offset g = R c + b dt, where b is the gyro bias.
+For every offset on a grid, Kabsch's method with outlier weights gives R; the offset with the best fit wins.
+This needs no initial guess, so it also finds a camera that is mounted the wrong way round.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calibration.mount.record.samples import ImuSamples, Indices, PadObservation
 from calibration.mount.solve.rotations import log, nearest_rotation, transposed
 from companion.base.geometry import FloatArray
 
-PAIR_S: Final = 0.25  # long enough to turn by more than a pose's noise, short enough for coning not to count
+PAIR_S: Final = 0.25  # long enough to rotate by more than a pose's noise, short enough to neglect coning
 LONGEST_PAIR_S: Final = 0.5
 WIDEST_OFFSET_S: Final = 0.3
 OFFSET_STEP_S: Final = 0.005
@@ -27,7 +27,7 @@ ITERATIONS: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class CoarseAlignment:
-    """A start: body from camera (3, 3), offset (s) to add to stamps, bias (3,), and the fit over the grid."""
+    """Body from camera (3, 3), offset (s) to add to stamps, gyro bias (3,), and the misfit over the grid."""
 
     body_from_camera: FloatArray
     time_offset_s: float
@@ -37,7 +37,7 @@ class CoarseAlignment:
 
 
 def correlate(inertial: ImuSamples, sightings: PadObservations) -> CoarseAlignment:
-    """Search the offset, and with it the rotation and the bias.
+    """Search for the offset, and with it the rotation and the bias.
 
     Raises:
         ValueError: no two sightings are close enough to one another.
@@ -61,7 +61,7 @@ def correlate(inertial: ImuSamples, sightings: PadObservations) -> CoarseAlignme
 
 
 def _pairs(times_s: FloatArray) -> tuple[Indices, Indices]:
-    """Of each sighting the first one that is PAIR_S later, if it is not much later."""
+    """Pairs of sightings PAIR_S apart, or a little more."""
     second = np.searchsorted(times_s, times_s + PAIR_S)
     first = np.arange(len(times_s))
     inside = second < len(times_s)
@@ -83,7 +83,7 @@ class _running_angle:  # noqa: N801 - it reads as the function that it makes
 
 
 def _fit(camera: FloatArray, gyro: FloatArray, spans_s: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Rotation, bias, and how large the misfit is (rad): a Cauchy scale that outliers hardly move."""
+    """Rotation, bias, and the misfit (rad): a Cauchy scale, which is robust against outliers."""
     weight = np.ones(len(camera))
     rotation, bias = np.eye(3), np.zeros(3)
     for _ in range(ITERATIONS):
@@ -91,8 +91,8 @@ def _fit(camera: FloatArray, gyro: FloatArray, spans_s: FloatArray) -> tuple[Flo
         camera_mean, gyro_mean = (share * camera).sum(axis=0), (share * gyro).sum(axis=0)
         rotation = nearest_rotation(((gyro - gyro_mean) * share).T @ (camera - camera_mean))
         bias = (gyro_mean - rotation @ camera_mean) / float((share[:, 0] * spans_s).sum())
-        misses = gyro - camera @ rotation.T - bias * spans_s[:, None]
-        square = np.sum(misses**2, axis=1) / CAUCHY_RAD**2
+        residuals = gyro - camera @ rotation.T - bias * spans_s[:, None]
+        square = np.sum(residuals**2, axis=1) / CAUCHY_RAD**2
         weight = 1.0 / (1.0 + square)
     return rotation, bias, CAUCHY_RAD * float(np.sqrt(np.mean(np.log1p(square))))
 

@@ -1,11 +1,11 @@
-"""From a recording to how the camera sits and when its frames were exposed, with how far that may be off.
+"""Camera-IMU extrinsics and time offset from a recording, with their uncertainty.
 
-The coarse search (`correlation`) gives rotation and offset to a degree and a few milliseconds. Then all
-unknowns are fitted together (Gauss-Newton), first with Student's weights, which false sightings and flipped
-poses cannot pull, then without what the first fit has shown to be one. What sightings say is weighed by how
-far they really scatter about the fit, and by how much the misses of one stretch hang together (the scores'
-variance from stretch to stretch against what white noise would give; Liang and Zeger 1986): a lens's error
-repeats from frame to frame, and a hundred frames that are wrong alike count as few.
+The coarse alignment (`correlation`) gives rotation and offset to a degree and a few milliseconds. Then
+Gauss-Newton fits all unknowns together: first with Student's t weights, which are robust against false
+sightings and flipped poses, then without the outliers that the first fit found. Sightings are weighted by
+their actual scatter about the fit, and by the correlation of the residuals within a segment (the variance of
+the scores between segments over that of white noise; Liang and Zeger 1986). A lens error repeats from frame
+to frame, so a hundred frames with the same error count as few.
 """
 
 from __future__ import annotations
@@ -18,8 +18,14 @@ from scipy.stats import chi2
 
 from calibration.mount.record.samples import ImuSamples, Mask, PadObservations
 from calibration.mount.solve.correlation import CoarseAlignment, correlate
-from calibration.mount.solve.path import MARGIN_S, STRETCH_S, ImuSegments, at_times, cut
-from calibration.mount.solve.problem import MountLeastSquares, ReducedNormalEquations
+from calibration.mount.solve.integration import (
+    MARGIN_S,
+    SEGMENT_S,
+    ImuSegments,
+    at_times,
+    split_into_segments,
+)
+from calibration.mount.solve.least_squares import MountLeastSquares, ReducedNormalEquations
 from calibration.mount.solve.rotations import log, nearest_rotation, transposed
 from calibration.mount.solve.unknowns import (
     COUNT,
@@ -35,7 +41,7 @@ from calibration.mount.solve.unknowns import (
 )
 from companion.base.geometry import FloatArray
 
-FEWEST_OF_STRETCH: Final = 8
+FEWEST_PER_SEGMENT: Final = 8
 STUDENT_FREEDOM: Final = 5.0
 ROBUST_ITERATIONS: Final = 12
 ITERATIONS: Final = 12
@@ -44,22 +50,21 @@ NEARLY_CONVERGED: Final = 1.0
 ROUNDS: Final = 2
 OUTLIER: Final = float(chi2.ppf(0.9995, 6))
 MIDDLE: Final = float(chi2.ppf(0.5, 6))
-# of a stretch's sightings, those whose attitude is within this of its middle one start it
+# sightings whose attitude is within this of the segment's median one give its start state
 START_RAD: Final = 0.12
 NO_FIT: Final = "no mount fits what was recorded"
 
 
 class NoSolutionError(Exception):
-    """The recording does not determine anything; the text says why."""
+    """The recording has no solution; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class MountSolution:
-    """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without what
-    the fit cannot see (lens, stamps).
+    """A fit. `covariance` (35, 35) is that of the unknowns (see `unknowns`), without lens and stamps.
 
-    `kept` (k,) says which sightings were used, and `odd_stretches` in how many stretches most were not;
-    `misses` (k, 6) are all sightings' residuals in their own standard deviations; `scatter` is how large
+    `kept` (k,) says which sightings were used, and `odd_segments` in how many segments most were not;
+    `residuals` (k, 6) are all sightings' residuals in their own standard deviations; `scatter` is how large
     those are against what was expected; `correlated` by how much the information was divided because they
     hang together (both 1 for white noise as stated). `halves` (4,) is by how much the recording's first half
     would have it otherwise than the second: rotation about the body's axes (rad) and time offset (s).
@@ -70,14 +75,14 @@ class MountSolution:
     coarse: CoarseAlignment
     sightings: PadObservations
     kept: Mask
-    misses: FloatArray
+    residuals: FloatArray
     scatter: float
     correlated: float
     halves: FloatArray
-    stretches: int
-    odd_stretches: int
+    segments: int
+    odd_segments: int
     converged: bool
-    trust: MountPrior
+    prior: MountPrior
 
     @property
     def time_offset_s(self) -> float:
@@ -99,12 +104,12 @@ class MountSolution:
     def rotation_covariance(self) -> FloatArray:
         """Of the rotation about the body's axes (3, 3), rad²; what the lens's centre may be off included."""
         across = self.unknowns.body_from_camera @ np.diag((1.0, 1.0, 0.0)) @ self.unknowns.body_from_camera.T
-        return np.asarray(self.covariance[ROTATION, ROTATION] + self.trust.lens_rad**2 * across)
+        return np.asarray(self.covariance[ROTATION, ROTATION] + self.prior.lens_rad**2 * across)
 
     @property
     def time_offset_std_s(self) -> float:
         """Of the offset; what the inertial samples' own stamps may be off included."""
-        return float(np.hypot(self.std(OFFSET)[0], self.trust.stamp_s))
+        return float(np.hypot(self.std(OFFSET)[0], self.prior.stamp_s))
 
     def std(self, which: slice) -> FloatArray:
         """Standard deviations of some unknowns, by the fit alone."""
@@ -116,7 +121,7 @@ def solve(
     sightings: PadObservations,
     position_m: FloatArray,
     shutter_s: float = 0.0,
-    trust: MountPrior | None = None,
+    prior: MountPrior | None = None,
 ) -> MountSolution:
     """Find the mount.
 
@@ -125,13 +130,13 @@ def solve(
         sightings: the pad in camera axes.
         shutter_s: the time in which a rolling shutter passes one focal length of the image, by its file.
         position_m: the camera (3,) by the vehicle's file: where the search for it begins, and what it is
-            held to by `trust.position_m`.
+            held to by `prior.position_m`.
 
     Raises:
         NoSolutionError: too little was seen, or it contradicts itself.
     """
     try:
-        return _solved(inertial, sightings, position_m, shutter_s, trust or MountPrior())
+        return _solved(inertial, sightings, position_m, shutter_s, prior or MountPrior())
     except np.linalg.LinAlgError as error:
         raise NoSolutionError(NO_FIT) from error
 
@@ -141,74 +146,80 @@ def _solved(
     sightings: PadObservations,
     position_m: FloatArray,
     shutter_s: float,
-    trust: MountPrior,
+    prior: MountPrior,
 ) -> MountSolution:
     try:
         coarse = correlate(inertial, sightings)
     except ValueError as error:
         raise NoSolutionError(str(error)) from error
     problem = _problem(inertial, sightings, coarse.time_offset_s)
-    believed = np.zeros(COUNT)
-    believed[POSITION], believed[SHUTTER] = position_m, (shutter_s, 0.5 * shutter_s)
-    unknowns = Unknowns(coarse.body_from_camera, believed.copy())
+    prior_mean = np.zeros(COUNT)
+    prior_mean[POSITION], prior_mean[SHUTTER] = position_m, (shutter_s, 0.5 * shutter_s)
+    unknowns = Unknowns(coarse.body_from_camera, prior_mean.copy())
     unknowns.values[OFFSET], unknowns.values[GYRO_BIAS] = coarse.time_offset_s, coarse.gyro_bias
-    fit = _Fit(problem, unknowns, _begin(problem, unknowns), believed, trust.standard_deviations(shutter_s))
+    fit = _Fit(
+        problem,
+        unknowns,
+        _initial_starts(problem, unknowns),
+        prior_mean,
+        prior.standard_deviations(shutter_s),
+    )
     fit.run_robust()
     for _ in range(ROUNDS):
         fit.drop_outliers()
         fit.run()
         fit.weigh()
     fit.run()
-    return fit.solution(coarse, trust)
+    return fit.solution(coarse, prior)
 
 
 def _problem(inertial: ImuSamples, sightings: PadObservations, offset_s: float) -> MountLeastSquares:
-    """Stretches with enough sightings in them, and within reach of the inertial samples."""
+    """Segments with enough sightings in them, and within reach of the inertial samples."""
     inside = (sightings.time_s + offset_s > inertial.time_s[0]) & (
         sightings.time_s + offset_s < inertial.time_s[-1]
     )
     sightings = sightings.taken(inside)
     if not len(sightings):
         raise NoSolutionError("no sighting while inertial samples came")
-    stretches = cut(inertial, float(sightings.time_s[0]), float(sightings.time_s[-1]))
-    which = np.searchsorted(stretches.start_s, sightings.time_s - MARGIN_S, side="right") - 1
+    segments = split_into_segments(inertial, float(sightings.time_s[0]), float(sightings.time_s[-1]))
+    which = np.searchsorted(segments.start_s, sightings.time_s - MARGIN_S, side="right") - 1
     which = np.maximum(which, 0)
-    since = sightings.time_s - MARGIN_S - stretches.start_s[which] if len(stretches.start_s) else which
-    counts = np.bincount(which, minlength=len(stretches.start_s))
-    used = (since >= 0.0) & (since < STRETCH_S) & (counts[which] >= FEWEST_OF_STRETCH)
+    since = sightings.time_s - MARGIN_S - segments.start_s[which] if len(segments.start_s) else which
+    counts = np.bincount(which, minlength=len(segments.start_s))
+    used = (since >= 0.0) & (since < SEGMENT_S) & (counts[which] >= FEWEST_PER_SEGMENT)
     full = np.unique(which[used])
     if len(full) < 2:
-        raise NoSolutionError(f"fewer than two stretches of {STRETCH_S:g} s in which the pad was seen")
-    kept = ImuSegments(stretches.start_s[full], stretches.step_s, stretches.rate[full], stretches.force[full])
+        raise NoSolutionError(f"fewer than two segments of {SEGMENT_S:g} s in which the pad was seen")
+    kept = ImuSegments(segments.start_s[full], segments.step_s, segments.rate[full], segments.force[full])
     return MountLeastSquares(kept, sightings.taken(used), np.searchsorted(full, which[used]))
 
 
-def _begin(problem: MountLeastSquares, unknowns: Unknowns) -> SegmentStarts:
-    """Each stretch's beginning, from those of its sightings that agree with most of the others."""
-    count = len(problem.stretches.start_s)
-    turning, moving = problem.path(unknowns)
+def _initial_starts(problem: MountLeastSquares, unknowns: Unknowns) -> SegmentStarts:
+    """Each segment's beginning, from those of its sightings that agree with most of the others."""
+    count = len(problem.segments.start_s)
+    attitude, motion = problem.path(unknowns)
     since = problem.since_s(unknowns)
-    moment = at_times(problem.stretches, turning, moving, problem.which, since)
+    moment = at_times(problem.segments, attitude, motion, problem.which, since)
     seen = problem.sightings
     pad_from_body = transposed(seen.camera_from_pad) @ unknowns.body_from_camera.T
     first = pad_from_body @ transposed(moment.rotation)
     lever = unknowns.values[POSITION]
     in_body = seen.position_m @ unknowns.body_from_camera.T + lever
     place = -(pad_from_body @ in_body[..., None])[..., 0]
-    begin = SegmentStarts(np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)))
+    starts = SegmentStarts(np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)))
     for k in range(count):
         own = problem.which == k
         apart = np.linalg.norm(log(transposed(first[own])[:, None] @ first[own][None]), axis=-1)
         middle = int(np.argmin(np.minimum(apart, 0.5).sum(axis=1)))
         agree = apart[middle] < START_RAD
         start = first[own][middle]
-        begin.pad_from_body[k] = start
+        starts.pad_from_body[k] = start
         t = since[own][agree][:, None]
         known = 0.5 * unknowns.gravity_pad * t**2 + moment.position[own][agree] @ start.T
         line = np.column_stack((np.ones(len(t)), t[:, 0]))
         found = np.linalg.lstsq(line, place[own][agree] - known, rcond=None)[0]
-        begin.position_m[k], begin.velocity_m_s[k] = found
-    return begin
+        starts.position_m[k], starts.velocity_m_s[k] = found
+    return starts
 
 
 class _Fit:
@@ -218,13 +229,13 @@ class _Fit:
         self,
         problem: MountLeastSquares,
         unknowns: Unknowns,
-        begin: SegmentStarts,
-        believed: FloatArray,
+        starts: SegmentStarts,
+        prior_mean: FloatArray,
         std: FloatArray,
     ) -> None:
-        """`believed` (35,) to `std` (35,) is what is known beforehand."""
-        self._problem, self._unknowns, self._begin = problem, unknowns, begin
-        self._believed = believed
+        """`prior_mean` (35,) to `std` (35,) is what is known beforehand."""
+        self._problem, self._unknowns, self._initial_starts = problem, unknowns, starts
+        self._believed = prior_mean
         self._prior = np.diag(std**-2)
         self._kept = np.ones(len(problem.sightings), dtype=bool)
         self._scatter2 = self._correlated = 1.0
@@ -233,19 +244,19 @@ class _Fit:
     def _squares(self) -> FloatArray:
         """Each sighting's squared distance (k,) from the fit, in its own standard deviations."""
         path = self._problem.path(self._unknowns)
-        misses = self._problem.residuals(self._unknowns, self._begin, *path)
-        return np.asarray(np.sum(misses**2, axis=1))
+        residuals = self._problem.residuals(self._unknowns, self._initial_starts, *path)
+        return np.asarray(np.sum(residuals**2, axis=1))
 
     def _step(self, weight: FloatArray, share: float = 1.0) -> float:
         """A share of one step of Gauss-Newton; returns the whole step's length in standard deviations."""
-        reduced = self._problem.reduced(self._problem.linear(self._unknowns, self._begin), weight)
+        reduced = self._problem.reduced(self._problem.linear(self._unknowns, self._initial_starts), weight)
         full = reduced.information + self._prior
         gradient = reduced.scores.sum(axis=0) - self._prior @ (self._unknowns.values - self._believed)
         step = np.linalg.solve(full, gradient)
         if not np.isfinite(step).all():
             raise NoSolutionError(NO_FIT)
         self._unknowns = self._unknowns.moved(share * step)
-        self._begin = self._begin.moved(share * reduced.beginnings(step))
+        self._initial_starts = self._initial_starts.moved(share * reduced.start_steps(step))
         return float(np.sqrt(step @ full @ step))
 
     def run_robust(self) -> None:
@@ -283,24 +294,26 @@ class _Fit:
         return np.asarray(self._kept / (self._scatter2 * self._correlated))
 
     def weigh(self) -> None:
-        """How far the sightings scatter, and how much the misses of a stretch hang together."""
+        """How far the sightings scatter, and how much the misses of a segment hang together."""
         count = int(self._kept.sum())
-        freedom = 6 * count - 9 * len(self._begin.position_m) - 10
+        freedom = 6 * count - 9 * len(self._initial_starts.position_m) - 10
         self._scatter2 = float(self._squares()[self._kept].sum()) / max(freedom, 1)
         self._correlated = 1.0
-        reduced = self._problem.reduced(self._problem.linear(self._unknowns, self._begin), self._weight())
+        reduced = self._problem.reduced(
+            self._problem.linear(self._unknowns, self._initial_starts), self._weight()
+        )
         self._correlated = max(1.0, self._inflation(reduced))
 
     def _inflation(self, reduced: ReducedNormalEquations) -> float:
         """The estimate's variance by the scores' scatter over that by white noise: rotation and offset."""
         scores = reduced.scores - reduced.scores.mean(axis=0)
-        stretches = len(scores)
-        between = scores.T @ scores * (stretches / (stretches - 1.0))
+        segments = len(scores)
+        between = scores.T @ scores * (segments / (segments - 1.0))
         gain = np.linalg.inv(reduced.information + self._prior)
         found, expected = (np.diag(gain @ m @ gain)[[0, 1, 2, 6]] for m in (between, reduced.information))
         return float(np.mean(found / expected))
 
-    def solution(self, coarse: CoarseAlignment, trust: MountPrior) -> MountSolution:
+    def solution(self, coarse: CoarseAlignment, prior: MountPrior) -> MountSolution:
         """What has come of it.
 
         Raises:
@@ -308,7 +321,7 @@ class _Fit:
         """
         if abs(offset_s := float(self._unknowns.values[OFFSET][0])) > MARGIN_S:
             raise NoSolutionError(f"{NO_FIT}: the time offset ran off to {offset_s:+.2f} s")
-        linear = self._problem.linear(self._unknowns, self._begin)
+        linear = self._problem.linear(self._unknowns, self._initial_starts)
         reduced = self._problem.reduced(linear, self._weight())
         which = self._problem.which
         covariance = np.asarray(np.linalg.inv(reduced.information + self._prior), dtype=float)
@@ -318,19 +331,19 @@ class _Fit:
             coarse=coarse,
             sightings=self._problem.sightings,
             kept=self._kept,
-            misses=linear.residuals,
+            residuals=linear.residuals,
             scatter=float(np.sqrt(self._scatter2)),
             correlated=self._correlated,
             halves=_halves(reduced, covariance)[[0, 1, 2, OFFSET.start]],
-            stretches=len(self._begin.position_m),
-            odd_stretches=int(np.sum(np.bincount(which, self._kept) < 0.5 * np.bincount(which))),
+            segments=len(self._initial_starts.position_m),
+            odd_segments=int(np.sum(np.bincount(which, self._kept) < 0.5 * np.bincount(which))),
             converged=self._converged,
-            trust=trust,
+            prior=prior,
         )
 
 
 def _halves(reduced: ReducedNormalEquations, covariance: FloatArray) -> FloatArray:
-    """The unknowns (35,) by the first half of the stretches less those by the second, to first order.
+    """The unknowns (35,) by the first half of the segments less those by the second, to first order.
 
     At the fit the scores of the halves cancel; each half alone, with half of the information, would step by
     twice the covariance times its own.

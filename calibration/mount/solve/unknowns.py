@@ -1,10 +1,9 @@
-"""What a mount calibration solves for, and what is believed of it before the first sample.
+"""The unknowns of a mount calibration, and their prior.
 
-The same for every stretch: the camera's rotation and place, its time offset, the pad's lean, what a rolling
-shutter does to a pose, and what is wrong with the inertial sensors. Of each stretch: where it begins. A
-measured rate is (I + E) w + b, and so is a force; E and b are known to a standard deviation only, which is
-what bounds how well "the body's axes" are known at all: a chip whose axes are askew by 0.3° cannot say where
-forward is any better.
+Common to all segments: rotation and position of the camera, time offset, tilt of the pad, the effect of the
+rolling shutter on a pose, and the errors of the IMU. Per segment: its start state. A measured rate is
+(I + E) w + b, and so is a force. E and b are known only to a standard deviation, which limits how well the
+body axes are known: a chip whose axes are misaligned by 0.3° knows "forward" no better than that.
 """
 
 from __future__ import annotations
@@ -28,25 +27,24 @@ GYRO_MATRIX: Final = slice(14, 23)
 ACCEL_BIAS: Final = slice(23, 26)
 ACCEL_MATRIX: Final = slice(26, 35)
 COUNT: Final = 35
-# from here on the path through the inertial samples changes; before it only what the camera sees of it
+# from here on an unknown changes the integrated motion; before, only the view of the camera
 FIRST_OF_PATH: Final = 11
 
-STRETCH_COUNT: Final = 9
-# of the shutter's two times, where the camera's file says that there is none
+SEGMENT_STATE_COUNT: Final = 9
+# of the shutter's two times, where the camera file gives none
 SHUTTER_STD_S: Final = 0.003
 
 
 @dataclass(frozen=True, slots=True)
 class MountPrior:
-    """How far things are believed, standard deviations. The sensors': an MPU9250 after its calibration.
+    """The prior's standard deviations. The IMU's are for a calibrated MPU9250.
 
     Cross-axis sensitivity of ±2 % in the data sheet (PS-MPU-9250A-01, tables 1 and 2) is a bound; a quarter
-    of that is usual. `lens_rad` is how far the lens's centre may be off, as an angle: a rotation to all
-    that looks through it; `stamp_s` how far the driver's stamps of inertial samples may be off, of which
-    the chip says nothing (a tenth of a sample's period).
+    of that is usual. `lens_rad` is the error of the principal point as an angle, equal to a rotation of
+    the camera. `stamp_s` is the error of the driver's IMU stamps (a tenth of a sample period).
     """
 
-    position_m: float = 0.02  # a tape measure's
+    position_m: float = 0.02  # by tape measure
     level_rad: float = math.radians(3.0)
     gyro_bias_rad_s: float = math.radians(5.0)
     gyro_scale: float = 0.005
@@ -58,7 +56,7 @@ class MountPrior:
     stamp_s: float = 0.0005
 
     def standard_deviations(self, shutter_s: float) -> FloatArray:
-        """One for each unknown (35,); infinite where nothing is believed.
+        """One for each unknown (35,); infinite where there is no prior.
 
         `shutter_s` is the time in which a rolling shutter passes one focal length of the image.
         """
@@ -109,19 +107,19 @@ class Unknowns:
         return np.stack((-grows * closing_1_s, -turns * roll_rad_s, np.zeros_like(roll_rad_s)), axis=-1)
 
     def true_rate(self, measured: FloatArray) -> FloatArray:
-        """Rates (..., 3) without what the gyroscope adds, to first order in its errors."""
+        """Rates (..., 3) corrected for the gyroscope's errors, to first order."""
         flaw = self.values[GYRO_MATRIX].reshape(3, 3)
         return np.asarray((measured - self.values[GYRO_BIAS]) @ (np.eye(3) - flaw).T)
 
     def true_force(self, measured: FloatArray) -> FloatArray:
-        """Specific forces (..., 3) without what the accelerometer adds, to first order in its errors."""
+        """Specific forces (..., 3) corrected for the accelerometer's errors, to first order."""
         flaw = self.values[ACCEL_MATRIX].reshape(3, 3)
         return np.asarray((measured - self.values[ACCEL_BIAS]) @ (np.eye(3) - flaw).T)
 
 
 @dataclass(frozen=True, slots=True)
 class SegmentStarts:
-    """Where the stretches begin, in the pad's axes: attitude (s, 3, 3), position and velocity (s, 3)."""
+    """Start states of the segments, in the pad's axes: attitude (s, 3, 3), position and velocity (s, 3)."""
 
     pad_from_body: FloatArray
     position_m: FloatArray

@@ -1,6 +1,6 @@
-"""Whether a mount calibration may be flown by: every reason against it in one line each.
+"""The acceptance test of a mount calibration: each reason to refuse it in one line.
 
-Pure. Numbers are standard deviations as stated, or limits that a sound recording is far from.
+Pure. Limits are in stated standard deviations, or far from what a good recording gives.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from calibration.mount.solve.unknowns import ACCEL_MATRIX, GYRO_BIAS, GYRO_MATRI
 from companion.base.geometry import FloatArray
 
 FEWEST_SIGHTINGS: Final = 120
-FEWEST_STRETCHES: Final = 6
+FEWEST_SEGMENTS: Final = 6
 LEAST_KEPT: Final = 0.5
 MOST_ODD: Final = 0.25
 MOST_ROTATION_STD_DEG: Final = 0.5
@@ -32,7 +32,7 @@ WHAT_HELPS: Final = ("dip the nose and turn it", "roll and turn it", "roll it an
 
 
 def rotation_from(solution: MountSolution, configured: FloatArray) -> FloatArray:
-    """How far (3,) rad about the body's axes the camera is turned from where the settings have it (3, 3)."""
+    """Rotation (3,) rad about the body axes from the configured camera rotation (3, 3) to the solution."""
     return log(solution.unknowns.body_from_camera @ configured.T)
 
 
@@ -42,7 +42,7 @@ def reasons(
     configured_position_m: FloatArray,
     most_rotation_deg: float,
 ) -> tuple[str, ...]:
-    """Why not to fly by it; empty when nothing speaks against it."""
+    """Reasons to refuse it; empty if it is good."""
     return (
         *_amount(solution),
         *_certainty(solution),
@@ -53,10 +53,10 @@ def reasons(
 
 def _amount(solution: MountSolution) -> list[str]:
     found, used = [], int(solution.kept.sum())
-    if used < FEWEST_SIGHTINGS or solution.stretches < FEWEST_STRETCHES:
+    if used < FEWEST_SIGHTINGS or solution.segments < FEWEST_SEGMENTS:
         found.append(
-            f"too little was seen: {used} sightings in {solution.stretches} stretches of 2 s; expected "
-            f"{FEWEST_SIGHTINGS} in {FEWEST_STRETCHES} at least"
+            f"too little was seen: {used} sightings in {solution.segments} segments of 2 s; expected "
+            f"{FEWEST_SIGHTINGS} in {FEWEST_SEGMENTS} at least"
         )
     share = used / len(solution.kept)
     if share < LEAST_KEPT:
@@ -65,7 +65,7 @@ def _amount(solution: MountSolution) -> list[str]:
             f"{100 * (1 - LEAST_KEPT):.0f} % (another pad than the settings', or a picture upside down?)"
         )
     if not solution.converged:
-        found.append("the fit did not settle; expected a longer recording with more motion")
+        found.append("the fit did not converge; expected a longer recording with more motion")
     return found
 
 
@@ -92,9 +92,9 @@ def _agreement(solution: MountSolution) -> list[str]:
 
 def _steadiness(solution: MountSolution) -> list[str]:
     found = []
-    if solution.odd_stretches > MOST_ODD * solution.stretches:
+    if solution.odd_segments > MOST_ODD * solution.segments:
         found.append(
-            f"in {solution.odd_stretches} of {solution.stretches} stretches most sightings contradict the "
+            f"in {solution.odd_segments} of {solution.segments} segments most sightings contradict the "
             f"rest; expected {100 * MOST_ODD:.0f} % at most (did the camera or the pad slip meanwhile?)"
         )
     turned_deg = math.degrees(float(np.linalg.norm(solution.halves[:3])))
@@ -118,7 +118,7 @@ def _consistency(solution: MountSolution) -> list[str]:
             f"sightings miss by {solution.scatter:.1f} of their standard deviations; expected at most "
             f"{MOST_SCATTER:g} (is the camera's file this camera's, and the pad's this pad's?)"
         )
-    expected = solution.trust.standard_deviations(0.0)
+    expected = solution.prior.standard_deviations(0.0)
     for name, which in (("gyroscope", GYRO_MATRIX), ("accelerometer", ACCEL_MATRIX)):
         sigmas = np.abs(solution.unknowns.values[which] / expected[which])
         if sigmas.max() > MOST_SIGMA:
@@ -145,7 +145,7 @@ def _plausible(
     if turned_deg > most_rotation_deg:
         found.append(
             f"the camera is turned by {turned_deg:.1f}° from where the settings have it; expected at most "
-            f"{most_rotation_deg:g}° (mend camera_yaw_deg and camera_tilt_deg, or allow it by "
+            f"{most_rotation_deg:g}° (correct camera_yaw_deg and camera_tilt_deg, or allow it with "
             "--max-rotation-deg)"
         )
     if abs(solution.time_offset_s) > WIDEST_OFFSET_S - 0.01:
@@ -153,10 +153,10 @@ def _plausible(
             f"no time offset within {WIDEST_OFFSET_S:g} s fits (are the frames stamped by another clock?)"
         )
     away_m = float(np.linalg.norm(solution.unknowns.values[POSITION] - position_m))
-    if away_m > MOST_SIGMA * solution.trust.position_m:
+    if away_m > MOST_SIGMA * solution.prior.position_m:
         found.append(
             f"the camera is {100 * away_m:.0f} cm from where the settings have it; expected at most "
-            f"{100 * MOST_SIGMA * solution.trust.position_m:.0f} cm (mend camera_position_body_m, or say by "
-            "--position-std how well it is known)"
+            f"{100 * MOST_SIGMA * solution.prior.position_m:.0f} cm (correct camera_position_body_m, or say "
+            "with --position-std how well it is known)"
         )
     return found

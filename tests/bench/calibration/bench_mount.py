@@ -31,9 +31,9 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from calibration.mount.imu.inertial_command import calibrate_accelerometer, faces_from
+from calibration.mount.imu.command import calibrate_accelerometer, faces_from
 from calibration.mount.record.recording import read_recording
-from calibration.mount.report.result import configured_rotation, mount_calibration, shutter_s, trust_in
+from calibration.mount.report.result import configured_rotation, mount_calibration, prior_of, shutter_s
 from calibration.mount.solve.rotations import log
 from calibration.mount.solve.solve import MountSolution, solve
 from calibration.mount.solve.verdict import reasons
@@ -135,7 +135,7 @@ def solved(folder: Path) -> tuple[MountSolution, tuple[str, ...], MountCalibrati
     recording = read_recording(folder)
     place = np.array(recording.vehicle.camera_position_body_m)
     found = solve(
-        recording.inertial, recording.sightings, place, shutter_s(recording), trust_in(recording, 0.02)
+        recording.inertial, recording.sightings, place, shutter_s(recording), prior_of(recording, 0.02)
     )
     against = reasons(found, configured_rotation(recording), place, 10.0)
     return found, against, mount_calibration(found, recording, against, "2026-01-01")

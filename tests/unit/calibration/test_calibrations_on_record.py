@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from calibration.mount.record.recording import read_recording
-from calibration.mount.report.result import trust_in
+from calibration.mount.report.result import prior_of
 from companion.config import (
     CONFIG_FOLDER,
     AccelerometerCalibration,
@@ -120,4 +120,4 @@ def test_a_recording_is_solved_where_its_inertial_file_is_not(tmp_path: Path, na
     recording = read_recording(tmp_path / "swayed")
     assert recording.calibrated == INERTIAL
     plain = replace(recording, calibrated=None)
-    assert trust_in(recording, 0.02).accel_bias_m_s2 < trust_in(plain, 0.02).accel_bias_m_s2
+    assert prior_of(recording, 0.02).accel_bias_m_s2 < prior_of(plain, 0.02).accel_bias_m_s2

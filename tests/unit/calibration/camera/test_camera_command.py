@@ -15,7 +15,8 @@ import yaml
 
 from calibration.camera.board.board import CalibrationBoard
 from calibration.camera.board.printing import board_yaml
-from calibration.camera.command import NAME, app
+from calibration.camera.command import app
+from calibration.camera.job import NAME
 from calibration.command_line import run
 from companion.base.messages import Frame
 from companion.config import CONFIG_FOLDER, CameraConfig, ConfigError, find_file, load_model
@@ -222,7 +223,7 @@ async def test_live_images_of_another_size_are_told(
         (("{photos}", "--board", "nowhere"), "boards: no 'nowhere'; expected the path"),
         (("{photos}", "--dictionary", "7x7_17"), "--dictionary '7x7_17'"),
         (("{photos}", "--dictionary", "4x4_50"), "no board found in 20 images"),
-        (("{photos}", "--size", "640x480"), "--size: belongs to a live camera"),
+        (("{photos}", "--size", "640x480"), "--size: only for a live camera"),
         (("v4l2:0", "{photos}"), "expected one camera alone"),
         (("v4l2:77",), "no camera at /dev/video77"),
         (("tcp:127.0.0.1:1",), "expected a program that serves frames"),

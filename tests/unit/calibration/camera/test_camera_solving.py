@@ -205,7 +205,7 @@ def test_corners_that_do_not_fit() -> None:
     views = [
         replace(v, corners_px=v.corners_px + rng.normal(0, 1.6, v.corners_px.shape)) for v in views_of(11)
     ]
-    assert "px off; expected 1.54 or less" in reasons(views)
+    assert "px; expected 1.54 or less" in reasons(views)
 
 
 def test_more_numbers_than_the_views_can_tell() -> None:
@@ -222,7 +222,7 @@ def test_distortion_that_folds_back() -> None:
 
 
 def test_one_view_fixes_no_camera() -> None:
-    with pytest.raises(UnsolvableError, match="1 views of the board are of use; expected 2"):
+    with pytest.raises(UnsolvableError, match="1 usable views of the board; expected 2"):
         judged(views_of(14, count=1))
 
 

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from calibration.command_line import run
-from calibration.magnetometer import command
+from calibration.magnetometer import command, job
 from companion.base.geometry import FloatArray
 from companion.base.magnetic_field import field_ned_ut
 from companion.config import ConfigError, load_model
@@ -33,7 +33,7 @@ def csv(name: str, raw: FloatArray, force: FloatArray | None = None) -> str:
 
 def calibrate(*words: str) -> int:
     with pytest.raises(SystemExit) as ended:
-        run(command.cli, command.PROGRAM, words)
+        run(command.cli, job.PROGRAM, words)
     assert isinstance(ended.value.code, int)
     return ended.value.code
 
@@ -103,7 +103,7 @@ def test_interrupted_it_leaves_nothing(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "write_picture", interrupt)
+    monkeypatch.setattr(job, "write_picture", interrupt)
     assert calibrate(csv("a.csv", CASE.raw)) == 130
     assert "interrupted" in capsys.readouterr().err
     assert sorted(path.name for path in Path().iterdir()) == ["a.csv"]
@@ -115,7 +115,7 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_calibration(
     def full(path: Path, _: object) -> None:
         raise ConfigError(f"{path}: cannot be written: No space left on device")
 
-    monkeypatch.setattr(command, "write_picture", full)
+    monkeypatch.setattr(job, "write_picture", full)
     assert calibrate(csv("a.csv", CASE.raw)) == 2
     assert "magnetometer.png: cannot be written" in capsys.readouterr().err
     assert load_model(MagnetometerCalibration, Path("magnetometer.yaml")).quality.verdict == "usable"

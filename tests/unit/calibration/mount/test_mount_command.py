@@ -15,7 +15,7 @@ import yaml
 from calibration.command_line import run
 from calibration.mount import command
 from calibration.mount.command import cli
-from calibration.mount.imu.inertial_command import calibrate_accelerometer, faces_from
+from calibration.mount.imu.command import calibrate_accelerometer, faces_from
 from calibration.mount.record.coverage import MotionCoverage, MotionProgress
 from calibration.mount.record.recording import read_recording
 from calibration.mount.report.result import camera_angles_deg, shutter_s
@@ -153,13 +153,13 @@ def test_faces_are_calibrated_live_against_the_simulated_chip(tmp_path: Path) ->
 
 def test_interrupted_rests_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr("calibration.mount.imu.inertial_command.plugged", held.boards)
-    monkeypatch.setattr("calibration.mount.imu.inertial_command.asyncio.run", run_in_virtual_time)
+    monkeypatch.setattr("calibration.mount.imu.command.connected_sensors", held.boards)
+    monkeypatch.setattr("calibration.mount.imu.command.asyncio.run", run_in_virtual_time)
 
     def interrupted(*_: object) -> str:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("calibration.mount.imu.rests_live.FaceGuide.take", interrupted)
+    monkeypatch.setattr("calibration.mount.imu.live.FaceGuide.take", interrupted)
     assert calibrate("accelerometer", "--keep", tmp_path / "kept", "-o", tmp_path / "out.yaml") == 130
     assert list(tmp_path.iterdir()) == []
 
@@ -201,7 +201,7 @@ def test_what_a_user_can_mend_is_one_line(
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "flight.mcap").write_bytes(b"")
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr(command, "plugged", held.boards)
+    monkeypatch.setattr(command, "connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
     assert calibrate(*words) == 2
     told = capsys.readouterr().err
@@ -222,7 +222,7 @@ def test_an_interrupted_recording_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr(command, "plugged", held.boards)
+    monkeypatch.setattr(command, "connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
 
     def interrupted(_self: MotionCoverage) -> MotionProgress:
@@ -238,7 +238,7 @@ def test_a_card_that_is_full_at_the_end_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Held(scenario_of({}), 0, "still")
-    monkeypatch.setattr(command, "plugged", held.boards)
+    monkeypatch.setattr(command, "connected_sensors", held.boards)
     monkeypatch.setattr("calibration.mount.command.asyncio.run", run_in_virtual_time)
 
     def full(_file: object) -> None:

@@ -38,7 +38,7 @@ def track() -> Track:
 
 @pytest.fixture(scope="module")
 def solution(track: Track) -> MountSolution:
-    return solve(track.inertial(), track.sightings(), PLACE, trust=SURE)
+    return solve(track.inertial(), track.sightings(), PLACE, prior=SURE)
 
 
 def test_rotation_offset_and_place_are_found_among_flipped_poses(
@@ -76,8 +76,8 @@ def test_gaps_in_the_inertial_samples_are_left_out(track: Track) -> None:
         force=inertial.force[inside],
         temperature_c=inertial.temperature_c[inside],
     )
-    found = solve(holed, track.sightings(), PLACE, trust=SURE)
-    assert found.stretches < SECONDS / 2.0
+    found = solve(holed, track.sightings(), PLACE, prior=SURE)
+    assert found.segments < SECONDS / 2.0
     assert abs(found.time_offset_s - track.flaws.time_offset_s) < 0.0005
 
 
@@ -121,7 +121,7 @@ def test_each_reason_is_told(track: Track, solution: MountSolution) -> None:
     few = replace(solution, kept=solution.kept & (np.arange(len(solution.kept)) < 90))
     assert "too little was seen" in refused(few, track)
     assert "contradict the rest" in refused(few, track)
-    assert "did not settle" in refused(replace(solution, converged=False), track)
+    assert "did not converge" in refused(replace(solution, converged=False), track)
     vague = solution.covariance.copy()
     vague[2, 2], vague[OFFSET, OFFSET] = 0.02**2, 0.005**2
     told = refused(replace(solution, covariance=vague), track)
@@ -130,7 +130,7 @@ def test_each_reason_is_told(track: Track, solution: MountSolution) -> None:
     assert "time offset is known to 5.0 ms only" in told
     assert "another" not in told
     assert "sightings miss by 6.0" in refused(replace(solution, scatter=6.0), track)
-    honest = replace(solution, trust=MountPrior())
+    honest = replace(solution, prior=MountPrior())
     assert "gyroscope disagree by +4.0 %" in refused(
         with_value(honest, GYRO_MATRIX, np.eye(3).ravel() * 0.04), track
     )

@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from calibration.mount.imu.guide import FaceGuide
-from calibration.mount.imu.inertial_result import accelerometer_calibration, gyro_calibration, mounting_line
-from calibration.mount.imu.rest import StaticInterval, find_rests
+from calibration.mount.imu.result import accelerometer_calibration, gyro_calibration, mounting_line
 from calibration.mount.imu.six_faces import (
     FACES,
     accelerometer_reasons,
@@ -24,6 +23,7 @@ from calibration.mount.imu.six_faces import (
     gyro_reasons,
     mounting_matrix,
 )
+from calibration.mount.imu.static_intervals import StaticInterval, find_static_intervals
 from calibration.mount.record.samples import ImuSamples
 from calibration.mount.record.table import canonical, read_table
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
@@ -68,7 +68,7 @@ def calibration_of(rests: list[StaticInterval]) -> InertialCalibration:
 
 
 def test_rests_are_found_between_moves() -> None:
-    rests = find_rests(lying())
+    rests = find_static_intervals(lying())
     assert len(rests) == 6
     assert all(3.0 < rest.to_s - rest.from_s < 4.0 for rest in rests)
     assert faces_down(rests, mounting_matrix(USUAL)) == list(FACES)
@@ -77,16 +77,16 @@ def test_rests_are_found_between_moves() -> None:
 def test_a_slow_tilt_without_a_jolt_makes_two_rests() -> None:
     one = lying(faces=("level",), seconds=6.0)
     step = replace(one, force=one.force + np.where(one.time_s > 4.0, 0.5, 0.0)[:, None])
-    assert len(find_rests(step)) == 2
+    assert len(find_static_intervals(step)) == 2
 
 
 def test_six_faces_give_offset_scale_and_bias() -> None:
-    rests = find_rests(lying())
+    rests = find_static_intervals(lying())
     fit, gyro = fit_accelerometer(rests), fit_gyro(rests)
     assert fit.offset == pytest.approx(OFFSET, abs=0.02)
     assert np.diag(fit.matrix @ FLAW) == pytest.approx(np.ones(3), abs=0.004)
     assert (np.abs(fit.offset - OFFSET) < 4.0 * fit.offset_std).all()
-    assert float(np.abs(fit.misses).max()) < 0.01 < float(np.abs(fit.raw_misses).max())
+    assert float(np.abs(fit.residuals).max()) < 0.01 < float(np.abs(fit.raw_residuals).max())
     assert np.array_equal(fit.matrix, fit.matrix.T)  # it turns nothing
     assert gyro.bias == pytest.approx(BIAS, abs=2e-4)
     assert gyro.temperature_c == pytest.approx(31.0)
@@ -106,12 +106,13 @@ def test_more_attitudes_give_the_skew() -> None:
 
 
 def test_what_is_not_good_enough_is_told() -> None:
-    rests = find_rests(lying(faces=("level", "nose-down", "nose-up")))
+    rests = find_static_intervals(lying(faces=("level", "nose-down", "nose-up")))
     fit = fit_accelerometer(rests)
     told = accelerometer_reasons(fit, rests, faces_down(rests, mounting_matrix(USUAL)))
     assert "never lay still on: upside-down, right-down, left-down" in told[0]
     assert (
-        "do not agree" in accelerometer_reasons(replace(fit, misses=fit.misses + 0.2), rests, list(FACES))[0]
+        "do not agree"
+        in accelerometer_reasons(replace(fit, residuals=fit.residuals + 0.2), rests, list(FACES))[0]
     )
     assert (
         "offset of 2.00"
@@ -131,7 +132,7 @@ def test_what_is_not_good_enough_is_told() -> None:
 
 @pytest.mark.parametrize("mounting", [(180.0, 0.0, 90.0), (0.0, 0.0, 0.0), (-90.0, 0.0, 180.0)])
 def test_a_wrong_mounting_is_named(mounting: tuple[float, float, float]) -> None:
-    rests = find_rests(lying(mounting))
+    rests = find_static_intervals(lying(mounting))
     fitting = fitting_mountings(list(FACES), rests)
     assert len(fitting) == 1
     assert mounting_matrix(fitting[0]) == pytest.approx(mounting_matrix(mounting), abs=1e-9)
@@ -142,7 +143,7 @@ def test_a_wrong_mounting_is_named(mounting: tuple[float, float, float]) -> None
 
 
 def test_faces_laid_down_in_another_order_say_nothing_of_the_mounting() -> None:
-    rests = find_rests(lying())
+    rests = find_static_intervals(lying())
     swapped = [rests[1], rests[0], *rests[2:]]
     assert fitting_mountings(list(FACES), swapped) == []
     assert mounting_line(list(FACES), swapped, USUAL) is None
@@ -254,7 +255,7 @@ def test_archives_are_read_or_told_in_one_line(tmp_path: Path) -> None:
 
 def test_the_driver_s_matrix_is_the_file_s_in_sensor_axes() -> None:
     mounting = (180.0, 0.0, 90.0)
-    inertial = calibration_of(find_rests(lying()))
+    inertial = calibration_of(find_static_intervals(lying()))
     assert inertial.accelerometer is not None
     counts = (1000.0, -2000.0, 3000.0)
     a = inertial.accelerometer
@@ -268,9 +269,11 @@ def test_the_driver_s_matrix_is_the_file_s_in_sensor_axes() -> None:
 
 def test_the_driver_takes_the_file_of_the_settings(tmp_path: Path) -> None:
     path = tmp_path / "inertial.yaml"
-    content = calibration_of(find_rests(lying())).model_copy(
+    content = calibration_of(find_static_intervals(lying())).model_copy(
         update={
-            "gyro": gyro_calibration(replace(fit_gyro(find_rests(lying())), bias=np.array([0.0, 0.0, 0.3])))
+            "gyro": gyro_calibration(
+                replace(fit_gyro(find_static_intervals(lying())), bias=np.array([0.0, 0.0, 0.3]))
+            )
         }
     )
     path.write_text(yaml.safe_dump(content.model_dump(mode="json")))

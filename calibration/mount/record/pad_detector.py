@@ -1,11 +1,11 @@
-"""The eyes of the mount's calibration: the app's detector and pose, but nothing that knows of gravity.
+"""Pad detection for the mount calibration: the app's detector and pose estimation, without gravity.
 
-In flight the gravity direction takes part in a pose, through the very mounting that is to be found here: its
-error would come back as an agreement. So a pose here follows from the corners alone. It may then be the
-square's other pose, and what the solver makes of sightings leaves those out.
+In flight, the pose uses the gravity direction, through the camera mounting that is the unknown here: an error
+of the mounting would confirm itself. So a pose here uses the corners only. It may then be the second solution
+of the planar pose; the solver rejects those.
 
-The last sighting, and not an estimate, says where to look; without one the whole frame is searched for all
-markers, which takes longer.
+The search region follows from the last sighting. Without one, the whole frame is searched for all markers,
+which takes longer.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ HAND_SPEED_M_S: Final = 1.0
 HAND_RATE_RAD_S: Final = 1.0
 
 
-class GravityFreeEye:
+class GravityFreePadDetector:
     """One frame in, one sighting out, in body axes by the vehicle's settings (time offset not applied)."""
 
     def __init__(self, pad: Pad, camera: CameraConfig, vehicle: VehicleConfig, config: VisionConfig) -> None:

@@ -1,4 +1,4 @@
-"""`calibrate-mount accelerometer` and `gyro`: rests in, the inertial file out. Thin, as `command` is."""
+"""`calibrate-mount accelerometer` and `gyro`: static intervals in, the IMU calibration file out."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import Annotated, Final
 import typer
 
 from calibration.command_line import RefusedError
-from calibration.mount.imu.inertial_result import (
+from calibration.mount.imu.live import six_faces_live, still_live
+from calibration.mount.imu.result import (
     accelerometer_calibration,
     accelerometer_lines,
     gyro_calibration,
     gyro_lines,
     mounting_line,
 )
-from calibration.mount.imu.rest import StaticInterval, find_rests
-from calibration.mount.imu.rests_live import six_faces_live, still_live
 from calibration.mount.imu.six_faces import (
     FACES,
     accelerometer_reasons,
@@ -29,6 +28,7 @@ from calibration.mount.imu.six_faces import (
     gyro_reasons,
     mounting_matrix,
 )
+from calibration.mount.imu.static_intervals import StaticInterval, find_static_intervals
 from calibration.mount.record.recording import inertial_of, read_log
 from calibration.mount.record.samples import ImuSamples
 from calibration.mount.record.table import read_table
@@ -40,11 +40,11 @@ from calibration.mount.shared import (
     OutputOption,
     SensorOpener,
     check_output,
+    connected_sensors,
     inertial_file,
     judge,
     new_log,
     now,
-    plugged,
     write_file,
 )
 from companion.base.messages import ImuSample
@@ -61,16 +61,16 @@ from companion.config import (
 from companion.flightlog.record import LOG_NAMES
 from companion.pad import load_pad
 
-ACCELEROMETER_HELP: Final = """Accelerometer offset, scale and skew from rests on six faces; gyroscope bias.
+ACCELEROMETER_HELP: Final = """Calibrate accelerometer offset, scale and skew on six faces, and the gyro bias.
 
-Live without LOG: it says which face to lay down, and notices by itself when the vehicle lies still. LOG
-may be a flight.mcap, or a table (CSV or .npz) of t, ax, ay, az, gx, gy, gz in the chip's own axes.
+Without LOG it works live: it says which face to lay the vehicle on, and detects when the vehicle is still.
+LOG is a flight.mcap or a table (CSV or .npz) of t, ax, ay, az, gx, gy, gz in sensor axes.
 
 \b
 calibrate-mount accelerometer -o inertial.yaml
 calibrate-mount accelerometer rests.csv -o inertial.yaml --gyro-unit deg/s
 """
-GYRO_HELP: Final = """The gyroscope's bias alone, from a rest. The accelerometer's part of the file stays.
+GYRO_HELP: Final = """Calibrate the gyro bias only, while the vehicle is still. The accelerometer part stays.
 
 \b
 calibrate-mount gyro -o inertial.yaml
@@ -82,27 +82,27 @@ GYRO_STILL_S: Final = 10.0
 LONGEST_STILL_S: Final = 120.0
 
 KeepOption = Annotated[
-    Path | None, typer.Option("--keep", help="Live: leave the samples here too.", metavar="DIR")
+    Path | None, typer.Option("--keep", help="Live: also save the samples here.", metavar="DIR")
 ]
 GyroUnitOption = Annotated[
     str | None,
-    typer.Option("--gyro-unit", help="Of a table: rad/s or deg/s; else as its header says, or rad/s."),
+    typer.Option("--gyro-unit", help="Gyro unit of a table: rad/s or deg/s. Default: as in its header."),
 ]
 ColumnsOption = Annotated[
     str | None,
-    typer.Option("--columns", help="Of a table, in order: t,ax,ay,az,gx,gy,gz; - passes over one."),
+    typer.Option("--columns", help="Columns of a table, in order: t,ax,ay,az,gx,gy,gz; - skips one."),
 ]
 RateOption = Annotated[
-    float | None, typer.Option("--rate", min=1.0, help="Samples a second of a table without a time.")
+    float | None, typer.Option("--rate", min=1.0, help="Sample rate in Hz of a table without a time column.")
 ]
 LogArgument = Annotated[
-    Path | None, typer.Argument(metavar="[LOG]", help="A recording; live without it.", show_default=False)
+    Path | None, typer.Argument(metavar="[LOG]", help="Recording. Default: live.", show_default=False)
 ]
 
 
 @dataclass(frozen=True, slots=True)
 class StaticRecording:
-    """Rests in sensor axes, where from, and for a live run what was asked for."""
+    """Static intervals in sensor axes, their source, and for a live run the faces that were asked for."""
 
     rests: list[StaticInterval]
     source: str
@@ -111,7 +111,7 @@ class StaticRecording:
     answers: tuple[StaticInterval, ...] = ()
 
     def unasked(self) -> StaticRecording:
-        """The same, whatever was asked for: the mounting is not judged."""
+        """The same without the faces asked for: the mounting is not checked."""
         return replace(self, asked=(), answers=())
 
 
@@ -121,7 +121,8 @@ def accelerometer_command(
     output: OutputOption = Path("inertial.yaml"),
     config: ConfigOption = SETTINGS,
     order: Annotated[
-        str | None, typer.Option("--order", help=f"Of LOG's rests, to check the mounting: {','.join(FACES)}.")
+        str | None,
+        typer.Option("--order", help=f"Order of the faces in LOG, to check the mounting: {','.join(FACES)}."),
     ] = None,
     columns: ColumnsOption = None,
     rate: RateOption = None,
@@ -129,7 +130,7 @@ def accelerometer_command(
     keep: KeepOption = None,
     force: ForceOption = False,
 ) -> None:
-    """Collect rests, fit, judge and write.
+    """Collect static intervals, fit, judge and write.
 
     Raises:
         ConfigError: no samples, or the file cannot be written.
@@ -138,7 +139,7 @@ def accelerometer_command(
     check_output(output)
     settings = load_config(config)
     if log is None:
-        rested = asyncio.run(faces_from(settings, keep, plugged, virtual=False))
+        rested = asyncio.run(faces_from(settings, keep, connected_sensors, virtual=False))
     else:
         rested = _rested(log, settings.sense.imu, columns, rate, gyro_unit)
         if order is not None:
@@ -200,7 +201,7 @@ def gyro_command(
     settings = load_config(config)
     before = inertial_file(output) if output.exists() else None
     if log is None:
-        rested = asyncio.run(stillness_from(settings, keep, plugged, virtual=False))
+        rested = asyncio.run(stillness_from(settings, keep, connected_sensors, virtual=False))
     else:
         rested = _rested(log, settings.sense.imu, columns, rate, gyro_unit)
     if not rested.rests:
@@ -223,31 +224,33 @@ def gyro_command(
 
 
 def _accelerometer_of(before: InertialCalibration) -> str:
-    """Where the accelerometer's part of a file is from, said once however often the bias was renewed."""
+    """The source of a file's accelerometer part, named once however often the bias was renewed."""
     _, mark, origin = before.provenance.source.partition(ACCELEROMETER_OF)
     return ACCELEROMETER_OF + (origin if mark else f"{before.provenance.source}, {before.provenance.date}")
 
 
 async def faces_from(
-    config: CompanionConfig, keep: Path | None, boards_of: SensorOpener, *, virtual: bool
+    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
 ) -> StaticRecording:
-    """Rests on six faces, live."""
+    """Static intervals on six faces, live."""
     imu = config.sense.imu
-    async with boards_of(config, False) as boards:
+    async with sensors_of(config, False) as sensors:
         with _SampleLog(config, keep, virtual=virtual) as kept:
-            samples, guide = await six_faces_live(imu, boards, typer.echo, LONGEST_FACES_S, kept.take)
-    return StaticRecording(find_rests(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests))
+            samples, guide = await six_faces_live(imu, sensors, typer.echo, LONGEST_FACES_S, kept.take)
+    return StaticRecording(
+        find_static_intervals(samples), imu.bus, imu, tuple(guide.asked), tuple(guide.rests)
+    )
 
 
 async def stillness_from(
-    config: CompanionConfig, keep: Path | None, boards_of: SensorOpener, *, virtual: bool
+    config: CompanionConfig, keep: Path | None, sensors_of: SensorOpener, *, virtual: bool
 ) -> StaticRecording:
-    """One rest, live."""
+    """One static interval, live."""
     imu = config.sense.imu
-    async with boards_of(config, False) as boards:
+    async with sensors_of(config, False) as sensors:
         with _SampleLog(config, keep, virtual=virtual) as kept:
-            samples = await still_live(imu, boards, typer.echo, GYRO_STILL_S, LONGEST_STILL_S, kept.take)
-    return StaticRecording(find_rests(samples), imu.bus, imu)
+            samples = await still_live(imu, sensors, typer.echo, GYRO_STILL_S, LONGEST_STILL_S, kept.take)
+    return StaticRecording(find_static_intervals(samples), imu.bus, imu)
 
 
 class _SampleLog:
@@ -284,12 +287,12 @@ class _SampleLog:
 def _rested(
     log: Path, imu: ImuConfig, columns: str | None, rate_hz: float | None, gyro_unit: str | None
 ) -> StaticRecording:
-    """The rests of a file."""
+    """The static intervals of a file."""
     if gyro_unit not in {None, "rad/s", "deg/s"}:
         raise ConfigError(f"--gyro-unit {gyro_unit}: expected rad/s or deg/s")
     if not log.is_dir() and log.suffix != ".mcap":
         samples = read_table(log, columns, rate_hz, gyro_unit)
-        return StaticRecording(find_rests(samples), str(log), imu)
+        return StaticRecording(find_static_intervals(samples), str(log), imu)
     file = log / LOG_NAMES[0] if log.is_dir() else log
     record = read_log(file)
     if record.rig is not None and record.rig.config.sense.source != "boards":
@@ -306,11 +309,11 @@ def _rested(
     body = inertial_of(record, file)
     turn = mounting_matrix(imu.body_from_sensor_deg)
     samples = ImuSamples(body.time_s, body.rate @ turn, body.force @ turn, body.temperature_c)
-    return StaticRecording(find_rests(samples), str(log), imu)
+    return StaticRecording(find_static_intervals(samples), str(log), imu)
 
 
 def _ordered(rested: StaticRecording, order: str) -> StaticRecording:
-    """With what was asked, as the user says it was.
+    """With the faces in the order that the user gives.
 
     Raises:
         ConfigError: a name is no face's, or there are not as many rests.

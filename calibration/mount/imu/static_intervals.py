@@ -1,8 +1,8 @@
-"""Where an inertial sensor lay still: stretches of rest in a recording.
+"""Finds the static intervals of a recording: where the IMU lay still.
 
-Pure; axes as given. A rest lasts REST_S at least; in it neither sensor scatters more than by noise and a
-table's tremble, and the specific force stays the same. Its ends, where hands let go and take hold again, are
-left out.
+Pure; axes as given. A static interval lasts at least REST_S. In it, both sensors scatter by no more than
+noise and the vibration of a table, and the specific force is constant. Both ends are cut off, because hands
+let go and take hold there.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SAME_FORCE_M_S2: Final = 0.1
 
 @dataclass(frozen=True, slots=True)
 class StaticInterval:
-    """Means of one rest: specific force (3,) m/s², rate (3,) rad/s; `samples` of them, from and to (s)."""
+    """Means over one static interval: specific force (3,) m/s², rate (3,) rad/s; `samples` is their count."""
 
     force: FloatArray
     rate: FloatArray
@@ -34,8 +34,8 @@ class StaticInterval:
     to_s: float
 
 
-def find_rests(inertial: ImuSamples) -> list[StaticInterval]:
-    """All rests of a recording, in order of time."""
+def find_static_intervals(inertial: ImuSamples) -> list[StaticInterval]:
+    """All static intervals of a recording, in order of time."""
     times = inertial.time_s
     if len(times) < 3:
         return []
@@ -54,7 +54,7 @@ def find_rests(inertial: ImuSamples) -> list[StaticInterval]:
 
 
 def _same(forces: FloatArray, begin: int, k: int) -> bool:
-    """Whether block k feels what the blocks before it felt, from `begin` on."""
+    """Whether block k measures the same force as the blocks from `begin` on."""
     return float(np.linalg.norm(forces[k] - forces[begin:k].mean(axis=0))) < SAME_FORCE_M_S2
 
 
@@ -67,7 +67,7 @@ def _still(inertial: ImuSamples, a: int, b: int) -> bool:
 
 
 def _rest(inertial: ImuSamples, edges: Indices, begin: int, end: int) -> list[StaticInterval]:
-    """The rest of blocks begin to end without its first and last, if it is long enough."""
+    """The static interval from block `begin` to `end`, without the first and last block, if long enough."""
     if (end - begin) * BLOCK_S < REST_S:
         return []
     inside = slice(int(edges[begin + 1]), int(edges[end - 1]))

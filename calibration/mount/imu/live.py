@@ -1,4 +1,4 @@
-"""Rests taken live: the inertial sensor on the bench, a person turning it. A thin shell about `FaceGuide`."""
+"""Static intervals taken live while a person turns the IMU. A thin shell around `FaceGuide`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Awaitable, Callable
 from typing import Final
 
 from calibration.mount.imu.guide import FaceGuide, ImuBuffer
-from calibration.mount.imu.rest import find_rests
 from calibration.mount.imu.six_faces import mounting_matrix
+from calibration.mount.imu.static_intervals import find_static_intervals
 from calibration.mount.record.devices import MountSensors
 from calibration.mount.record.live import read_imu, until_done
 from calibration.mount.record.samples import ImuSamples
@@ -25,12 +25,12 @@ Keep = Callable[[ImuSample, float], None]
 
 
 async def six_faces_live(
-    imu: ImuConfig, boards: MountSensors, tell: Tell, longest_s: float, keep: Keep | None = None
+    imu: ImuConfig, sensors: MountSensors, tell: Tell, longest_s: float, keep: Keep | None = None
 ) -> tuple[ImuSamples, FaceGuide]:
-    """Ask for the six faces one after another; all samples (sensor axes), and what was asked and felt.
+    """Ask for the six faces in turn; returns all samples (sensor axes), and what was asked and measured.
 
     Raises:
-        ConfigError: the sensor does not answer, or the person did not go through with it.
+        ConfigError: the sensor does not answer, or not all faces came in time.
     """
     turn = mounting_matrix(imu.body_from_sensor_deg)
     samples, guide, clock = ImuBuffer(turn), FaceGuide(turn), Clock()
@@ -48,19 +48,19 @@ async def six_faces_live(
             if (line := guide.take(samples.since(guide.after_s))) is not None:
                 tell(line)
 
-    await _with_imu(imu, boards, tell, samples, watch, keep)
+    await _with_imu(imu, sensors, tell, samples, watch, keep)
     return samples.since(-1e9), guide
 
 
 async def still_live(
     imu: ImuConfig,
-    boards: MountSensors,
+    sensors: MountSensors,
     tell: Tell,
     seconds: float,
     longest_s: float,
     keep: Keep | None = None,
 ) -> ImuSamples:
-    """Wait until it has lain still for a while; all samples (sensor axes).
+    """Wait for a static interval of `seconds`; returns all samples (sensor axes).
 
     Raises:
         ConfigError: the sensor does not answer, or is not left alone.
@@ -70,28 +70,30 @@ async def still_live(
     async def watch() -> None:
         start_s = clock.now_s()
         tell(f"leave it alone for {seconds:g} s")
-        while not any(rest.to_s - rest.from_s >= seconds for rest in find_rests(samples.since(start_s))):
+        while not any(
+            rest.to_s - rest.from_s >= seconds for rest in find_static_intervals(samples.since(start_s))
+        ):
             if clock.now_s() - start_s > longest_s:
                 raise ConfigError(
                     f"not still for {seconds:g} s within {longest_s:g} s; expected it left alone"
                 )
             await asyncio.sleep(LOOK_S)
 
-    await _with_imu(imu, boards, tell, samples, watch, keep)
+    await _with_imu(imu, sensors, tell, samples, watch, keep)
     return samples.since(-1e9)
 
 
 async def _with_imu(
     imu: ImuConfig,
-    boards: MountSensors,
+    sensors: MountSensors,
     tell: Tell,
     samples: ImuBuffer,
     watch: Callable[[], Awaitable[None]],
     keep: Keep | None,
 ) -> None:
     """Run `watch` to its end while samples come."""
-    # as the chip measures it: an earlier calibration would be taken for the chip's own
-    driver = Mpu9250(boards.imu_bus, imu)
+    # uncalibrated: an earlier calibration must not enter this one
+    driver = Mpu9250(sensors.imu_bus, imu)
     clock = Clock()
 
     def take(sample: ImuSample) -> None:

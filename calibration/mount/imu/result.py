@@ -1,4 +1,4 @@
-"""From rests to the inertial file and the lines that people read."""
+"""The IMU calibration file and the summary lines, from the fits."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.mount.imu.rest import StaticInterval
 from calibration.mount.imu.six_faces import AccelerometerFit, GyroFit, fitting_mountings, mounting_matrix
+from calibration.mount.imu.static_intervals import StaticInterval
 from companion.base.geometry import Vector3, vector3
 from companion.config import AccelerometerCalibration, GyroCalibration
 
 
 def accelerometer_calibration(fit: AccelerometerFit, faces: Sequence[str]) -> AccelerometerCalibration:
-    """What is written of the accelerometer."""
+    """The file's accelerometer part."""
     rows = np.round(fit.matrix, 6)
     return AccelerometerCalibration(
         offset_m_s2=vector3(np.round(fit.offset, 5)),
         matrix=(vector3(rows[0]), vector3(rows[1]), vector3(rows[2])),
-        residual_m_s2=round(float(np.sqrt(np.mean(fit.misses**2))), 5),
+        residual_m_s2=round(float(np.sqrt(np.mean(fit.residuals**2))), 5),
         faces=len(faces),
     )
 
 
 def gyro_calibration(fit: GyroFit) -> GyroCalibration:
-    """What is written of the gyroscope; a table's temperature may be unknown (room temperature then)."""
+    """The file's gyroscope part; if the temperature is unknown, room temperature."""
     return GyroCalibration(
         bias_rad_s=vector3(np.round(fit.bias, 7)),
         std_rad_s=round(fit.std, 7),
@@ -34,11 +34,11 @@ def gyro_calibration(fit: GyroFit) -> GyroCalibration:
 
 
 def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str]:
-    """What a person is told of the accelerometer."""
-    before, after = (float(np.sqrt(np.mean(m**2))) for m in (fit.raw_misses, fit.misses))
+    """Summary lines of the accelerometer."""
+    before, after = (float(np.sqrt(np.mean(m**2))) for m in (fit.raw_residuals, fit.residuals))
     skew = np.abs(fit.matrix - np.diag(np.diag(fit.matrix))).max()
     return [
-        f"rests         {len(fit.misses)}, faces down: {', '.join(faces)}",
+        f"rests         {len(fit.residuals)}, faces down: {', '.join(faces)}",
         f"offset        {_list(fit.offset, '+.3f')} m/s² "
         f"(standard deviations {_list(fit.offset_std, '.3f')})",
         f"scale         {_list(np.diag(fit.matrix), '.4f')} (standard deviations "
@@ -48,7 +48,7 @@ def accelerometer_lines(fit: AccelerometerFit, faces: Sequence[str]) -> list[str
 
 
 def gyro_lines(fit: GyroFit) -> list[str]:
-    """What a person is told of the gyroscope."""
+    """Summary lines of the gyroscope."""
     bias, std = np.degrees(fit.bias), math.degrees(fit.std)
     warmth = f" at {fit.temperature_c:.0f} °C" if math.isfinite(fit.temperature_c) else ""
     return [f"gyroscope     {_list(bias, '+.3f')} deg/s at rest{warmth}, changing by {std:.3f} between rests"]
@@ -57,9 +57,9 @@ def gyro_lines(fit: GyroFit) -> list[str]:
 def mounting_line(
     asked: Sequence[str], rests: Sequence[StaticInterval], configured_deg: Vector3
 ) -> str | None:
-    """What is wrong with `body_from_sensor_deg`, by what was asked and felt; None: nothing that shows.
+    """What is wrong with `body_from_sensor_deg`, by the faces asked for and measured; None: nothing found.
 
-    What fits no mounting at all are faces laid down in another order than asked: it tells nothing of that.
+    If no mounting fits, the faces came in another order than asked; that says nothing about the mounting.
     """
     fitting = fitting_mountings(asked, rests)
     now = mounting_matrix(configured_deg)

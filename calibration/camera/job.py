@@ -1,0 +1,225 @@
+"""What `calibrate-camera` does: print a board, or collect views, calibrate, judge and write."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+
+import typer
+
+from calibration.camera.board.board import CalibrationBoard, Pattern, read_dictionary
+from calibration.camera.board.printing import board_yaml, write_board
+from calibration.camera.collect.gathering import (
+    BOARD_FILE,
+    CollectedViews,
+    choose_board,
+    two_numbers,
+    views_of_photos,
+)
+from calibration.camera.collect.live import LiveOptions, capture_live
+from calibration.camera.report.result import Origin, camera_config, camera_yaml, summary_lines
+from calibration.camera.solve.adjustment import Model, UnsolvableError
+from calibration.camera.solve.quality import Assessment, assess
+from calibration.command_line import RefusedError
+from companion.base.clock import start_unix_s
+from companion.base.files import write_atomically
+from companion.base.paper import PaperName
+from companion.config import CaptureConfig, ConfigError, validate
+from companion.sense.camera.source import is_camera
+
+NAME: Final = "calibrate-camera"
+LIVE_SIZE_PX: Final = (1280, 720)
+
+
+@dataclass(frozen=True, slots=True)
+class BoardOptions:
+    """The board by the command line; None: as its file says."""
+
+    words: str | None
+    pattern: Pattern | None
+    square_mm: float | None
+    marker_mm: float | None
+    gap_mm: float | None
+    dictionary: str | None
+    legacy_pattern: bool
+
+    def chosen(self, sources: Sequence[str]) -> CalibrationBoard:
+        """The board that these options describe.
+
+        Raises:
+            ConfigError: there is no such board.
+        """
+        given = {
+            "pattern": self.pattern,
+            "square_m": None if self.square_mm is None else 1e-3 * self.square_mm,
+            "marker_m": None if self.marker_mm is None else 1e-3 * self.marker_mm,
+            "gap_m": None if self.gap_mm is None else 1e-3 * self.gap_mm,
+            "dictionary": None if self.dictionary is None else read_dictionary(self.dictionary),
+            "legacy_pattern": self.legacy_pattern or None,
+        }
+        return choose_board(self.words, {k: v for k, v in given.items() if v is not None}, sources)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraOptions:
+    """How the camera takes images; all of it goes into the camera's file."""
+
+    name: str
+    size: str | None
+    rate_hz: float
+    exposure_ms: float
+    readout_ms: float
+    gain: float | None
+    focus: float | None
+    sensor_mode: str | None
+    pixel_format: str | None
+
+    def settings(self) -> CaptureConfig:
+        """The same as the app's settings have it.
+
+        Raises:
+            ConfigError: a value is out of range.
+        """
+        width, height = LIVE_SIZE_PX if self.size is None else two_numbers(self.size, "--size")
+        mode = self.sensor_mode
+        values: dict[str, Any] = {
+            "name": self.name,
+            "width_px": width,
+            "height_px": height,
+            "rate_hz": self.rate_hz,
+            "exposure_s": 1e-3 * self.exposure_ms,
+            "readout_s": 1e-3 * self.readout_ms,
+            "gain": self.gain,
+            "focus": self.focus,
+            "sensor_mode_px": None if mode is None else two_numbers(mode, "--sensor-mode"),
+            "pixel_format": self.pixel_format,
+        }
+        return validate(CaptureConfig, values, NAME)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationJob:
+    """One run: where views come from, the distortion model, and where the results go."""
+
+    sources: Sequence[str]
+    board: BoardOptions
+    camera: CameraOptions
+    model: Model
+    most_views: int
+    output: Path
+    keep: Path | None
+    overlay: Path | None
+    serve_port: int | None
+    plots: Path | None
+    force: bool
+
+
+def print_board(options: BoardOptions, sources: Sequence[str], output: Path, paper: PaperName) -> None:
+    """Write the board's PDF, PNG and YAML.
+
+    Raises:
+        ConfigError: there is no such board, it does not fit the paper, or a file cannot be written.
+    """
+    board = options.chosen(sources)
+    for path in write_board(board, _checked(output, "--make-board"), paper):
+        typer.echo(f"{path}: {board.text}")
+
+
+def calibrate_camera(job: CalibrationJob) -> None:
+    """Collect views, calibrate, judge and write.
+
+    Raises:
+        ConfigError: the user can correct it.
+        RefusedError: the calibration is not good enough.
+    """
+    board = job.board.chosen(job.sources)
+    if not job.sources:
+        raise ConfigError("SOURCE: expected a camera (v4l2:0) or photos; or --make-board")
+    _checked(job.output, "--output")
+    _make_folder(job.keep, "--keep")
+    capture = job.camera.settings()
+    if any(is_camera(source) for source in job.sources):
+        if len(job.sources) > 1:
+            raise ConfigError(f"{' '.join(job.sources)}: expected one camera alone, or photos")
+        found = _live(job, board, capture)
+    else:
+        if job.camera.size is not None:
+            raise ConfigError("--size: only for a live camera; photos have their own size")
+        found = views_of_photos(board, [Path(s) for s in job.sources], job.keep, typer.echo)
+        sized = {"width_px": found.size_px[0], "height_px": found.size_px[1]}
+        capture = validate(CaptureConfig, {**capture.model_dump(), **sized}, found.source)
+    _finish(job, found, board, capture)
+
+
+def _live(job: CalibrationJob, board: CalibrationBoard, capture: CaptureConfig) -> CollectedViews:
+    if job.keep is not None:
+        write_atomically(job.keep / BOARD_FILE, board_yaml(board))
+    typer.echo(f"looking for {board.text}")
+    options = LiveOptions(
+        job.sources[0], capture, job.most_views, job.model, job.keep, job.overlay, job.serve_port
+    )
+    session = asyncio.run(capture_live(board, options, typer.echo))
+    return CollectedViews(session.views, session.size_px, options.source)
+
+
+def _finish(
+    job: CalibrationJob, found: CollectedViews, board: CalibrationBoard, capture: CaptureConfig
+) -> None:
+    """Calibrate from views, show the result, judge and write it."""
+    try:
+        result = assess(found.views, found.size_px, board.surface, job.model)
+    except UnsolvableError as error:
+        raise RefusedError(f"{found.source}: {error}") from error
+    for line in summary_lines(result):
+        typer.echo(line)
+    if job.plots is not None:
+        from calibration.camera.report.plots import write_plots  # noqa: PLC0415 - matplotlib is slow
+
+        write_plots(job.plots, result, board)
+        typer.echo(f"plots in {job.plots}")
+    if result.reasons and not job.force:
+        raise RefusedError("; ".join(result.reasons))
+    camera = camera_config(result, board, capture, _origin(found.source))
+    write_atomically(job.output, camera_yaml(camera))
+    for reason in result.reasons:
+        typer.echo(f"not good enough: {reason}")
+    typer.echo(_verdict(result, job.output))
+
+
+def _verdict(result: Assessment, output: Path) -> str:
+    if result.reasons:
+        return f"{output}: written by force"
+    return f"{output}: good; name it in the app's settings: camera: {output}"
+
+
+def _origin(source: str) -> Origin:
+    date = datetime.fromtimestamp(start_unix_s(virtual=True), UTC).isoformat(timespec="seconds")
+    try:
+        version = metadata.version("companion")
+    except metadata.PackageNotFoundError:
+        version = "unknown"
+    return Origin(f"{NAME} {version}", source, date)
+
+
+def _checked(path: Path, option: str) -> Path:
+    """Check before the work that its result can be written after it."""
+    if path.is_dir() or not path.parent.is_dir():
+        raise ConfigError(f"{option} {path}: expected a file in an existing folder")
+    return path
+
+
+def _make_folder(folder: Path | None, option: str) -> None:
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{option} {folder}: cannot be made: {error.strerror}") from error
+    # an earlier attempt that took no picture has left its board there
+    if any(path.name != BOARD_FILE for path in folder.iterdir()):
+        raise ConfigError(f"{option} {folder}: holds files already; expected a new or empty folder")
