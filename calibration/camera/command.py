@@ -16,7 +16,7 @@ from calibration.camera.collect.gathering import DEFAULT_BOARD
 from calibration.camera.job import (
     NAME,
     BoardOptions,
-    CalibrationJob,
+    CameraCalibrationJob,
     CameraOptions,
     calibrate_camera,
     print_board,
@@ -158,7 +158,9 @@ def command(
         name or output.stem, size, rate, exposure_ms, readout_ms, gain, focus, sensor_mode, pixel_format
     )
     calibrate_camera(
-        CalibrationJob(given, shown, camera, model, views, output, keep, overlay, serve, plots, force=force)
+        CameraCalibrationJob(
+            given, shown, camera, model, views, output, keep, overlay, serve, plots, force=force
+        )
     )
 
 

@@ -28,7 +28,7 @@ from calibration.camera.solve.quality import Assessment, assess
 from calibration.command_line import RefusedError
 from companion.base.clock import start_unix_s
 from companion.base.files import write_atomically
-from companion.base.paper import PaperName
+from companion.base.printing.paper import PaperName
 from companion.config import CaptureConfig, ConfigError, validate
 from companion.sense.camera.source import is_camera
 
@@ -103,7 +103,7 @@ class CameraOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationJob:
+class CameraCalibrationJob:
     """One run: where views come from, the distortion model, and where the results go."""
 
     sources: Sequence[str]
@@ -130,7 +130,7 @@ def print_board(options: BoardOptions, sources: Sequence[str], output: Path, pap
         typer.echo(f"{path}: {board.text}")
 
 
-def calibrate_camera(job: CalibrationJob) -> None:
+def calibrate_camera(job: CameraCalibrationJob) -> None:
     """Collect views, calibrate, judge and write.
 
     Raises:
@@ -156,7 +156,7 @@ def calibrate_camera(job: CalibrationJob) -> None:
     _finish(job, found, board, capture)
 
 
-def _live(job: CalibrationJob, board: CalibrationBoard, capture: CaptureConfig) -> CollectedViews:
+def _live(job: CameraCalibrationJob, board: CalibrationBoard, capture: CaptureConfig) -> CollectedViews:
     if job.keep is not None:
         write_atomically(job.keep / BOARD_FILE, board_yaml(board))
     typer.echo(f"looking for {board.text}")
@@ -168,7 +168,7 @@ def _live(job: CalibrationJob, board: CalibrationBoard, capture: CaptureConfig) 
 
 
 def _finish(
-    job: CalibrationJob, found: CollectedViews, board: CalibrationBoard, capture: CaptureConfig
+    job: CameraCalibrationJob, found: CollectedViews, board: CalibrationBoard, capture: CaptureConfig
 ) -> None:
     """Calibrate from views, show the result, judge and write it."""
     try:

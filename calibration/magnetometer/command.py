@@ -8,7 +8,12 @@ from typing import Annotated, Final
 import typer
 
 from calibration.command_line import run
-from calibration.magnetometer.job import PROGRAM, CalibrationJob, SampleSource, calibrate_magnetometer
+from calibration.magnetometer.job import (
+    PROGRAM,
+    MagnetometerCalibrationJob,
+    SampleSource,
+    calibrate_magnetometer,
+)
 
 HELP: Final = """Calibrate a magnetometer (hard and soft iron): live, or from a recording of a rotation.
 
@@ -124,7 +129,7 @@ def calibrate_command(
     source = SampleSource(recording, columns, unit, sensor, bus, connect, time_limit_s, serve)
     picture = None if no_plot else plot or output.with_suffix(".png")
     calibrate_magnetometer(
-        CalibrationJob(source, config, position, date, align, fit, output, picture, force=force)
+        MagnetometerCalibrationJob(source, config, position, date, align, fit, output, picture, force=force)
     )
 
 

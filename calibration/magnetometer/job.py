@@ -50,7 +50,7 @@ class SampleSource:
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationJob:
+class MagnetometerCalibrationJob:
     """One run: samples, the reference field, how to fit, and where the results go."""
 
     source: SampleSource
@@ -64,7 +64,7 @@ class CalibrationJob:
     force: bool
 
 
-def calibrate_magnetometer(job: CalibrationJob) -> None:
+def calibrate_magnetometer(job: MagnetometerCalibrationJob) -> None:
     """Read or collect, calibrate, judge and write.
 
     Raises:
@@ -90,7 +90,7 @@ def calibrate_magnetometer(job: CalibrationJob) -> None:
     _write(done, job, console)
 
 
-def _check_outputs(job: CalibrationJob) -> None:
+def _check_outputs(job: MagnetometerCalibrationJob) -> None:
     """Check before anybody turns a vehicle for minutes."""
     _check_writable("--output", job.output)
     if job.picture is not None:
@@ -101,7 +101,7 @@ def _check_outputs(job: CalibrationJob) -> None:
 
 
 def _samples(
-    job: CalibrationJob,
+    job: MagnetometerCalibrationJob,
     sensor: Sensor,
     field: TrueField | None,
     settings: CompanionConfig,
@@ -167,7 +167,7 @@ def _calibrated(
         raise RefusedError(f"{taken.source}: {error}") from error
 
 
-def _write(done: Calibrated, job: CalibrationJob, console: Console) -> None:
+def _write(done: Calibrated, job: MagnetometerCalibrationJob, console: Console) -> None:
     file = done.file
     refused = file.quality.verdict == "refused"
     problem = _draw(done, job.picture, console)
