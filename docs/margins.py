@@ -16,14 +16,14 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
 from companion.control.response.margins import DOWN, SIDEWAYS, MarginCase, loop_transfer, margins
 
 mpl.use("Agg")
 
 VEHICLE: Final = "x500"
-LOOPS: Final[tuple[tuple[Manner, Kind], ...]] = (
+LOOPS: Final[tuple[tuple[AutopilotKind, Kind], ...]] = (
     ("px4", "acceleration"),
     ("px4", "attitude"),
     ("ardupilot", "attitude"),
@@ -43,21 +43,24 @@ def main() -> None:
     figure = Figure(figsize=(11, 4.2), layout="constrained")
     turn = np.linspace(0.0, 2.0 * math.pi, 200)
     print("| loop | phase margin | delay margin | gain margin up / down | crossover |\n|---|---|---|---|---|")
-    for plot, (manner, kind) in zip(figure.subplots(1, len(LOOPS)), LOOPS, strict=True):
+    for plot, (autopilot_kind, kind) in zip(figure.subplots(1, len(LOOPS)), LOOPS, strict=True):
         plot.plot(np.cos(turn), np.sin(turn), color="#bbbbbb", lw=0.8)
         for name, axis in AXES.items():
-            response = vehicle.responses.of(manner, kind)
+            response = vehicle.responses.of(autopilot_kind, kind)
             along = response.sideways if axis == SIDEWAYS else response.down
-            w, L = loop_transfer(MarginCase(ControlConfig(setpoint=kind), vehicle, manner, axis, along))
+            w, L = loop_transfer(
+                MarginCase(ControlConfig(setpoint=kind), vehicle, autopilot_kind, axis, along)
+            )
             found = margins(w, L)
             plot.plot(L.real, L.imag, color=COLOURS[name], label=f"{name}: {found.phase_deg:.0f} deg")
             print(
-                f"| {manner} {kind}, {name} | {found.phase_deg:.0f} deg | {1e3 * found.delay_s:.0f} ms "
+                f"| {autopilot_kind} {kind}, {name} | "
+                f"{found.phase_deg:.0f} deg | {1e3 * found.delay_s:.0f} ms "
                 f"| {_db(found.gain_up)} / {_db(found.gain_down)} | {found.crossover_rad_s:.1f} rad/s |"
             )
         plot.plot(-1.0, 0.0, "+", color="#c0392b", ms=10)
         plot.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal", xlabel="Re L", ylabel="Im L")
-        plot.set_title(f"{manner}, {kind}")
+        plot.set_title(f"{autopilot_kind}, {kind}")
         plot.legend(loc="upper right", fontsize=8)
         plot.grid(visible=True, lw=0.3)
     figure.savefig(folder / "margins.png", dpi=110)

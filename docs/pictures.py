@@ -2,7 +2,7 @@
 
     python -m docs.pictures flights/circle --to docs/images
 
-reads flights/circle/flight.mcap and writes landing.png, the flight's path in three dimensions (the manner
+reads flights/circle/flight.mcap and writes landing.png, the flight's path in three dimensions (in the style
 of the paper's Fig. 14), and view.png, what the camera sees of the pad from 7 m, 2 m and 0.5 m with the
 markers that the pose was fitted to. NED, metres; drawn with up upwards.
 """

@@ -228,12 +228,19 @@ class App:
 
     def _control(self) -> Controller:
         if self._controller is None:
-            manner, setup = self.session.state.manner or "px4", self.session.setup or AutopilotSetup()
-            self._controller = Controller(
-                self._config.control, self._vehicle, self._clock.now_s, manner=manner, setup=setup
+            autopilot_kind, setup = (
+                self.session.state.autopilot_kind or "px4",
+                self.session.setup or AutopilotSetup(),
             )
-            flown = resolved(self._config.control, manner)
-            for misfit in misfits(flown, self._vehicle, setup, manner):
+            self._controller = Controller(
+                self._config.control,
+                self._vehicle,
+                self._clock.now_s,
+                autopilot_kind=autopilot_kind,
+                setup=setup,
+            )
+            flown = resolved(self._config.control, autopilot_kind)
+            for misfit in misfits(flown, self._vehicle, setup, autopilot_kind):
                 self._notice("setup", misfit, "warning")
         return self._controller
 

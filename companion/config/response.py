@@ -88,6 +88,6 @@ class Responses(StrictModel):
     px4: AutopilotResponses = PX4
     ardupilot: AutopilotResponses = ARDUPILOT
 
-    def of(self, manner: Literal["px4", "ardupilot"], kind: Kind) -> KindResponse:
+    def of(self, autopilot_kind: Literal["px4", "ardupilot"], kind: Kind) -> KindResponse:
         """That under one autopilot by one kind of setpoint."""
-        return (self.px4 if manner == "px4" else self.ardupilot).of(kind)
+        return (self.px4 if autopilot_kind == "px4" else self.ardupilot).of(kind)

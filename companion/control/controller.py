@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
 from companion.base.messages import (
     AutopilotSetup,
     ControlReport,
-    Manner,
     PadState,
     PlanStep,
     Reference,
@@ -81,26 +81,30 @@ class Controller:
         config: ControlConfig,
         vehicle: VehicleConfig,
         stopwatch: Callable[[], float] | None = None,
-        manner: Manner = "px4",
+        autopilot_kind: AutopilotKind = "px4",
         setup: AutopilotSetup | None = None,
     ) -> None:
-        """`manner` is that of the autopilot that will obey, `setup` what its parameters say.
+        """`autopilot_kind` is that of the autopilot that will obey, `setup` what its parameters say.
 
         `stopwatch` gives seconds, to bound the solver's.
 
         In virtual time it does not advance while the solver works: then iterations alone bound it.
         """
         setup = setup or AutopilotSetup()
-        config = resolved(config, manner)
-        vehicle = vehicle.model_copy(update={"hover_thrust": hover_thrust(vehicle, setup, manner)})
-        response = vehicle.responses.of(manner, flown_kind(config))
+        config = resolved(config, autopilot_kind)
+        vehicle = vehicle.model_copy(update={"hover_thrust": hover_thrust(vehicle, setup, autopilot_kind)})
+        response = vehicle.responses.of(autopilot_kind, flown_kind(config))
         self._config = config = fitted(config, response, setup)
-        self._lags_s = lags(vehicle, config, manner)
-        self._raises_thrust = manner == "ardupilot"  # by the tilt it flies, besides what an attitude asks for
+        self._lags_s = lags(vehicle, config, autopilot_kind)
+        self._raises_thrust = (
+            autopilot_kind == "ardupilot"
+        )  # by the tilt it flies, besides what an attitude asks for
         self._stopwatch = stopwatch or (lambda: 0.0)
         self._tracker = make_tracker(config, self._lags_s, self._stopwatch)
-        self._plant = Plant(config, vehicle, self._lags_s, manner)
-        self._gains_1_s = velocity_gains(vehicle, config, manner, sideways=config.setpoint == "velocity")
+        self._plant = Plant(config, vehicle, self._lags_s, autopilot_kind)
+        self._gains_1_s = velocity_gains(
+            vehicle, config, autopilot_kind, sideways=config.setpoint == "velocity"
+        )
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)

@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, norm, subtract
-from companion.base.messages import Manner, PadState, Setpoint
+from companion.base.messages import PadState, Setpoint
 from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.attitude import (
@@ -36,7 +37,7 @@ class Heading:
     rate_rad_s: float = 0.0
 
 
-def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
+def resolved(config: ControlConfig, autopilot_kind: AutopilotKind) -> ControlConfig:
     """Settings in which the kind of setpoint is the one that this autopilot gets.
 
     PX4 skips its horizontal velocity loop for a setpoint without such a velocity; that loop's integral and
@@ -48,7 +49,7 @@ def resolved(config: ControlConfig, manner: Manner) -> ControlConfig:
     if kind == "auto" and config.controller == "pid":
         kind = "velocity"  # its gains are tuned for the autopilot's velocity loop below it
     elif kind in ("auto", "acceleration"):
-        kind = "acceleration" if manner == "px4" else "attitude"
+        kind = "acceleration" if autopilot_kind == "px4" else "attitude"
     return config.model_copy(update={"setpoint": kind})
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from companion.base.messages import AutopilotSetup, Manner
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotSetup
 from companion.link.parameters import ParameterRequest, ParameterRequests
 
-NAMES: Final[dict[Manner, tuple[str, ...]]] = {
+NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
     "px4": ("MPC_TILTMAX_AIR", "MPC_THR_HOVER"),
     "ardupilot": ("ANGLE_MAX", "WPNAV_ACCEL", "PSC_JERK_XY", "MOT_THST_HOVER"),
 }
@@ -19,25 +20,25 @@ class SetupReader:
 
     def __init__(self, requests: ParameterRequests) -> None:
         self._requests = requests
-        self._manner: Manner | None = None
+        self._autopilot_kind: AutopilotKind | None = None
         self._asked: dict[str, ParameterRequest] = {}
 
-    def begin(self, manner: Manner | None) -> None:
+    def begin(self, autopilot_kind: AutopilotKind | None) -> None:
         """An autopilot has been received; another one is asked again."""
-        if manner is None or manner == self._manner:
+        if autopilot_kind is None or autopilot_kind == self._autopilot_kind:
             return
-        self._manner = manner
-        self._asked = {name: ParameterRequest(name) for name in NAMES[manner]}
+        self._autopilot_kind = autopilot_kind
+        self._asked = {name: ParameterRequest(name) for name in NAMES[autopilot_kind]}
         for request in self._asked.values():
             self._requests.submit(request)
 
     @property
     def setup(self) -> AutopilotSetup | None:
         """What is known of it; a parameter that it does not have is unknown."""
-        if self._manner is None or any(request.outcome is None for request in self._asked.values()):
+        if self._autopilot_kind is None or any(request.outcome is None for request in self._asked.values()):
             return None
         value = {name: request.value for name, request in self._asked.items()}
-        if self._manner == "px4":
+        if self._autopilot_kind == "px4":
             return AutopilotSetup(tilt_deg=value["MPC_TILTMAX_AIR"], hover_thrust=value["MPC_THR_HOVER"])
         return AutopilotSetup(
             tilt_deg=_scaled(value["ANGLE_MAX"]),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 
 PX4_MODES: Final[dict[str, tuple[int, int]]] = {  # main and sub mode (px4_custom_mode.h)
     "MANUAL": (1, 0),
@@ -41,13 +41,13 @@ ARDUCOPTER_MODES: Final[dict[str, int]] = {  # COPTER_MODE
     "GUIDED_NOGPS": 20,
     "SMART_RTL": 21,
 }
-CONTROL_MODE: Final[dict[Manner, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
+CONTROL_MODE: Final[dict[AutopilotKind, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
 # ArduPilot's LOITER reads the pilot's sticks, and without a radio it sinks: BRAKE stops and holds
-HOLD_MODE: Final[dict[Manner, str]] = {"px4": "AUTO.LOITER", "ardupilot": "BRAKE"}
-LAND_MODE: Final[dict[Manner, str]] = {"px4": "AUTO.LAND", "ardupilot": "LAND"}
+HOLD_MODE: Final[dict[AutopilotKind, str]] = {"px4": "AUTO.LOITER", "ardupilot": "BRAKE"}
+LAND_MODE: Final[dict[AutopilotKind, str]] = {"px4": "AUTO.LAND", "ardupilot": "LAND"}
 
 # flown by hand: once one of these is received, another pilot has the vehicle
-STICK_MODES: Final[dict[Manner, frozenset[str]]] = {
+STICK_MODES: Final[dict[AutopilotKind, frozenset[str]]] = {
     "px4": frozenset({"MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED"}),
     "ardupilot": frozenset({"STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "POSHOLD"}),
 }
@@ -56,29 +56,29 @@ _PX4_NAMES: Final = {(main << 16) | (sub << 24): name for name, (main, sub) in P
 _ARDUCOPTER_NAMES: Final = {number: name for name, number in ARDUCOPTER_MODES.items()}
 
 
-def custom_mode(manner: Manner, mode: str) -> int:
+def custom_mode(autopilot_kind: AutopilotKind, mode: str) -> int:
     """HEARTBEAT.custom_mode of a named mode.
 
     Raises:
         KeyError: the autopilot has no such mode.
     """
-    if manner == "ardupilot":
+    if autopilot_kind == "ardupilot":
         return ARDUCOPTER_MODES[mode]
     main, sub = PX4_MODES[mode]
     return (main << 16) | (sub << 24)
 
 
-def mode_name(manner: Manner, mode: int) -> str:
+def mode_name(autopilot_kind: AutopilotKind, mode: int) -> str:
     """Name of HEARTBEAT.custom_mode; "mode N" when it is none of the tables'."""
-    if manner == "ardupilot":
+    if autopilot_kind == "ardupilot":
         return _ARDUCOPTER_NAMES.get(mode, f"mode {mode}")
     # only PX4's POSCTL and VTOL modes use sub modes outside AUTO: they fall back to their main mode
     return _PX4_NAMES.get(mode) or _PX4_NAMES.get(mode & 0xFF0000, f"mode {mode}")
 
 
-def mode_parameters(manner: Manner, mode: str) -> tuple[float, float, float]:
+def mode_parameters(autopilot_kind: AutopilotKind, mode: str) -> tuple[float, float, float]:
     """The first three parameters of MAV_CMD_DO_SET_MODE: custom mode enabled, mode, PX4's sub mode."""
-    if manner == "ardupilot":
+    if autopilot_kind == "ardupilot":
         return (1.0, float(ARDUCOPTER_MODES[mode]), 0.0)
     main, sub = PX4_MODES[mode]
     return (1.0, float(main), float(sub))

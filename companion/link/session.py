@@ -185,10 +185,10 @@ class Session:
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
             if self._reads_setup:
-                self._setup.begin(self.state.manner)
-            self._rates.want(OWN_RATES_HZ.get(self.state.manner, {}))
+                self._setup.begin(self.state.autopilot_kind)
+            self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}))
             if self.onboard is not None:
-                self.onboard.heartbeat(self.state.manner, now_s)
+                self.onboard.heartbeat(self.state.autopilot_kind, now_s)
                 self._rates.want(self.onboard.rates_hz())
 
     def take_samples(self) -> list[Sample]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import mavlink
 
 TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
@@ -20,7 +20,7 @@ TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
 }
 # what one make alone sends
-OWN_RATES_HZ: Final[dict[Manner | None, dict[int, float]]] = {
+OWN_RATES_HZ: Final[dict[AutopilotKind | None, dict[int, float]]] = {
     "ardupilot": {mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0},
 }
 _WINDOW_S: Final = 2.0

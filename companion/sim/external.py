@@ -34,7 +34,7 @@ class External:
             return None
         if autopilot != "external":
             raise ConfigError(
-                f"--autopilot {autopilot}: expected external; the bundled one's manners are the scenario's "
+                f"--autopilot {autopilot}: expected external; the bundled one's profile is the scenario's "
                 "'autopilot: px4' or 'autopilot: ardupilot'"
             )
         if connect is None:

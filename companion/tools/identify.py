@@ -18,8 +18,9 @@ from mcap.records import Channel, Message, Metadata
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
-from companion.base.messages import Manner, Phase
+from companion.base.messages import Phase
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
 from companion.control.response.flight_model import lags, velocity_gains
 from companion.control.response.identification import (
@@ -58,13 +59,13 @@ DIRECTIONS: Final[dict[str, tuple[int, ...]]] = {"sideways": (0, 1), "down": (2,
 class IdentificationLog:
     """What the log says: the settings that were flown with, and messages by topic in their order.
 
-    `control.setpoint` is the kind that was sent, and `manner` whose autopilot it was sent to.
+    `control.setpoint` is the kind that was sent, and `autopilot_kind` whose autopilot it was sent to.
     """
 
     control: ControlConfig
     vehicle: VehicleConfig
     messages: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    manner: Manner = "px4"
+    autopilot_kind: AutopilotKind = "px4"
 
     @property
     def by_attitude(self) -> bool:
@@ -74,8 +75,8 @@ class IdentificationLog:
     def starting_points(self) -> dict[str, IdentifiedResponse]:
         """The responses that the settings assume."""
         by_velocity = self.control.setpoint == "velocity"
-        gains = velocity_gains(self.vehicle, self.control, self.manner, sideways=by_velocity)
-        tau = lags(self.vehicle, self.control, self.manner)
+        gains = velocity_gains(self.vehicle, self.control, self.autopilot_kind, sideways=by_velocity)
+        tau = lags(self.vehicle, self.control, self.autopilot_kind)
         return {name: IdentifiedResponse(gains[axes[0]], tau[axes[0]]) for name, axes in DIRECTIONS.items()}
 
 
@@ -140,8 +141,10 @@ def read_flight(path: Path) -> IdentificationLog:
     vehicle = validate(VehicleConfig, json.loads(settings["vehicle"]), f"{path}: vehicle")
     # in a flight by `auto` the setpoints show whose autopilot it was: PX4 is sent no attitudes then
     by_attitude = any(row.get("attitude") is not None for row in messages["/setpoint"])
-    manner: Manner = "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
-    return IdentificationLog(resolved(config.control, manner), vehicle, messages, manner)
+    autopilot_kind: AutopilotKind = (
+        "ardupilot" if by_attitude and config.control.setpoint == "auto" else "px4"
+    )
+    return IdentificationLog(resolved(config.control, autopilot_kind), vehicle, messages, autopilot_kind)
 
 
 def flown(record: IdentificationLog, path: Path) -> ResponseRecord:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -20,13 +20,13 @@ _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 class FirmwareSpec:
     """A SITL build: `px4` (build/px4_sitl_default/bin/px4) or `arducopter` (build/sitl/bin/arducopter)."""
 
-    kind: Manner
+    kind: AutopilotKind
     path: Path
     parameters: tuple[tuple[str, float], ...] = ()  # over those that make it fit the vehicle
 
     @classmethod
     def of(
-        cls, kind: Manner | None, path: Path | None, parameters: Sequence[str] = ()
+        cls, kind: AutopilotKind | None, path: Path | None, parameters: Sequence[str] = ()
     ) -> FirmwareSpec | None:
         """From the command line's options (parameters as NAME=VALUE); None without any.
 

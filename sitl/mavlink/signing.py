@@ -14,7 +14,7 @@ import hmac
 from pathlib import Path
 from typing import Any, Final
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from companion.link.codec import SIGNATURE_BYTES
 from sitl.mavlink.framing import MavFrame, dialect
@@ -25,7 +25,7 @@ STAMPS_PER_S: Final = 100_000
 _NEW_STREAM_MAY_LAG: Final = 60 * STAMPS_PER_S
 _TAG_BYTES: Final = 6
 _LAST_STAMP: Final = (1 << 48) - 1
-UNSIGNED: Final[dict[Manner, frozenset[int]]] = {
+UNSIGNED: Final[dict[AutopilotKind, frozenset[int]]] = {
     "px4": frozenset(
         {
             dialect.MAVLINK_MSG_ID_HEARTBEAT,
@@ -63,7 +63,7 @@ def read_key(path: Path) -> bytes:
 class Signing:
     """Checks and creates signatures; without a key all frames pass and none is signed."""
 
-    def __init__(self, autopilot: Manner, key: bytes | None = None) -> None:
+    def __init__(self, autopilot: AutopilotKind, key: bytes | None = None) -> None:
         self._unsigned = UNSIGNED[autopilot]
         self._last: dict[tuple[int, int, int], int] = {}
         self.key = key

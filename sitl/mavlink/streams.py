@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.framing import dialect
 
 mavlink: Any = dialect
@@ -41,7 +41,7 @@ DEFAULT_RATES_HZ: Final[dict[int, float]] = {
 
 
 # of REQUEST_DATA_STREAM (MAV_DATA_STREAM), as ArduCopter 4.6 groups its messages
-STREAM_GROUPS: Final[dict[Manner, dict[int, tuple[int, ...]]]] = {
+STREAM_GROUPS: Final[dict[AutopilotKind, dict[int, tuple[int, ...]]]] = {
     "px4": {},
     "ardupilot": {
         mavlink.MAV_DATA_STREAM_RAW_SENSORS: (
@@ -77,7 +77,7 @@ STREAM_GROUPS: Final[dict[Manner, dict[int, tuple[int, ...]]]] = {
 }
 
 
-def grouped_messages(autopilot: Manner, group: int) -> tuple[int, ...]:
+def grouped_messages(autopilot: AutopilotKind, group: int) -> tuple[int, ...]:
     """Message ids of a MAV_DATA_STREAM; none when the autopilot does not know it."""
     groups = STREAM_GROUPS[autopilot]
     if group == mavlink.MAV_DATA_STREAM_ALL:

@@ -10,8 +10,9 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
-from companion.base.messages import LandedState, Manner
+from companion.base.messages import LandedState
 from sitl.autopilot import AttitudeSetpoint, SimulatedAutopilot
 from sitl.mavlink import mission_protocol
 from sitl.mavlink.framing import dialect
@@ -283,7 +284,7 @@ BUILDERS: Final[dict[int, Builder]] = {
     mavlink.MAVLINK_MSG_ID_RC_CHANNELS: rc_channels,
     mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
 }
-OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
+OWN_BUILDERS: Final[dict[AutopilotKind, dict[int, Builder]]] = {
     "px4": {
         mavlink.MAVLINK_MSG_ID_ALTITUDE: altitude,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
@@ -292,6 +293,6 @@ OWN_BUILDERS: Final[dict[Manner, dict[int, Builder]]] = {
 }
 
 
-def builders_of(autopilot: Manner) -> dict[int, Builder]:
+def builders_of(autopilot: AutopilotKind) -> dict[int, Builder]:
     """The messages of one autopilot, its sensors' apart."""
     return BUILDERS | OWN_BUILDERS[autopilot]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import Shape, StrictModel, find_file, load_model
 from sitl.autopilot.control.estimator import EstimatorName
 from sitl.autopilot.control.rate_control import RateGains
@@ -131,7 +131,7 @@ class Scenario(StrictModel):
     name: str = Field(min_length=1)
     description: str = Field(min_length=1)
     time_limit_s: float = Field(default=120.0, ge=5.0, le=900.0)
-    autopilot: Manner = "px4"
+    autopilot: AutopilotKind = "px4"
     airframe: str = "x500"
     estimator: EstimatorName = "typical"
     mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)

@@ -50,9 +50,9 @@ STEPS = st.lists(st.tuples(MESSAGES, st.integers(0, 1), st.floats(0.0, 3.0)), ma
 
 
 @settings(max_examples=60, deadline=None)
-@given(manner=MANNER, steps=STEPS)
-def test_any_conversation_over_two_links_is_survived(manner: Any, steps: Steps) -> None:
-    store = MissionStore(PROFILES[manner].mission)
+@given(autopilot_kind=MANNER, steps=STEPS)
+def test_any_conversation_over_two_links_is_survived(autopilot_kind: Any, steps: Steps) -> None:
+    store = MissionStore(PROFILES[autopilot_kind].mission)
     links = (MissionProtocol(store), MissionProtocol(store))
     us, now_s = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), 0.0
     for message, index, later_s in steps:
@@ -67,11 +67,11 @@ def test_any_conversation_over_two_links_is_survived(manner: Any, steps: Steps) 
 
 
 @settings(max_examples=40, deadline=None)
-@given(manner=MANNER, count=st.integers(1, 4), lost=LOSSES)
+@given(autopilot_kind=MANNER, count=st.integers(1, 4), lost=LOSSES)
 def test_an_upload_with_losses_ends_complete_or_is_given_up(
-    manner: Any, count: int, lost: list[bool]
+    autopilot_kind: Any, count: int, lost: list[bool]
 ) -> None:
-    store = MissionStore(PROFILES[manner].mission)
+    store = MissionStore(PROFILES[autopilot_kind].mission)
     link = MissionProtocol(store)
     us, now_s = mavlink.MAVLink(None, srcSystem=255, srcComponent=190), 0.0
     drops = iter(lost)
@@ -91,6 +91,6 @@ def test_an_upload_with_losses_ends_complete_or_is_given_up(
                 )
     heights, whole = [item.z for item in store.items], [5.0 + number for number in range(count)]
     # only an autopilot that writes in place may be left with a part
-    assert heights in ([], whole) or (manner == "ardupilot" and heights == whole[: len(heights)])
+    assert heights in ([], whole) or (autopilot_kind == "ardupilot" and heights == whole[: len(heights)])
     if not any(lost):
         assert len(store) == count

@@ -180,14 +180,14 @@ class AutopilotCompass:
         if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
             self._transport.write(self._codec.encode(heartbeat()))
-        manner, system_id = self._telemetry.manner, self._telemetry.system_id
-        if manner is None:
+        autopilot_kind, system_id = self._telemetry.autopilot_kind, self._telemetry.system_id
+        if autopilot_kind is None:
             return
         if not self._asked:
             self._asked = True
             place = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-            self._rates.want({IMU_MESSAGES[manner][0]: _RATE_HZ, place: _PLACE_RATE_HZ})
-            for name in NAMES[manner]:
+            self._rates.want({IMU_MESSAGES[autopilot_kind][0]: _RATE_HZ, place: _PLACE_RATE_HZ})
+            for name in NAMES[autopilot_kind]:
                 self._parameters.submit(ParameterRequest(name))
         for message_id, rate_hz in self._rates.to_ask(now_s):
             ask = set_message_interval(message_id, rate_hz, system_id).message(0)

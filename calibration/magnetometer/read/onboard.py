@@ -18,8 +18,8 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
-from companion.base.messages import Manner
 
 UT_PER_MGAUSS: Final = 0.1
 UT_PER_GAUSS: Final = 100.0
@@ -28,7 +28,7 @@ _ELEMENTS: Final = ((0, 1), (0, 2), (1, 2))
 # a rotation that leaves the axes as they are: none, or "internal: the board's"
 _UNROTATED: Final = (-1.0, 0.0)
 
-NAMES: Final[dict[Manner, tuple[str, ...]]] = {
+NAMES: Final[dict[AutopilotKind, tuple[str, ...]]] = {
     "ardupilot": (
         *(f"COMPASS_{kind}_{axis}" for kind in ("OFS", "DIA", "ODI") for axis in _AXES),
         "COMPASS_SCALE",
@@ -44,7 +44,7 @@ NAMES: Final[dict[Manner, tuple[str, ...]]] = {
 class Onboard:
     """heard = matrix @ (raw + offset_ut), and the parameters that say so."""
 
-    manner: Manner
+    autopilot_kind: AutopilotKind
     matrix: FloatArray
     offset_ut: FloatArray
     parameters: dict[str, float]
@@ -59,10 +59,10 @@ class Onboard:
         return matrix @ np.linalg.inv(self.matrix), self.matrix @ (centre + self.offset_ut)
 
 
-def onboard_of(manner: Manner, parameters: Mapping[str, float]) -> Onboard | None:
+def onboard_of(autopilot_kind: AutopilotKind, parameters: Mapping[str, float]) -> Onboard | None:
     """By an autopilot's parameters; None when they do not say what it does."""
-    used = {name: parameters[name] for name in NAMES[manner] if name in parameters}
-    if manner == "ardupilot":
+    used = {name: parameters[name] for name in NAMES[autopilot_kind] if name in parameters}
+    if autopilot_kind == "ardupilot":
         offset, unit = [used.get(f"COMPASS_OFS_{axis}") for axis in _AXES], UT_PER_MGAUSS
         diagonal = [used.get(f"COMPASS_DIA_{axis}", 1.0) for axis in _AXES]
         if not any(diagonal):  # as ArduPilot has it: none
@@ -75,16 +75,18 @@ def onboard_of(manner: Manner, parameters: Mapping[str, float]) -> Onboard | Non
         rest, factor = [used.get(f"CAL_MAG0_{axis}ODIAG", 0.0) for axis in _AXES], 1.0
     known = [value for value in offset if value is not None]
     matrix = factor * _symmetric(diagonal, rest)
-    turned = manner == "px4" and used.get("CAL_MAG0_ROT", 0.0) not in _UNROTATED
+    turned = autopilot_kind == "px4" and used.get("CAL_MAG0_ROT", 0.0) not in _UNROTATED
     if len(known) < 3 or turned or np.linalg.det(matrix) <= 0.0:
         return None
-    return Onboard(manner, matrix, unit * np.array(known), used)
+    return Onboard(autopilot_kind, matrix, unit * np.array(known), used)
 
 
-def parameters_for(manner: Manner, matrix: FloatArray, centre_ut: FloatArray) -> dict[str, float]:
+def parameters_for(
+    autopilot_kind: AutopilotKind, matrix: FloatArray, centre_ut: FloatArray
+) -> dict[str, float]:
     """The parameters that have the autopilot reckon `matrix (raw - centre)`: a symmetric matrix, µT."""
     rest = [float(matrix[i, j]) for i, j in _ELEMENTS]
-    if manner == "ardupilot":
+    if autopilot_kind == "ardupilot":
         offsets, form = (-centre_ut / UT_PER_MGAUSS).tolist(), "COMPASS_{kind}_{axis}"
         kinds, more = {"OFS": offsets, "DIA": np.diag(matrix).tolist(), "ODI": rest}, {"COMPASS_SCALE": 1.0}
     else:

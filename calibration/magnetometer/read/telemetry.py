@@ -14,14 +14,15 @@ from typing import Final
 
 from calibration.magnetometer.read.onboard import onboard_of
 from calibration.magnetometer.read.recording import MagnetometerRecording, paired
-from companion.base.messages import ImuSample, MagSample, Manner
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.link.codec import Message, is_autopilot_heartbeat, mavlink
 from companion.link.telemetry import readings
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 
-MANNERS: Final[dict[int, Manner]] = {
+AUTOPILOT_KINDS: Final[dict[int, AutopilotKind]] = {
     mavlink.MAV_AUTOPILOT_PX4: "px4",
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
 }
@@ -45,7 +46,7 @@ class Telemetry:
 
     def __init__(self, source: str) -> None:
         self._source = source
-        self.manner: Manner | None = None
+        self.autopilot_kind: AutopilotKind | None = None
         self.system_id = 0
         self.parameters: dict[str, float] = {}
         self._mags: dict[int, list[MagSample]] = {}
@@ -57,13 +58,13 @@ class Telemetry:
         """Take one of HEARD."""
         number = message.get_msgId()
         if number == _HEARTBEAT:
-            if self.manner is None and is_autopilot_heartbeat(message):
-                self.manner = MANNERS.get(message.autopilot)
+            if self.autopilot_kind is None and is_autopilot_heartbeat(message):
+                self.autopilot_kind = AUTOPILOT_KINDS.get(message.autopilot)
                 self.system_id = message.get_srcSystem()
         elif self.system_id and message.get_srcSystem() != self.system_id:
             return
         elif number == _PARAMETER:
-            self.parameters[message.param_id] = parameter_value(message, self.manner)
+            self.parameters[message.param_id] = parameter_value(message, self.autopilot_kind)
         elif number == _POSITION:
             if message.lat or message.lon:
                 self._place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
@@ -83,7 +84,7 @@ class Telemetry:
     @property
     def number(self) -> int | None:
         """The message whose magnetometer is used: the best that has come; None: none has."""
-        order = _ORDERS[self.manner or "ardupilot"]
+        order = _ORDERS[self.autopilot_kind or "ardupilot"]
         return next((number for number in order if self._mags.get(number)), None)
 
     @property
@@ -107,26 +108,28 @@ class Telemetry:
         recording = MagnetometerRecording(f"{self._source} ({name})", "autopilot", raw, force=force)
         if self._place is not None:
             recording.place = RecordingPlace(*self._place, self._year)
-        if self.manner == "px4" and number not in IMU_MESSAGES["px4"]:
+        if self.autopilot_kind == "px4" and number not in IMU_MESSAGES["px4"]:
             recording.sensor = "other"
             recording.notes.append(
                 f"PX4's {name} has the raw compass in its own axes, which the app never uses"
             )
-        elif self.manner is not None:
-            _undo(recording, self.manner, self.parameters)
+        elif self.autopilot_kind is not None:
+            _undo(recording, self.autopilot_kind, self.parameters)
         return recording
 
 
-def parameter_value(message: Message, manner: Manner | None) -> float:
+def parameter_value(message: Message, autopilot_kind: AutopilotKind | None) -> float:
     """A PARAM_VALUE's value: PX4 sends an integer's bytes in the float's place."""
-    if manner == "px4" and message.param_type in _INTEGERS:
+    if autopilot_kind == "px4" and message.param_type in _INTEGERS:
         return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
     return float(message.param_value)
 
 
-def _undo(recording: MagnetometerRecording, manner: Manner, parameters: Mapping[str, float]) -> None:
+def _undo(
+    recording: MagnetometerRecording, autopilot_kind: AutopilotKind, parameters: Mapping[str, float]
+) -> None:
     """Turn what was heard into what the compass measured, where the parameters are known."""
-    recording.onboard = onboard_of(manner, parameters)
+    recording.onboard = onboard_of(autopilot_kind, parameters)
     if recording.onboard is None:
         recording.notes.append(
             "the autopilot's compass parameters are not known (or its compass is turned): the calibration "

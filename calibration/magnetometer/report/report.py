@@ -66,7 +66,7 @@ def lines(done: Calibrated) -> list[str]:
     said = [f"{done.file.quality.verdict}: {reason}" for reason in done.file.quality.reasons]
     said += [f"note: {note}" for note in done.recording.notes]
     if done.parameters and done.recording.onboard is not None:
-        name = {"ardupilot": "ArduPilot", "px4": "PX4"}[done.recording.onboard.manner]
+        name = {"ardupilot": "ArduPilot", "px4": "PX4"}[done.recording.onboard.autopilot_kind]
         # its matrix is symmetric: a rotation has no place in it
         same = "the same but the alignment" if done.file.aligned else "the same"
         said.append(f"{name}: {same} as parameters of its own (set these, or use the file: not both):")

@@ -86,7 +86,7 @@ def calibrate(
     symmetric = (fit.radius if field is None else field.strength_ut) * fit.ellipsoid.matrix
     parameters: dict[str, float] = {}
     if recording.onboard is not None:
-        parameters = parameters_for(recording.onboard.manner, symmetric, fit.ellipsoid.centre)
+        parameters = parameters_for(recording.onboard.autopilot_kind, symmetric, fit.ellipsoid.centre)
     matrix = rotation @ symmetric
     file = _file(recording, fit, figures, matrix, field, tool, date)
     return Calibrated(file, recording, fit, figures, matrix, fit.ellipsoid.centre, sphere, parameters)

@@ -20,7 +20,6 @@ from companion.base.messages.link import (
     AutopilotSetup,
     AutopilotState,
     LandedState,
-    Manner,
     PadBeacon,
 )
 from companion.base.messages.plan import (
@@ -67,7 +66,6 @@ __all__ = [
     "LandedState",
     "LevelOff",
     "MagSample",
-    "Manner",
     "MarkerGroup",
     "Notice",
     "Outcome",

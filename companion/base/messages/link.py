@@ -8,8 +8,6 @@ from enum import StrEnum
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
 
-Manner = AutopilotKind
-
 
 @dataclass(frozen=True, slots=True)
 class AutopilotSetup:
@@ -45,7 +43,7 @@ class AutopilotState:
 
     time_s: float
     connected: bool = False
-    manner: Manner | None = None
+    autopilot_kind: AutopilotKind | None = None
     armed: bool = False
     mode: str = ""
     offboard: bool = False

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from companion.base.messages import AutopilotSetup, Manner
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotSetup
 from companion.config import AxisResponse, ControlConfig, KindResponse, TrackingConfig, VehicleConfig
 
 QUICK_S: Final = 0.14
@@ -44,22 +45,22 @@ def fitted(
     )
 
 
-def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner) -> float:
+def hover_thrust(vehicle: VehicleConfig, setup: AutopilotSetup, autopilot_kind: AutopilotKind) -> float:
     """The share of full thrust to begin with: ArduPilot's, which has learnt it, else the vehicle's file's.
 
     PX4 does not report what it learns; its parameter is what a person has entered.
     """
     told = setup.hover_thrust
-    learnt = manner == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER
+    learnt = autopilot_kind == "ardupilot" and told is not None and LEAST_HOVER <= told <= MOST_HOVER
     return told if learnt and told is not None else vehicle.hover_thrust
 
 
 def misfits(
-    config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup, manner: Manner
+    config: ControlConfig, vehicle: VehicleConfig, setup: AutopilotSetup, autopilot_kind: AutopilotKind
 ) -> list[str]:
     """What of the settings does not fit the autopilot's own, a line each; `config` is the resolved one."""
     found = []
-    told, taken = setup.hover_thrust, hover_thrust(vehicle, setup, manner)
+    told, taken = setup.hover_thrust, hover_thrust(vehicle, setup, autopilot_kind)
     if told is not None and not abs(told / vehicle.hover_thrust - 1.0) <= HOVER_DIFFERS:
         found.append(
             f"hover thrust: the autopilot's is {told:.2f}, vehicle '{vehicle.name}' says "

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, Vector3
-from companion.base.messages import Manner
 from companion.base.motion import Motion
 from companion.config import AxisResponse, ControlConfig, Kind, VehicleConfig
 
@@ -44,13 +44,13 @@ def advance(motion: Motion, input_m_s2: Vector3, duration_s: float, lags_s: Vect
     return Motion((x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2]))
 
 
-def lags(vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4") -> Vector3:
+def lags(vehicle: VehicleConfig, control: ControlConfig, autopilot_kind: AutopilotKind = "px4") -> Vector3:
     """Lag (s) along north, east and down, besides `command_delay_s`: together as late as the response.
 
     Sideways the vehicle has to tilt first, upwards only thrust lags; velocity setpoints the autopilot shapes.
     """
     by_velocity = control.setpoint == "velocity"
-    response = vehicle.responses.of(manner, flown_kind(control))
+    response = vehicle.responses.of(autopilot_kind, flown_kind(control))
     sideways = control.autopilot_lag_s if by_velocity else vehicle.acceleration_time_constant_s
     down = control.autopilot_climb_lag_s if by_velocity else vehicle.thrust_time_constant_s
     x = _lag(sideways, response.sideways, control)
@@ -64,7 +64,11 @@ def _lag(measured_s: float | None, response: AxisResponse, control: ControlConfi
 
 
 def velocity_gains(
-    vehicle: VehicleConfig, control: ControlConfig, manner: Manner = "px4", *, sideways: bool = True
+    vehicle: VehicleConfig,
+    control: ControlConfig,
+    autopilot_kind: AutopilotKind = "px4",
+    *,
+    sideways: bool = True,
 ) -> Vector3:
     """Gains (1/s) of the autopilot's own velocity loops, north, east and down.
 
@@ -74,8 +78,8 @@ def velocity_gains(
         return (0.0, 0.0, 0.0)
     responses = vehicle.responses
     x, z = control.autopilot_velocity_gain_1_s, control.autopilot_climb_gain_1_s
-    x = responses.of(manner, "velocity").sideways.velocity_gain_1_s if x is None else x
-    z = responses.of(manner, flown_kind(control)).down.velocity_gain_1_s if z is None else z
+    x = responses.of(autopilot_kind, "velocity").sideways.velocity_gain_1_s if x is None else x
+    z = responses.of(autopilot_kind, flown_kind(control)).down.velocity_gain_1_s if z is None else z
     return (x, x, z) if sideways else (0.0, 0.0, z)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -30,7 +31,14 @@ from companion.base.geometry import (
     horizontal_acceleration,
     quat_rotate,
 )
-from companion.base.messages import Manner, PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from companion.base.messages import (
+    PadState,
+    Phase,
+    PlanStep,
+    Reference,
+    Setpoint,
+    VehicleState,
+)
 from companion.config import AxisResponse, ControlConfig, VehicleConfig
 from companion.control.attitude import attitude_from_acceleration
 from companion.control.controller import Controller
@@ -51,7 +59,7 @@ class MarginCase:
 
     control: ControlConfig
     vehicle: VehicleConfig
-    manner: Manner
+    autopilot_kind: AutopilotKind
     axis: int
     response: AxisResponse
     extra_delay_s: float = 0.0
@@ -107,8 +115,8 @@ class _Flown:
 
 def respond(case: MarginCase, kicks_m_s2: FloatArray, *, controller: str = "riccati") -> FloatArray:
     """What the controller commands (n,) while `kicks_m_s2` (n,) are added unknown to it, from rest."""
-    control = resolved(case.control, case.manner).model_copy(update={"controller": controller})
-    flying = Controller(control, case.vehicle, manner=case.manner)
+    control = resolved(case.control, case.autopilot_kind).model_copy(update={"controller": controller})
+    flying = Controller(control, case.vehicle, autopilot_kind=case.autopilot_kind)
     period_s = 1.0 / control.rate_hz
     flown = _Flown(case, period_s)
     answers = np.zeros(len(kicks_m_s2))

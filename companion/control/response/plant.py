@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, add, quat_rotate, scale, subtract
-from companion.base.messages import Manner, Setpoint, VehicleState
+from companion.base.messages import Setpoint, VehicleState
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
 from companion.control.disturbance_observer import LastingObserver, ThrustScale, WindObserver
@@ -26,13 +27,17 @@ class Plant:
     """Learns from each estimate how the vehicle answers, and carries motions forward through that answer."""
 
     def __init__(
-        self, config: ControlConfig, vehicle: VehicleConfig, lags_s: Vector3, manner: Manner = "px4"
+        self,
+        config: ControlConfig,
+        vehicle: VehicleConfig,
+        lags_s: Vector3,
+        autopilot_kind: AutopilotKind = "px4",
     ) -> None:
         """`lags_s` are `flight_model.lags`."""
         self._by_attitude, self._by_velocity = config.setpoint == "attitude", config.setpoint == "velocity"
         self._lags_s = lags_s
         self._gains = {
-            heard: velocity_gains(vehicle, config, manner, sideways=heard) for heard in (True, False)
+            heard: velocity_gains(vehicle, config, autopilot_kind, sideways=heard) for heard in (True, False)
         }
         self._nominal_hover_thrust = vehicle.hover_thrust
         self._history = CommandHistory(config.command_delay_s)

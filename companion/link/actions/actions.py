@@ -104,14 +104,14 @@ class PymavlinkActions:
 
     async def _arm(self, action: Action) -> None:
         await self.require_thrust()  # on the ground is the better place to hear that control will be refused
-        if self.dialogue.manner() == "ardupilot":
+        if self.dialogue.autopilot_kind() == "ardupilot":
             await self.dialogue.set_mode("GUIDED")  # it takes off in this mode only
         await self.dialogue.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
         await self.dialogue.confirm(lambda: self._session.state.armed, "armed")
 
     async def _take_off(self, action: Action) -> None:
         unused = self.dialogue.unused()
-        if self.dialogue.manner() == "ardupilot":
+        if self.dialogue.autopilot_kind() == "ardupilot":
             await self.dialogue.set_mode("GUIDED")
             height_m = action.height_m  # ArduPilot counts from home
         else:
@@ -134,23 +134,27 @@ class PymavlinkActions:
         PX4 refuses unless setpoints have been coming already.
         """
         await self.require_thrust()
-        manner, before = self.dialogue.manner(), self._session.state.mode
-        mode = CONTROL_MODE[manner]
+        autopilot_kind, before = self.dialogue.autopilot_kind(), self._session.state.mode
+        mode = CONTROL_MODE[autopilot_kind]
 
         def void() -> str:
             now = self._session.state.mode
-            return f"a pilot has changed to {now}" if now != before and now in STICK_MODES[manner] else ""
+            return (
+                f"a pilot has changed to {now}"
+                if now != before and now in STICK_MODES[autopilot_kind]
+                else ""
+            )
 
         await self.dialogue.set_mode(mode, void)
         await self.dialogue.confirm(lambda: self._session.state.offboard, mode, void)
 
     async def hold(self, action: Action) -> None:
         """Stop and stay, by the autopilot's own mode."""
-        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.manner()])
+        await self.dialogue.set_mode(HOLD_MODE[self.dialogue.autopilot_kind()])
 
     async def land(self, action: Action) -> None:
         """Come down where it is, by the autopilot's own mode."""
-        await self.dialogue.set_mode(LAND_MODE[self.dialogue.manner()])
+        await self.dialogue.set_mode(LAND_MODE[self.dialogue.autopilot_kind()])
 
     async def disarm(self, action: Action) -> None:
         """Plainly first; by force where that is refused, the action asks for it and the settings allow it.
@@ -198,7 +202,7 @@ class PymavlinkActions:
         Raises:
             Refused: it is a climb rate, and may not be or was not changed; or it is not reported.
         """
-        if not self._attitude_setpoints or self.dialogue.manner() != "ardupilot":
+        if not self._attitude_setpoints or self.dialogue.autopilot_kind() != "ardupilot":
             return
         options = await self.dialogue.parameter(self._session.read_parameter(GUIDED_OPTIONS))
         if options & THRUST_IS_THRUST:

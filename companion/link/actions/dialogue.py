@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock
 from companion.base.geometry import Vector3
-from companion.base.messages import Manner
 from companion.link.actions.performing import Refused, Unanswered
 from companion.link.codec import mavlink
 from companion.link.commands import NO_ANSWER, Pending, VehicleCommand, request_message
@@ -46,8 +46,8 @@ class Dialogue:
         """The time."""
         return self._clock.now_s()
 
-    def manner(self) -> Manner:
-        """Whose manners the autopilot has.
+    def autopilot_kind(self) -> AutopilotKind:
+        """The kind of the autopilot.
 
         Raises:
             Refused: none is connected, or an unknown one.
@@ -55,9 +55,9 @@ class Dialogue:
         state = self._session.state
         if not state.connected:
             raise Refused("no autopilot is heard")
-        if state.manner is None:
+        if state.autopilot_kind is None:
             raise Refused("the autopilot is neither PX4 nor ArduPilot")
-        return state.manner
+        return state.autopilot_kind
 
     async def set_mode(self, mode: str, void: Callable[[], str] = _wanted_still) -> None:
         """Change the flight mode, unless `void` says meanwhile why it is not wanted any more.
@@ -65,7 +65,7 @@ class Dialogue:
         Raises:
             Refused: the autopilot does not, or it is void.
         """
-        parameters = mode_parameters(self.manner(), mode)
+        parameters = mode_parameters(self.autopilot_kind(), mode)
         await self.command(mavlink.MAV_CMD_DO_SET_MODE, (*parameters, 0.0, 0.0, 0.0, 0.0), void=void)
         self.ask_for_heartbeat()
 
@@ -82,7 +82,7 @@ class Dialogue:
             Unanswered: it does not answer.
             Refused: it answers something else than "accepted", or it is void.
         """
-        self.manner()
+        self.autopilot_kind()
         if position is None:
             parameters = (*parameters, *(self.unused(),) * (7 - len(parameters)))
         command = VehicleCommand(number, parameters, position, target_system=self._session.system_id)
@@ -155,4 +155,4 @@ class Dialogue:
 
     def unused(self) -> float:
         """A parameter without a value: NaN for PX4; ArduPilot takes NaN for a number and wants 0."""
-        return 0.0 if self._session.state.manner == "ardupilot" else math.nan
+        return 0.0 if self._session.state.autopilot_kind == "ardupilot" else math.nan

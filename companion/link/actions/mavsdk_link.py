@@ -172,7 +172,7 @@ class MavsdkActions:
     async def _arm(self, action: Action) -> None:
         await self._connect()
         await self._own.require_thrust()
-        if self._own.dialogue.manner() == "ardupilot":
+        if self._own.dialogue.autopilot_kind() == "ardupilot":
             await self._own.dialogue.set_mode("GUIDED")  # it takes off in this mode only
         await self._try(self._action.arm())
         await self._own.dialogue.confirm(lambda: self._session.state.armed, "armed")
@@ -230,7 +230,7 @@ class MavsdkActions:
             raise Refused("MAVSDK is not running")
         if self._withdrawn_calls:
             raise Refused("MAVSDK is still busy with what was withdrawn")
-        self._own.dialogue.manner()
+        self._own.dialogue.autopilot_kind()
         if self._action is not None:
             return
         system = await self._call(self._mavsdk.first_autopilot(_DISCOVERY_S))

@@ -12,7 +12,8 @@ from collections import Counter, deque
 from dataclasses import replace
 from typing import Final
 
-from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import SenseConfig
 from companion.link.codec import Message, mavlink
 from companion.link.telemetry import readings
@@ -28,13 +29,13 @@ _RANGE: Final = mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 SENSOR_MESSAGES: Final = frozenset({_HIGHRES, _RAW, _SCALED, _GPS, _RANGE})
 # best first; PX4's RAW_IMU is in counts, and its SCALED_IMU has the field in the compass's own axes.
 # ArduPilot's HIGHRES_IMU is not in every firmware, and replaces RAW_IMU where another client asked for it
-IMU_MESSAGES: Final[dict[Manner, tuple[int, ...]]] = {
+IMU_MESSAGES: Final[dict[AutopilotKind, tuple[int, ...]]] = {
     "px4": (_HIGHRES,),
     "ardupilot": (_RAW, _SCALED, _HIGHRES),
 }
 # of a sample at its stamp. PX4: half the integration interval and the chip's filter; ArduPilot: the two-pole
 # filters at 20 Hz (INS_GYRO_FILTER, INS_ACCEL_FILTER) delay by sqrt(2) / (2 pi 20 Hz)
-IMU_LATENCY_S: Final[dict[Manner, float]] = {"px4": 0.004, "ardupilot": 0.011}
+IMU_LATENCY_S: Final[dict[AutopilotKind, float]] = {"px4": 0.004, "ardupilot": 0.011}
 _NAMES: Final = {number: mavlink.mavlink_map[number].msgname for number in SENSOR_MESSAGES}
 
 SWITCH_S: Final = 0.5  # a better message is silent for so long: take the next best
@@ -48,7 +49,7 @@ CLIMB_AGE_S: Final = 0.1
 _CLIMBS_KEPT: Final = 40
 SLOWEST_IMU_HZ: Final = 45.0  # 50 Hz less what a stream may be off
 _WINDOW_S: Final = 2.0
-_ADVICE: Final[dict[Manner, str]] = {
+_ADVICE: Final[dict[AutopilotKind, str]] = {
     "px4": "PX4: MAV_x_MODE Onboard, MAV_x_RATE for the bandwidth",
     "ardupilot": "ArduPilot: SRx_RAW_SENS, SRx_EXTRA3, and the port's baud rate",
 }
@@ -60,7 +61,7 @@ class TelemetrySensors:
     def __init__(self, config: SenseConfig, clock: BootClock) -> None:
         self._config = config
         self._clock = clock
-        self._manner: Manner | None = None
+        self._autopilot_kind: AutopilotKind | None = None
         self._connected_s = self._heartbeat_s = -math.inf
         self._samples: list[Sample] = []
         self._climbs: deque[tuple[float, float]] = deque(maxlen=_CLIMBS_KEPT)  # autopilot's s, down m/s
@@ -74,10 +75,10 @@ class TelemetrySensors:
 
     def rates_hz(self) -> dict[int, float]:
         """Which messages to ask for, at which rates; nothing before the autopilot is known."""
-        if self._manner is None:
+        if self._autopilot_kind is None:
             return {}
         config = self._config.autopilot
-        rates = {IMU_MESSAGES[self._manner][0]: config.imu_rate_hz, _GPS: config.gps_rate_hz}
+        rates = {IMU_MESSAGES[self._autopilot_kind][0]: config.imu_rate_hz, _GPS: config.gps_rate_hz}
         if self._config.range_by_telemetry:
             rates[_RANGE] = config.range_rate_hz
         return rates
@@ -89,16 +90,16 @@ class TelemetrySensors:
 
     # ------------------------------------------------------------ in
 
-    def heartbeat(self, manner: Manner | None, now_s: float) -> None:
+    def heartbeat(self, autopilot_kind: AutopilotKind | None, now_s: float) -> None:
         """The autopilot is there, and of that kind."""
         if now_s - self._heartbeat_s > PATIENCE_S:
             self._connected_s = now_s
-        self._manner, self._heartbeat_s = manner, now_s
+        self._autopilot_kind, self._heartbeat_s = autopilot_kind, now_s
 
     def hear(self, message: Message, now_s: float) -> None:
         """Take one of SENSOR_MESSAGES that came now."""
         number = message.get_msgId()
-        if self._manner is None:
+        if self._autopilot_kind is None:
             return
         if number == _GPS:
             self._hear_gps(message, now_s)
@@ -123,8 +124,8 @@ class TelemetrySensors:
 
     def _is_best(self, number: int, now_s: float) -> bool:
         """Whether the IMU is to be taken from this kind of message."""
-        assert self._manner is not None
-        order = IMU_MESSAGES[self._manner]
+        assert self._autopilot_kind is not None
+        order = IMU_MESSAGES[self._autopilot_kind]
         if number not in order:
             return False
         self._heard_s[number] = now_s
@@ -135,11 +136,11 @@ class TelemetrySensors:
         return True
 
     def _hear_imu(self, message: Message, now_s: float) -> None:
-        assert self._manner is not None
+        assert self._autopilot_kind is not None
         if (instant := self._instant("imu", message, now_s)) is None:
             return
         latency_s = self._config.autopilot.imu_latency_s
-        time_s = instant.time_s - (IMU_LATENCY_S[self._manner] if latency_s is None else latency_s)
+        time_s = instant.time_s - (IMU_LATENCY_S[self._autopilot_kind] if latency_s is None else latency_s)
         sample = readings.imu_sample(message, time_s, self._since_used_s(instant))
         if sample is not None:
             self._unused_s = 0.0
@@ -201,10 +202,15 @@ class TelemetrySensors:
         A silent link is reported elsewhere: without heartbeats nothing is said here.
         """
         self._measure_rate(now_s)
-        manner = self._manner
-        if manner is None or not self._connected_s + PATIENCE_S <= now_s <= self._heartbeat_s + PATIENCE_S:
+        autopilot_kind = self._autopilot_kind
+        if (
+            autopilot_kind is None
+            or not self._connected_s + PATIENCE_S <= now_s <= self._heartbeat_s + PATIENCE_S
+        ):
             return None
-        found = self._clock_problem() or self._imu_problem(manner, now_s) or self._others_problem(now_s)
+        found = (
+            self._clock_problem() or self._imu_problem(autopilot_kind, now_s) or self._others_problem(now_s)
+        )
         return None if found is None else f"autopilot's sensors: {found}"
 
     def _measure_rate(self, now_s: float) -> None:
@@ -218,20 +224,24 @@ class TelemetrySensors:
             return None
         return "no answers to TIMESYNC; without its clock no sample has a time"
 
-    def _imu_problem(self, manner: Manner, now_s: float) -> str | None:
+    def _imu_problem(self, autopilot_kind: AutopilotKind, now_s: float) -> str | None:
         if self._missing("imu", now_s, IMU_SILENCE_S):
             heard = [
-                n for n in IMU_MESSAGES[manner] if now_s - self._heard_s.get(n, -math.inf) < IMU_SILENCE_S
+                n
+                for n in IMU_MESSAGES[autopilot_kind]
+                if now_s - self._heard_s.get(n, -math.inf) < IMU_SILENCE_S
             ]
             if heard:
                 return f"{_NAMES[heard[0]]} comes but cannot be used: {self._most_refused('imu')}"
-            rate_hz, name = self._config.autopilot.imu_rate_hz, _NAMES[IMU_MESSAGES[manner][0]]
-            return f"no {name} comes; expected it at {rate_hz:g} Hz ({_ADVICE[manner]})"
+            rate_hz, name = self._config.autopilot.imu_rate_hz, _NAMES[IMU_MESSAGES[autopilot_kind][0]]
+            return f"no {name} comes; expected it at {rate_hz:g} Hz ({_ADVICE[autopilot_kind]})"
         if self._imu_rate_hz < SLOWEST_IMU_HZ:
-            name = _NAMES[self._imu_message or IMU_MESSAGES[manner][0]]
+            name = _NAMES[self._imu_message or IMU_MESSAGES[autopilot_kind][0]]
             # a rate that wavers is one problem, not one a second
             rounded_hz = 5 * round(self._imu_rate_hz / 5)
-            return f"{name} comes at about {rounded_hz} Hz; expected 50 Hz or more ({_ADVICE[manner]})"
+            return (
+                f"{name} comes at about {rounded_hz} Hz; expected 50 Hz or more ({_ADVICE[autopilot_kind]})"
+            )
         return None
 
     def _others_problem(self, now_s: float) -> str | None:

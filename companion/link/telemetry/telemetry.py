@@ -11,14 +11,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, quat_from_euler, quat_normalise, vector3
-from companion.base.messages import AutopilotState, LandedState, Manner
+from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Message, mavlink
 from companion.link.modes import CONTROL_MODE, mode_name
 
 KEPT_TEXTS: Final = 10
 _CHUNK_BYTES: Final = 50
-_MANNERS: Final[dict[int, Manner]] = {
+_AUTOPILOT_KINDS: Final[dict[int, AutopilotKind]] = {
     mavlink.MAV_AUTOPILOT_PX4: "px4",
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
 }
@@ -81,18 +82,18 @@ class StatusTexts:
 
 
 def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
-    manner = _MANNERS.get(message.autopilot)
-    mode = "" if manner is None else mode_name(manner, message.custom_mode)
+    autopilot_kind = _AUTOPILOT_KINDS.get(message.autopilot)
+    mode = "" if autopilot_kind is None else mode_name(autopilot_kind, message.custom_mode)
     # its filter's report is asked for: until that comes it is not known to be ready
-    ekf_ready = False if manner == "ardupilot" and state.ekf_ready is None else state.ekf_ready
+    ekf_ready = False if autopilot_kind == "ardupilot" and state.ekf_ready is None else state.ekf_ready
     return replace(
         state,
         time_s=time_s,
         connected=True,
-        manner=manner,
+        autopilot_kind=autopilot_kind,
         armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
         mode=mode,
-        offboard=manner is not None and mode == CONTROL_MODE[manner],
+        offboard=autopilot_kind is not None and mode == CONTROL_MODE[autopilot_kind],
         ekf_ready=ekf_ready,
     )
 
@@ -102,7 +103,7 @@ def _sys_status(state: AutopilotState, message: Message, time_s: float) -> Autop
     enabled = message.onboard_control_sensors_enabled
     healthy = message.onboard_control_sensors_health
     prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-    if state.manner == "ardupilot" and not message.onboard_control_sensors_present & prearm:
+    if state.autopilot_kind == "ardupilot" and not message.onboard_control_sensors_present & prearm:
         ready = enabled & ~healthy == 0
     else:
         ready = bool(healthy & prearm)

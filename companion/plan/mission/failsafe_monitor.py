@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from companion.base.messages import AutopilotState, Manner, VehicleState
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotState, VehicleState
 from companion.config import MissionConfig
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
@@ -19,7 +20,7 @@ from companion.plan.mission.table import FINAL, ON_GROUND
 
 _STALE_ESTIMATE_S = 0.5
 # Modes that we never request in flight, by the autopilots' names without their prefixes.
-_PILOT_MODES: Final[dict[Manner, frozenset[str]]] = {
+_PILOT_MODES: Final[dict[AutopilotKind, frozenset[str]]] = {
     "px4": frozenset(
         {"MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED", "RATTITUDE", "RTL", "RTGS", "LAND", "POSITION"}
     ),
@@ -30,10 +31,10 @@ _PILOT_MODES: Final[dict[Manner, frozenset[str]]] = {
 }
 
 
-def is_pilots(mode: str, manner: Manner | None) -> bool:
+def is_pilots(mode: str, autopilot_kind: AutopilotKind | None) -> bool:
     """Whether a mode is one that a pilot or a failsafe chooses, never we in flight."""
     name = mode.upper().rsplit(".", 1)[-1].replace(" ", "_")
-    return manner is not None and name in _PILOT_MODES[manner]
+    return autopilot_kind is not None and name in _PILOT_MODES[autopilot_kind]
 
 
 class FailsafeMonitor:
@@ -80,7 +81,7 @@ class FailsafeMonitor:
 
     def _taken_over(self, autopilot: AutopilotState, obeyed: bool) -> bool:
         """Whether a pilot took over with this; call once a cycle."""
-        in_pilots_mode = is_pilots(autopilot.mode, autopilot.manner)
+        in_pilots_mode = is_pilots(autopilot.mode, autopilot.autopilot_kind)
         entered = in_pilots_mode and not self._in_pilots_mode
         self._in_pilots_mode = in_pilots_mode
         if self._machine.authority is Authority.RELEASED or self._machine.state is State.AUTO_LAND:

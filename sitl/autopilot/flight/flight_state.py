@@ -10,13 +10,14 @@ from math import inf
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     Quaternion,
     Vector3,
     geodetic_from_ned,
     ned_from_geodetic,
 )
-from companion.base.messages import LandedState, Manner
+from companion.base.messages import LandedState
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
 from sitl.autopilot.control.cascade import Cascade
@@ -34,7 +35,7 @@ from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
-PROFILES: dict[Manner, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
+PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
 class FlightState:
@@ -45,7 +46,7 @@ class FlightState:
 
     def __init__(
         self,
-        profile: Manner,
+        profile: AutopilotKind,
         airframe: Airframe,
         rng: np.random.Generator,
         home: Vector3,

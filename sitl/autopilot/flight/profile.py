@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Quaternion, Vector3
-from companion.base.messages import Manner
 from sitl.autopilot.control.attitude_control import AttitudeGains
 from sitl.autopilot.control.position_control import PositionControl
 from sitl.autopilot.control.setpoints import (
@@ -107,7 +107,7 @@ class AutopilotProfile:
     `prearm_in_health_only`: the pre-arm bit is in SYS_STATUS's health, but not in present and enabled.
     """
 
-    name: Manner
+    name: AutopilotKind
     autopilot_id: int
     custom_mode: Callable[[int, int], int]
     flight_version: int

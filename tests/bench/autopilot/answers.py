@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
-from companion.base.messages import Manner
 from tests.bench.autopilot.autopilot_record import ON_GROUND, Record
 
 Figures = dict[str, float | None]
@@ -56,7 +56,7 @@ def _content(m: Any) -> tuple[Any, ...]:
     return (m.get_type(), *(str(v) for k, v in m.to_dict().items() if k != "time_boot_ms"))
 
 
-def figures(record: Record, manner: Manner) -> Figures:
+def figures(record: Record, autopilot_kind: AutopilotKind) -> Figures:
     """All rows of the table.
 
     Raises:
@@ -67,7 +67,7 @@ def figures(record: Record, manner: Manner) -> Figures:
     parts = (_positions, _velocities, _down, _yaw, _frames, _acceleration, _attitude, _loss, _landing)
     for part in (*parts, _hover):
         result |= part(record, runs)
-    return result | _disarming(record, runs, manner)
+    return result | _disarming(record, runs, autopilot_kind)
 
 
 # ---------------------------------------------------------------- one signal
@@ -235,10 +235,10 @@ def _landed_s(record: Record, slow: Manoeuvre) -> float | None:
     return words[0].time_s if words else None
 
 
-def _disarming(record: Record, runs: list[Manoeuvre], manner: Manner) -> Figures:
+def _disarming(record: Record, runs: list[Manoeuvre], autopilot_kind: AutopilotKind) -> Figures:
     """PX4 disarms by itself once it has landed, ArduCopter when it is told to land."""
     off = [said.time_s for said in record.heard("armed", runs[-1].start_s) if not said.what]
-    if manner == "px4":
+    if autopilot_kind == "px4":
         name, since = "landed_state", _landed_s(record, runs[-1])
     else:
         told = [s.time_s for s in record.sent if s.message.get_type() == "COMMAND_LONG"]

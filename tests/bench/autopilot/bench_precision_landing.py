@@ -24,8 +24,9 @@ from pymavlink.dialects.v20 import common as mavlink
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, add, norm, quat_conjugate, quat_rotate, subtract
-from companion.base.messages import Manner, Outcome, Phase
+from companion.base.messages import Outcome, Phase
 from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.scenario.scenario import PassBounds, Scenario
@@ -47,12 +48,12 @@ _NO_YAW: Final = 0b110000000000
 BOUNDS: Final = PassBounds(
     lateral_error_m=0.15, vertical_speed_m_s=0.5, horizontal_speed_m_s=0.3, tilt_deg=8.0
 )
-PARAMETERS: Final[dict[Manner, dict[str, tuple[float, int]]]] = {
+PARAMETERS: Final[dict[AutopilotKind, dict[str, tuple[float, int]]]] = {
     # PLND_OPTIONS 1: targets move; PLND_LAG: how late the measurements are
     "ardupilot": {"PLND_ENABLED": (1, 2), "PLND_OPTIONS": (1, 4), "PLND_LAG": (TARGET_LATE_S, 9)},
     "px4": {},
 }
-REAL: Final[dict[Manner, dict[str, str]]] = {
+REAL: Final[dict[AutopilotKind, dict[str, str]]] = {
     "ardupilot": {"line": "100 %, 1-2 cm, 0.47 m/s, 20 s", "turn": "0 % (0.56 m lag)", "wind": "20-60 %"},
     "px4": {"static": "not recorded", "line": "0 %", "turn": "0 %", "wind": "0 %"},
 }
@@ -94,10 +95,10 @@ class Landing:
 class Flight:
     """One world with its autopilot, and the operator's and the target's ends of the link."""
 
-    def __init__(self, manner: Manner, case: Case, seed: int) -> None:
+    def __init__(self, autopilot_kind: AutopilotKind, case: Case, seed: int) -> None:
         self.world = World(_scenario(case), seed)
         generators = np.random.default_rng((seed, 77)).spawn(2)
-        self.autopilot = SimulatedAutopilot(manner, self.world.airframe.body, generators[0], HOME)
+        self.autopilot = SimulatedAutopilot(autopilot_kind, self.world.airframe.body, generators[0], HOME)
         self._rng = generators[1]
         self._endpoint = MavlinkEndpoint(self.autopilot)
         self._us = mavlink.MAVLink(None, srcSystem=255, srcComponent=191)
@@ -181,13 +182,13 @@ def _scenario(case: Case) -> Scenario:
     )
 
 
-def fly(manner: Manner, case: Case, seed: int) -> Landing:
+def fly(autopilot_kind: AutopilotKind, case: Case, seed: int) -> Landing:
     """One flight: set up, up, over the pad, and down by the autopilot's own means."""
-    flight = Flight(manner, case, seed)
+    flight = Flight(autopilot_kind, case, seed)
     _set_up(flight)
     _take_off(flight)
     began_s = _meet_pad(flight)
-    flight.command(*((mavlink.MAV_CMD_NAV_LAND,) if manner == "ardupilot" else (23,)))  # NAV_PRECLAND
+    flight.command(*((mavlink.MAV_CMD_NAV_LAND,) if autopilot_kind == "ardupilot" else (23,)))  # NAV_PRECLAND
     for now_s in flight.run(began_s + LANDING_LIMIT_S):
         if not flight.autopilot.armed or now_s > LIMIT_S:
             break
@@ -248,7 +249,7 @@ def _judged(flight: Flight, began_s: float) -> Landing:
     return Landing(landed, touch.lateral_error_m, touch.vertical_speed_m_s, touch.time_s - began_s)
 
 
-def row(manner: Manner, case: Case, landings: list[Landing]) -> tuple[str, ...]:
+def row(autopilot_kind: AutopilotKind, case: Case, landings: list[Landing]) -> tuple[str, ...]:
     """A line of the table."""
     touched = [landing for landing in landings if not math.isnan(landing.lateral_m)]
     middles = ("-", "-", "-")
@@ -259,24 +260,28 @@ def row(manner: Manner, case: Case, landings: list[Landing]) -> tuple[str, ...]:
             f"{median(t.seconds for t in touched):.1f}",
         )
     share = f"{100.0 * sum(landing.landed for landing in landings) / len(landings):.0f} %"
-    kind = case.kind if case.kind in REAL[manner] else "line"
-    return (manner, case.name, share, *middles, REAL[manner][kind])
+    kind = case.kind if case.kind in REAL[autopilot_kind] else "line"
+    return (autopilot_kind, case.name, share, *middles, REAL[autopilot_kind][kind])
 
 
 def main() -> None:
-    """Fly all cases for both manners and print the table."""
+    """Fly all cases for both autopilots and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--runs", type=int, default=6, help="landings a case")
-    parser.add_argument("--manner", choices=["ardupilot", "px4"], help="one alone")
+    parser.add_argument("--autopilot_kind", choices=["ardupilot", "px4"], help="one alone")
     parser.add_argument("--case", default="", help="cases whose name begins so")
     options = parser.parse_args()
     table = Table(
         *("autopilot", "case", "landed", "lateral p50 cm", "vertical p50 m/s", "seconds p50", "real firmware")
     )
-    manners: tuple[Manner, ...] = (options.manner,) if options.manner else ("ardupilot", "px4")
-    for manner in manners:
+    kinds: tuple[AutopilotKind, ...] = (
+        (options.autopilot_kind,) if options.autopilot_kind else ("ardupilot", "px4")
+    )
+    for autopilot_kind in kinds:
         for case in (case for case in CASES if case.name.startswith(options.case)):
-            table.add_row(*row(manner, case, [fly(manner, case, seed) for seed in range(options.runs)]))
+            table.add_row(
+                *row(autopilot_kind, case, [fly(autopilot_kind, case, seed) for seed in range(options.runs)])
+            )
     Console(width=120).print(table)
 
 

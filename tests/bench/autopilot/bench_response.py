@@ -20,15 +20,15 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray
-from companion.base.messages import Manner
 from companion.config import ConfigError, Kind, VehicleConfig, find_file, load_model
 from sitl.firmware.spec import FirmwareSpec
 from tests.bench.autopilot.response_flight import Record, fly
 
 FINER: Final = 4  # dead times fall between rows
 SETTLING_ROWS: Final = 240
-KINDS: Final[dict[Manner, tuple[Kind, ...]]] = {
+KINDS: Final[dict[AutopilotKind, tuple[Kind, ...]]] = {
     "px4": ("acceleration", "attitude"),
     "ardupilot": ("attitude", "velocity"),
 }
@@ -91,15 +91,17 @@ def along(record: Record, axis: int, kind: Kind) -> list[float]:
     return fit([a, v - speed] if heard else [a], smoothed(flown), free, period_s)
 
 
-def rows_of(vehicle: VehicleConfig, manner: Manner, kind: Kind, record: Record) -> list[list[str]]:
+def rows_of(
+    vehicle: VehicleConfig, autopilot_kind: AutopilotKind, kind: Kind, record: Record
+) -> list[list[str]]:
     """Found beside what is believed."""
-    believed, rows = vehicle.responses.of(manner, kind), []
+    believed, rows = vehicle.responses.of(autopilot_kind, kind), []
     for name, axis in (("north", 0), ("east", 1), ("down", DOWN)):
         response = believed.down if axis == DOWN else believed.sideways
         dead_s, w, zeta, explained, *gains = along(record, axis, kind)
         rows.append(
             [
-                f"{manner} {kind} {name}",
+                f"{autopilot_kind} {kind} {name}",
                 f"{dead_s:.3f} ({response.dead_time_s:.3f})",
                 f"{w:.1f} ({response.frequency_rad_s:.1f})",
                 f"{zeta:.2f} ({response.damping:.2f})",
@@ -111,7 +113,7 @@ def rows_of(vehicle: VehicleConfig, manner: Manner, kind: Kind, record: Record) 
         )
     dead_s, w, zeta, explained, gain = along(record, HEADING, kind)
     found = (f"{dead_s:.3f}", f"{w:.1f}", f"{zeta:.2f}", f"{dead_s + 2.0 * zeta / w:.3f}", f"{gain:.2f}")
-    rows.append([f"{manner} {kind} heading", *found, "", f"{100.0 * explained:.0f} %"])
+    rows.append([f"{autopilot_kind} {kind} heading", *found, "", f"{100.0 * explained:.0f} %"])
     return rows
 
 
@@ -124,16 +126,16 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     vehicle = load_model(VehicleConfig, find_file("vehicles", options.vehicle))
-    programs: dict[Manner, Path | None] = {"px4": options.px4, "ardupilot": options.arducopter}
+    programs: dict[AutopilotKind, Path | None] = {"px4": options.px4, "ardupilot": options.arducopter}
     alone = any(programs.values())
     shown = Table(title=f"{options.vehicle}: found (believed)")
     for heading in ("", "dead time s", "frequency rad/s", "damping", "delay s", "gain", "K 1/s", "explained"):
         shown.add_column(heading, justify="right" if heading else "left", no_wrap=True)
-    for manner, path in programs.items():
-        spec = FirmwareSpec.of(manner, path) if path else None
-        for kind in KINDS[manner] if spec or not alone else ():
-            record = fly(manner, options.vehicle, kind, options.seed, spec)
-            for cells in rows_of(vehicle, manner, kind, record):
+    for autopilot_kind, path in programs.items():
+        spec = FirmwareSpec.of(autopilot_kind, path) if path else None
+        for kind in KINDS[autopilot_kind] if spec or not alone else ():
+            record = fly(autopilot_kind, options.vehicle, kind, options.seed, spec)
+            for cells in rows_of(vehicle, autopilot_kind, kind, record):
                 shown.add_row(*cells)
     Console(width=None if sys.stdout.isatty() else 150).print(shown)
     return 0

@@ -27,15 +27,15 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from tests.bench.autopilot.answers import Figures, figures
 from tests.bench.autopilot.autopilot_record import Record, read_tlog
 from tests.bench.autopilot.setpoint_flight import fly
 from tests.bench.autopilot.what_was_said import Saying, sayings
 
-FILES: Final[dict[Manner, str]] = {"ardupilot": "arducopter.tlog", "px4": "px4.tlog"}
-SHARES: Final[dict[Manner, float]] = {"ardupilot": 0.15, "px4": 0.25}
-SEEDS: Final[dict[Manner, int]] = {"ardupilot": 6, "px4": 6}
+FILES: Final[dict[AutopilotKind, str]] = {"ardupilot": "arducopter.tlog", "px4": "px4.tlog"}
+SHARES: Final[dict[AutopilotKind, float]] = {"ardupilot": 0.15, "px4": 0.25}
+SEEDS: Final[dict[AutopilotKind, int]] = {"ardupilot": 6, "px4": 6}
 # what a recording resolves, by the unit in a row's name
 RESOLUTION: Final = {"(s)": 0.03, "(m)": 0.02, "(m/s)": 0.02, "(%)": 1.0}
 SCATTERS: Final = 2.0
@@ -77,11 +77,11 @@ def row(name: str, recorded: float | None, ours: Sequence[float | None], share: 
     return Row(name, recorded, mean, limits[rule], rule)
 
 
-def compare(manner: Manner, recorded: Record, seeds: int) -> tuple[list[Row], list[Saying]]:
+def compare(autopilot_kind: AutopilotKind, recorded: Record, seeds: int) -> tuple[list[Row], list[Saying]]:
     """Fly and judge one autopilot."""
-    flights = [fly(manner, recorded, seed) for seed in range(seeds)]
-    theirs, ours = figures(recorded, manner), [figures(flight, manner) for flight in flights]
-    return _rows(theirs, ours, SHARES[manner]), sayings(manner, recorded, flights[0])
+    flights = [fly(autopilot_kind, recorded, seed) for seed in range(seeds)]
+    theirs, ours = figures(recorded, autopilot_kind), [figures(flight, autopilot_kind) for flight in flights]
+    return _rows(theirs, ours, SHARES[autopilot_kind]), sayings(autopilot_kind, recorded, flights[0])
 
 
 def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[Row]:
@@ -91,9 +91,11 @@ def _rows(theirs: Figures, ours: Sequence[Figures], share: float) -> list[Row]:
 # ---------------------------------------------------------------- printing
 
 
-def show(console: Console, manner: Manner, rows: Sequence[Row], said: Sequence[Saying]) -> None:
+def show(
+    console: Console, autopilot_kind: AutopilotKind, rows: Sequence[Row], said: Sequence[Saying]
+) -> None:
     """One table an autopilot."""
-    table = Table(title=f"{manner}: recorded, and ours by the same setpoints")
+    table = Table(title=f"{autopilot_kind}: recorded, and ours by the same setpoints")
     for heading in ("", "recorded", "ours", "ratio", "may differ by", "why", "holds"):
         table.add_column(heading, justify="left" if heading in ("", "why", "holds") else "right")
     for r in rows:
@@ -114,13 +116,13 @@ def _word(holds: bool | None) -> str:
     return "-" if holds is None else "yes" if holds else "NO"
 
 
-def verdict(manner: Manner, rows: Sequence[Row], said: Sequence[Saying]) -> tuple[bool, str]:
+def verdict(autopilot_kind: AutopilotKind, rows: Sequence[Row], said: Sequence[Saying]) -> tuple[bool, str]:
     """Whether all holds, and a few words about it."""
     judged: list[tuple[str, bool | None]] = [(r.name, r.holds) for r in rows]
     judged += [(s.name, s.holds) for s in said]
     failed = [name for name, holds in judged if holds is False]
     counted = sum(holds is not None for _, holds in judged)
-    words = f"{manner}: {counted - len(failed)} of {counted} rows hold"
+    words = f"{autopilot_kind}: {counted - len(failed)} of {counted} rows hold"
     return not failed, words + (f" (not: {'; '.join(failed)})" if failed else "")
 
 
@@ -133,15 +135,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=0, help="flights of ours each; 0: as many as it takes")
     chosen = parser.parse_args(arguments)
     console, verdicts = Console(width=150), []
-    for manner, file in FILES.items():
+    for autopilot_kind, file in FILES.items():
         try:
             recorded = read_tlog(chosen.folder / file)
-            rows, said = compare(manner, recorded, chosen.seeds or SEEDS[manner])
+            rows, said = compare(autopilot_kind, recorded, chosen.seeds or SEEDS[autopilot_kind])
         except (OSError, ValueError) as error:
             print(f"bench-sitl: {error}", file=sys.stderr)
             return 2
-        show(console, manner, rows, said)
-        verdicts.append(verdict(manner, rows, said))
+        show(console, autopilot_kind, rows, said)
+        verdicts.append(verdict(autopilot_kind, rows, said))
     print("; ".join(words for _, words in verdicts))
     return 0 if all(holds for holds, _ in verdicts) else 1
 

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import (
     GRAVITY_M_S2,
@@ -23,7 +24,7 @@ from companion.base.geometry import (
     vector3,
     yaw_from_quat,
 )
-from companion.base.messages import Action, ActionKind, Manner, Setpoint
+from companion.base.messages import Action, ActionKind, Setpoint
 from companion.config import ControlConfig, Kind, LinkConfig
 from companion.control.setpoints import Heading, attitude_setpoint
 from companion.link.actions.actions import PymavlinkActions
@@ -66,7 +67,9 @@ class Record:
     heading_rad: FloatArray
 
 
-def fly(manner: Manner, airframe: str, kind: Kind, seed: int, firmware: FirmwareSpec | None = None) -> Record:
+def fly(
+    autopilot_kind: AutopilotKind, airframe: str, kind: Kind, seed: int, firmware: FirmwareSpec | None = None
+) -> Record:
     """One flight.
 
     Raises:
@@ -75,7 +78,7 @@ def fly(manner: Manner, airframe: str, kind: Kind, seed: int, firmware: Firmware
     scenario = Scenario(
         name="response",
         description="calm air, the pad far away",
-        autopilot=manner,
+        autopilot=autopilot_kind,
         airframe=airframe,
         start_heading_deg=0.0,
         pad=PadSettings(motion=StaticMotion(kind="static", meet=Meeting(point_ned_m=(200.0, 200.0)))),

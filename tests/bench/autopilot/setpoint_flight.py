@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot import ESTIMATORS, EstimatorName, SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.pad.paths import Meeting, StaticMotion
@@ -23,25 +23,25 @@ from tests.bench.autopilot.autopilot_record import Record, Stamped, decoder, rec
 STEPS_PER_TALK: Final = 2
 AFTER_S: Final = 3.0
 FAR_M: Final = 99.0  # no rangefinder's echo
-AIRFRAMES: Final[dict[Manner, str]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
-ESTIMATOR_OF: Final[dict[Manner, EstimatorName]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
+AIRFRAMES: Final[dict[AutopilotKind, str]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
+ESTIMATOR_OF: Final[dict[AutopilotKind, EstimatorName]] = {"px4": "sih", "ardupilot": "arducopter_sitl"}
 
 
-def fly(manner: Manner, recorded: Record, seed: int) -> Record:
+def fly(autopilot_kind: AutopilotKind, recorded: Record, seed: int) -> Record:
     """Fly our vehicle by what was sent in a recording; it boots as long before as the recorded one did."""
     scenario = Scenario(
         name="setpoints",
         description="calm air, the pad far away",
-        autopilot=manner,
-        airframe=AIRFRAMES[manner],
+        autopilot=autopilot_kind,
+        airframe=AIRFRAMES[autopilot_kind],
         start_heading_deg=0.0,
         pad=PadSettings(motion=StaticMotion(kind="static", meet=Meeting(point_ned_m=(200.0, 200.0)))),
     )
     world = World(scenario, seed)
-    errors = ESTIMATORS[ESTIMATOR_OF[manner]]
+    errors = ESTIMATORS[ESTIMATOR_OF[autopilot_kind]]
     airframe = world.airframe
     rng = np.random.default_rng((seed, 20))
-    autopilot = SimulatedAutopilot(manner, airframe.body, rng, HOME, errors, airframe.rates)
+    autopilot = SimulatedAutopilot(autopilot_kind, airframe.body, rng, HOME, errors, airframe.rates)
     sensors = SimulatedAutopilotSensors(
         np.random.default_rng((seed, 21)),
         PHYSICS_STEP_S,

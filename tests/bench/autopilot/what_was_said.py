@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from tests.bench.autopilot.autopilot_record import ON_GROUND, Record
 
 SET_MESSAGE_INTERVAL: Final = 511
@@ -16,7 +16,7 @@ HEARTBEAT_S: Final = 1.2
 RESULTS: Final = ("accepted", "temporarily rejected", "denied", "unsupported", "failed")
 STATES: Final = {0: "?", 1: "on ground", 2: "in air", 3: "take-off", 4: "landing"}
 # said in flight, of what a client may wait for
-TEXTS: Final[dict[Manner, tuple[str, ...]]] = {
+TEXTS: Final[dict[AutopilotKind, tuple[str, ...]]] = {
     "ardupilot": ("Arming motors", "Disarming motors"),
     "px4": (),
 }
@@ -32,12 +32,12 @@ class Saying:
     holds: bool
 
 
-def sayings(manner: Manner, recorded: Record, ours: Record) -> list[Saying]:
+def sayings(autopilot_kind: AutopilotKind, recorded: Record, ours: Record) -> list[Saying]:
     """All rows of words."""
     rows = _answers(recorded, ours) + _modes(recorded, ours)
     states = (_states(recorded), _states(ours))
     rows.append(Saying("landed states", *states, holds=states[0] == states[1]))
-    for text in TEXTS[manner]:
+    for text in TEXTS[autopilot_kind]:
         theirs, our = (_says(record, text) for record in (recorded, ours))
         rows.append(Saying(f'text "{text}"', theirs, our, holds=theirs == our))
     return rows

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_worst
@@ -24,7 +24,7 @@ from tests.bench.campaign.landing_cases import write_flights
 from tests.bench.campaign.margins_cases import margin_cases
 from tests.bench.firmware.bench_firmware import line, table
 
-MANNERS: tuple[Manner, ...] = ("px4", "ardupilot")
+AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 
 
 def main() -> int:
@@ -41,8 +41,8 @@ def main() -> int:
     seeds = range(options.first, options.first + options.seeds)
     cases = [
         case
-        for manner in MANNERS
-        for case in margin_cases(manner, seeds, options.out.resolve())
+        for autopilot_kind in AUTOPILOT_KINDS
+        for case in margin_cases(autopilot_kind, seeds, options.out.resolve())
         if case.name.startswith(options.case)
     ]
     lines, bars, flown = [], [], list[Row]()

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import yaml
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import find_file, merge, read_yaml
 from tests.bench.campaign.landing_cases import PASS, Case
 
@@ -26,8 +26,8 @@ BOUNDS: Final = {
 }
 
 
-def margin_cases(manner: Manner, seeds: range, folder: Path) -> tuple[Case, ...]:
-    """All of them, with one autopilot's manners; the vehicle's files are left in `folder`."""
+def margin_cases(autopilot_kind: AutopilotKind, seeds: range, folder: Path) -> tuple[Case, ...]:
+    """All of them, with one autopilot's profile; the vehicle's files are left in `folder`."""
     believed = read_yaml(find_file("vehicles", VEHICLE))
     changes: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         "as_believed": ({}, {}),
@@ -43,17 +43,21 @@ def margin_cases(manner: Manner, seeds: range, folder: Path) -> tuple[Case, ...]
     for name, (vehicle, world) in changes.items():
         path = folder / f"vehicle_{name}.yaml"
         path.write_text(yaml.safe_dump(merge(believed, vehicle), sort_keys=False), encoding="utf-8")
-        told = {**world, "autopilot": manner, "companion": {"vehicle": str(path)}, "pass": BOUNDS}
+        told = {**world, "autopilot": autopilot_kind, "companion": {"vehicle": str(path)}, "pass": BOUNDS}
         flights = [
-            (_scenario(scenario, name, manner, told), seed) for scenario in SCENARIOS for seed in seeds
+            (_scenario(scenario, name, autopilot_kind, told), seed)
+            for scenario in SCENARIOS
+            for seed in seeds
         ]
-        cases.append(Case(f"{manner}-{name}", tuple(flights)))
+        cases.append(Case(f"{autopilot_kind}-{name}", tuple(flights)))
     return tuple(cases)
 
 
-def _scenario(scenario: str, name: str, manner: Manner, told: dict[str, Any]) -> dict[str, Any]:
+def _scenario(
+    scenario: str, name: str, autopilot_kind: AutopilotKind, told: dict[str, Any]
+) -> dict[str, Any]:
     content = merge(read_yaml(find_file("scenarios", scenario)), told)
-    return {**content, "name": f"{manner}-{name}-{scenario}"}
+    return {**content, "name": f"{autopilot_kind}-{name}-{scenario}"}
 
 
 def _quicker(vehicle: dict[str, Any], factor: float) -> dict[str, Any]:

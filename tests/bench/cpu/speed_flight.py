@@ -20,9 +20,10 @@ from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import Vector3
-from companion.base.messages import Frame, Manner
+from companion.base.messages import Frame
 from sitl.devices.ports import MemoryPort
 from sitl.pad.paths import CircleMotion, Meeting
 from sitl.run.simulation import Simulation
@@ -71,7 +72,7 @@ class SpeedFlight:
     digest: str
 
 
-def scenario(manner: Manner) -> Scenario:
+def scenario(autopilot_kind: AutopilotKind) -> Scenario:
     """A pad on a circle round home, 5 m/s of wind and moderate turbulence."""
     meet = Meeting(point_ned_m=(PAD_RADIUS_M, 0.0), time_s=0.0, spread_m=0.0)
     motion = CircleMotion(
@@ -85,7 +86,7 @@ def scenario(manner: Manner) -> Scenario:
     return Scenario(
         name="speed",
         description="a pad round home, in wind",
-        autopilot=manner,
+        autopilot=autopilot_kind,
         start_heading_deg=0.0,
         pad=PadSettings(surface_height_m=0.3, motion=motion),
         wind=WindSettings(mean_m_s=5.0, from_deg=60.0, turbulence="moderate"),
@@ -95,11 +96,11 @@ def scenario(manner: Manner) -> Scenario:
 class Client:
     """Both ends of the line: the vehicle's, and a ground station that flies it. Counts its own costs."""
 
-    def __init__(self, manner: Manner) -> None:
+    def __init__(self, autopilot_kind: AutopilotKind) -> None:
         self.spent_s = 0.0
         self.position: Vector3 | None = None
         self.digest = hashlib.sha256()
-        self._manner = manner
+        self._autopilot_kind = autopilot_kind
         self._mav = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self._parser = mavlink.MAVLink(None)
         self._to_vehicle: deque[bytes] = deque()
@@ -127,15 +128,15 @@ class Client:
 
     def begin(self) -> None:
         """Arm, and take off to 8 m."""
-        if self._manner == "ardupilot":
+        if self._autopilot_kind == "ardupilot":
             self._command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, *_GUIDED)
         self._command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-        height_m = HIGH_M + (0.0 if self._manner == "ardupilot" else 400.0)
+        height_m = HIGH_M + (0.0 if self._autopilot_kind == "ardupilot" else 400.0)
         self._command(mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, math.nan, math.nan, math.nan, height_m)
 
     def follow(self) -> None:
         """From now on the streamed velocities count."""
-        if self._manner == "px4":
+        if self._autopilot_kind == "px4":
             self._command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, *_OFFBOARD)
 
     def stream(self, now_s: float) -> None:
@@ -179,13 +180,13 @@ def pad_at(now_s: float) -> tuple[Vector3, Vector3]:
     return (r * c, r * s, 0.0), (-r * w * s, r * w * c, 0.0)
 
 
-def fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
+def fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> SpeedFlight:
     """Serve a vehicle, with or without its camera, and fly it to the end."""
-    return run_in_virtual_time(_fly(manner, seed, camera=camera))
+    return run_in_virtual_time(_fly(autopilot_kind, seed, camera=camera))
 
 
-async def _fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
-    client, clock, frames = Client(manner), Clock(), 0
+async def _fly(autopilot_kind: AutopilotKind, seed: int, *, camera: bool) -> SpeedFlight:
+    client, clock, frames = Client(autopilot_kind), Clock(), 0
 
     def deliver(frame: Frame) -> None:
         nonlocal frames
@@ -195,7 +196,7 @@ async def _fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
         client.spent_s += time.process_time() - started_s
 
     simulation = Simulation(
-        scenario(manner),
+        scenario(autopilot_kind),
         seed,
         link=client,
         gps_port=MemoryPort(9600),
@@ -222,7 +223,7 @@ async def _fly(manner: Manner, seed: int, *, camera: bool) -> SpeedFlight:
             following = True
             client.follow()
         # PX4 wants to see a stream before it changes the mode, ArduPilot gives up its take-off for one
-        if following or manner == "px4":
+        if following or autopilot_kind == "px4":
             client.stream(now_s)
         client.spent_s += time.process_time() - started_s
         await clock.sleep_until(now_s + TALK_S)

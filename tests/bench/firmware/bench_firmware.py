@@ -21,7 +21,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError, Kind
 from sitl.campaign.figures import Bar, values
 from sitl.campaign.rows import Row
@@ -87,7 +87,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--out", type=Path, default=Path("flights/bench-firmware"))
     options = parser.parse_args()
-    paths: dict[Manner, Path | None] = {"px4": options.px4, "ardupilot": options.arducopter}
+    paths: dict[AutopilotKind, Path | None] = {"px4": options.px4, "ardupilot": options.arducopter}
     specs = [spec for kind, path in paths.items() if path and (spec := FirmwareSpec.of(kind, path))]
     if not specs:
         raise ConfigError("bench-firmware: expected --px4 BIN, --arducopter BIN or both")

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 
 import yaml
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.campaign.manifest import CampaignRun, code_digest, scenario_digest
 from sitl.firmware.spec import FirmwareSpec
 from sitl.scenario.scenario import Scenario
@@ -24,7 +24,7 @@ PASS: Final = {"lateral_error_m": 0.15, "vertical_speed_m_s": 0.5, "horizontal_s
 WIND: Final = {"mean_m_s": 8.0, "turbulence": "moderate"}
 CALM: Final[dict[str, Any]] = {"mean_m_s": 0.0}
 # what each is sent by default first; velocities to ArduPilot are no part of what has to land
-SETPOINTS: Final[dict[Manner, tuple[str, ...]]] = {
+SETPOINTS: Final[dict[AutopilotKind, tuple[str, ...]]] = {
     "px4": ("acceleration", "attitude"),
     "ardupilot": ("attitude",),
 }
@@ -38,7 +38,7 @@ class FirmwareCase:
     windy: bool
     pad: dict[str, Any]
 
-    def scenario(self, kind: Manner, setpoint: str, sensors: Sensors = "boards") -> dict[str, Any]:
+    def scenario(self, kind: AutopilotKind, setpoint: str, sensors: Sensors = "boards") -> dict[str, Any]:
         """The scenario as its file has it; `sensors`: IMU, compass and GPS of whom the app flies by."""
         return {
             "name": self.title(kind, setpoint, sensors),
@@ -55,7 +55,7 @@ class FirmwareCase:
             },
         }
 
-    def title(self, kind: Manner, setpoint: str, sensors: Sensors) -> str:
+    def title(self, kind: AutopilotKind, setpoint: str, sensors: Sensors) -> str:
         """The scenario's name."""
         return "-".join((kind, setpoint, *(["telemetry"] if sensors == "autopilot" else ()), self.name))
 

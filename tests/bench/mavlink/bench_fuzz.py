@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import wall_clock_s
-from companion.base.messages import Manner
 from tests.bench.mavlink.fuzzing import Fuzz, FuzzResult
 
-# manner, whether it has a key, whether most frames are orders, share of the frames
-RUNS: tuple[tuple[Manner, bool, bool, float], ...] = (
+# autopilot_kind, whether it has a key, whether most frames are orders, share of the frames
+RUNS: tuple[tuple[AutopilotKind, bool, bool, float], ...] = (
     ("px4", False, False, 0.35),
     ("ardupilot", False, False, 0.35),
     ("px4", False, True, 0.05),
@@ -59,9 +59,9 @@ def main(words: Sequence[str] | None = None) -> int:
     options = parser.parse_args(words)
     began_s = wall_clock_s()
     results = []
-    for manner, with_key, orders, share in RUNS:
-        name = manner + ", signed" * with_key + ", orders" * orders
-        fuzz = Fuzz(manner, options.seed, KEY if with_key else None, orders=orders)
+    for autopilot_kind, with_key, orders, share in RUNS:
+        name = autopilot_kind + ", signed" * with_key + ", orders" * orders
+        fuzz = Fuzz(autopilot_kind, options.seed, KEY if with_key else None, orders=orders)
         results.append((name, fuzz.run(round(options.frames * share))))
     Console(width=160).print(table(results))
     kinds: Counter[str] = sum((found.kinds for _, found in results), Counter())

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.framing import FrameReader, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import VEHICLE, Network, Port
@@ -286,12 +286,14 @@ class FuzzResult:
 class Fuzz:
     """A vehicle in flight under fire."""
 
-    def __init__(self, manner: Manner, seed: int, key: bytes | None = None, *, orders: bool = False) -> None:
+    def __init__(
+        self, autopilot_kind: AutopilotKind, seed: int, key: bytes | None = None, *, orders: bool = False
+    ) -> None:
         self.rng = np.random.default_rng(seed)
-        self.flight = Flight(manner)
+        self.flight = Flight(autopilot_kind)
         self.flight.take_off()
         self.flight.take_control()
-        self.signing = Signing(manner, key)
+        self.signing = Signing(autopilot_kind, key)
         sensors = SimulatedAutopilotSensors(
             np.random.default_rng(seed), TICK_S, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=4
         )

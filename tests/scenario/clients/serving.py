@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER
 
 START_TIMEOUT_S = 30.0
@@ -22,17 +22,17 @@ START_TIMEOUT_S = 30.0
 class Served:
     """A vehicle that is being served, and where: the ports that clients call."""
 
-    manner: Manner
+    autopilot_kind: AutopilotKind
     companion_port: int
     ground_port: int
     tcp_port: int
 
 
 @contextmanager
-def serving(manner: Manner, *arguments: str | int | Path) -> Iterator[Served]:
+def serving(autopilot_kind: AutopilotKind, *arguments: str | int | Path) -> Iterator[Served]:
     """Start it with `arguments`, and end it as Ctrl-C does; nothing may be left on its standard error."""
     command = (
-        *(sys.executable, "-m", "sitl.cli", "--autopilot", manner, "--scenario", "static"),
+        *(sys.executable, "-m", "sitl.cli", "--autopilot", autopilot_kind, "--scenario", "static"),
         *("--port", "0", "--gcs-port", "0", "--tcp-port", "0", *map(str, arguments)),
     )
     with subprocess.Popen(
@@ -44,7 +44,7 @@ def serving(manner: Manner, *arguments: str | int | Path) -> Iterator[Served]:
         text=True,
     ) as process:
         try:
-            yield Served(manner, *_ports(process))
+            yield Served(autopilot_kind, *_ports(process))
         finally:
             process.send_signal(signal.SIGINT)
             try:

@@ -1,4 +1,4 @@
-"""MAVProxy against `companion-sitl`, both manners side by side in real time, typed at as its users do."""
+"""MAVProxy against `companion-sitl`, as PX4 and as ArduPilot in real time: what its users type."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from tests.scenario.clients.serving import serving
 
 MAVPROXY = Path(sys.executable).parent / "mavproxy.py"
@@ -83,18 +83,18 @@ def mavproxy(port: int, folder: Path) -> Iterator[MavProxy]:
             process.kill()
 
 
-# of each manner: how it goes to a mode, the mode, how it returns. MAVProxy's own `mode NAME` and `rtl` put a
+# each autopilot: the way to a mode, the mode, the way back. MAVProxy's own `mode NAME` and `rtl` put a
 # tuple where PX4's modes have three numbers, and end in an error before anything is sent
-WORDS: dict[Manner, tuple[str, str, str]] = {
+WORDS: dict[AutopilotKind, tuple[str, str, str]] = {
     "px4": ("long DO_SET_MODE 1 4 3", "LOITER", "long NAV_RETURN_TO_LAUNCH"),
     "ardupilot": ("mode GUIDED", "GUIDED", "rtl"),
 }
 
 
-def fly(manner: Manner, folder: Path) -> None:
+def fly(autopilot_kind: AutopilotKind, folder: Path) -> None:
     """Parameters, modes, waypoints, arm, take off, return."""
-    change, mode, come_back = WORDS[manner]
-    with serving(manner) as served, mavproxy(served.tcp_port, folder) as client:
+    change, mode, come_back = WORDS[autopilot_kind]
+    with serving(autopilot_kind) as served, mavproxy(served.tcp_port, folder) as client:
         client.has_said("Detected vehicle 1:1")
         client.has_said(r"Received \d+ parameters")
         client.type("param fetch", r"Received \d+ parameters")
@@ -117,7 +117,7 @@ def fly(manner: Manner, folder: Path) -> None:
 @pytest.mark.skipif(
     not MAVPROXY.exists(), reason="MAVProxy is not installed beside this interpreter; see Makefile"
 )
-def test_mavproxy_flies_both_manners(tmp_path: Path) -> None:
+def test_mavproxy_flies_both_autopilots(tmp_path: Path) -> None:
     folders = tmp_path / "p", tmp_path / "a"
     for folder in folders:
         folder.mkdir()

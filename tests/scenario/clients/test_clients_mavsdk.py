@@ -1,4 +1,4 @@
-"""MAVSDK against `companion-sitl`, both manners side by side in real time: all that its users do in a flight.
+"""MAVSDK against `companion-sitl`, as PX4 and as ArduPilot in real time: a flight.
 
 Low and short. MAVSDK listens, as its tutorials have it: the vehicle finds it.
 """
@@ -22,14 +22,14 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.mission_raw import MissionItem
 from mavsdk.plugins.offboard import AccelerationNed, Attitude, PositionNedYaw, VelocityNedYaw
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from tests.scenario.clients.serving import serving
 
 PATIENCE_S = 60.0  # on a busy machine the vehicle slows down
 HEIGHT_M = 3.0
 RELATIVE_INT, WAYPOINT = 6, 16  # MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, MAV_CMD_NAV_WAYPOINT
 FURTHER_DEG = 4e-5  # 4.4 m of latitude
-SPEED_PARAMETERS: dict[Manner, str] = {"px4": "MPC_XY_CRUISE", "ardupilot": "WPNAV_SPEED"}
+SPEED_PARAMETERS: dict[AutopilotKind, str] = {"px4": "MPC_XY_CRUISE", "ardupilot": "WPNAV_SPEED"}
 
 
 def free_port() -> int:
@@ -63,10 +63,10 @@ async def connected(port: int) -> AsyncIterator[Any]:
         await asyncio.to_thread(mavsdk.destroy)
 
 
-async def fly_by_actions(system: Any, manner: Manner, telemetry: TelemetryAsync) -> None:
+async def fly_by_actions(system: Any, autopilot_kind: AutopilotKind, telemetry: TelemetryAsync) -> None:
     """Parameters, arm, take off, go to a place."""
     param, action = ParamAsync(system), ActionAsync(system)
-    name = SPEED_PARAMETERS[manner]
+    name = SPEED_PARAMETERS[autopilot_kind]
     value = await param.get_param_float(name)
     await param.set_param_float(name, value + 1.0)
     assert await param.get_param_float(name) == value + 1.0
@@ -112,12 +112,12 @@ def waypoint(number: int, latitude_deg: float, longitude_deg: float) -> MissionI
     return MissionItem(number, RELATIVE_INT, WAYPOINT, first, 1, 0.0, 0.5, 0.0, 0.0, *place, 0)
 
 
-async def fly_a_mission(system: Any, manner: Manner, telemetry: TelemetryAsync) -> None:
+async def fly_a_mission(system: Any, autopilot_kind: AutopilotKind, telemetry: TelemetryAsync) -> None:
     """Upload, read back, fly to the north and half the way back."""
     mission = MissionRawAsync(system)
     here = await until(telemetry.subscribe_position(), lambda _: True)
     goals = [here.latitude_deg + FURTHER_DEG, here.latitude_deg + 0.5 * FURTHER_DEG]
-    places = [here.latitude_deg, *goals] if manner == "ardupilot" else goals  # its item 0 is home
+    places = [here.latitude_deg, *goals] if autopilot_kind == "ardupilot" else goals  # its item 0 is home
     items = [waypoint(n, latitude, here.longitude_deg) for n, latitude in enumerate(places)]
     await mission.upload_mission(items)
     read = await mission.download_mission()
@@ -139,18 +139,18 @@ async def land(system: Any, telemetry: TelemetryAsync) -> None:
     assert not await until(telemetry.subscribe_in_air(), lambda _: True)
 
 
-async def whole_flight(manner: Manner, folder: Path) -> None:
+async def whole_flight(autopilot_kind: AutopilotKind, folder: Path) -> None:
     port = free_port()
-    with serving(manner, "--port", port, "--folder", folder):
+    with serving(autopilot_kind, "--port", port, "--folder", folder):
         async with connected(port) as system:
             telemetry = TelemetryAsync(system)
-            await fly_by_actions(system, manner, telemetry)
+            await fly_by_actions(system, autopilot_kind, telemetry)
             await fly_by_setpoints(system, telemetry)
-            await fly_a_mission(system, manner, telemetry)
+            await fly_a_mission(system, autopilot_kind, telemetry)
             await land(system, telemetry)
 
 
-async def test_mavsdk_flies_both_manners(tmp_path: Path) -> None:
+async def test_mavsdk_flies_both_autopilots(tmp_path: Path) -> None:
     folders = tmp_path / "p", tmp_path / "a"
     for folder in folders:
         folder.mkdir()

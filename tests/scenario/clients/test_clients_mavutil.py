@@ -1,6 +1,6 @@
-"""pymavlink's mavutil against `companion-sitl`, both manners side by side in real time.
+"""pymavlink's mavutil against `companion-sitl`, as PX4 and as ArduPilot, side by side in real time.
 
-PX4's manners over TCP and unsigned; ArduPilot's over the UDP port where ground stations listen, signed, with
+PX4's profile over TCP and unsigned; ArduPilot's over the UDP port where ground stations listen, signed, with
 a second client that has no key.
 """
 
@@ -104,7 +104,7 @@ def stranger_hears_but_is_not_heard(port: int) -> None:
         assert stranger.recv_match(type="COMMAND_ACK", blocking=True, timeout=1.0) is None
 
 
-def test_mavutil_flies_both_manners(tmp_path: Path) -> None:
+def test_mavutil_flies_both_autopilots(tmp_path: Path) -> None:
     key_file = tmp_path / "key"
     key_file.write_bytes(PASSPHRASE + b"\n")
     with ThreadPoolExecutor() as pool:

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.base.messages import Manner, Outcome, Phase
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import Outcome, Phase
 from companion.config import CONFIG_FOLDER
 from companion.flightlog.record import FlightLog
 from companion.sim.runner import SitlFlight, fly
@@ -25,31 +26,33 @@ SENSE: dict[str, Any] = {"source": "autopilot"}
 FIFTY_HZ: dict[str, Any] = {**SENSE, "autopilot": {"imu_rate_hz": 50.0}}
 
 
-def by_telemetry(manner: Manner, sense: dict[str, Any]) -> dict[str, Any]:
-    return {"autopilot": manner, "companion": {"sense": sense}}
+def by_telemetry(autopilot_kind: AutopilotKind, sense: dict[str, Any]) -> dict[str, Any]:
+    return {"autopilot": autopilot_kind, "companion": {"sense": sense}}
 
 
-def fly_static(folder: Path, manner: Manner = "px4", **changes: Any) -> tuple[SitlFlight, FlightLog]:
-    path = scenario_file(folder, "static", {**by_telemetry(manner, SENSE), **changes})
+def fly_static(
+    folder: Path, autopilot_kind: AutopilotKind = "px4", **changes: Any
+) -> tuple[SitlFlight, FlightLog]:
+    path = scenario_file(folder, "static", {**by_telemetry(autopilot_kind, SENSE), **changes})
     trial = Trial.load(str(path), 0)
     log = FlightLog(None, start_unix_s=0.0)
     settings = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
     return fly(settings, trial, log, lambda _status: None, fast=True), log
 
 
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 @pytest.mark.parametrize(
     ("scenario", "sense"),
     [("static", SENSE), ("circle", SENSE), ("circle", FIFTY_HZ)],
     ids=["static", "circle", "circle at 50 Hz"],
 )
 def test_lands_on_the_autopilots_sensors(
-    manner: Manner, scenario: str, sense: dict[str, Any], tmp_path: Path
+    autopilot_kind: AutopilotKind, scenario: str, sense: dict[str, Any], tmp_path: Path
 ) -> None:
-    flown = fly_command(scenario_file(tmp_path, scenario, by_telemetry(manner, sense)), 0, tmp_path)
+    flown = fly_command(scenario_file(tmp_path, scenario, by_telemetry(autopilot_kind, sense)), 0, tmp_path)
     touchdown = flown.landing["touchdown"]
     assert touchdown["lateral_error_m"] <= LATERAL_M, flown
-    print(f"{scenario}, {manner}: {touchdown}")
+    print(f"{scenario}, {autopilot_kind}: {touchdown}")
 
 
 def test_a_replay_gives_the_flights_estimates_again_to_the_bit(tmp_path: Path) -> None:
@@ -85,16 +88,16 @@ def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
     assert texts(log).count("autopilot's sensors: no HIGHRES_IMU comes; expected it at 200 Hz") == 1
 
 
-@pytest.mark.parametrize(("manner", "name"), [("px4", "HIGHRES_IMU"), ("ardupilot", "RAW_IMU")])
+@pytest.mark.parametrize(("autopilot_kind", "name"), [("px4", "HIGHRES_IMU"), ("ardupilot", "RAW_IMU")])
 def test_an_imu_stream_that_never_comes_is_told_once_and_nothing_is_armed(
-    manner: Manner, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    autopilot_kind: AutopilotKind, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     missing = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
     has = SensorMessages.__contains__
     monkeypatch.setattr(
         SensorMessages, "__contains__", lambda self, number: number != missing and has(self, number)
     )
-    flight, log = fly_static(tmp_path, manner, time_limit_s=15.0)
+    flight, log = fly_static(tmp_path, autopilot_kind, time_limit_s=15.0)
     assert flight.report.outcome is Outcome.TIMEOUT, flight.report.failures
     assert [plan.phase for plan in log.kept["plan"]][-1] is Phase.CONNECT
     assert texts(log).count(f"autopilot's sensors: no {name} comes; expected it at 200 Hz") == 1

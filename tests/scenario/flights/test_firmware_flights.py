@@ -15,7 +15,8 @@ from typing import Any, NoReturn
 import pytest
 
 from companion import cli
-from companion.base.messages import Manner, Outcome, Phase
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import Outcome, Phase
 from companion.config import ConfigError
 from companion.sim import runner
 from companion.sim.flights import Answer, answer
@@ -54,7 +55,7 @@ def options(program: Fake) -> list[str]:
 
 
 @BOTH
-def test_a_flight_is_scored_and_the_app_was_heard(kind: Manner, tmp_path: Path) -> None:
+def test_a_flight_is_scored_and_the_app_was_heard(kind: AutopilotKind, tmp_path: Path) -> None:
     program = fake(kind, tmp_path)
     result = asked(program, scenario_file(tmp_path)).result
     assert result is not None
@@ -66,7 +67,9 @@ def test_a_flight_is_scored_and_the_app_was_heard(kind: Manner, tmp_path: Path) 
 
 
 @BOTH
-def test_a_firmware_that_ends_in_flight_is_a_fault_of_that_flight_alone(kind: Manner, tmp_path: Path) -> None:
+def test_a_firmware_that_ends_in_flight_is_a_fault_of_that_flight_alone(
+    kind: AutopilotKind, tmp_path: Path
+) -> None:
     program = fake(kind, tmp_path, ends_after=500)
     fault = asked(program, scenario_file(tmp_path)).fault
     assert fault is not None

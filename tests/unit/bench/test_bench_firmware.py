@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.rows import Row
@@ -114,7 +114,7 @@ def judged(specs: Sequence[FirmwareSpec], given: argparse.Namespace) -> tuple[in
 def test_every_case_is_flown_by_every_setpoint_of_every_firmware(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kinds: tuple[Manner, ...] = ("px4", "ardupilot")
+    kinds: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
     specs = [fake(kind, tmp_path).spec for kind in kinds]
     asked = flown(monkeypatch)
     status, said = judged(specs, options(tmp_path / "out"))

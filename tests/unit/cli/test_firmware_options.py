@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from companion import cli
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import CONFIG_FOLDER, ConfigError
 from companion.sim.external import External
 from companion.sim.flights import Request
@@ -49,7 +49,7 @@ def test_a_path_is_told_from_wherever_the_command_was_given(
 
 
 def test_one_without_the_other_is_refused(px4: FirmwareSpec) -> None:
-    given: list[tuple[Manner | None, Path | None]] = [("px4", None), (None, px4.path)]
+    given: list[tuple[AutopilotKind | None, Path | None]] = [("px4", None), (None, px4.path)]
     for kind, path in given:
         with pytest.raises(ConfigError, match="expected both, or neither"):
             FirmwareSpec.of(kind, path)
@@ -185,7 +185,7 @@ def test_the_app_takes_the_system_that_it_hears_for_px4_numbers_itself(px4: Firm
 
 
 @pytest.mark.parametrize("kind", ["px4", "ardupilot"])
-def test_a_firmware_flies_as_itself_whatever_the_scenario_says(kind: Manner, tmp_path: Path) -> None:
+def test_a_firmware_flies_as_itself_whatever_the_scenario_says(kind: AutopilotKind, tmp_path: Path) -> None:
     spec = fake(kind, tmp_path).spec
     for scenario in ("static", "line"):
         assert Trial.load(scenario, 0, firmware=spec).scenario.autopilot == kind

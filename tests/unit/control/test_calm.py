@@ -26,7 +26,7 @@ from tests.unit.control.control_vehicles import SwayingAutopilot
 
 LINK_S = 0.01  # what the simulator's link and loops take; the settings assume more
 # outer gains (north, east, down) and integral gains, as PX4's and ArduPilot's parameters have them
-MANNERS = {
+AUTOPILOT_KINDS = {
     "px4": ((1.8, 1.8, 4.0), (0.5, 0.5, 2.0)),
     "ardupilot": ((2.0, 2.0, 5.0), (1.0, 1.0, 2.0)),
 }
@@ -79,9 +79,11 @@ def _sway_deg(flight: Flight) -> float:
 
 @pytest.mark.parametrize("kind", ["velocity", "attitude"])
 @pytest.mark.parametrize("pad", [still, line])
-@pytest.mark.parametrize("manner", MANNERS)
-def test_holds_level_and_still_over_a_pad_that_does_not_turn(manner: str, pad: PadMotion, kind: str) -> None:
-    flight = _fly(SwayingAutopilot(*MANNERS[manner]), pad, kind=kind, noise=1.0)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+def test_holds_level_and_still_over_a_pad_that_does_not_turn(
+    autopilot_kind: str, pad: PadMotion, kind: str
+) -> None:
+    flight = _fly(SwayingAutopilot(*AUTOPILOT_KINDS[autopilot_kind]), pad, kind=kind, noise=1.0)
     lean = _lean_deg(flight, 4.0)
     rates = np.radians(np.diff(lean, axis=0)) * 30.0
     assert lean.std(axis=0).max() < 1.0
@@ -111,10 +113,10 @@ def test_a_turning_pad_is_followed_within_a_few_centimetres(pad: PadMotion, boun
     assert flight.lateral_error_m(5.0) < bound_m
 
 
-@pytest.mark.parametrize("manner", MANNERS)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
 @pytest.mark.parametrize("kind", ["velocity", "attitude"])
-def test_a_heaving_pad_is_followed_in_height_and_speed(manner: str, kind: str) -> None:
-    flight = _fly(SwayingAutopilot(*MANNERS[manner]), _heave, kind=kind)
+def test_a_heaving_pad_is_followed_in_height_and_speed(autopilot_kind: str, kind: str) -> None:
+    flight = _fly(SwayingAutopilot(*AUTOPILOT_KINDS[autopilot_kind]), _heave, kind=kind)
     speed = np.array(flight.relative_velocity_m_s)[np.array(flight.time_s) >= 5.0, 2]
     assert np.abs(flight.error_m(5.0)[:, 2]).max() < 0.03
     assert np.abs(speed).max() < 0.08

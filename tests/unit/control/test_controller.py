@@ -354,11 +354,13 @@ def test_by_attitude_ardupilot_gets_the_upward_part_alone_since_it_raises_it_its
     vehicle = _vehicle(0.0, attitude=quat_from_euler(0.0, -0.4, 0.0))
     stay = reference_rows(0.0, lambda _t: (vehicle.position_ned_m, ZERO3, ZERO3), origin="local")
     thrust: dict[str, float] = {}
-    for manner in ("px4", "ardupilot"):
-        flown = Controller(ControlConfig(setpoint="attitude"), vehicle_config(), manner=manner)
+    for autopilot_kind in ("px4", "ardupilot"):
+        flown = Controller(
+            ControlConfig(setpoint="attitude"), vehicle_config(), autopilot_kind=autopilot_kind
+        )
         step = flown.step(_plan(0.0, stay), vehicle, None, 0.0)
         assert step is not None
         assert step[0].thrust is not None
-        thrust[manner] = step[0].thrust
+        thrust[autopilot_kind] = step[0].thrust
     assert thrust["ardupilot"] == pytest.approx(0.5, abs=0.005)
     assert thrust["px4"] == pytest.approx(0.5 / math.cos(0.4), abs=0.01)

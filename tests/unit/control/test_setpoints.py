@@ -4,8 +4,9 @@ import math
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Vector3, quat_rotate
-from companion.base.messages import Manner, Setpoint, VehicleState
+from companion.base.messages import Setpoint, VehicleState
 from companion.base.motion import Motion
 from companion.config import ControlConfig
 from companion.control.attitude import attitude_from_acceleration
@@ -26,7 +27,7 @@ LAGS_S = (0.11, 0.11, 0.04)
 
 
 @pytest.mark.parametrize(
-    ("asked", "manner", "sent"),
+    ("asked", "autopilot_kind", "sent"),
     [
         ("auto", "px4", "acceleration"),
         ("auto", "ardupilot", "attitude"),
@@ -39,9 +40,11 @@ LAGS_S = (0.11, 0.11, 0.04)
         ("attitude", "ardupilot", "attitude"),
     ],
 )
-def test_each_autopilot_gets_the_kind_that_it_takes(asked: str, manner: Manner, sent: str) -> None:
+def test_each_autopilot_gets_the_kind_that_it_takes(
+    asked: str, autopilot_kind: AutopilotKind, sent: str
+) -> None:
     config = ControlConfig.model_validate({"setpoint": asked})
-    assert resolved(config, manner).setpoint == sent
+    assert resolved(config, autopilot_kind).setpoint == sent
 
 
 def test_the_pid_keeps_the_velocity_loop_that_it_was_tuned_on() -> None:

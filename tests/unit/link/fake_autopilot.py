@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import Codec, Message, mavlink, status_texts, timesync
 from companion.link.modes import custom_mode
 
@@ -22,7 +22,7 @@ EKF_USES_GPS = 0x33F  # what ArduCopter 4.6 says once it may arm in GUIDED
 class FakeAutopilot:
     """Its state is public: tests set it and look at it."""
 
-    manner: Manner = "px4"
+    autopilot_kind: AutopilotKind = "px4"
     system_id: int = 1
     clock_offset_s: float = 0.0
     heading_rad: float = 0.0
@@ -77,7 +77,7 @@ class FakeAutopilot:
         boot_ms = round((now_s + self.clock_offset_s) * 1000.0) & 0xFFFFFFFF
         latitude, longitude, altitude = round(HOME[0] * 1e7), round(HOME[1] * 1e7), round(HOME[2] * 1e3)
         prearm = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-        present = 0 if self.manner == "px4" else prearm
+        present = 0 if self.autopilot_kind == "px4" else prearm
         messages: dict[int, Message] = {
             m.id: m
             for m in (
@@ -98,10 +98,17 @@ class FakeAutopilot:
         return messages[message_id]
 
     def _heartbeat(self) -> Message:
-        autopilot = mavlink.MAV_AUTOPILOT_PX4 if self.manner == "px4" else mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        autopilot = (
+            mavlink.MAV_AUTOPILOT_PX4 if self.autopilot_kind == "px4" else mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+        )
         base_mode = 1 | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
         return mavlink.MAVLink_heartbeat_message(
-            mavlink.MAV_TYPE_QUADROTOR, autopilot, base_mode, custom_mode(self.manner, self.mode), 4, 3
+            mavlink.MAV_TYPE_QUADROTOR,
+            autopilot,
+            base_mode,
+            custom_mode(self.autopilot_kind, self.mode),
+            4,
+            3,
         )
 
     def _obey(self, command: Message) -> list[Message]:
@@ -132,7 +139,7 @@ class FakeAutopilot:
         elif number == mavlink.MAV_CMD_NAV_TAKEOFF:
             self.believes_in_air = True
         elif number == mavlink.MAV_CMD_NAV_LAND:
-            self.mode = "LAND" if self.manner == "ardupilot" else "AUTO.LAND"
+            self.mode = "LAND" if self.autopilot_kind == "ardupilot" else "AUTO.LAND"
         elif number == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.rates_hz[int(command.param1)] = 1e6 / command.param2
             return []
@@ -142,7 +149,7 @@ class FakeAutopilot:
         return [self.message(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0.0)]
 
     def _mode(self, main: int, sub: int) -> str:
-        if self.manner == "ardupilot":
+        if self.autopilot_kind == "ardupilot":
             return {4: "GUIDED", 9: "LAND", 17: "BRAKE"}[main]
         return {(6, 0): "OFFBOARD", (4, 3): "AUTO.LOITER", (4, 6): "AUTO.LAND"}[(main, sub)]
 

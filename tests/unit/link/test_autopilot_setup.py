@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from companion.base.messages import AutopilotSetup, Manner
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotSetup
 from companion.link.autopilot_setup import NAMES, SetupReader
 from companion.link.codec import mavlink
 from companion.link.parameters import ParameterRequests
@@ -15,11 +16,11 @@ TOLD: dict[str, float] = {
 }  # fmt: skip
 
 
-def read(manner: Manner, told: dict[str, float]) -> AutopilotSetup | None:
+def read(autopilot_kind: AutopilotKind, told: dict[str, float]) -> AutopilotSetup | None:
     """What a reader knows that has been answered for three seconds."""
     requests = ParameterRequests()
     reader = SetupReader(requests)
-    reader.begin(manner)
+    reader.begin(autopilot_kind)
     for k in range(30):
         for message in requests.to_send(0.1 * k, 1):
             assert message.get_type() != "PARAM_SET"
@@ -38,9 +39,9 @@ def test_nothing_is_known_before_the_answers() -> None:
     assert reader.setup is None
 
 
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_an_autopilot_without_these_parameters_is_taken_as_it_is_set(manner: Manner) -> None:
-    assert read(manner, {}) == AutopilotSetup()
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_an_autopilot_without_these_parameters_is_taken_as_it_is_set(autopilot_kind: AutopilotKind) -> None:
+    assert read(autopilot_kind, {}) == AutopilotSetup()
 
 
 def test_both_autopilots_say_it_in_si_units() -> None:

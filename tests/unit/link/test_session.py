@@ -72,7 +72,7 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
     flight = Flight(autopilot=FakeAutopilot(believes_in_air=True))
     flight.run(2.0)
     state = flight.session.state
-    assert (state.connected, state.manner, state.mode, state.ready_to_arm) == (
+    assert (state.connected, state.autopilot_kind, state.mode, state.ready_to_arm) == (
         True,
         "px4",
         "AUTO.LOITER",
@@ -84,7 +84,7 @@ def test_the_autopilot_is_connected_ready_and_known() -> None:
 
 
 def test_an_ardupilots_filter_is_asked_for_and_forgotten_with_the_connection() -> None:
-    flight = Flight(autopilot=FakeAutopilot(manner="ardupilot", mode="GUIDED"))
+    flight = Flight(autopilot=FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED"))
     flight.run(2.0)
     assert flight.session.state.ready_to_arm
     assert flight.session.state.ekf_ready is True

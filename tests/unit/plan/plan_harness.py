@@ -102,7 +102,7 @@ def derivative(path: Path, t: float) -> tuple[Vector3, Vector3]:
 class FakeAutopilot:
     """Answers actions; flies the modes that are its own."""
 
-    manner: str = "px4"
+    autopilot_kind: str = "px4"
     armed: bool = False
     mode: str = "HOLD"
     refuse: dict[ActionKind, int] = field(default_factory=dict)
@@ -153,7 +153,7 @@ class FakeAutopilot:
 
     def _own_mode(self, px4: str) -> str:
         """ArduPilot flies all of these in GUIDED."""
-        return px4 if self.manner == "px4" else "GUIDED"
+        return px4 if self.autopilot_kind == "px4" else "GUIDED"
 
 
 # ---------------------------------------------------------------- the loop
@@ -289,7 +289,7 @@ class World:
         return AutopilotState(
             time_s=self.now_s,
             connected=a.connected,
-            manner="px4" if a.manner == "px4" else "ardupilot",
+            autopilot_kind="px4" if a.autopilot_kind == "px4" else "ardupilot",
             armed=a.armed,
             mode=a.mode,
             offboard=a.mode in {"OFFBOARD", "GUIDED"},

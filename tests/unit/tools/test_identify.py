@@ -50,13 +50,13 @@ def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> Vehi
 
 
 def _record(
-    folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0, manner: str = "px4"
+    folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0, autopilot_kind: str = "px4"
 ) -> Path:
     """A flight that sways north, recorded as the app does."""
     log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
     log.write_settings(config=config, vehicle=vehicle)
     v = a = 0.0
-    by_attitude = setpoint == "attitude" or manner == "ardupilot"
+    by_attitude = setpoint == "attitude" or autopilot_kind == "ardupilot"
     heeded = setpoint == "velocity"
     rng = np.random.default_rng(1)
     for k in range(round(seconds / PERIOD_S)):
@@ -112,7 +112,7 @@ def test_by_the_shipped_settings_the_setpoints_tell_what_was_sent(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # GIVEN flights by `auto`: PX4 gets accelerations, ArduPilot attitudes
-    px4, ardupilot = (_record(tmp_path / name, "auto", manner=name) for name in ("px4", "ardupilot"))
+    px4, ardupilot = (_record(tmp_path / name, "auto", autopilot_kind=name) for name in ("px4", "ardupilot"))
     identify_command(px4)
     said = capsys.readouterr().out
     assert "by acceleration setpoints" in said

@@ -13,8 +13,9 @@ from calibration.magnetometer.read.onboard import NAMES, Onboard, onboard_of, pa
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.read.sources import read_recording
 from calibration.magnetometer.solve.calibrate import Calibrated, TrueField, calibrate
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import FloatArray, vector3
-from companion.base.messages import ImuSample, MagSample, Manner
+from companion.base.messages import ImuSample, MagSample
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, VehicleConfig, find_file, load_model
 from companion.config.magnetometer import Sensor
 from companion.flightlog.record import FlightLog
@@ -36,11 +37,11 @@ PX4 = {
     **{f"CAL_MAG0_{axis}SCALE": value for axis, value in zip("XYZ", (1.02, 0.95, 1.1), strict=True)},
     **{f"CAL_MAG0_{axis}ODIAG": value for axis, value in zip("XYZ", (0.01, 0.02, -0.03), strict=True)},
 }
-PARAMETERS: dict[Manner, dict[str, float]] = {"ardupilot": ARDUPILOT, "px4": PX4}
+PARAMETERS: dict[AutopilotKind, dict[str, float]] = {"ardupilot": ARDUPILOT, "px4": PX4}
 
 
-def known(manner: Manner) -> Onboard:
-    found = onboard_of(manner, PARAMETERS[manner])
+def known(autopilot_kind: AutopilotKind) -> Onboard:
+    found = onboard_of(autopilot_kind, PARAMETERS[autopilot_kind])
     assert found is not None
     return found
 
@@ -80,19 +81,19 @@ def test_px4s_formula_is_its_own() -> None:
     assert heard(onboard, np.array([[20.0, -30.0, 40.0]]))[0, 0] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("manner", ["ardupilot", "px4"])
-def test_the_parameters_say_what_the_fit_says(manner: Manner) -> None:
+@pytest.mark.parametrize("autopilot_kind", ["ardupilot", "px4"])
+def test_the_parameters_say_what_the_fit_says(autopilot_kind: AutopilotKind) -> None:
     raw = CASE.raw[:20]
-    parameters = parameters_for(manner, CASE.matrix, CASE.centre)
-    assert set(parameters) <= set(NAMES[manner])
-    onboard = onboard_of(manner, parameters)
+    parameters = parameters_for(autopilot_kind, CASE.matrix, CASE.centre)
+    assert set(parameters) <= set(NAMES[autopilot_kind])
+    onboard = onboard_of(autopilot_kind, parameters)
     assert onboard is not None
     assert heard(onboard, raw) == pytest.approx((raw - CASE.centre) @ CASE.matrix)
 
 
-@pytest.mark.parametrize("manner", ["ardupilot", "px4"])
-def test_a_calibration_goes_on_top_of_the_autopilots(manner: Manner) -> None:
-    onboard = known(manner)
+@pytest.mark.parametrize("autopilot_kind", ["ardupilot", "px4"])
+def test_a_calibration_goes_on_top_of_the_autopilots(autopilot_kind: AutopilotKind) -> None:
+    onboard = known(autopilot_kind)
     assert onboard.undo(heard(onboard, CASE.raw)) == pytest.approx(CASE.raw)
     matrix, centre = onboard.on_top(CASE.matrix, CASE.centre)
     on_top = (heard(onboard, CASE.raw) - centre) @ matrix.T
@@ -108,17 +109,19 @@ def test_a_compass_that_is_turned_or_untold_is_not_guessed() -> None:
 # ---------------------------------------------------------------- files
 
 
-def write_tlog(path: Path, manner: Manner, field: FloatArray, *, parameters: bool = True) -> Path:
-    kind = mavlink.MAV_AUTOPILOT_PX4 if manner == "px4" else mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+def write_tlog(
+    path: Path, autopilot_kind: AutopilotKind, field: FloatArray, *, parameters: bool = True
+) -> Path:
+    kind = mavlink.MAV_AUTOPILOT_PX4 if autopilot_kind == "px4" else mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     messages = [mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, kind, 0, 0, 0, 3)]
     if parameters:
         messages += [
             mavlink.MAVLink_param_value_message(name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32, 30, k)
-            for k, (name, value) in enumerate(PARAMETERS[manner].items())
+            for k, (name, value) in enumerate(PARAMETERS[autopilot_kind].items())
         ]
     for k, row in enumerate(field.tolist()):
         us = 20_000 * k
-        if manner == "px4":
+        if autopilot_kind == "px4":
             gauss = [0.01 * value for value in row]
             messages.append(
                 mavlink.MAVLink_highres_imu_message(
@@ -133,20 +136,22 @@ def write_tlog(path: Path, manner: Manner, field: FloatArray, *, parameters: boo
     return path
 
 
-@pytest.mark.parametrize("manner", ["ardupilot", "px4"])
-def test_a_tlogs_compass_is_undone_and_the_file_goes_on_top(tmp_path: Path, manner: Manner) -> None:
-    sent = heard(known(manner), CASE.raw)
-    recording = read(write_tlog(tmp_path / "a.tlog", manner, sent))
+@pytest.mark.parametrize("autopilot_kind", ["ardupilot", "px4"])
+def test_a_tlogs_compass_is_undone_and_the_file_goes_on_top(
+    tmp_path: Path, autopilot_kind: AutopilotKind
+) -> None:
+    sent = heard(known(autopilot_kind), CASE.raw)
+    recording = read(write_tlog(tmp_path / "a.tlog", autopilot_kind, sent))
     assert recording.sensor == "autopilot"
     assert recording.raw == pytest.approx(CASE.raw, abs=0.08)
     done = calibrated(recording)
     # the file is for what the app hears; the parameters are for the compass
     size = np.linalg.norm(done.file.apply(sent), axis=1)
     assert size == pytest.approx(FIELD.strength_ut, rel=0.03)
-    new = onboard_of(manner, done.parameters)
+    new = onboard_of(autopilot_kind, done.parameters)
     assert new is not None
     assert np.linalg.norm(heard(new, CASE.raw), axis=1) == pytest.approx(FIELD.strength_ut, rel=0.03)
-    assert done.file.autopilot_parameters == pytest.approx(PARAMETERS[manner])
+    assert done.file.autopilot_parameters == pytest.approx(PARAMETERS[autopilot_kind])
 
 
 def test_without_parameters_the_calibration_is_of_what_is_heard(tmp_path: Path) -> None:

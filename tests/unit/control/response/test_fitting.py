@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from companion.base.messages import AutopilotSetup, Manner
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotSetup
 from companion.config import ARDUPILOT, PX4, AxisResponse, ControlConfig, KindResponse
 from companion.control.response.fitting import QUICK_S, fitted, hover_thrust, loop_rad_s, misfits
 from tests.unit.control.control_plants import vehicle_config
@@ -63,7 +64,7 @@ def test_what_does_not_fit_is_told_a_line_each() -> None:
 
 
 @pytest.mark.parametrize(
-    ("manner", "told", "taken"),
+    ("autopilot_kind", "told", "taken"),
     [
         ("ardupilot", 0.3, 0.3),  # it learns it, and keeps it
         ("px4", 0.3, VEHICLE.hover_thrust),  # somebody has typed it
@@ -73,6 +74,6 @@ def test_what_does_not_fit_is_told_a_line_each() -> None:
     ],
 )
 def test_hover_thrust_is_taken_from_an_autopilot_that_learns_it(
-    manner: Manner, told: float | None, taken: float
+    autopilot_kind: AutopilotKind, told: float | None, taken: float
 ) -> None:
-    assert hover_thrust(VEHICLE, AutopilotSetup(hover_thrust=told), manner) == taken
+    assert hover_thrust(VEHICLE, AutopilotSetup(hover_thrust=told), autopilot_kind) == taken

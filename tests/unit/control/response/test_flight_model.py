@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.motion import Motion
 from companion.config import ControlConfig, Kind, VehicleConfig, find_file, load_model
 from companion.control.response.flight_model import advance, advance_axis, discretise, lags, velocity_gains
@@ -54,11 +54,13 @@ def _late(name: str) -> VehicleConfig:
 
 
 @pytest.mark.parametrize("kind", ["attitude", "acceleration", "velocity"])
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_lag_and_delay_together_are_as_late_as_the_response(manner: Manner, kind: Kind) -> None:
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_lag_and_delay_together_are_as_late_as_the_response(
+    autopilot_kind: AutopilotKind, kind: Kind
+) -> None:
     vehicle, config = _late("x500"), ControlConfig(setpoint=kind, command_delay_s=0.02)
-    response = vehicle.responses.of(manner, kind)
-    x, y, z = lags(vehicle, config, manner)
+    response = vehicle.responses.of(autopilot_kind, kind)
+    x, y, z = lags(vehicle, config, autopilot_kind)
     assert x == y == pytest.approx(response.sideways.delay_s - 0.02)
     assert z == pytest.approx(response.down.delay_s - 0.02)
 

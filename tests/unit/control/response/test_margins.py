@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import (
     CONFIG_FOLDER,
     AxisResponse,
@@ -28,7 +28,7 @@ from companion.control.response.margins import (
 )
 
 VEHICLES = sorted(path.stem for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"))
-FLOWN: tuple[tuple[Manner, Kind], ...] = (
+FLOWN: tuple[tuple[AutopilotKind, Kind], ...] = (
     ("px4", "acceleration"),
     ("px4", "attitude"),
     ("ardupilot", "attitude"),
@@ -38,23 +38,25 @@ KICK_M_S2 = 0.5
 
 
 @cache
-def _case(vehicle: str, manner: Manner, kind: Kind, axis: int) -> MarginCase:
+def _case(vehicle: str, autopilot_kind: AutopilotKind, kind: Kind, axis: int) -> MarginCase:
     config = load_model(VehicleConfig, find_file("vehicles", vehicle))
-    response = config.responses.of(manner, kind)
+    response = config.responses.of(autopilot_kind, kind)
     along = response.sideways if axis == SIDEWAYS else response.down
-    return MarginCase(ControlConfig(setpoint=kind), config, manner, axis, along)
+    return MarginCase(ControlConfig(setpoint=kind), config, autopilot_kind, axis, along)
 
 
 @cache
-def _margins(case_of: tuple[str, Manner, Kind, int]) -> Margins:
+def _margins(case_of: tuple[str, AutopilotKind, Kind, int]) -> Margins:
     return margins(*loop_transfer(_case(*case_of)))
 
 
 @pytest.mark.parametrize("axis", [SIDEWAYS, DOWN])
-@pytest.mark.parametrize(("manner", "kind"), FLOWN)
+@pytest.mark.parametrize(("autopilot_kind", "kind"), FLOWN)
 @pytest.mark.parametrize("vehicle", VEHICLES)
-def test_every_shipped_loop_has_margins(vehicle: str, manner: Manner, kind: Kind, axis: int) -> None:
-    found = _margins((vehicle, manner, kind, axis))
+def test_every_shipped_loop_has_margins(
+    vehicle: str, autopilot_kind: AutopilotKind, kind: Kind, axis: int
+) -> None:
+    found = _margins((vehicle, autopilot_kind, kind, axis))
     assert found.delay_s >= LEAST_DELAY_S
     assert found.phase_deg >= LEAST_PHASE_DEG
     assert found.gain_up >= LEAST_GAIN
@@ -77,7 +79,9 @@ def _late_answer(case: MarginCase) -> float:
         ("x500", "px4", "attitude", DOWN),
     ],
 )
-def test_the_mpc_that_flies_swings_where_the_margins_say(case_of: tuple[str, Manner, Kind, int]) -> None:
+def test_the_mpc_that_flies_swings_where_the_margins_say(
+    case_of: tuple[str, AutopilotKind, Kind, int],
+) -> None:
     case, found = _case(*case_of), _margins(case_of)
     assert _late_answer(replace(case, extra_delay_s=0.85 * found.delay_s)) < 0.01 * KICK_M_S2
     assert _late_answer(replace(case, extra_delay_s=1.15 * found.delay_s)) > KICK_M_S2

@@ -8,8 +8,9 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, run_in_virtual_time
-from companion.base.messages import Action, ActionKind, ActionResult, Manner, PadBeacon
+from companion.base.messages import Action, ActionKind, ActionResult, PadBeacon
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.codec import Codec, mavlink
@@ -20,7 +21,7 @@ from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
 
 Answer = Callable[[bytes, float], bytes]
-MODES: dict[Manner, dict[ActionKind, str]] = {
+MODES: dict[AutopilotKind, dict[ActionKind, str]] = {
     "px4": {
         ActionKind.TAKE_CONTROL: "OFFBOARD",
         ActionKind.HOLD: "AUTO.LOITER",
@@ -100,16 +101,18 @@ def perform(
     return fly(autopilot, story, config, ground, settle_s, attitude_setpoints)
 
 
-def autopilot_of(manner: Manner) -> FakeAutopilot:
-    return FakeAutopilot(manner=manner, mode="AUTO.LOITER" if manner == "px4" else "STABILIZE")
+def autopilot_of(autopilot_kind: AutopilotKind) -> FakeAutopilot:
+    return FakeAutopilot(
+        autopilot_kind=autopilot_kind, mode="AUTO.LOITER" if autopilot_kind == "px4" else "STABILIZE"
+    )
 
 
-MANNERS: list[Manner] = ["px4", "ardupilot"]
+AUTOPILOT_KINDS: list[AutopilotKind] = ["px4", "ardupilot"]
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-def test_a_whole_flight_is_accepted(manner: Manner) -> None:
-    autopilot = autopilot_of(manner)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+def test_a_whole_flight_is_accepted(autopilot_kind: AutopilotKind) -> None:
+    autopilot = autopilot_of(autopilot_kind)
     results = perform(
         autopilot,
         Action(ActionKind.ARM),
@@ -124,13 +127,13 @@ def test_a_whole_flight_is_accepted(manner: Manner) -> None:
     assert autopilot.setpoints() == []
 
 
-@pytest.mark.parametrize("manner", MANNERS)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
 @pytest.mark.parametrize("kind", [ActionKind.TAKE_CONTROL, ActionKind.HOLD, ActionKind.LAND])
-def test_modes_are_each_autopilots_own(manner: Manner, kind: ActionKind) -> None:
-    autopilot = autopilot_of(manner)
+def test_modes_are_each_autopilots_own(autopilot_kind: AutopilotKind, kind: ActionKind) -> None:
+    autopilot = autopilot_of(autopilot_kind)
     [result] = perform(autopilot, Action(kind))
     assert result.accepted
-    assert autopilot.mode == MODES[manner][kind]
+    assert autopilot.mode == MODES[autopilot_kind][kind]
 
 
 def test_ardupilot_is_armed_and_takes_off_in_guided_mode() -> None:
@@ -141,18 +144,18 @@ def test_ardupilot_is_armed_and_takes_off_in_guided_mode() -> None:
 
 def test_px4_takes_off_to_an_altitude_over_the_sea_and_ardupilot_to_one_over_home() -> None:
     altitudes = {}
-    for manner in MANNERS:
-        autopilot = autopilot_of(manner)
+    for autopilot_kind in AUTOPILOT_KINDS:
+        autopilot = autopilot_of(autopilot_kind)
         [result] = perform(autopilot, Action(ActionKind.TAKE_OFF, height_m=7.0))
         assert result.accepted
         [command] = autopilot.commands(mavlink.MAV_CMD_NAV_TAKEOFF)
-        altitudes[manner] = command.param7
+        altitudes[autopilot_kind] = command.param7
     assert altitudes == pytest.approx({"px4": 407.0, "ardupilot": 7.0})
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-def test_going_somewhere_names_the_place_the_altitude_and_the_heading(manner: Manner) -> None:
-    autopilot = autopilot_of(manner)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+def test_going_somewhere_names_the_place_the_altitude_and_the_heading(autopilot_kind: AutopilotKind) -> None:
+    autopilot = autopilot_of(autopilot_kind)
     perform(autopilot, Action(ActionKind.GO_TO, position=(47.0001, 8.0002, 7.0), heading_rad=0.5))
     [command] = autopilot.commands(mavlink.MAV_CMD_DO_REPOSITION)
     assert command.get_type() == "COMMAND_INT"
@@ -357,11 +360,11 @@ def test_cancelling_with_nothing_under_way_changes_nothing() -> None:
     assert result.accepted
 
 
-@pytest.mark.parametrize(("manner", "sticks"), [("px4", "POSCTL"), ("ardupilot", "ALT_HOLD")])
+@pytest.mark.parametrize(("autopilot_kind", "sticks"), [("px4", "POSCTL"), ("ardupilot", "ALT_HOLD")])
 def test_control_is_not_asked_for_again_once_a_pilot_has_taken_the_sticks(
-    manner: Manner, sticks: str
+    autopilot_kind: AutopilotKind, sticks: str
 ) -> None:
-    autopilot = autopilot_of(manner)
+    autopilot = autopilot_of(autopilot_kind)
     autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 1
 
     async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
@@ -466,11 +469,11 @@ def test_cancelling_ends_the_question_for_a_parameter() -> None:
     assert len(sent(autopilot, "PARAM_REQUEST_READ")) == 1
 
 
-@pytest.mark.parametrize(("manner", "attitude_setpoints"), [("px4", True), ("ardupilot", False)])
+@pytest.mark.parametrize(("autopilot_kind", "attitude_setpoints"), [("px4", True), ("ardupilot", False)])
 def test_where_thrust_is_thrust_or_is_not_sent_no_parameter_is_asked_for(
-    manner: Manner, attitude_setpoints: bool
+    autopilot_kind: AutopilotKind, attitude_setpoints: bool
 ) -> None:
-    autopilot = autopilot_of(manner)
+    autopilot = autopilot_of(autopilot_kind)
     [result] = perform(autopilot, Action(ActionKind.TAKE_CONTROL), attitude_setpoints=attitude_setpoints)
     assert result.accepted
     assert sent(autopilot, "PARAM_REQUEST_READ") == []

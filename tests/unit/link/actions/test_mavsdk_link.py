@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 from mavsdk import LogLevel
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import Clock, run_in_virtual_time
-from companion.base.messages import Action, ActionKind, Manner
+from companion.base.messages import Action, ActionKind
 from companion.config import ConfigError, LinkConfig
 from companion.link.actions import mavsdk_link
 from companion.link.actions.actions import PymavlinkActions
@@ -24,11 +25,13 @@ from companion.link.inbox import memory_pair
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
 
-MANNERS: list[Manner] = ["px4", "ardupilot"]
+AUTOPILOT_KINDS: list[AutopilotKind] = ["px4", "ardupilot"]
 
 
-def autopilot_of(manner: Manner) -> FakeAutopilot:
-    return FakeAutopilot(manner=manner, mode="AUTO.LOITER" if manner == "px4" else "STABILIZE")
+def autopilot_of(autopilot_kind: AutopilotKind) -> FakeAutopilot:
+    return FakeAutopilot(
+        autopilot_kind=autopilot_kind, mode="AUTO.LOITER" if autopilot_kind == "px4" else "STABILIZE"
+    )
 
 
 @asynccontextmanager
@@ -85,9 +88,9 @@ def threads_of_this_process() -> set[str]:
     return {task.name for task in Path("/proc/self/task").iterdir()}
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-async def test_a_whole_flight_is_accepted(manner: Manner) -> None:
-    autopilot = autopilot_of(manner)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+async def test_a_whole_flight_is_accepted(autopilot_kind: AutopilotKind) -> None:
+    autopilot = autopilot_of(autopilot_kind)
     async with connected(autopilot) as actions:
         for action in (
             Action(ActionKind.ARM),
@@ -105,12 +108,14 @@ async def test_a_whole_flight_is_accepted(manner: Manner) -> None:
     assert by[mavlink.MAV_CMD_SET_MESSAGE_INTERVAL] in {191, 192}
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-async def test_flights_in_virtual_time_have_the_same_effect_on_the_autopilot(manner: Manner) -> None:
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+async def test_flights_in_virtual_time_have_the_same_effect_on_the_autopilot(
+    autopilot_kind: AutopilotKind,
+) -> None:
     """`--fast` performs actions by our own messages, since MAVSDK has threads and a clock of its own."""
 
     async def effects(kind: type[Any]) -> list[tuple[str, bool]]:
-        autopilot = autopilot_of(manner)
+        autopilot = autopilot_of(autopilot_kind)
         states = []
         async with connected(autopilot, kind=kind) as actions:
             for action in (
@@ -130,14 +135,14 @@ async def test_flights_in_virtual_time_have_the_same_effect_on_the_autopilot(man
     assert await effects(MavsdkActions) == await effects(PymavlinkActions)
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-async def test_after_taking_control_mavsdk_sends_no_setpoint(manner: Manner) -> None:
-    autopilot = autopilot_of(manner)
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+async def test_after_taking_control_mavsdk_sends_no_setpoint(autopilot_kind: AutopilotKind) -> None:
+    autopilot = autopilot_of(autopilot_kind)
     async with connected(autopilot) as actions:
         result = await asyncio.wait_for(actions.perform(Action(ActionKind.TAKE_CONTROL)), 10.0)
         await asyncio.sleep(0.3)
         assert result.accepted
-    assert autopilot.mode == ("OFFBOARD" if manner == "px4" else "GUIDED")
+    assert autopilot.mode == ("OFFBOARD" if autopilot_kind == "px4" else "GUIDED")
     [command] = autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)
     assert command.get_srcComponent() == 191
     assert autopilot.setpoints() == []

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import AutopilotSensorsConfig, SenseConfig
 from companion.link.codec import Codec, Message, mavlink
 from companion.link.telemetry.autopilot_sensors import TelemetrySensors
@@ -67,7 +68,7 @@ def distance(boot_s: float, **changes: Any) -> Message:
 class Onboard:
     """OnboardSensors of an autopilot; `now_s` is our clock."""
 
-    def __init__(self, manner: Manner = "px4", settled: bool = True, **settings: Any) -> None:
+    def __init__(self, autopilot_kind: AutopilotKind = "px4", settled: bool = True, **settings: Any) -> None:
         self.now_s = START_S
         self.timesync = TimeSync()
         exact = {"imu_latency_s": 0.0, "gps_latency_s": 0.0}
@@ -76,7 +77,7 @@ class Onboard:
         self.offset_s = OFFSET_S
         if settled:
             self.synchronise()
-        self.sensors.heartbeat(manner, self.now_s)
+        self.sensors.heartbeat(autopilot_kind, self.now_s)
 
     def synchronise(self, answers: int = 10, trip_s: float = 0.004) -> None:
         """Have TIMESYNC answered so many times."""

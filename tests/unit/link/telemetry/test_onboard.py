@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import pytest
 
-from companion.base.messages import GpsFix, MagSample, Manner, RangeSample
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import GpsFix, MagSample, RangeSample
 from companion.link.codec import mavlink
 from companion.link.telemetry.autopilot_sensors import CLIMB_ACCURACY_M_S, IMU_LATENCY_S
 from companion.link.telemetry.readings import UNKNOWN_SPEED_M_S
@@ -34,15 +35,15 @@ def test_a_sample_has_the_instant_of_its_measurement_however_late_it_comes(delay
     assert sample.time_s == pytest.approx(measured_s, abs=1e-5)
 
 
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_the_age_of_a_sample_at_its_stamp_is_taken_off(manner: Manner) -> None:
-    onboard = Onboard(manner, imu_latency_s=None, gps_latency_s=0.15)
-    build = highres if manner == "px4" else raw
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_the_age_of_a_sample_at_its_stamp_is_taken_off(autopilot_kind: AutopilotKind) -> None:
+    onboard = Onboard(autopilot_kind, imu_latency_s=None, gps_latency_s=0.15)
+    build = highres if autopilot_kind == "px4" else raw
     [sample] = onboard.imu(build(onboard.boot_s))
-    assert onboard.now_s - sample.time_s == pytest.approx(IMU_LATENCY_S[manner], abs=1e-5)
+    assert onboard.now_s - sample.time_s == pytest.approx(IMU_LATENCY_S[autopilot_kind], abs=1e-5)
     [fix] = onboard.hear(gps(onboard.boot_s))
     assert onboard.now_s - fix.time_s == pytest.approx(0.15, abs=1e-5)
-    told = Onboard(manner, imu_latency_s=0.03)
+    told = Onboard(autopilot_kind, imu_latency_s=0.03)
     [sample] = told.imu(build(told.boot_s))
     assert told.now_s - sample.time_s == pytest.approx(0.03, abs=1e-5)
 

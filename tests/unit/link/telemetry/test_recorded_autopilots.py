@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import norm
-from companion.base.messages import GpsFix, ImuSample, MagSample, Manner, RangeSample
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
 from companion.config import CONFIG_FOLDER, SenseConfig
 from companion.link.codec import Codec, mavlink
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
@@ -28,7 +29,7 @@ RECORDINGS = next((folder for folder in FOLDERS if folder.is_dir()), None)
 pytestmark = pytest.mark.skipif(
     RECORDINGS is None, reason="no recordings of real autopilots in ../shared/data/autopilot"
 )
-FILES: dict[Manner, str] = {"ardupilot": "arducopter.tlog", "px4": "px4.tlog"}
+FILES: dict[AutopilotKind, str] = {"ardupilot": "arducopter.tlog", "px4": "px4.tlog"}
 REST_S = 0.9  # the motors start soon after the recording
 IMU = {"ardupilot": mavlink.MAVLINK_MSG_ID_RAW_IMU, "px4": mavlink.MAVLINK_MSG_ID_HIGHRES_IMU}
 
@@ -48,12 +49,12 @@ def frames(path: Path) -> Iterator[tuple[float, Any]]:
 
 
 @cache
-def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
+def replay(autopilot_kind: AutopilotKind, imu_message: int) -> dict[type, list[Any]]:
     """All samples by kind. Nobody asked for TIMESYNC: its answers are made from the quickest message."""
     assert RECORDINGS is not None
     recorded = [
         (time_s, m)
-        for time_s, m in frames(RECORDINGS / FILES[manner])
+        for time_s, m in frames(RECORDINGS / FILES[autopilot_kind])
         if m.get_msgId() == imu_message or m.get_msgId() not in IMU.values()
     ]
     timesync, start_s = TimeSync(), recorded[0][0]
@@ -68,7 +69,7 @@ def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
             for _ in range(5 if answered_s < 0.0 else 1):
                 timesync.answered(round((time_s + offset_s) * 1e9), timesync.ask(now_s), now_s)
             answered_s = now_s
-        sensors.heartbeat(manner, now_s)
+        sensors.heartbeat(autopilot_kind, now_s)
         sensors.hear(message, now_s)
         for sample in sensors.take():
             samples[type(sample)].append(sample)
@@ -76,7 +77,7 @@ def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
 
 
 @pytest.mark.parametrize(
-    ("manner", "message", "rate_hz", "still_std_m_s2"),
+    ("autopilot_kind", "message", "rate_hz", "still_std_m_s2"),
     [
         ("ardupilot", mavlink.MAVLINK_MSG_ID_RAW_IMU, 20.0, 0.02),
         ("ardupilot", mavlink.MAVLINK_MSG_ID_HIGHRES_IMU, 50.0, 0.02),
@@ -84,9 +85,9 @@ def replay(manner: Manner, imu_message: int) -> dict[type, list[Any]]:
     ],
 )
 def test_the_imu_shows_gravity_at_rest_and_a_field_of_the_earths_size(
-    manner: Manner, message: int, rate_hz: float, still_std_m_s2: float
+    autopilot_kind: AutopilotKind, message: int, rate_hz: float, still_std_m_s2: float
 ) -> None:
-    samples = replay(manner, message)
+    samples = replay(autopilot_kind, message)
     imu, mag = samples[ImuSample], samples[MagSample]
     times = np.array([sample.time_s for sample in imu])
     assert len(imu) > 0.9 * rate_hz * (times[-1] - times[0])
@@ -100,16 +101,18 @@ def test_the_imu_shows_gravity_at_rest_and_a_field_of_the_earths_size(
     turned_rad_s = max(abs(s.rate_body_rad_s[2]) for s in imu)
     assert math.radians(20.0) < turned_rad_s < math.radians(220.0)  # it yawed by 90 degrees
     fields = np.array([norm(s.field_body_ut) for s in mag])
-    print(f"{manner}: {len(imu)} imu, {len(mag)} mag, field {fields.mean():.1f} +- {fields.std():.1f} µT")
+    print(f"{autopilot_kind}: imu {len(imu)}, mag {len(mag)}, {fields.mean():.1f} +- {fields.std():.1f} µT")
     assert 40.0 < np.median(fields) < 65.0
     assert fields.std() < 5.0
-    if manner == "px4":
+    if autopilot_kind == "px4":
         assert len(mag) < len(imu)  # its compass is slower, and the bits say so
 
 
-@pytest.mark.parametrize(("manner", "latitude_deg"), [("ardupilot", -35.363), ("px4", 47.3977)])
-def test_the_receiver_shows_place_and_speed_of_the_flight(manner: Manner, latitude_deg: float) -> None:
-    fixes = replay(manner, IMU[manner])[GpsFix]
+@pytest.mark.parametrize(("autopilot_kind", "latitude_deg"), [("ardupilot", -35.363), ("px4", 47.3977)])
+def test_the_receiver_shows_place_and_speed_of_the_flight(
+    autopilot_kind: AutopilotKind, latitude_deg: float
+) -> None:
+    fixes = replay(autopilot_kind, IMU[autopilot_kind])[GpsFix]
     times = np.array([fix.time_s for fix in fixes])
     assert 1.0 / np.median(np.diff(times)) == pytest.approx(5.0, rel=0.25)
     assert np.median([fix.latitude_deg for fix in fixes]) == pytest.approx(latitude_deg, abs=1e-3)

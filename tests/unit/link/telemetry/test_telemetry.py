@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import euler_from_quat, quat_from_euler
-from companion.base.messages import AutopilotState, LandedState, Manner
+from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Codec, Message, mavlink, status_texts
 from companion.link.modes import ARDUCOPTER_MODES, PX4_MODES, custom_mode, mode_name, mode_parameters
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
@@ -32,14 +33,14 @@ def heartbeat(autopilot: int, mode: int, base_mode: int = 1) -> Message:
 @pytest.mark.parametrize("mode", PX4_MODES)
 def test_px4_modes_have_their_names(mode: str) -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, custom_mode("px4", mode)))
-    assert (state.connected, state.manner, state.mode) == (True, "px4", mode)
+    assert (state.connected, state.autopilot_kind, state.mode) == (True, "px4", mode)
     assert state.offboard == (mode == "OFFBOARD")
 
 
 @pytest.mark.parametrize("mode", ARDUCOPTER_MODES)
 def test_arducopter_modes_have_their_names(mode: str) -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, custom_mode("ardupilot", mode)))
-    assert (state.connected, state.manner, state.mode) == (True, "ardupilot", mode)
+    assert (state.connected, state.autopilot_kind, state.mode) == (True, "ardupilot", mode)
     assert state.offboard == (mode == "GUIDED")
 
 
@@ -51,20 +52,22 @@ def test_well_known_numbers_of_modes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("manner", "number", "name"),
+    ("autopilot_kind", "number", "name"),
     [
         ("px4", (3 << 16) | (2 << 24), "POSCTL"),
         ("px4", 99 << 16, "mode 6488064"),
         ("ardupilot", 77, "mode 77"),
     ],
 )
-def test_a_mode_that_is_not_known_is_still_shown(manner: Manner, number: int, name: str) -> None:
-    assert mode_name(manner, number) == name
+def test_a_mode_that_is_not_known_is_still_shown(
+    autopilot_kind: AutopilotKind, number: int, name: str
+) -> None:
+    assert mode_name(autopilot_kind, number) == name
 
 
-def test_an_autopilot_of_another_make_is_connected_but_has_no_manners() -> None:
+def test_an_autopilot_of_another_make_is_connected_but_has_no_profile() -> None:
     state = after(heartbeat(mavlink.MAV_AUTOPILOT_GENERIC, 4))
-    assert (state.connected, state.manner, state.offboard) == (True, None, False)
+    assert (state.connected, state.autopilot_kind, state.offboard) == (True, None, False)
 
 
 def test_armed_is_heard_from_the_heartbeat() -> None:
@@ -130,7 +133,7 @@ PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 
 
 @pytest.mark.parametrize(
-    ("manner", "present", "enabled", "healthy", "ready"),
+    ("autopilot_kind", "present", "enabled", "healthy", "ready"),
     [
         # PX4 has the bit in what is healthy alone, whatever else is ill
         ("px4", 3, 3, PREARM | 3, True),
@@ -146,10 +149,10 @@ PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
     ],
 )
 def test_ready_to_arm_is_the_prearm_bit_or_failing_that_every_sensor(
-    manner: Manner, present: int, enabled: int, healthy: int, ready: bool
+    autopilot_kind: AutopilotKind, present: int, enabled: int, healthy: int, ready: bool
 ) -> None:
     message = mavlink.MAVLink_sys_status_message(present, enabled, healthy, *[0] * 10)
-    assert after(message, replace(FRESH, manner=manner)).ready_to_arm is ready
+    assert after(message, replace(FRESH, autopilot_kind=autopilot_kind)).ready_to_arm is ready
 
 
 @pytest.mark.parametrize(

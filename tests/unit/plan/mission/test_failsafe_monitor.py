@@ -2,7 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.messages import AutopilotState, Manner
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotState
 from companion.config import MissionConfig, PhaseTimesConfig
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor, is_pilots
 from companion.plan.mission.inputs import PlanInputs
@@ -12,7 +13,7 @@ from companion.plan.mission.table import FINAL, follows
 from tests.unit.plan.plan_harness import World, still
 
 CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
-FLYING = AutopilotState(0.0, connected=True, manner="px4", armed=True, mode="OFFBOARD", offboard=True)
+FLYING = AutopilotState(0.0, connected=True, autopilot_kind="px4", armed=True, mode="OFFBOARD", offboard=True)
 HELD = replace(FLYING, mode="LOITER", offboard=False)
 
 
@@ -47,7 +48,7 @@ def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bo
 
 
 @pytest.mark.parametrize(
-    ("manner", "mode", "pilots"),
+    ("autopilot_kind", "mode", "pilots"),
     [
         ("px4", "POSCTL", True),
         ("px4", "posctl", True),
@@ -61,8 +62,8 @@ def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bo
         (None, "MANUAL", False),
     ],
 )
-def test_which_modes_are_a_pilots(manner: Manner | None, mode: str, pilots: bool) -> None:
-    assert is_pilots(mode, manner) is pilots
+def test_which_modes_are_a_pilots(autopilot_kind: AutopilotKind | None, mode: str, pilots: bool) -> None:
+    assert is_pilots(mode, autopilot_kind) is pilots
 
 
 def test_all_is_well_is_nothing() -> None:

@@ -102,7 +102,7 @@ def test_it_lands_with_noise_and_gusts(name: str) -> None:
 
 def test_it_lands_under_ardupilot_where_setpoints_are_obeyed_at_once() -> None:
     w = world()
-    w.autopilot = FakeAutopilot(manner="ardupilot", mode="STABILIZE")
+    w.autopilot = FakeAutopilot(autopilot_kind="ardupilot", mode="STABILIZE")
     assert w.fly(90.0).phase is Phase.LANDED
 
 

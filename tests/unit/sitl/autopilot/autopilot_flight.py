@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     GRAVITY_M_S2,
     ZERO3,
@@ -20,7 +21,7 @@ from companion.base.geometry import (
     quat_integrate,
     quat_rotate,
 )
-from companion.base.messages import LandedState, Manner, Truth
+from companion.base.messages import LandedState, Truth
 from sitl.autopilot import (
     NO_ERRORS,
     AttitudeSetpoint,
@@ -133,7 +134,7 @@ class Flight:
 
     def __init__(
         self,
-        manner: Manner,
+        autopilot_kind: AutopilotKind,
         errors: EstimatorErrors = NO_ERRORS,
         seed: int = 1,
         heading_rad: float = 0.0,
@@ -142,7 +143,7 @@ class Flight:
         self.vehicle = SimpleVehicle(airframe, heading_rad)
         # tuned to it: by the autopilots' defaults the yaw of a vehicle without any drag hardly settles
         self.autopilot = SimulatedAutopilot(
-            manner, airframe, np.random.default_rng(seed), HOME, errors, rates=RateGains()
+            autopilot_kind, airframe, np.random.default_rng(seed), HOME, errors, rates=RateGains()
         )
         self.texts: list[str] = []
         self._steps = 0
@@ -213,11 +214,11 @@ def ready(flight: Flight) -> bool:
     return flight.autopilot.ready_to_arm
 
 
-MANNERS: tuple[Manner, ...] = ("px4", "ardupilot")
+AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 
 
-def in_the_air(manner: Manner, **options: object) -> Flight:
-    flight = Flight(manner, **options)  # type: ignore[arg-type]
+def in_the_air(autopilot_kind: AutopilotKind, **options: object) -> Flight:
+    flight = Flight(autopilot_kind, **options)  # type: ignore[arg-type]
     flight.take_off()
     flight.take_control()
     return flight

@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
 
@@ -18,9 +18,9 @@ NANS = (math.nan,) * 7
 class Station:
     """A flight with its endpoint, and a ground station (system 255) at the other end."""
 
-    def __init__(self, manner: Manner, booted_s: float = 6.0) -> None:
-        self.manner = manner
-        self.flight = Flight(manner)
+    def __init__(self, autopilot_kind: AutopilotKind, booted_s: float = 6.0) -> None:
+        self.autopilot_kind = autopilot_kind
+        self.flight = Flight(autopilot_kind)
         self.endpoint = MavlinkEndpoint(self.flight.autopilot)
         self.us = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
         self.parser = mavlink.MAVLink(None)
@@ -66,8 +66,8 @@ class Station:
 
     def fly(self, items: list[Any]) -> None:
         """Upload, arm and start; home goes first where it has to."""
-        assert self.upload(mission(self.manner, items)) == 0
-        if self.manner == "ardupilot":
+        assert self.upload(mission(self.autopilot_kind, items)) == 0
+        if self.autopilot_kind == "ardupilot":
             assert self.flight.autopilot.set_mode(4) == 0
             assert self.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
         assert self.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == 0
@@ -95,9 +95,9 @@ ANSWERS = {
 }
 
 
-def mission(manner: Manner, items: list[Any]) -> list[Any]:
+def mission(autopilot_kind: AutopilotKind, items: list[Any]) -> list[Any]:
     """Numbered items, after home where that is item 0."""
-    listed = [item(16), *items] if manner == "ardupilot" else items
+    listed = [item(16), *items] if autopilot_kind == "ardupilot" else items
     for number, each in enumerate(listed):
         each.seq = number
     return listed

@@ -7,13 +7,14 @@ from math import nan
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     quat_from_euler,
     tilt_from_quat,
     wrap_angle,
     yaw_from_quat,
 )
-from companion.base.messages import LandedState, Manner
+from companion.base.messages import LandedState
 from sitl.autopilot import (
     CommandResult,
     EstimatorErrors,
@@ -33,15 +34,15 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     velocity,
 )
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
 
 # ---------------------------------------------------------------- arming and taking off
 
 
 @BOTH
-def test_it_refuses_to_arm_before_its_estimator_is_aligned(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_it_refuses_to_arm_before_its_estimator_is_aligned(autopilot_kind: AutopilotKind) -> None:
+    flight = Flight(autopilot_kind)
     flight.run(1.0)
     assert not ready(flight)
     assert flight.autopilot.arm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
@@ -54,22 +55,24 @@ def test_it_refuses_to_arm_before_its_estimator_is_aligned(manner: Manner) -> No
 
 
 @BOTH
-def test_it_climbs_to_the_height_at_a_metre_and_a_half_a_second_and_holds(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_it_climbs_to_the_height_at_a_metre_and_a_half_a_second_and_holds(
+    autopilot_kind: AutopilotKind,
+) -> None:
+    flight = Flight(autopilot_kind)
     flight.take_off(6.0)
     assert flight.vehicle.height_m == pytest.approx(6.0, abs=0.1)
     assert math.dist(flight.vehicle.velocity, ZERO) < 0.05
     assert landed_state(flight) is LandedState.IN_AIR
-    assert flight.autopilot.mode == ("AUTO_LOITER" if manner == "px4" else "GUIDED")
+    assert flight.autopilot.mode == ("AUTO_LOITER" if autopilot_kind == "px4" else "GUIDED")
 
 
 @BOTH
-def test_the_climb_keeps_to_its_speed(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_the_climb_keeps_to_its_speed(autopilot_kind: AutopilotKind) -> None:
+    flight = Flight(autopilot_kind)
     flight.run(6.0)
     flight.autopilot.set_mode(4)
     flight.autopilot.arm()
-    flight.autopilot.take_off(20.0 if manner == "ardupilot" else HOME[2] + 20.0)
+    flight.autopilot.take_off(20.0 if autopilot_kind == "ardupilot" else HOME[2] + 20.0)
     flight.run(4.0)
     assert landed_state(flight) is LandedState.TAKEOFF
     assert -flight.vehicle.velocity[2] == pytest.approx(1.5, abs=0.1)
@@ -98,8 +101,8 @@ def test_ardupilot_takes_off_only_armed_in_guided_and_from_the_ground() -> None:
 
 
 @BOTH
-def test_armed_but_not_flown_it_disarms_by_itself(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_armed_but_not_flown_it_disarms_by_itself(autopilot_kind: AutopilotKind) -> None:
+    flight = Flight(autopilot_kind)
     flight.run(6.0)
     flight.autopilot.arm()
     flight.run(9.5)
@@ -109,8 +112,8 @@ def test_armed_but_not_flown_it_disarms_by_itself(manner: Manner) -> None:
 
 
 @BOTH
-def test_disarming_in_flight_needs_force(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_disarming_in_flight_needs_force(autopilot_kind: AutopilotKind) -> None:
+    flight = Flight(autopilot_kind)
     flight.take_off()
     assert flight.autopilot.disarm() in (CommandResult.TEMPORARILY_REJECTED, CommandResult.FAILED)
     assert flight.autopilot.armed
@@ -119,9 +122,9 @@ def test_disarming_in_flight_needs_force(manner: Manner) -> None:
 
 
 @BOTH
-def test_it_takes_off_in_any_heading_and_keeps_it(manner: Manner) -> None:
+def test_it_takes_off_in_any_heading_and_keeps_it(autopilot_kind: AutopilotKind) -> None:
     for heading in (0.0, math.pi / 2, math.pi, -math.pi / 2):
-        flight = Flight(manner, heading_rad=heading)
+        flight = Flight(autopilot_kind, heading_rad=heading)
         flight.take_off(3.0)
         assert abs(wrap_angle(yaw_from_quat(flight.vehicle.attitude) - heading)) < 0.02
         assert math.hypot(*flight.vehicle.position[:2]) < 0.1
@@ -216,8 +219,8 @@ def test_px4_does_not_take_offset_frames_and_says_so() -> None:
 
 
 @BOTH
-def test_going_to_a_place_ends_there_in_the_heading_asked_for(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_going_to_a_place_ends_there_in_the_heading_asked_for(autopilot_kind: AutopilotKind) -> None:
+    flight = Flight(autopilot_kind)
     flight.take_off()
     target = flight.autopilot.geodetic((12.0, -7.0, -9.18))
     assert flight.autopilot.go_to(target, over_home=False, yaw_rad=1.0) is CommandResult.ACCEPTED
@@ -227,12 +230,12 @@ def test_going_to_a_place_ends_there_in_the_heading_asked_for(manner: Manner) ->
 
 
 @BOTH
-def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
-    flight = Flight(manner)
+def test_landing_slows_down_touches_gently_and_disarms(autopilot_kind: AutopilotKind) -> None:
+    flight = Flight(autopilot_kind)
     flight.take_off(5.0)
     assert flight.autopilot.set_mode_named(flight.autopilot.profile.land_mode) is CommandResult.ACCEPTED
     # PX4 crawls below MPC_LAND_ALT3, ArduPilot keeps LAND_SPEED from LAND_ALT_LOW (10 m) down
-    first, last = (0.7, 0.3) if manner == "px4" else (0.5, 0.5)
+    first, last = (0.7, 0.3) if autopilot_kind == "px4" else (0.5, 0.5)
     flight.run(2.0)
     assert flight.vehicle.velocity[2] == pytest.approx(first, abs=0.05)
     assert landed_state(flight) is LandedState.LANDING
@@ -243,8 +246,8 @@ def test_landing_slows_down_touches_gently_and_disarms(manner: Manner) -> None:
 
 
 @BOTH
-def test_returning_comes_home_and_lands(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_returning_comes_home_and_lands(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind)
     flight.run(6.0, velocity(2.0, 1.0))
     flight.autopilot.set_mode_named(flight.autopilot.profile.return_mode)
     flight.run(50.0)
@@ -285,21 +288,23 @@ def test_it_says_when_it_has_landed_and_disarmed_by_itself() -> None:
 
 
 @BOTH
-def test_a_landing_by_setpoints_is_noticed_and_then_disarming_is_allowed(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_a_landing_by_setpoints_is_noticed_and_then_disarming_is_allowed(
+    autopilot_kind: AutopilotKind,
+) -> None:
+    flight = in_the_air(autopilot_kind)
     while flight.vehicle.height_m > 0.0:
         flight.run(0.1, velocity(0.0, 0.0, 0.5))
     assert landed_state(flight) is not LandedState.ON_GROUND
-    flight.run(1.0 if manner == "ardupilot" else 5.0, velocity(0.0, 0.0, 0.3))
+    flight.run(1.0 if autopilot_kind == "ardupilot" else 5.0, velocity(0.0, 0.0, 0.3))
     assert landed_state(flight) is not LandedState.ON_GROUND  # as in the recordings: 2 s, and 6 s and more
-    flight.run(1.5 if manner == "ardupilot" else 4.5, velocity(0.0, 0.0, 0.3))
+    flight.run(1.5 if autopilot_kind == "ardupilot" else 4.5, velocity(0.0, 0.0, 0.3))
     assert landed_state(flight) is LandedState.ON_GROUND
     assert flight.autopilot.disarm() is CommandResult.ACCEPTED
 
 
 @BOTH
-def test_a_slow_descent_in_the_air_is_not_taken_for_the_ground(manner: Manner) -> None:
-    flight = in_the_air(manner, errors=EstimatorErrors())
+def test_a_slow_descent_in_the_air_is_not_taken_for_the_ground(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind, errors=EstimatorErrors())
     for _ in range(20):
         flight.run(0.5, velocity(0.0, 0.0, 0.15))
         assert landed_state(flight) is LandedState.IN_AIR
@@ -307,8 +312,8 @@ def test_a_slow_descent_in_the_air_is_not_taken_for_the_ground(manner: Manner) -
 
 
 @BOTH
-def test_it_rides_a_moving_pad_once_landed(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_it_rides_a_moving_pad_once_landed(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind)
     flight.vehicle.floor_velocity_ned_m_s = (1.0, 0.0, 0.0)
     while flight.vehicle.height_m > 0.0:
         flight.run(0.1, velocity(1.0, 0.0, 0.5))

@@ -8,6 +8,7 @@ from math import nan
 
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import (
     euler_from_quat,
     quat_from_euler,
@@ -17,7 +18,6 @@ from companion.base.geometry import (
     wrap_angle,
     yaw_from_quat,
 )
-from companion.base.messages import Manner
 from sitl.autopilot import (
     AttitudeSetpoint,
     EstimatorErrors,
@@ -27,7 +27,7 @@ from sitl.autopilot import (
     Task,
 )
 from tests.unit.sitl.autopilot.autopilot_flight import (
-    MANNERS,
+    AUTOPILOT_KINDS,
     STAND_STILL,
     ZERO,
     Flight,
@@ -37,17 +37,17 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     velocity,
 )
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
 
 # ---------------------------------------------------------------- answers to setpoints
 
 
-@pytest.mark.parametrize(("manner", "t63_s", "t90_s"), [("px4", 0.72, 1.2), ("ardupilot", 0.84, 1.4)])
+@pytest.mark.parametrize(("autopilot_kind", "t63_s", "t90_s"), [("px4", 0.72, 1.2), ("ardupilot", 0.84, 1.4)])
 def test_a_velocity_step_is_shaped_by_ardupilot_and_not_by_px4(
-    manner: Manner, t63_s: float, t90_s: float
+    autopilot_kind: AutopilotKind, t63_s: float, t90_s: float
 ) -> None:
-    flight = in_the_air(manner)
+    flight = in_the_air(autopilot_kind)
     samples = flight.run(6.0, velocity(2.0))
     assert reached_s(samples, lambda s: s.velocity[0], 1.26) == pytest.approx(t63_s, abs=0.08)
     assert reached_s(samples, lambda s: s.velocity[0], 1.8) == pytest.approx(t90_s, abs=0.2)
@@ -55,9 +55,11 @@ def test_a_velocity_step_is_shaped_by_ardupilot_and_not_by_px4(
     assert samples[-1].velocity[0] == pytest.approx(2.0, abs=0.05)
 
 
-@pytest.mark.parametrize(("manner", "t63_s"), [("px4", 1.42), ("ardupilot", 2.05)])
-def test_a_position_step_is_shaped_by_ardupilot_and_not_by_px4(manner: Manner, t63_s: float) -> None:
-    flight = in_the_air(manner)
+@pytest.mark.parametrize(("autopilot_kind", "t63_s"), [("px4", 1.42), ("ardupilot", 2.05)])
+def test_a_position_step_is_shaped_by_ardupilot_and_not_by_px4(
+    autopilot_kind: AutopilotKind, t63_s: float
+) -> None:
+    flight = in_the_air(autopilot_kind)
     x, y, z = flight.autopilot.estimate.position_ned_m
     samples = flight.run(8.0, MotionSetpoint(position_ned_m=(x + 5.0, y, z)))
     assert reached_s(samples, lambda s: s.position[0] - x, 3.15) == pytest.approx(t63_s, abs=0.1)
@@ -67,15 +69,17 @@ def test_a_position_step_is_shaped_by_ardupilot_and_not_by_px4(manner: Manner, t
 
 
 @BOTH
-def test_a_descent_rate_is_held_with_little_overshoot(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_a_descent_rate_is_held_with_little_overshoot(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind)
     samples = flight.run(3.0, velocity(0.0, 0.0, 0.5))
-    assert max(s.velocity[2] for s in samples) < (0.56 if manner == "px4" else 0.6)
+    assert max(s.velocity[2] for s in samples) < (0.56 if autopilot_kind == "px4" else 0.6)
     assert samples[-1].velocity[2] == pytest.approx(0.5, abs=0.03)
 
 
 @BOTH
-def test_acceleration_fed_forward_makes_a_circle_far_rounder_than_velocity_alone(manner: Manner) -> None:
+def test_acceleration_fed_forward_makes_a_circle_far_rounder_than_velocity_alone(
+    autopilot_kind: AutopilotKind,
+) -> None:
     radius_m, turn = 2.0, 0.6
 
     def circle(with_acceleration: bool) -> Callable[[float], MotionSetpoint]:
@@ -90,7 +94,7 @@ def test_acceleration_fed_forward_makes_a_circle_far_rounder_than_velocity_alone
         return at
 
     def lag(with_acceleration: bool) -> float:
-        flight = in_the_air(manner)
+        flight = in_the_air(autopilot_kind)
         setpoint = circle(with_acceleration)
         samples = flight.run(12.0, setpoint)[250:]
         squares = [math.dist(s.velocity, setpoint(s.time_s).velocity_ned_m_s) ** 2 for s in samples]
@@ -103,16 +107,16 @@ def test_acceleration_fed_forward_makes_a_circle_far_rounder_than_velocity_alone
 def test_an_acceleration_alone_gains_the_speed_it_says() -> None:
     setpoint = MotionSetpoint(velocity_ned_m_s=(nan, nan, 0.0), acceleration_ned_m_s2=(1.0, 0.0, nan))
     gained = {}
-    for manner in MANNERS:
-        flight = in_the_air(manner)
-        gained[manner] = flight.run(2.0, setpoint)[-1].velocity[0]
+    for autopilot_kind in AUTOPILOT_KINDS:
+        flight = in_the_air(autopilot_kind)
+        gained[autopilot_kind] = flight.run(2.0, setpoint)[-1].velocity[0]
     assert gained["ardupilot"] == pytest.approx(1.85, abs=0.1)
     assert 1.2 < gained["px4"] < 1.8  # nothing makes up for drag
 
 
 @BOTH
-def test_wind_is_rejected_by_the_integral(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_wind_is_rejected_by_the_integral(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind)
     flight.vehicle.wind_ned_m_s = (-3.0, 5.0, 0.0)
     samples = flight.run(14.0, STAND_STILL)
     assert max(abs(s.velocity[1]) for s in samples) > 0.2
@@ -135,8 +139,8 @@ def test_body_frame_velocities_follow_the_nose(heading_deg: float) -> None:
 
 
 @BOTH
-def test_yaw_and_yaw_rate_are_flown(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_yaw_and_yaw_rate_are_flown(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind)
     flight.run(8.0, MotionSetpoint(velocity_ned_m_s=ZERO, yaw_rad=math.pi / 2))
     assert yaw_from_quat(flight.vehicle.attitude) == pytest.approx(math.pi / 2, abs=0.03)
     samples = flight.run(3.0, MotionSetpoint(velocity_ned_m_s=ZERO, yaw_rate_rad_s=0.3))
@@ -157,9 +161,9 @@ def test_the_attitude_loop_takes_a_sixth_of_a_second() -> None:
 def test_the_thrust_field_is_thrust_to_px4_and_a_climb_rate_to_ardupilot() -> None:
     level = quat_from_euler(0.0, 0.0, 0.0)
     climbed = {}
-    for manner in MANNERS:
-        flight = in_the_air(manner)
-        climbed[manner] = -flight.run(3.0, AttitudeSetpoint(level, 0.6))[-1].velocity[2]
+    for autopilot_kind in AUTOPILOT_KINDS:
+        flight = in_the_air(autopilot_kind)
+        climbed[autopilot_kind] = -flight.run(3.0, AttitudeSetpoint(level, 0.6))[-1].velocity[2]
     assert climbed["ardupilot"] == pytest.approx(0.5, abs=0.05)
     assert climbed["px4"] > 1.5
     flight = in_the_air("ardupilot")
@@ -169,12 +173,12 @@ def test_the_thrust_field_is_thrust_to_px4_and_a_climb_rate_to_ardupilot() -> No
 
 def test_ardupilot_raises_thrust_for_the_lean_it_flies_and_px4_does_not() -> None:
     leaning, sank = quat_from_euler(0.0, -0.5, 0.0), {}
-    for manner in MANNERS:
-        flight = in_the_air(manner)
-        if manner == "ardupilot":
+    for autopilot_kind in AUTOPILOT_KINDS:
+        flight = in_the_air(autopilot_kind)
+        if autopilot_kind == "ardupilot":
             flight.autopilot.parameters.set("GUID_OPTIONS", 8)
         thrust = flight.autopilot.thrust
-        sank[manner] = flight.run(1.5, AttitudeSetpoint(leaning, thrust))[-1].velocity[2]
+        sank[autopilot_kind] = flight.run(1.5, AttitudeSetpoint(leaning, thrust))[-1].velocity[2]
     assert sank["ardupilot"] == pytest.approx(0.0, abs=0.3)
     assert sank["px4"] > 0.8
 

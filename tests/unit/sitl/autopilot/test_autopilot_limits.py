@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, ZERO3
-from companion.base.messages import LandedState, Manner
+from companion.base.messages import LandedState
 from sitl.autopilot import NO_ERRORS, PROFILES, AttitudeSetpoint, CommandResult, MotionSetpoint
 from sitl.autopilot.control.cascade import Cascade
 from sitl.autopilot.control.estimator import SimulatedEstimator
@@ -23,14 +24,14 @@ from tests.unit.sitl.autopilot.autopilot_flight import (
     velocity,
 )
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 HOVER = 0.36
 STEP_S = 0.01
 
 
 @BOTH
-def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(manner: Manner) -> None:
-    flight = in_the_air(manner)
+def test_it_stops_soon_however_long_it_could_not_fly_as_fast_as_asked(autopilot_kind: AutopilotKind) -> None:
+    flight = in_the_air(autopilot_kind)
     flight.vehicle.wind_ned_m_s = (-18.0, 0.0, 0.0)
     reached = flight.run(15.0, velocity(14.0))[-1]
     assert reached.velocity[0] < 13.0  # the lean is at its limit
@@ -54,9 +55,9 @@ def test_ardupilots_lean_goes_on_at_its_limit_and_is_told() -> None:
 @BOTH
 @pytest.mark.parametrize("pressed_s", [1.0, 6.0])
 def test_a_climb_raises_the_thrust_as_soon_however_long_it_stood_pressed_down(
-    manner: Manner, pressed_s: float
+    autopilot_kind: AutopilotKind, pressed_s: float
 ) -> None:
-    control = PROFILES[manner].position_control(HOVER)
+    control = PROFILES[autopilot_kind].position_control(HOVER)
 
     def hold(wanted: MotionSetpoint) -> None:
         control.step(ZERO3, ZERO3, ZERO3, dataclasses.replace(wanted, streamed=True), STEP_S)
@@ -68,13 +69,15 @@ def test_a_climb_raises_the_thrust_as_soon_however_long_it_stood_pressed_down(
         hold(velocity(0.0, 0.0, -1.0))
         needed += 1
     # ArduPilot's path turns round at WPNAV_ACCEL_Z, 1 m/s²
-    assert needed * STEP_S < (0.1 if manner == "px4" else 1.8)
+    assert needed * STEP_S < (0.1 if autopilot_kind == "px4" else 1.8)
 
 
 @BOTH
 @pytest.mark.parametrize("stood_s", [0.4, 0.8])
-def test_a_commanded_climb_ends_the_suspicion_of_the_ground(manner: Manner, stood_s: float) -> None:
-    flight = in_the_air(manner)
+def test_a_commanded_climb_ends_the_suspicion_of_the_ground(
+    autopilot_kind: AutopilotKind, stood_s: float
+) -> None:
+    flight = in_the_air(autopilot_kind)
     while flight.vehicle.height_m > 0.0:
         flight.run(0.1, velocity(0.0, 0.0, 0.5))
     flight.run(stood_s, velocity(0.0, 0.0, 1.0))
@@ -87,12 +90,12 @@ def test_a_commanded_climb_ends_the_suspicion_of_the_ground(manner: Manner, stoo
 
 @BOTH
 def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than_one_by_velocity(
-    manner: Manner,
+    autopilot_kind: AutopilotKind,
 ) -> None:
     thrusts = []
     for wanted in (AttitudeSetpoint(IDENTITY, 0.6), MotionSetpoint(velocity_ned_m_s=(0.0, 0.0, -0.5))):
         estimate = SimulatedEstimator(NO_ERRORS, np.random.default_rng(1))
-        cascade = Cascade(PROFILES[manner], Frame450())
+        cascade = Cascade(PROFILES[autopilot_kind], Frame450())
         cascade.lift_off()
         while not cascade.airborne:
             cascade.outer(wanted, estimate, True, 0.25, STEP_S)
@@ -102,8 +105,10 @@ def test_while_the_motors_spool_up_a_climb_by_the_sticks_integrates_no_more_than
 
 
 @BOTH
-def test_disarmed_and_armed_again_within_one_step_it_starts_from_the_ground(manner: Manner) -> None:
-    flight: Flight = in_the_air(manner)
+def test_disarmed_and_armed_again_within_one_step_it_starts_from_the_ground(
+    autopilot_kind: AutopilotKind,
+) -> None:
+    flight: Flight = in_the_air(autopilot_kind)
     assert flight.autopilot.disarm(force=True) is CommandResult.ACCEPTED
     assert flight.autopilot.arm(force=True) is CommandResult.ACCEPTED
     flight.run(0.2, STAND_STILL)

@@ -10,8 +10,9 @@ from math import nan
 import numpy as np
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3, Vector3, quat_from_euler, quat_multiply, quat_rotate, yaw_from_quat
-from companion.base.messages import Manner, Truth
+from companion.base.messages import Truth
 from sitl.autopilot import PROFILES, EstimatorErrors, Task
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.attitude_control import (
@@ -211,9 +212,9 @@ def test_parameters_keep_their_bounds_and_integers() -> None:
     assert parameters["SPEED_CM"] == 150.0
 
 
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_every_name_in_a_manners_table_leads_somewhere(manner: Manner) -> None:
-    table = PROFILES[manner]
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_every_name_in_a_profiles_table_leads_somewhere(autopilot_kind: AutopilotKind) -> None:
+    table = PROFILES[autopilot_kind]
     names = [table.boot_mode, table.take_off_mode, table.after_take_off_mode, table.hold_mode]
     names += [table.land_mode, table.return_mode]
     names += [failsafe.mode for failsafe in table.failsafes if failsafe.mode]

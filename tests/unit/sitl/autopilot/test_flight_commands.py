@@ -8,17 +8,17 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import Manner
 from tests.unit.sitl.autopilot.autopilot_flight import HOME
 from tests.unit.sitl.autopilot.mission_desk import Station
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
 
 
-def flying(manner: Manner, height_m: float = 4.0) -> Station:
-    station = Station(manner)
+def flying(autopilot_kind: AutopilotKind, height_m: float = 4.0) -> Station:
+    station = Station(autopilot_kind)
     station.flight.take_off(height_m)
     return station
 
@@ -57,7 +57,7 @@ def test_the_modes_on_offer_are_entered() -> None:
 
 
 @pytest.mark.parametrize(
-    ("manner", "mode", "result", "text"),
+    ("autopilot_kind", "mode", "result", "text"),
     [
         ("px4", (5, 0), REJECTED, "Switching to mode 'Acro'"),
         ("px4", (6, 0), REJECTED, "Switching to mode 'Offboard'"),
@@ -70,9 +70,9 @@ def test_the_modes_on_offer_are_entered() -> None:
     ],
 )
 def test_other_modes_are_refused_with_a_text(
-    manner: Manner, mode: tuple[int, int], result: int, text: str
+    autopilot_kind: AutopilotKind, mode: tuple[int, int], result: int, text: str
 ) -> None:
-    station = Station(manner)
+    station = Station(autopilot_kind)
     before = station.flight.autopilot.mode
     assert set_mode(station, *mode) == result
     station.run(0.1)
@@ -89,23 +89,23 @@ def test_flown_by_hand_alone_is_refused_in_flight_without_sticks() -> None:
 
 
 @BOTH
-def test_arming_takes_0_and_1_alone(manner: Manner) -> None:
-    station = Station(manner)
+def test_arming_takes_0_and_1_alone(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     for value in (2.0, 0.5, math.nan, math.inf):
         assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, value) == UNSUPPORTED
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
 
 
 @BOTH
-def test_modes_that_land_are_not_armed_in(manner: Manner) -> None:
-    station = Station(manner)
+def test_modes_that_land_are_not_armed_in(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.land_mode)
     assert station.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) in (REJECTED, FAILED)
 
 
 @BOTH
-def test_termination_stops_the_motors_in_flight(manner: Manner) -> None:
-    station = flying(manner)
+def test_termination_stops_the_motors_in_flight(autopilot_kind: AutopilotKind) -> None:
+    station = flying(autopilot_kind)
     assert station.command(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, 0) == DENIED
     assert station.command(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, 1) == ACCEPTED
     assert not station.flight.autopilot.armed
@@ -125,16 +125,18 @@ def reposition(frame: int, north_m: float, altitude_m: float, speed: float = -1.
 @pytest.mark.parametrize(
     ("frame", "altitude_m"), [(5, HOME[2] + 5.18), (6, 5.0), (0, HOME[2] + 5.18), (3, 5.0)]
 )
-def test_repositioning_takes_both_altitudes(manner: Manner, frame: int, altitude_m: float) -> None:
-    station = flying(manner)
+def test_repositioning_takes_both_altitudes(
+    autopilot_kind: AutopilotKind, frame: int, altitude_m: float
+) -> None:
+    station = flying(autopilot_kind)
     assert station.result(reposition(frame, 10.0, altitude_m)) == ACCEPTED
     station.run(9.0)
     assert math.dist(station.flight.vehicle.position, (10.0, 0.0, -5.18)) < 0.3
 
 
 @BOTH
-def test_places_that_are_none_are_denied(manner: Manner) -> None:
-    station = flying(manner)
+def test_places_that_are_none_are_denied(autopilot_kind: AutopilotKind) -> None:
+    station = flying(autopilot_kind)
     assert station.result(reposition(1, 10.0, 5.0)) == DENIED
     assert station.result(reposition(6, 10.0, 1e30)) == DENIED
     far = station.command(mavlink.MAV_CMD_DO_REPOSITION, -1, 1, 0, math.nan, 500.0, 8.0, 405.0)
@@ -142,8 +144,8 @@ def test_places_that_are_none_are_denied(manner: Manner) -> None:
 
 
 @BOTH
-def test_speeds_are_changed_and_forgotten_after_the_flight(manner: Manner) -> None:
-    station = flying(manner)
+def test_speeds_are_changed_and_forgotten_after_the_flight(autopilot_kind: AutopilotKind) -> None:
+    station = flying(autopilot_kind)
     station.send(reposition(6, 60.0, 4.0))
     assert station.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, 2.0) == ACCEPTED
     station.run(6.0)
@@ -166,8 +168,8 @@ def test_ardupilot_turns_by_command_and_px4_does_not() -> None:
 
 
 @BOTH
-def test_a_home_that_is_set_stays_and_is_returned_to(manner: Manner) -> None:
-    station = Station(manner)
+def test_a_home_that_is_set_stays_and_is_returned_to(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     for name, value in (("RTL_RETURN_ALT", 4.0), ("RTL_ALT", 400.0)):
         station.flight.autopilot.parameters.set(name, value)
     home = (HOME[0] + 6.0 / 111_170.0, HOME[1], HOME[2] + 0.18)
@@ -186,8 +188,8 @@ def test_a_home_that_is_set_stays_and_is_returned_to(manner: Manner) -> None:
 
 @BOTH
 @pytest.mark.parametrize("yaw", [math.inf, -math.inf, math.nan])
-def test_a_heading_that_is_no_number_is_the_present_one(manner: Manner, yaw: float) -> None:
-    station = flying(manner)
+def test_a_heading_that_is_no_number_is_the_present_one(autopilot_kind: AutopilotKind, yaw: float) -> None:
+    station = flying(autopilot_kind)
     message = reposition(6, 10.0, 5.0)
     message.param4 = yaw
     assert station.result(message) == ACCEPTED
@@ -196,8 +198,8 @@ def test_a_heading_that_is_no_number_is_the_present_one(manner: Manner, yaw: flo
 
 
 @BOTH
-def test_homes_upon_homes_stay_within_what_can_be_told(manner: Manner) -> None:
-    station = Station(manner)
+def test_homes_upon_homes_stay_within_what_can_be_told(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     higher = mavlink.MAVLink_command_int_message(
         1, 1, 6, mavlink.MAV_CMD_DO_SET_HOME, 0, 0, 0.0, 0.0, 0.0, 0.0,
         round(HOME[0] * 1e7), round(HOME[1] * 1e7), 9000.0,
@@ -212,8 +214,8 @@ def test_homes_upon_homes_stay_within_what_can_be_told(manner: Manner) -> None:
 
 @BOTH
 @pytest.mark.parametrize("value", [math.inf, -math.inf, 1e38, -1e38, 2.0**31])
-def test_commands_full_of_huge_numbers_do_no_harm(manner: Manner, value: float) -> None:
-    station = flying(manner)
+def test_commands_full_of_huge_numbers_do_no_harm(autopilot_kind: AutopilotKind, value: float) -> None:
+    station = flying(autopilot_kind)
     avoided = {mavlink.MAV_CMD_DO_FLIGHTTERMINATION}
     for number in (*range(600), 2000, 2500, 42_000):
         if number in avoided:

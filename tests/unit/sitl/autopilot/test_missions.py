@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import Manner
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot.mission_desk import Station, item, mission, plain
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 WAYPOINT, TAKE_OFF, LAND, RETURN = 16, 22, 21, 20
 
 
@@ -29,17 +29,19 @@ def results(messages: list[Any]) -> list[int]:
 
 
 @BOTH
-def test_a_mission_comes_back_as_it_was_sent(manner: Manner) -> None:
-    station = Station(manner)
-    sent = mission(manner, [item(TAKE_OFF, 0, 0, 5), item(WAYPOINT, 10, -4, 6), plain(178, 1, 3), item(LAND)])
+def test_a_mission_comes_back_as_it_was_sent(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    sent = mission(
+        autopilot_kind, [item(TAKE_OFF, 0, 0, 5), item(WAYPOINT, 10, -4, 6), plain(178, 1, 3), item(LAND)]
+    )
     assert station.upload(sent) == 0
     back = station.download()
     assert [m.command for m in back] == [m.command for m in sent]
-    flown = slice(1, None) if manner == "ardupilot" else slice(None)
+    flown = slice(1, None) if autopilot_kind == "ardupilot" else slice(None)
     for ours, theirs in zip(sent[flown], back[flown], strict=True):
         assert (ours.x, ours.y, ours.z) == (theirs.x, theirs.y, theirs.z)
         assert ours.param1 == theirs.param1
-    assert back[-1].frame == (6 if manner == "px4" else 3)
+    assert back[-1].frame == (6 if autopilot_kind == "px4" else 3)
 
 
 def test_ardupilots_item_0_is_home_whatever_was_sent() -> None:
@@ -51,37 +53,43 @@ def test_ardupilots_item_0_is_home_whatever_was_sent() -> None:
 
 
 @pytest.mark.parametrize(
-    ("manner", "request_type"), [("px4", "MISSION_REQUEST_INT"), ("ardupilot", "MISSION_REQUEST")]
+    ("autopilot_kind", "request_type"), [("px4", "MISSION_REQUEST_INT"), ("ardupilot", "MISSION_REQUEST")]
 )
-def test_each_asks_in_its_own_way_and_takes_both_kinds_of_item(manner: Manner, request_type: str) -> None:
-    station = Station(manner)
+def test_each_asks_in_its_own_way_and_takes_both_kinds_of_item(
+    autopilot_kind: AutopilotKind, request_type: str
+) -> None:
+    station = Station(autopilot_kind)
     assert station.send(count(1))[-1].get_type() == request_type
     old = mavlink.MAVLink_mission_item_message(1, 1, 0, 3, WAYPOINT, 0, 1, 0, 0, 0, 0, 47.001, 8.001, 12.0)
     assert results(station.send(old)) == [0]
     asked = station.send(mavlink.MAVLink_mission_request_message(1, 1, 0))[-1]
     assert asked.get_type() == "MISSION_ITEM"
-    if manner == "px4":
+    if autopilot_kind == "px4":
         assert (asked.x, asked.y, asked.z) == pytest.approx((47.001, 8.001, 12.0), abs=1e-5)
 
 
 @BOTH
-def test_a_request_that_got_lost_is_repeated_and_silence_ends_the_upload(manner: Manner) -> None:
-    station = Station(manner)
+def test_a_request_that_got_lost_is_repeated_and_silence_ends_the_upload(
+    autopilot_kind: AutopilotKind,
+) -> None:
+    station = Station(autopilot_kind)
     station.send(count(2))
     repeated = [m for m in station.run(2.2) if m.get_type().startswith("MISSION_REQUEST")]
-    assert len(repeated) == pytest.approx(8 if manner == "px4" else 2, abs=1)
+    assert len(repeated) == pytest.approx(8 if autopilot_kind == "px4" else 2, abs=1)
     assert {m.seq for m in repeated} == {0}
     assert results(station.run(7.0)) == [15]
     assert results(station.send(item(WAYPOINT))) == [1]
 
 
 @BOTH
-def test_an_item_out_of_sequence_does_not_end_the_upload(manner: Manner) -> None:
-    station = Station(manner)
-    items = mission(manner, [item(WAYPOINT, 1, 0, 5), item(WAYPOINT, 2, 0, 5), item(WAYPOINT, 3, 0, 5)])
+def test_an_item_out_of_sequence_does_not_end_the_upload(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    items = mission(
+        autopilot_kind, [item(WAYPOINT, 1, 0, 5), item(WAYPOINT, 2, 0, 5), item(WAYPOINT, 3, 0, 5)]
+    )
     station.send(count(len(items)))
     answer = station.send(items[2])[-1]
-    if manner == "px4":
+    if autopilot_kind == "px4":
         assert (answer.get_type(), answer.seq) == ("MISSION_REQUEST_INT", 0)
     else:
         assert results([answer]) == [13]
@@ -93,20 +101,20 @@ def test_an_item_out_of_sequence_does_not_end_the_upload(manner: Manner) -> None
 
 
 def test_a_second_count_starts_ardupilot_anew_and_is_refused_by_a_busy_px4() -> None:
-    for manner, expected in (("px4", [1]), ("ardupilot", [])):
-        station = Station(manner)  # type: ignore[arg-type]
-        items = mission(manner, [item(WAYPOINT, n, 0, 5) for n in range(3)])  # type: ignore[arg-type]
+    for autopilot_kind, expected in (("px4", [1]), ("ardupilot", [])):
+        station = Station(autopilot_kind)  # type: ignore[arg-type]
+        items = mission(autopilot_kind, [item(WAYPOINT, n, 0, 5) for n in range(3)])  # type: ignore[arg-type]
         station.send(count(len(items)))
         station.send(items[0])
         answers = station.send(count(2))
         assert results(answers) == expected
-        if manner == "ardupilot":
+        if autopilot_kind == "ardupilot":
             assert answers[-1].seq == 0
 
 
 @BOTH
-def test_somebody_elses_items_are_denied(manner: Manner) -> None:
-    station = Station(manner)
+def test_somebody_elses_items_are_denied(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     station.send(count(1))
     station.us.srcSystem = 254
     assert results(station.send(item(WAYPOINT)))[0] != 0
@@ -116,8 +124,8 @@ def test_somebody_elses_items_are_denied(manner: Manner) -> None:
 
 
 @BOTH
-def test_one_upload_at_a_time_over_all_links(manner: Manner) -> None:
-    station = Station(manner, 0.1)
+def test_one_upload_at_a_time_over_all_links(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind, 0.1)
     first, second = station.endpoint, MavlinkEndpoint(station.flight.autopilot)
     station.send(count(1))
     station.endpoint = second
@@ -145,8 +153,8 @@ def test_one_upload_at_a_time_over_all_links(manner: Manner) -> None:
         (item(WAYPOINT, 0, 0, 5, mission_type=1), 1),
     ],
 )
-def test_wrong_items_are_refused(manner: Manner, wrong: Any, result: int) -> None:
-    station = Station(manner)
+def test_wrong_items_are_refused(autopilot_kind: AutopilotKind, wrong: Any, result: int) -> None:
+    station = Station(autopilot_kind)
     station.send(count(1))
     assert results(station.send(wrong)) == [result]
 
@@ -158,8 +166,8 @@ def test_conditions_and_circles_are_ardupilots_alone() -> None:
 
 
 @BOTH
-def test_lists_too_long_fences_and_rally_points(manner: Manner) -> None:
-    station = Station(manner, 0.1)
+def test_lists_too_long_fences_and_rally_points(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind, 0.1)
     assert results(station.send(count(60_000))) == [4]
     for kind in (1, 2):
         assert station.send(mavlink.MAVLink_mission_request_list_message(1, 1, kind))[-1].count == 0
@@ -171,9 +179,9 @@ def test_lists_too_long_fences_and_rally_points(manner: Manner) -> None:
 
 
 @BOTH
-def test_clearing_and_choosing_the_current_item(manner: Manner) -> None:
-    station = Station(manner, 0.1)
-    station.upload(mission(manner, [item(WAYPOINT, n, 0, 5) for n in range(4)]))
+def test_clearing_and_choosing_the_current_item(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind, 0.1)
+    station.upload(mission(autopilot_kind, [item(WAYPOINT, n, 0, 5) for n in range(4)]))
     current = station.send(mavlink.MAVLink_mission_set_current_message(1, 1, 2))
     assert current[-1].seq == 2
     assert station.command(mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 3) == 0
@@ -203,8 +211,8 @@ def test_part_of_ardupilots_list_can_be_replaced() -> None:
 
 
 @BOTH
-def test_a_mission_is_flown_from_take_off_to_landing(manner: Manner) -> None:
-    station = Station(manner)
+def test_a_mission_is_flown_from_take_off_to_landing(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     station.fly(
         [
             item(TAKE_OFF, 0, 0, 5),
@@ -219,16 +227,16 @@ def test_a_mission_is_flown_from_take_off_to_landing(manner: Manner) -> None:
     station.run(26.0)
     assert math.dist(station.flight.vehicle.position[:2], (12.0, 8.0)) < 0.6
     assert not station.flight.autopilot.armed
-    first = 1 if manner == "ardupilot" else 0
+    first = 1 if autopilot_kind == "ardupilot" else 0
     assert station.reached() == list(range(first, first + 5))
     # rewound: it can be flown again
     assert station.flight.autopilot.mission.current == 0
 
 
 @BOTH
-def test_a_jump_is_taken_as_often_as_it_says(manner: Manner) -> None:
-    station = Station(manner)
-    first = 1 if manner == "ardupilot" else 0
+def test_a_jump_is_taken_as_often_as_it_says(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    first = 1 if autopilot_kind == "ardupilot" else 0
     station.fly(
         [item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 6, 0, 4), item(WAYPOINT, 0, 0, 4), plain(177, first + 1, 2)]
     )
@@ -240,17 +248,17 @@ def test_a_jump_is_taken_as_often_as_it_says(manner: Manner) -> None:
 
 
 @BOTH
-def test_jumps_that_lead_nowhere_do_no_harm(manner: Manner) -> None:
-    station = Station(manner)
+def test_jumps_that_lead_nowhere_do_no_harm(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     station.fly([item(TAKE_OFF, 0, 0, 3), plain(177, 2, -1), plain(177, 1, -1)])
     station.run(8.0)
     assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
 
 
 @BOTH
-def test_a_loop_with_nothing_to_fly_is_told_of_once_a_second_at_most(manner: Manner) -> None:
-    station = Station(manner)
-    first = 1 if manner == "ardupilot" else 0
+def test_a_loop_with_nothing_to_fly_is_told_of_once_a_second_at_most(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    first = 1 if autopilot_kind == "ardupilot" else 0
     station.fly([item(TAKE_OFF, 0, 0, 3), item(WAYPOINT, 0, 0, 3), plain(177, first, -1)])
     station.run(6.0)
     before = len(station.heard)
@@ -262,8 +270,8 @@ def test_a_loop_with_nothing_to_fly_is_told_of_once_a_second_at_most(manner: Man
 
 
 @BOTH
-def test_returning_is_an_item_too(manner: Manner) -> None:
-    station = Station(manner)
+def test_returning_is_an_item_too(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     for name, value in (("RTL_RETURN_ALT", 5.0), ("RTL_ALT", 500.0)):
         station.flight.autopilot.parameters.set(name, value)
     station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 8, 0, 4), plain(RETURN)])
@@ -292,8 +300,8 @@ def test_ardupilot_turns_circles_and_waits() -> None:
 
 
 def test_px4_heads_where_a_waypoint_says_and_ardupilot_along_the_way() -> None:
-    for manner, heading in (("px4", math.pi), ("ardupilot", math.pi / 2)):
-        station = Station(manner)  # type: ignore[arg-type]
+    for autopilot_kind, heading in (("px4", math.pi), ("ardupilot", math.pi / 2)):
+        station = Station(autopilot_kind)  # type: ignore[arg-type]
         station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 0, 20, 4, (0.0, 0.0, 0.0, 180.0))])
         station.run(8.5)
         turned = yaw_from_quat(station.flight.vehicle.attitude)
@@ -301,8 +309,8 @@ def test_px4_heads_where_a_waypoint_says_and_ardupilot_along_the_way() -> None:
 
 
 @BOTH
-def test_a_mission_can_be_left_and_gone_on_with(manner: Manner) -> None:
-    station = Station(manner)
+def test_a_mission_can_be_left_and_gone_on_with(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     station.fly([item(TAKE_OFF, 0, 0, 4), item(WAYPOINT, 30, 0, 4), item(WAYPOINT, 0, 0, 4)])
     station.run(8.0)
     assert station.command(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0) == 0
@@ -320,8 +328,8 @@ def test_a_mission_can_be_left_and_gone_on_with(manner: Manner) -> None:
 
 
 def test_without_a_mission_its_mode_is_refused() -> None:
-    for manner, mode, result in (("px4", 4 << 16 | 4 << 24, 1), ("ardupilot", 3, 4)):
-        station = Station(manner)  # type: ignore[arg-type]
+    for autopilot_kind, mode, result in (("px4", 4 << 16 | 4 << 24, 1), ("ardupilot", 3, 4)):
+        station = Station(autopilot_kind)  # type: ignore[arg-type]
         assert station.flight.autopilot.set_mode(mode) == result
         assert station.command(mavlink.MAV_CMD_MISSION_START, 0, 0) == result
         station.run(0.2)
@@ -343,13 +351,13 @@ def test_px4_climbs_by_itself_before_a_first_waypoint_and_ardupilot_wants_a_take
 
 
 @BOTH
-def test_landing_start_and_the_current_item_are_told(manner: Manner) -> None:
-    station = Station(manner)
+def test_landing_start_and_the_current_item_are_told(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     assert station.command(mavlink.MAV_CMD_DO_LAND_START) == 4
     station.fly([item(TAKE_OFF, 0, 0, 4), item(17, 20, 0, 4), item(189), item(LAND, 0, 0, 0)])
     station.run(7.0)
     told = [m for m in station.run(1.2) if m.get_type() == "MISSION_CURRENT"]
-    first = 1 if manner == "ardupilot" else 0
+    first = 1 if autopilot_kind == "ardupilot" else 0
     assert (told[-1].seq, told[-1].total) == (first + 1, 4)
     assert station.command(mavlink.MAV_CMD_DO_LAND_START) == 0
     station.run(25.0)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import IDENTITY, Vector3, quat_conjugate, quat_rotate, subtract
-from companion.base.messages import Manner
 from sitl.autopilot.flight.landing_target import AxisFilter, direction_from_angles
 from sitl.autopilot.px4.precision_landing import PrecLandState, Px4PrecisionLanding
 from tests.unit.sitl.autopilot.mission_desk import Station
@@ -27,9 +27,9 @@ def standing(_now_s: float) -> Vector3:
 class Landing(Station):
     """A station that tells of a target at 20 Hz as long as it is `visible`."""
 
-    def __init__(self, manner: Manner, pad: Pad = standing, **parameters: float) -> None:
-        super().__init__(manner, 0.1)
-        if manner == "ardupilot":
+    def __init__(self, autopilot_kind: AutopilotKind, pad: Pad = standing, **parameters: float) -> None:
+        super().__init__(autopilot_kind, 0.1)
+        if autopilot_kind == "ardupilot":
             parameters = {"PLND_ENABLED": 1.0, "PLND_OPTIONS": 1.0, **parameters}
         for name, value in parameters.items():
             assert self.flight.autopilot.parameters.set(name, value)
@@ -37,12 +37,12 @@ class Landing(Station):
         self.pad = pad
         self.visible = True
         self.by_angles = False
-        self.frame = BODY_FRD if manner == "ardupilot" else LOCAL_NED
+        self.frame = BODY_FRD if autopilot_kind == "ardupilot" else LOCAL_NED
         self.flight.take_off(4.0)
 
     def begin(self) -> None:
         """Say land."""
-        land = mavlink.MAV_CMD_NAV_LAND if self.manner == "ardupilot" else 23
+        land = mavlink.MAV_CMD_NAV_LAND if self.autopilot_kind == "ardupilot" else 23
         assert self.command(land) == 0
 
     def down(self, seconds: float) -> None:
@@ -71,9 +71,9 @@ class Landing(Station):
         return math.dist(self.flight.vehicle.position[:2], place[:2])
 
 
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_it_lands_on_a_pad_that_stands(manner: Manner) -> None:
-    landing = Landing(manner)
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_it_lands_on_a_pad_that_stands(autopilot_kind: AutopilotKind) -> None:
+    landing = Landing(autopilot_kind)
     landing.begin()
     landing.down(40.0)
     assert not landing.flight.autopilot.armed
@@ -154,19 +154,21 @@ def test_px4_searches_higher_up_and_then_lands() -> None:
 
 
 @pytest.mark.parametrize(
-    ("manner", "frame", "text"), [("px4", 12, "frame 12 unsupported"), ("ardupilot", 1, "Frame not")]
+    ("autopilot_kind", "frame", "text"), [("px4", 12, "frame 12 unsupported"), ("ardupilot", 1, "Frame not")]
 )
-def test_frames_that_it_does_not_take_are_said_once(manner: Manner, frame: int, text: str) -> None:
-    landing = Landing(manner)
+def test_frames_that_it_does_not_take_are_said_once(
+    autopilot_kind: AutopilotKind, frame: int, text: str
+) -> None:
+    landing = Landing(autopilot_kind)
     landing.frame = frame
     landing.down(1.0)
     assert len([said for said in landing.texts if text in said]) == 1
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1e30])
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_broken_targets_do_no_harm(manner: Manner, value: float) -> None:
-    landing = Landing(manner)
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_broken_targets_do_no_harm(autopilot_kind: AutopilotKind, value: float) -> None:
+    landing = Landing(autopilot_kind)
     landing.begin()
     for valid in (0, 1):
         broken = mavlink.MAVLink_landing_target_message(

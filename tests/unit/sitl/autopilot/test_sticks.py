@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import tilt_from_quat, yaw_from_quat
-from companion.base.messages import Manner
 from tests.unit.sitl.autopilot.mission_desk import Station
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 VELOCITY_MODE = {"px4": "POSCTL", "ardupilot": "LOITER"}
 ANGLE_MODE = {"px4": "ALTCTL", "ardupilot": "ALT_HOLD"}
 THRUST_MODE = {"px4": "STABILIZED", "ardupilot": "STABILIZE"}
@@ -34,17 +34,17 @@ def hold(station: Station, message: Any, seconds: float) -> None:
         station.run(0.1)
 
 
-def hovering(manner: Manner, mode: dict[str, str]) -> Station:
-    station = Station(manner)
+def hovering(autopilot_kind: AutopilotKind, mode: dict[str, str]) -> Station:
+    station = Station(autopilot_kind)
     station.flight.take_off(8.0)
     hold(station, joystick(), 0.3)
-    assert station.flight.autopilot.set_mode_named(mode[manner]) == 0
+    assert station.flight.autopilot.set_mode_named(mode[autopilot_kind]) == 0
     return station
 
 
 @BOTH
-def test_sticks_fly_velocities_and_letting_go_holds(manner: Manner) -> None:
-    station = hovering(manner, VELOCITY_MODE)
+def test_sticks_fly_velocities_and_letting_go_holds(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
     hold(station, joystick(x=300, y=-300, z=600), 4.0)
     vx, vy, vz = station.flight.vehicle.velocity
     assert vx > 1.0
@@ -55,8 +55,8 @@ def test_sticks_fly_velocities_and_letting_go_holds(manner: Manner) -> None:
 
 
 @BOTH
-def test_sticks_lean_the_vehicle_and_turn_it_while_its_height_is_held(manner: Manner) -> None:
-    station = hovering(manner, ANGLE_MODE)
+def test_sticks_lean_the_vehicle_and_turn_it_while_its_height_is_held(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, ANGLE_MODE)
     height = station.flight.vehicle.height_m
     hold(station, joystick(y=300), 1.5)
     assert tilt_from_quat(station.flight.vehicle.attitude) > math.radians(6.0)
@@ -67,8 +67,8 @@ def test_sticks_lean_the_vehicle_and_turn_it_while_its_height_is_held(manner: Ma
 
 
 @BOTH
-def test_the_throttle_is_thrust_in_the_simplest_mode(manner: Manner) -> None:
-    station = hovering(manner, THRUST_MODE)
+def test_the_throttle_is_thrust_in_the_simplest_mode(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, THRUST_MODE)
     hold(station, joystick(z=700), 1.5)
     assert station.flight.vehicle.velocity[2] < -1.0
     hold(station, joystick(z=300), 3.0)
@@ -76,9 +76,9 @@ def test_the_throttle_is_thrust_in_the_simplest_mode(manner: Manner) -> None:
 
 
 @BOTH
-def test_channels_fly_as_the_joystick_does_and_are_told(manner: Manner) -> None:
-    station = hovering(manner, VELOCITY_MODE)
-    forward = 1300 if manner == "ardupilot" else 1700
+def test_channels_fly_as_the_joystick_does_and_are_told(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
+    forward = 1300 if autopilot_kind == "ardupilot" else 1700
     hold(station, override(1500, forward, 1500, 1500), 3.0)
     assert station.flight.vehicle.velocity[0] > 1.0
     told = [m for m in station.run(1.0) if m.get_type() == "RC_CHANNELS"][-1]
@@ -86,24 +86,24 @@ def test_channels_fly_as_the_joystick_does_and_are_told(manner: Manner) -> None:
 
 
 @BOTH
-def test_nobody_at_the_sticks_from_the_start_triggers_nothing(manner: Manner) -> None:
-    station = Station(manner)
+def test_nobody_at_the_sticks_from_the_start_triggers_nothing(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     station.flight.take_off(3.0)
-    station.flight.autopilot.set_mode_named(VELOCITY_MODE[manner])
+    station.flight.autopilot.set_mode_named(VELOCITY_MODE[autopilot_kind])
     station.run(12.0)
-    assert station.flight.autopilot.mode == VELOCITY_MODE[manner]
+    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
     assert {m.chancount for m in station.heard if m.get_type() == "RC_CHANNELS"} == {0}
     assert station.flight.vehicle.height_m == pytest.approx(3.0, abs=0.3)
 
 
 @BOTH
-def test_sticks_that_fall_silent_bring_it_home_once(manner: Manner) -> None:
-    station = hovering(manner, VELOCITY_MODE)
+def test_sticks_that_fall_silent_bring_it_home_once(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
     hold(station, override(1500, 1500, 1500, 1500), 1.0)
     station.run(0.4)
-    assert station.flight.autopilot.mode == VELOCITY_MODE[manner]
+    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
     station.run(6.0)
-    assert station.flight.autopilot.mode == RETURN_MODE[manner]
+    assert station.flight.autopilot.mode == RETURN_MODE[autopilot_kind]
     assert any("Manual control lost" in t or "Radio Failsafe" in t for t in station.texts)
     # a mode chosen after that is the pilot's own business
     station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
@@ -112,12 +112,12 @@ def test_sticks_that_fall_silent_bring_it_home_once(manner: Manner) -> None:
 
 
 @BOTH
-def test_released_channels_are_no_loss(manner: Manner) -> None:
-    station = hovering(manner, VELOCITY_MODE)
+def test_released_channels_are_no_loss(autopilot_kind: AutopilotKind) -> None:
+    station = hovering(autopilot_kind, VELOCITY_MODE)
     hold(station, override(1500, 1500, 1500, 1500), 0.5)
     station.send(override(0, 0, 0, 0))
     station.run(8.0)
-    assert station.flight.autopilot.mode == VELOCITY_MODE[manner]
+    assert station.flight.autopilot.mode == VELOCITY_MODE[autopilot_kind]
 
 
 def test_exceptions_keep_a_mode_without_sticks() -> None:
@@ -147,10 +147,10 @@ def test_ardupilot_heeds_its_own_ground_station_alone_and_does_not_arm_with_the_
 
 
 @BOTH
-def test_the_throttle_lifts_it_off_and_a_pushed_down_one_lands_it(manner: Manner) -> None:
-    station = Station(manner)
+def test_the_throttle_lifts_it_off_and_a_pushed_down_one_lands_it(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
     hold(station, joystick(), 0.3)
-    station.flight.autopilot.set_mode_named(VELOCITY_MODE[manner])
+    station.flight.autopilot.set_mode_named(VELOCITY_MODE[autopilot_kind])
     assert station.flight.autopilot.arm() == 0
     hold(station, joystick(), 1.0)
     assert station.flight.vehicle.height_m == 0.0

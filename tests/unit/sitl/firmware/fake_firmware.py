@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3
-from companion.base.messages import Manner
 from companion.config import find_file, load_model
 from sitl.firmware.barometer import Barometer
 from sitl.firmware.base import Firmware, Moment, Setup
@@ -88,7 +88,9 @@ class Fake:
         return self.spec.path.with_name(f"{self.spec.path.name}-{instance}.{what}")
 
 
-def fake(kind: Manner, folder: Path, parameters: dict[str, float] | None = None, **behaviour: Any) -> Fake:
+def fake(
+    kind: AutopilotKind, folder: Path, parameters: dict[str, float] | None = None, **behaviour: Any
+) -> Fake:
     """Write a program as a SITL build has it; see DEFAULTS for how it may behave."""
     assert set(behaviour) <= set(DEFAULTS)
     path = folder / kind / "bin" / {"px4": "px4", "ardupilot": "arducopter"}[kind]

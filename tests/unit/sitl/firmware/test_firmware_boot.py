@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.firmware import ardupilot, process, px4, start
 from sitl.firmware.base import Moment
@@ -78,7 +78,7 @@ def stamps(program: Fake) -> list[float]:
 
 
 @BOTH
-def test_it_boots_until_it_is_ready_and_a_while_longer(kind: Manner, tmp_path: Path) -> None:
+def test_it_boots_until_it_is_ready_and_a_while_longer(kind: AutopilotKind, tmp_path: Path) -> None:
     program = fake(kind, tmp_path, boot_steps=100)
     with booted(program):
         pass
@@ -87,7 +87,7 @@ def test_it_boots_until_it_is_ready_and_a_while_longer(kind: Manner, tmp_path: P
 
 
 @BOTH
-def test_its_clock_goes_on_from_the_boot_and_never_stands_still(kind: Manner, tmp_path: Path) -> None:
+def test_its_clock_goes_on_from_the_boot_and_never_stands_still(kind: AutopilotKind, tmp_path: Path) -> None:
     program = fake(kind, tmp_path)
     with booted(program) as flies:
         fly(flies, 20)
@@ -96,7 +96,7 @@ def test_its_clock_goes_on_from_the_boot_and_never_stands_still(kind: Manner, tm
 
 
 @BOTH
-def test_a_boot_leaves_the_flights_sensors_as_they_were(kind: Manner, tmp_path: Path) -> None:
+def test_a_boot_leaves_the_flights_sensors_as_they_were(kind: AutopilotKind, tmp_path: Path) -> None:
     plain, flown = sensors_at_rest(7), sensors_at_rest(7)
     plain.enable()
     world = World(load_scenario("static"), 0)
@@ -111,14 +111,14 @@ def test_a_boot_leaves_the_flights_sensors_as_they_were(kind: Manner, tmp_path: 
 
 
 @BOTH
-def test_it_flies_on_its_own_motors_by_the_worlds_state(kind: Manner, tmp_path: Path) -> None:
+def test_it_flies_on_its_own_motors_by_the_worlds_state(kind: AutopilotKind, tmp_path: Path) -> None:
     with booted(fake(kind, tmp_path, motors=[0.5] * 4)) as flies:
         assert fly(flies, 3) == [(0.5,) * 4] * 3
         assert flies.attitude_setpoint == flies._world.state.attitude
 
 
 @BOTH
-def test_it_is_armed_as_its_heartbeat_tells(kind: Manner, tmp_path: Path) -> None:
+def test_it_is_armed_as_its_heartbeat_tells(kind: AutopilotKind, tmp_path: Path) -> None:
     with booted(fake(kind, tmp_path, armed=True)) as flies:
         assert not flies.armed  # not heard since
         fly(flies, 40)
@@ -128,7 +128,7 @@ def test_it_is_armed_as_its_heartbeat_tells(kind: Manner, tmp_path: Path) -> Non
 
 @BOTH
 def test_while_it_boots_a_ground_station_asks_it_for_what_tells_that_it_is_ready(
-    kind: Manner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: AutopilotKind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(start, "SETTLE_S", 1.2)  # it is asked once a second
     program = fake(kind, tmp_path)
@@ -153,7 +153,11 @@ def test_while_it_boots_a_ground_station_asks_it_for_what_tells_that_it_is_ready
     ],
 )
 def test_one_that_is_never_ready_is_refused_with_its_reason(
-    kind: Manner, behaviour: dict[str, Any], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: AutopilotKind,
+    behaviour: dict[str, Any],
+    reason: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(start, "MOST_BOOT_S", 0.6)
     program = fake(kind, tmp_path, **behaviour)
@@ -164,7 +168,9 @@ def test_one_that_is_never_ready_is_refused_with_its_reason(
 
 
 @BOTH
-def test_one_that_ends_while_it_boots_is_refused_with_its_last_words(kind: Manner, tmp_path: Path) -> None:
+def test_one_that_ends_while_it_boots_is_refused_with_its_last_words(
+    kind: AutopilotKind, tmp_path: Path
+) -> None:
     program = fake(kind, tmp_path, ends_after=30, ready=False)
     with pytest.raises(ConfigError, match=r"has ended \(exit status 3\): last words of"):
         vehicle(program)
@@ -174,7 +180,7 @@ def test_one_that_ends_while_it_boots_is_refused_with_its_last_words(kind: Manne
 @BOTH
 @pytest.mark.parametrize("kind_of_end", [KeyboardInterrupt, ZeroDivisionError])
 def test_nothing_is_left_when_the_boot_is_broken_off(
-    kind: Manner, kind_of_end: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: AutopilotKind, kind_of_end: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def breaks_off(_firmware: object, _moment: Moment) -> Four:
         raise kind_of_end

@@ -13,20 +13,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot import EstimatorErrors
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 NANS = (math.nan,) * 7
 
 
 class Link:
     """A flight with its endpoint, and a component at the other end."""
 
-    def __init__(self, manner: Manner, booted_s: float = 6.0) -> None:
-        self.flight = Flight(manner)
+    def __init__(self, autopilot_kind: AutopilotKind, booted_s: float = 6.0) -> None:
+        self.flight = Flight(autopilot_kind)
         self.endpoint = MavlinkEndpoint(self.flight.autopilot)
         self.us = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
         self.parser = mavlink.MAVLink(None)
@@ -63,8 +63,8 @@ def of(messages: list[Any], name: str) -> list[Any]:
 
 
 @BOTH
-def test_telemetry_comes_at_its_rates(manner: Manner) -> None:
-    link = Link(manner)
+def test_telemetry_comes_at_its_rates(autopilot_kind: AutopilotKind) -> None:
+    link = Link(autopilot_kind)
     counts = Counter(message.get_type() for message in link.run(4.0))
     assert counts["HEARTBEAT"] == 4
     assert counts["ATTITUDE"] == pytest.approx(200, abs=2)
@@ -75,8 +75,8 @@ def test_telemetry_comes_at_its_rates(manner: Manner) -> None:
 
 
 @BOTH
-def test_health_comes_true_once_the_estimator_is_aligned(manner: Manner) -> None:
-    link = Link(manner, booted_s=0.0)
+def test_health_comes_true_once_the_estimator_is_aligned(autopilot_kind: AutopilotKind) -> None:
+    link = Link(autopilot_kind, booted_s=0.0)
     early = of(link.run(1.0), "SYS_STATUS")[-1].onboard_control_sensors_health
     assert not early & mavlink.MAV_SYS_STATUS_PREARM_CHECK
     assert not of(link.heard, "LOCAL_POSITION_NED")
@@ -88,7 +88,7 @@ def test_health_comes_true_once_the_estimator_is_aligned(manner: Manner) -> None
         mavlink.MAV_SYS_STATUS_SENSOR_GPS,
         mavlink.MAV_SYS_STATUS_PREARM_CHECK,
     ):
-        by_health_alone = manner == "px4" and bit == mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        by_health_alone = autopilot_kind == "px4" and bit == mavlink.MAV_SYS_STATUS_PREARM_CHECK
         assert bool(late.onboard_control_sensors_present & bit) is not by_health_alone
         assert bool(late.onboard_control_sensors_enabled & bit) is not by_health_alone
         assert late.onboard_control_sensors_health & bit
@@ -111,7 +111,9 @@ def test_an_ardupilots_checks_pass_before_it_knows_where_it_is() -> None:
 
 
 def test_heartbeats_tell_who_it_is_and_its_mode() -> None:
-    px4, ardupilot = (of(Link(manner).heard, "HEARTBEAT")[-1] for manner in ("px4", "ardupilot"))
+    px4, ardupilot = (
+        of(Link(autopilot_kind).heard, "HEARTBEAT")[-1] for autopilot_kind in ("px4", "ardupilot")
+    )
     assert (px4.autopilot, px4.custom_mode) == (mavlink.MAV_AUTOPILOT_PX4, 0x03040000)
     assert (ardupilot.autopilot, ardupilot.custom_mode) == (mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 0)
     assert not px4.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
@@ -147,12 +149,12 @@ def test_rates_can_be_changed_stopped_and_put_back() -> None:
 
 
 @BOTH
-def test_a_whole_flight_by_commands(manner: Manner) -> None:
-    link = Link(manner)
-    if manner == "ardupilot":
+def test_a_whole_flight_by_commands(autopilot_kind: AutopilotKind) -> None:
+    link = Link(autopilot_kind)
+    if autopilot_kind == "ardupilot":
         assert link.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 4).result == 0
     assert link.command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1).result == 0
-    height = HOME[2] + 5.0 if manner == "px4" else 5.0
+    height = HOME[2] + 5.0 if autopilot_kind == "px4" else 5.0
     assert link.command(mavlink.MAV_CMD_NAV_TAKEOFF, *NANS[:6], height).result == 0
     link.run(8.0)
     latitude, longitude, altitude = link.flight.autopilot.geodetic((8.0, 3.0, -6.0))
@@ -193,8 +195,8 @@ def test_commands_for_others_are_left_alone(target: tuple[int, int]) -> None:
 
 
 @BOTH
-def test_the_version_is_sent_when_asked_for(manner: Manner) -> None:
-    link = Link(manner)
+def test_the_version_is_sent_when_asked_for(autopilot_kind: AutopilotKind) -> None:
+    link = Link(autopilot_kind)
     assert link.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION).result == 0
     version = of(link.heard, "AUTOPILOT_VERSION")[-1]
     for bit in (
@@ -207,8 +209,8 @@ def test_the_version_is_sent_when_asked_for(manner: Manner) -> None:
 
 
 @BOTH
-def test_commands_full_of_nan_do_no_harm(manner: Manner) -> None:
-    link = Link(manner)
+def test_commands_full_of_nan_do_no_harm(autopilot_kind: AutopilotKind) -> None:
+    link = Link(autopilot_kind)
     for number in range(600):
         link.endpoint.receive(
             bytes(mavlink.MAVLink_command_long_message(1, 1, number, 0, *NANS).pack(link.us)),
@@ -239,11 +241,11 @@ def velocity_message(frame: int, mask: int, velocity: tuple[float, float, float]
 
 
 @BOTH
-def test_streamed_velocities_are_flown(manner: Manner) -> None:
-    link = Link(manner)
+def test_streamed_velocities_are_flown(autopilot_kind: AutopilotKind) -> None:
+    link = Link(autopilot_kind)
     link.flight.take_off()
     link.send(velocity_message(1, 0b110111000111, (0.0, 0.0, 0.0)))
-    if manner == "px4":
+    if autopilot_kind == "px4":
         assert link.command(mavlink.MAV_CMD_DO_SET_MODE, 1, 6).result == 0
     for _ in range(80):
         link.send(velocity_message(1, 0b110111000111, (1.0, -0.5, 0.2)))
@@ -306,9 +308,9 @@ def test_parameters_are_listed_read_and_set() -> None:
 
 
 def test_integers_go_bytewise_with_px4_and_as_floats_with_ardupilot() -> None:
-    def read(manner: Manner, name: bytes) -> float:
+    def read(autopilot_kind: AutopilotKind, name: bytes) -> float:
         message = mavlink.MAVLink_param_request_read_message(1, 1, name, -1)
-        return float(of(Link(manner).send(message), "PARAM_VALUE")[0].param_value)
+        return float(of(Link(autopilot_kind).send(message), "PARAM_VALUE")[0].param_value)
 
     as_bytes = struct.pack("<f", read("px4", b"SYS_AUTOSTART"))
     assert struct.unpack("<i", as_bytes)[0] == 4001

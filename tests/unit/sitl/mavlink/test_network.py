@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ZERO3
-from companion.base.messages import Manner
 from sitl.mavlink.framing import FrameReader, dialect
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
@@ -23,7 +23,7 @@ from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
 
 mavlink: Any = dialect
 UNIX_S = 1.8e9
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 
 
 class Client:
@@ -51,12 +51,12 @@ class Client:
 class Desk:
     """A vehicle with a network."""
 
-    def __init__(self, manner: Manner = "px4") -> None:
-        self.flight = Flight(manner)
+    def __init__(self, autopilot_kind: AutopilotKind = "px4") -> None:
+        self.flight = Flight(autopilot_kind)
         self.sensors = SimulatedAutopilotSensors(
             np.random.default_rng(0), 0.01, home=HOME, field_ned_ut=(20.9, 0.6, 42.9), imu_filter=2
         )
-        signing = Signing(manner)
+        signing = Signing(autopilot_kind)
         ground = GroundStation(np.random.default_rng(0), 1.0, HOME, signing=signing)
         self.network = Network(self.flight.autopilot, self.sensors, ground, signing, UNIX_S)
         self.flight.run(6.0)
@@ -180,8 +180,8 @@ def test_pings_are_answered() -> None:
 
 def test_stream_groups_are_ardupilot_s() -> None:
     counts = []
-    for manner in ("ardupilot", "px4"):
-        desk = Desk(manner)
+    for autopilot_kind in ("ardupilot", "px4"):
+        desk = Desk(autopilot_kind)
         client = Client(desk.network, 255, 1)
         client.send(mavlink.MAVLink_request_data_stream_message(1, 1, 10, 5, 1))
         client.heard()
@@ -191,8 +191,8 @@ def test_stream_groups_are_ardupilot_s() -> None:
 
 
 @BOTH
-def test_health_is_told_as_it_is(manner: Manner) -> None:
-    desk = Desk(manner)
+def test_health_is_told_as_it_is(autopilot_kind: AutopilotKind) -> None:
+    desk = Desk(autopilot_kind)
     client = Client(desk.network, 255, 1)
     state = resting_state((0.0, 0.0, -0.18), 0.0)
     gps, mag = mavlink.MAV_SYS_STATUS_SENSOR_GPS, mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
@@ -216,30 +216,32 @@ def test_health_is_told_as_it_is(manner: Manner) -> None:
 
 
 @BOTH
-def test_everything_that_is_streamed_by_default_is_said(manner: Manner) -> None:
-    desk = Desk(manner)
+def test_everything_that_is_streamed_by_default_is_said(autopilot_kind: AutopilotKind) -> None:
+    desk = Desk(autopilot_kind)
     client = Client(desk.network, 255, 1)
     desk.run(3.0)
     kinds = {m.get_type() for m in client.heard()}
     common = {"VFR_HUD", "SYSTEM_TIME", "VIBRATION", "SERVO_OUTPUT_RAW", "RC_CHANNELS", "BATTERY_STATUS"}
     own = {"px4": {"ALTITUDE", "ESTIMATOR_STATUS"}, "ardupilot": {"EKF_STATUS_REPORT"}}
-    assert common | own[manner] <= kinds
-    assert not own["px4" if manner == "ardupilot" else "ardupilot"] & kinds
+    assert common | own[autopilot_kind] <= kinds
+    assert not own["px4" if autopilot_kind == "ardupilot" else "ardupilot"] & kinds
 
 
 # ---------------------------------------------------------------- what a vehicle has to stand
 
 
-@pytest.mark.parametrize(("manner", "key"), [("px4", None), ("ardupilot", None), ("px4", bytes(range(32)))])
-def test_wrong_frames_cost_no_legal_one(manner: Manner, key: bytes | None) -> None:
-    found = Fuzz(manner, 7, key).run(7000)
+@pytest.mark.parametrize(
+    ("autopilot_kind", "key"), [("px4", None), ("ardupilot", None), ("px4", bytes(range(32)))]
+)
+def test_wrong_frames_cost_no_legal_one(autopilot_kind: AutopilotKind, key: bytes | None) -> None:
+    found = Fuzz(autopilot_kind, 7, key).run(7000)
     assert found.holds, found
     assert found.lost == 0
     assert (found.refused > 1000) is (key is not None)
 
 
-@pytest.mark.parametrize("manner", ["px4", "ardupilot"])
-def test_orders_that_make_no_sense_cost_no_legal_frame(manner: Manner) -> None:
-    found = Fuzz(manner, 3, orders=True).run(5000)
+@pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+def test_orders_that_make_no_sense_cost_no_legal_frame(autopilot_kind: AutopilotKind) -> None:
+    found = Fuzz(autopilot_kind, 3, orders=True).run(5000)
     assert found.holds, found
     assert found.kinds["orders"] > 3000

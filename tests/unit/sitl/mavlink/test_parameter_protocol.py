@@ -1,4 +1,4 @@
-"""The parameter protocol and tables of both manners, in bytes: paced lists, types, bounds, hash, reboots."""
+"""The parameter protocol and tables of both autopilots: paced lists, types, bounds, hash, reboots."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot import PROFILES
 from tests.unit.sitl.autopilot.mission_desk import Station
 
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 INT8, INT16, INT32, REAL32 = 2, 4, 6, 9
 
 
@@ -30,8 +30,8 @@ def as_float(value: int) -> float:
 
 
 @BOTH
-def test_a_list_is_complete_in_order_and_paced(manner: Manner) -> None:
-    station = Station(manner, 0.1)
+def test_a_list_is_complete_in_order_and_paced(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind, 0.1)
     station.send(mavlink.MAVLink_param_request_list_message(1, 1))
     bursts = [[m for m in station.run(0.05) if m.get_type() == "PARAM_VALUE"] for _ in range(60)]
     assert max(len(burst) for burst in bursts) <= 21
@@ -43,8 +43,8 @@ def test_a_list_is_complete_in_order_and_paced(manner: Manner) -> None:
 
 
 def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
-    for manner in PROFILES.values():
-        names = [parameter.name for parameter in manner.parameters]
+    for autopilot_kind in PROFILES.values():
+        names = [parameter.name for parameter in autopilot_kind.parameters]
         assert len(names) > 100
         assert len(set(names)) == len(names)
     names = [parameter.name for parameter in PROFILES["px4"].parameters]
@@ -52,7 +52,7 @@ def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("manner", "name", "kind"),
+    ("autopilot_kind", "name", "kind"),
     [
         ("px4", b"SYS_AUTOSTART", INT32),
         ("px4", b"NAV_ACC_RAD", REAL32),
@@ -62,8 +62,8 @@ def test_tables_are_large_and_px4s_is_in_its_alphabetical_order() -> None:
         ("ardupilot", b"WPNAV_SPEED", REAL32),
     ],
 )
-def test_types_are_told(manner: Manner, name: bytes, kind: int) -> None:
-    assert read(Station(manner, 0.1), name)[0].param_type == kind
+def test_types_are_told(autopilot_kind: AutopilotKind, name: bytes, kind: int) -> None:
+    assert read(Station(autopilot_kind, 0.1), name)[0].param_type == kind
 
 
 def test_integers_are_set_bytewise_and_a_wrong_type_is_not_taken_by_px4() -> None:
@@ -85,9 +85,11 @@ def test_ardupilot_casts_integers_and_names_no_index_in_answers_by_name() -> Non
 
 @BOTH
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf"), 1e30, -1e30])
-def test_values_out_of_bounds_are_answered_by_the_one_that_stands(manner: Manner, value: float) -> None:
-    station = Station(manner, 0.1)
-    name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
+def test_values_out_of_bounds_are_answered_by_the_one_that_stands(
+    autopilot_kind: AutopilotKind, value: float
+) -> None:
+    station = Station(autopilot_kind, 0.1)
+    name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
     before = station.flight.autopilot.parameters[name]
     assert store(station, name.encode(), value, REAL32)[0].param_value == before
 
@@ -114,9 +116,9 @@ def test_px4s_hash_changes_with_a_value_and_ends_a_list() -> None:
 
 
 @BOTH
-def test_values_and_mission_outlive_a_reboot_which_is_one(manner: Manner) -> None:
-    station = Station(manner)
-    name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
+def test_values_and_mission_outlive_a_reboot_which_is_one(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind)
+    name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
     store(station, name.encode(), 7.5, REAL32)
     station.flight.autopilot.set_mode_named(station.flight.autopilot.profile.hold_mode)
     assert station.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == 0
@@ -132,9 +134,9 @@ def test_values_and_mission_outlive_a_reboot_which_is_one(manner: Manner) -> Non
 
 
 @BOTH
-def test_storage_resets_all_when_told_to(manner: Manner) -> None:
-    station = Station(manner, 0.1)
-    name = "NAV_ACC_RAD" if manner == "px4" else "WPNAV_RADIUS"
+def test_storage_resets_all_when_told_to(autopilot_kind: AutopilotKind) -> None:
+    station = Station(autopilot_kind, 0.1)
+    name = "NAV_ACC_RAD" if autopilot_kind == "px4" else "WPNAV_RADIUS"
     before = station.flight.autopilot.parameters[name]
     store(station, name.encode(), 7.5, REAL32)
     assert station.command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1) == 0

@@ -1,4 +1,4 @@
-"""The simulated autopilot's own sensors: what they tell by MAVLink, in either manner, and what they cost."""
+"""The simulated autopilot's own sensors: their messages as PX4 and as ArduPilot, their cost."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
-from companion.base.messages import Manner
 from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
@@ -21,15 +21,15 @@ from tests.unit.sitl.autopilot.autopilot_flight import HOME, Flight
 
 DT_S = 1.0 / 400.0
 FIELD_UT = (20.9, 0.6, 42.9)
-BOTH = pytest.mark.parametrize("manner", ["px4", "ardupilot"])
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
 YAWS = pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 180.0, 270.0])
 
 
 class Vehicle:
     """An autopilot on its feet with sensors in a state of our choice."""
 
-    def __init__(self, manner: Manner, seed: int = 1, flawless: bool = True) -> None:
-        self.autopilot: SimulatedAutopilot = Flight(manner).autopilot
+    def __init__(self, autopilot_kind: AutopilotKind, seed: int = 1, flawless: bool = True) -> None:
+        self.autopilot: SimulatedAutopilot = Flight(autopilot_kind).autopilot
         errors: dict[str, Any] = {
             "imu_errors": NO_IMU_ERRORS,
             "mag_errors": NO_MAG_ERRORS,
@@ -46,7 +46,7 @@ class Vehicle:
             **(errors if flawless else {}),
         )
         self.endpoint = MavlinkEndpoint(self.autopilot, self.sensors)
-        self.flight = Flight(manner)
+        self.flight = Flight(autopilot_kind)
         self.flight.autopilot = self.autopilot
         self.state: QuadrotorState = resting_state((0.0, 0.0, -0.18), 0.0)
         self.range_height_m = 1.5
@@ -72,14 +72,16 @@ def of(messages: list[Any], name: str) -> list[Any]:
 
 
 @pytest.mark.parametrize(
-    ("manner", "has", "has_not"),
+    ("autopilot_kind", "has", "has_not"),
     [
         ("px4", ["HIGHRES_IMU"], ["RAW_IMU", "SCALED_IMU"]),
         ("ardupilot", ["RAW_IMU", "SCALED_IMU"], ["HIGHRES_IMU"]),
     ],
 )
-def test_each_manner_has_its_own_imu_messages(manner: Manner, has: list[str], has_not: list[str]) -> None:
-    vehicle = Vehicle(manner)
+def test_each_autopilot_has_its_own_imu_messages(
+    autopilot_kind: AutopilotKind, has: list[str], has_not: list[str]
+) -> None:
+    vehicle = Vehicle(autopilot_kind)
     assert [name for name in has + has_not if vehicle.ask(name, 100.0)] == has
     heard = vehicle.run(2.0)
     for name in has:
@@ -89,10 +91,10 @@ def test_each_manner_has_its_own_imu_messages(manner: Manner, has: list[str], ha
 @BOTH
 @YAWS
 def test_a_leaning_vehicle_that_moves_is_told_in_the_messages_own_units(
-    manner: Manner, yaw_deg: float
+    autopilot_kind: AutopilotKind, yaw_deg: float
 ) -> None:
-    vehicle = Vehicle(manner)
-    vehicle.ask("HIGHRES_IMU" if manner == "px4" else "RAW_IMU", 50.0)
+    vehicle = Vehicle(autopilot_kind)
+    vehicle.ask("HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU", 50.0)
     yaw = math.radians(yaw_deg)
     vehicle.state = QuadrotorState(
         position_ned_m=(30.0, -20.0, -7.0),
@@ -106,7 +108,7 @@ def test_a_leaning_vehicle_that_moves_is_told_in_the_messages_own_units(
     assert fix.fix_type == mavlink.GPS_FIX_TYPE_3D_FIX
     assert (fix.vel, fix.cog) == (150, round(100 * yaw_deg))
     assert fix.alt == pytest.approx(407_000, abs=5)
-    if manner == "px4":
+    if autopilot_kind == "px4":
         imu = of(heard, "HIGHRES_IMU")[-1]
         assert (imu.xacc, imu.yacc, imu.zacc) == pytest.approx((1.0, -2.0, -9.0))
         assert (imu.xgyro, imu.ygyro, imu.zgyro) == pytest.approx((0.1, -0.2, 0.3))
@@ -123,13 +125,13 @@ def test_a_leaning_vehicle_that_moves_is_told_in_the_messages_own_units(
 
 
 @BOTH
-def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(manner: Manner) -> None:
-    vehicle = Vehicle(manner)
-    vehicle.ask("HIGHRES_IMU" if manner == "px4" else "RAW_IMU", 100.0)
+def test_stamps_count_from_boot_and_a_fix_is_stamped_when_it_comes(autopilot_kind: AutopilotKind) -> None:
+    vehicle = Vehicle(autopilot_kind)
+    vehicle.ask("HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU", 100.0)
     heard = vehicle.run(12.0)
     booted_s = vehicle.autopilot.booted_s
     assert booted_s is not None
-    imu = of(heard, "HIGHRES_IMU" if manner == "px4" else "RAW_IMU")[-1]
+    imu = of(heard, "HIGHRES_IMU" if autopilot_kind == "px4" else "RAW_IMU")[-1]
     assert imu.time_usec * 1e-6 == pytest.approx(vehicle.flight.now_s - booted_s, abs=0.006)
     stamps = [m.time_usec * 1e-6 + booted_s for m in of(heard, "GPS_RAW_INT") if m.fix_type >= 3]
     assert [(stamp - 0.12) % 0.2 for stamp in stamps[-5:]] == pytest.approx(
@@ -158,8 +160,8 @@ def test_the_rangefinder_tells_centimetres_and_a_lost_echo_lies_out_of_range() -
 
 
 @BOTH
-def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(manner: Manner) -> None:
-    vehicle = Vehicle(manner, flawless=False)
+def test_gps_has_its_own_noise_and_no_fix_before_the_alignment(autopilot_kind: AutopilotKind) -> None:
+    vehicle = Vehicle(autopilot_kind, flawless=False)
     heard = of(vehicle.run(12.0), "GPS_RAW_INT")
     assert heard[0].fix_type < mavlink.GPS_FIX_TYPE_3D_FIX
     fixes = [m for m in heard if m.fix_type >= 3]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from companion.base.messages import Manner
+from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
@@ -88,9 +88,11 @@ def test_a_forged_time_does_not_lock_the_owner_out() -> None:
     assert signing.accepts(frame(KEY, NOW + 2))
 
 
-@pytest.mark.parametrize(("manner", "heartbeat", "radio"), [("px4", True, True), ("ardupilot", False, True)])
-def test_some_messages_need_no_signature(manner: Manner, heartbeat: bool, radio: bool) -> None:
-    signing = Signing(manner, KEY)
+@pytest.mark.parametrize(
+    ("autopilot_kind", "heartbeat", "radio"), [("px4", True, True), ("ardupilot", False, True)]
+)
+def test_some_messages_need_no_signature(autopilot_kind: AutopilotKind, heartbeat: bool, radio: bool) -> None:
+    signing = Signing(autopilot_kind, KEY)
     beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3)
     status = mavlink.MAVLink_radio_status_message(0, 0, 0, 0, 0, 0, 0)
     assert signing.accepts(frame(None, message=beat)) is heartbeat

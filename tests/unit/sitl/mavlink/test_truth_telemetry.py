@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import ned_from_geodetic, quat_from_euler
-from companion.base.messages import Manner
 from companion.config import LinkConfig, SenseConfig
 from companion.link.codec import Codec, command_long
 from companion.link.session import Session
@@ -22,17 +22,17 @@ from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.world import World
 
-MANNERS: tuple[Manner, ...] = ("px4", "ardupilot")
+AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 OF = {"px4": HIL_STATE, "ardupilot": SIM_STATE}
 STATE = QuadrotorState(
     (3.0, -4.0, -5.0), (0.5, 0.25, -1.0), quat_from_euler(0.1, -0.2, 2.5), (0.1, -0.2, 0.3)
 )
 
 
-def endpoint(manner: Manner, *, serving: bool) -> MavlinkEndpoint:
-    world = World(Scenario(name="t", description="t", autopilot=manner), 0)
+def endpoint(autopilot_kind: AutopilotKind, *, serving: bool) -> MavlinkEndpoint:
+    world = World(Scenario(name="t", description="t", autopilot=autopilot_kind), 0)
     world.place(STATE)
-    autopilot = SimulatedAutopilot(manner, world.airframe.body, np.random.default_rng(0), HOME)
+    autopilot = SimulatedAutopilot(autopilot_kind, world.airframe.body, np.random.default_rng(0), HOME)
     return MavlinkEndpoint(autopilot, truth=TruthMessages(autopilot, world, HOME) if serving else None)
 
 
@@ -50,12 +50,12 @@ def interval(message_id: int, rate_hz: float) -> Any:
     return command_long(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (message_id, 1e6 / rate_hz, 0, 0, 0, 0, 0), 1)
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-def test_it_is_the_truth_at_the_rate_asked_for(manner: Manner) -> None:
-    told = [m for m in heard(endpoint(manner, serving=True), interval(OF[manner], 100.0))
-            if m.get_msgId() == OF[manner]]  # fmt: skip
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+def test_it_is_the_truth_at_the_rate_asked_for(autopilot_kind: AutopilotKind) -> None:
+    told = [m for m in heard(endpoint(autopilot_kind, serving=True), interval(OF[autopilot_kind], 100.0))
+            if m.get_msgId() == OF[autopilot_kind]]  # fmt: skip
     assert len(told) == pytest.approx(100, abs=2)
-    read = external_pose.hil_state if manner == "px4" else external_pose.sim_state
+    read = external_pose.hil_state if autopilot_kind == "px4" else external_pose.sim_state
     sample = read(told[-1], 0.0)
     assert sample is not None
     assert ned_from_geodetic(*sample.place, HOME) == pytest.approx(STATE.position_ned_m, abs=0.012)
@@ -64,22 +64,24 @@ def test_it_is_the_truth_at_the_rate_asked_for(manner: Manner) -> None:
     assert sample.rate_body_rad_s == pytest.approx(STATE.rate_body_rad_s, abs=1e-6)
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-def test_nobody_gets_it_unasked_nor_from_a_simulator_that_does_not_serve_it(manner: Manner) -> None:
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+def test_nobody_gets_it_unasked_nor_from_a_simulator_that_does_not_serve_it(
+    autopilot_kind: AutopilotKind,
+) -> None:
     truths = {SIM_STATE, HIL_STATE}
-    assert not truths & {m.get_msgId() for m in heard(endpoint(manner, serving=True))}
+    assert not truths & {m.get_msgId() for m in heard(endpoint(autopilot_kind, serving=True))}
     asked = [interval(number, 100.0) for number in truths]
-    refused = heard(endpoint(manner, serving=False), *asked)
+    refused = heard(endpoint(autopilot_kind, serving=False), *asked)
     assert not truths & {m.get_msgId() for m in refused}
     results = [m.result for m in refused if m.get_type() == "COMMAND_ACK"]
     assert len(results) == 2
     assert mavlink.MAV_RESULT_ACCEPTED not in results
 
 
-@pytest.mark.parametrize("manner", MANNERS)
-def test_the_app_never_asks_for_it_nor_hears_it(manner: Manner) -> None:
+@pytest.mark.parametrize("autopilot_kind", AUTOPILOT_KINDS)
+def test_the_app_never_asks_for_it_nor_hears_it(autopilot_kind: AutopilotKind) -> None:
     """A minute of the app's session, with the autopilot's own sensors, against a simulator that serves it."""
-    port = endpoint(manner, serving=True)
+    port = endpoint(autopilot_kind, serving=True)
     session = Session(LinkConfig(), SenseConfig(source="autopilot"))
     listener, asked = Codec(0), set()
     for k in range(1200):
@@ -96,6 +98,6 @@ def test_the_app_never_asks_for_it_nor_hears_it(manner: Manner) -> None:
     assert not {SIM_STATE, HIL_STATE, 164} & asked  # 164: ArduPilot's SIMSTATE
     # one that another client has asked for is not listened to
     before = session.counters.decoded
-    port.receive(Codec(1, 26).encode(interval(OF[manner], 100.0)), 60.0)
-    session.receive(bytes(port._pack(port._truth.build(OF[manner], 60.0))), 60.0)  # type: ignore[union-attr]
+    port.receive(Codec(1, 26).encode(interval(OF[autopilot_kind], 100.0)), 60.0)
+    session.receive(bytes(port._pack(port._truth.build(OF[autopilot_kind], 60.0))), 60.0)  # type: ignore[union-attr]
     assert session.counters.decoded == before
