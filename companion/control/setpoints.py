@@ -121,7 +121,11 @@ def boosted(setpoint: Setpoint, boost: float) -> Setpoint:
 
 
 def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, heading: Heading) -> Setpoint:
-    """Rest on the pad: go along with it and press down, so that the autopilot takes the thrust away."""
+    """Rest on the pad: press down, so that the autopilot takes the thrust away, and do not tilt.
+
+    Where the autopilot skips its horizontal velocity loop in the air it skips it here, too: that integral
+    is from when it last held against the wind, and would tilt a standing vehicle over its feet.
+    """
     along = pad.velocity_ned_m_s if pad else ZERO3
     if config.setpoint == "attitude":
         return Setpoint(
@@ -136,6 +140,7 @@ def ground_setpoint(now_s: float, config: ControlConfig, pad: PadState | None, h
         velocity_ned_m_s=(along[0], along[1], config.ground_descent_m_s),
         acceleration_ned_m_s2=(0.0, 0.0, config.ground_acceleration_m_s2),
         heading_rad=heading.heading_rad,
+        holds_horizontal_velocity=config.setpoint != "acceleration",
     )
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from companion.base.geometry import Quaternion, horizontal_acceleration, tilt_from_quat
+from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
 from companion.base.messages import LevelOff, PadState
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
@@ -34,6 +34,8 @@ _LEAN_S = 0.25
 _LEVEL_BEFORE_S = 0.31
 _LEVEL_FOR_S = 0.42
 _FOOT_DROP_M = 0.02
+# Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
+_SLOWEST_SINK = 0.5
 _TOO_MUCH_LEAN = 1.3
 
 
@@ -65,6 +67,7 @@ class TouchdownSequence:
         self._leaned_s: float | None = None
         self._level_due_s: float | None = None
         self._level_from_s: float | None = None
+        self._level_excess_m_s2 = 0.0
 
     def enter(self, state: State, now_s: float) -> None:
         """Begin with one of the states within a try."""
@@ -104,14 +107,20 @@ class TouchdownSequence:
         """When the vehicle may lean no further than it may at contact; None before that is known.
 
         It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
-        for long: what the level vehicle cannot follow becomes speed over the pad.
+        for long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late
+        is waited for while that speed is no more than one may start down with.
         """
-        from_s = self._level_from_s
-        if from_s is None and self._level_due_s is not None:
-            from_s = self._level_due_s - _LEVEL_BEFORE_S
-        if from_s is None:
+        if self._level_due_s is None:
             return None
-        return LevelOff(from_s, from_s + _LEVEL_FOR_S, math.radians(self._config.contact_tilt_deg))
+        tilt_rad = math.radians(self._config.contact_tilt_deg)
+        from_s = self._level_from_s
+        if from_s is None:
+            from_s = self._level_due_s - _LEVEL_BEFORE_S
+            return LevelOff(from_s, from_s + _LEVEL_FOR_S, tilt_rad)
+        late_s = max(0.0, self._level_due_s - _LEVEL_BEFORE_S - from_s)
+        if self._level_excess_m_s2 > 0.0:
+            late_s = min(late_s, self._config.lateral_speed_m_s / self._level_excess_m_s2)
+        return LevelOff(from_s, from_s + _LEVEL_FOR_S + late_s, tilt_rad)
 
     # ------------------------------------------------------------ wait, and rise to where it waits
 
@@ -157,7 +166,10 @@ class TouchdownSequence:
         touching = signs.count >= SIGNS_NEEDED
         if self._touching.held_s(touching, now_s) >= self._config.contact_s:
             return MissionEvent.CONTACT, signs.in_words()
-        return None if touching else self._go_down(sight, now_s)
+        if touching:
+            self._level_due_s = now_s  # no lean while contact is confirmed
+            return None
+        return self._go_down(sight, now_s)
 
     def _go_down(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
         c = self._config
@@ -217,13 +229,17 @@ class TouchdownSequence:
         return sight.height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
     def _expect_contact(self, sight: PadState, now_s: float) -> None:
-        """When the feet will touch, by the height as seen and the speed as planned."""
-        if self._level_from_s is not None or sight.age_s > FRESH_S:
+        """When the feet will touch: by the speed as planned, until it goes level; from then on as seen."""
+        if sight.age_s > FRESH_S:
             return
+        planned_m_s = self._config.contact_speed_m_s
+        slowest_m_s = planned_m_s if self._level_from_s is None else _SLOWEST_SINK * planned_m_s
         left_m = max(0.0, sight.height_m - self._vehicle.leg_height_m - _FOOT_DROP_M)
-        self._level_due_s = now_s + left_m / max(self._config.contact_speed_m_s, sight.sink_m_s)
-        if now_s >= self._level_due_s - _LEVEL_BEFORE_S:
+        self._level_due_s = now_s + left_m / max(slowest_m_s, sight.sink_m_s)
+        if self._level_from_s is None and now_s >= self._level_due_s - _LEVEL_BEFORE_S:
             self._level_from_s = now_s
+            level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._config.contact_tilt_deg))
+            self._level_excess_m_s2 = max(0.0, math.hypot(*self._lean_m_s2) - level_m_s2)
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""

@@ -78,10 +78,17 @@ def test_without_a_velocity_loop_sideways_all_of_the_input_is_acceleration() -> 
     assert by_lean.velocity_ned_m_s[2] == by_velocity.velocity_ned_m_s[2]
 
 
-def test_standing_still_and_resting_on_the_pad_need_the_autopilots_velocity_loop() -> None:
+def test_standing_still_in_the_air_needs_the_autopilots_velocity_loop() -> None:
     config = ControlConfig(setpoint="acceleration")
     assert stop_setpoint(0.0, config, 0.5, Heading(0.0)).holds_horizontal_velocity
-    assert ground_setpoint(0.0, config, None, Heading(0.0)).holds_horizontal_velocity
+
+
+@pytest.mark.parametrize(("kind", "holds"), [("acceleration", False), ("velocity", True)])
+def test_on_the_pad_no_integral_of_the_autopilots_leans_the_vehicle(kind: str, holds: bool) -> None:
+    config = ControlConfig.model_validate({"setpoint": kind})
+    resting = ground_setpoint(0.0, config, None, Heading(0.0))
+    assert resting.holds_horizontal_velocity is holds
+    assert resting.acceleration_ned_m_s2 == (0.0, 0.0, config.ground_acceleration_m_s2)
 
 
 def _vehicle(time_s: float, velocity: Vector3, acceleration: Vector3, lean: Vector3) -> VehicleState:

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
-from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
+from companion.base.messages import AutopilotState, LandedState, LevelOff, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import GuidanceConfig, TouchdownConfig
 from companion.plan.debounce import Debounce
@@ -549,28 +549,68 @@ def test_a_gust_on_the_way_down_breaks_it_off() -> None:
     assert touchdown.level_off() is None
 
 
-def test_it_levels_off_shortly_before_the_contact_and_no_longer_than_that_takes() -> None:
+def levelling(lean_m_s2: float) -> tuple[Attempt, LevelOff]:
+    """A vehicle on its last way down, 0.3 m over the pad at 1 s, that leans so."""
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
-    seen_m, now_s = 0.3, 1.0
-    touchdown.step(sight(height=LEG_M + seen_m), None, LandedState.IN_AIR, now_s)
+    for now_s in (0.5, 10.0):  # so long that the smoothed lean is there
+        touchdown.note_lean(leaning(lean_m_s2), now_s)
+    touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, 1.0)
     level = touchdown.level_off()
     assert level is not None
-    due_s = now_s + seen_m / CONFIG.contact_speed_m_s
-    assert level.from_s < due_s < level.until_s
-    assert due_s - level.from_s == pytest.approx(0.31 + 0.02 / CONFIG.contact_speed_m_s)  # low on one side
+    return touchdown, level
+
+
+def test_it_levels_off_shortly_before_the_contact_and_no_longer_than_that_takes() -> None:
+    _, level = levelling(0.0)
+    due_s = 1.0 + (0.3 - 0.02) / CONFIG.contact_speed_m_s  # low on one side
+    assert due_s - level.from_s == pytest.approx(0.31)
+    assert level.until_s - level.from_s == pytest.approx(0.42)
     assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
 
 
-def test_a_contact_that_comes_late_does_not_keep_it_level() -> None:
-    touchdown = fresh()
-    waited(touchdown, 0.0, 0.0, 0.5)
-    near = sight(height=LEG_M + 0.03)
-    for k in range(30):
-        touchdown.step(near, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+@pytest.mark.parametrize(("excess_m_s2", "longer_s"), [(0.0, 0.8), (0.5, 0.24), (0.8, 0.15)])
+def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
+    excess_m_s2: float, longer_s: float
+) -> None:
+    level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
+    touchdown, _ = levelling(level_m_s2 + excess_m_s2)
+    near = sight(height=LEG_M + 0.05, velocity=(0.0, 0.0, 0.4))
+    now_s = 1.0
+    for _ in range(34):  # 5 cm up all the time
+        touchdown.step(near, None, LandedState.IN_AIR, now_s)
+        now_s += CYCLE_S
     level = touchdown.level_off()
     assert level is not None
-    assert level.until_s < 1.5
+    assert level.from_s == pytest.approx(1.0)
+    assert level.until_s - level.from_s - 0.42 == pytest.approx(
+        longer_s, abs=0.15 if longer_s > 0.5 else 1e-3
+    )
+
+
+def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
+    touchdown, _ = levelling(0.0)
+    for now_s, sink_m_s in ((1.0, CONFIG.contact_speed_m_s), (1.3, 0.1)):
+        near = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, sink_m_s))
+        touchdown.step(near, None, LandedState.IN_AIR, now_s)
+    level = touchdown.level_off()
+    assert level is not None
+    assert level.from_s == pytest.approx(1.0)
+    assert level.until_s == pytest.approx(1.3 + 0.04 / 0.1 + 0.42 - 0.31)
+
+
+def test_while_contact_is_made_sure_of_it_stays_level() -> None:
+    touchdown, _ = levelling(0.0)
+    down = sight(height=LEG_M)
+    for k in range(30):
+        now_s = 1.0 + k * CYCLE_S
+        touchdown.step(down, RangeSample(now_s, LEG_M - 0.08), LandedState.IN_AIR, now_s)
+        level = touchdown.level_off()
+        if touchdown.on_pad:
+            break
+        assert level is not None
+        assert level.until_s > now_s + 0.1
+    assert touchdown.on_pad
 
 
 @pytest.mark.parametrize("lateral_m", [0.0, 0.19])
