@@ -91,7 +91,9 @@ def test_no_sightings_are_told() -> None:
         solve(short.inertial(), late, PLACE)
 
 
-def test_what_no_mount_fits_is_told(track: Track) -> None:
+def test_what_no_mount_fits_is_told() -> None:
+    # a track of its own: the noise of a shared one depends on which tests were before
+    track = Track(9, Flaws(flipped=0.15), SECONDS)
     backwards = replace(track.inertial(), rate=-track.inertial().rate)
     with pytest.raises(NoSolutionError, match="the time offset ran off to"):
         solve(backwards, track.sightings(), PLACE)

@@ -42,81 +42,85 @@ class Heard(NamedTuple):
     problems: list[str]
 
 
-def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
-    """The vehicle turns and drifts eastward 2 m over the floor; what do the app's drivers make of it?"""
-    imu: list[ImuSample] = []
-    mag: list[MagSample] = []
-    fixes: list[GpsFix] = []
-    echoes: list[RangeSample] = []
-    problems: list[str] = []
+class _Drivers:
+    """The app's drivers on a rack's lines, and what they have made of it."""
 
-    async def world(rack: SensorRack, clock: Clock) -> None:
-        rng = np.random.default_rng(0)
-        ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
-        onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
-        schedule = FaultSchedule(faults, FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways))
-        for k in range(round(seconds / STEP_S)):
-            schedule.step(k * STEP_S)
-            attitude = quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S)
-            state = QuadrotorState(
-                position_ned_m=(0.0, k * STEP_S, -2.0),
-                velocity_ned_m_s=(0.0, 1.0, 0.0),
-                attitude=attitude,
-                rate_body_rad_s=(0.0, 0.0, 0.3),
-                specific_force_body_m_s2=FORCE,
-            )
-            rack.step(k * STEP_S, state, 0.5, lambda: 1.9)
-            await clock.sleep_until((k + 1) * STEP_S)
+    def __init__(self, rack: SensorRack, gps_line: MemoryPort, range_line: MemoryPort) -> None:
+        self.heard = Heard([], [], [], [], [])
+        self._rack, self._gps_line, self._range_line = rack, gps_line, range_line
+        self._clock = Clock()
 
-    async def inertial(driver: Mpu9250, clock: Clock) -> None:
+    def start(self) -> list[asyncio.Task[None]]:
+        """Let all of them read."""
+        receiver = Neo6m(GpsConfig())
+        return [
+            asyncio.create_task(self._inertial(Mpu9250(self._rack.imu, ImuConfig()))),
+            asyncio.create_task(self._position(receiver)),
+            asyncio.create_task(self._configure(receiver)),
+            asyncio.create_task(self._distance(Ultrasonic(RangeConfig()))),
+        ]
+
+    async def _inertial(self, driver: Mpu9250) -> None:
         for k in range(1_000_000):
-            await clock.sleep_until(0.01 * k)
+            await self._clock.sleep_until(0.01 * k)
             try:
-                new_imu, new_mag = driver.poll(clock.now_s)
+                new_imu, new_mag = driver.poll(self._clock.now_s)
             except SensorError as error:
-                problems.append(str(error))
+                self.heard.problems.append(str(error))
                 continue
-            imu.extend(new_imu)
-            mag.extend(new_mag)
+            self.heard.imu.extend(new_imu)
+            self.heard.mag.extend(new_mag)
 
-    async def position(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
+    async def _position(self, driver: Neo6m) -> None:
         while True:
-            data = await port.app.read()
-            fixes.extend(driver.feed(data, clock.now_s()))
+            data = await self._gps_line.app.read()
+            self.heard.fixes.extend(driver.feed(data, self._clock.now_s()))
 
-    async def configure(driver: Neo6m, port: MemoryPort, clock: Clock) -> None:
+    async def _configure(self, driver: Neo6m) -> None:
         while True:
-            command = driver.pending(clock.now_s())
-            port.app.set_baud(driver.baud)
-            port.app.write(command)
+            command = driver.pending(self._clock.now_s())
+            self._gps_line.app.set_baud(driver.baud)
+            self._gps_line.app.write(command)
             await asyncio.sleep(0.2)
 
-    async def distance(driver: Ultrasonic, port: MemoryPort, clock: Clock) -> None:
+    async def _distance(self, driver: Ultrasonic) -> None:
         while True:
-            data = await port.app.read()
-            echoes.extend(driver.feed(data, clock.now_s()))
+            data = await self._range_line.app.read()
+            self.heard.echoes.extend(driver.feed(data, self._clock.now_s()))
 
-    async def main() -> None:
-        clock = Clock()
+
+async def _world(rack: SensorRack, seconds: float, faults: Sequence[Fault]) -> None:
+    """The vehicle turns and drifts, in its time."""
+    clock, rng = Clock(), np.random.default_rng(0)
+    ways = (LinkWay(LinkSettings(), rng), LinkWay(LinkSettings(), rng))
+    onboard = SimulatedAutopilotSensors(rng, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, imu_filter=2)
+    schedule = FaultSchedule(faults, FaultTargets(rack, onboard, FrameLine(rng), Motors(), *ways))
+    for k in range(round(seconds / STEP_S)):
+        schedule.step(k * STEP_S)
+        state = QuadrotorState(
+            position_ned_m=(0.0, k * STEP_S, -2.0),
+            velocity_ned_m_s=(0.0, 1.0, 0.0),
+            attitude=quat_from_euler(0.0, 0.0, 0.3 * k * STEP_S),
+            rate_body_rad_s=(0.0, 0.0, 0.3),
+            specific_force_body_m_s2=FORCE,
+        )
+        rack.step(k * STEP_S, state, 0.5, lambda: 1.9)
+        await clock.sleep_until((k + 1) * STEP_S)
+
+
+def fly(seed: int, seconds: float, faults: Sequence[Fault] = ()) -> Heard:
+    """The vehicle turns and drifts eastward 2 m over the floor; what do the app's drivers make of it?"""
+
+    async def main() -> Heard:
         gps_line, range_line = MemoryPort(9600), MemoryPort(9600)
         rack = SensorRack(
-            seed,
-            STEP_S,
-            home=HOME,
-            field_ned_ut=FIELD_NED_UT,
-            gps_port=gps_line,
-            range_port=range_line,
+            seed, STEP_S, home=HOME, field_ned_ut=FIELD_NED_UT, gps_port=gps_line, range_port=range_line
         )
-        receiver = Neo6m(GpsConfig())
-        tasks = [
-            asyncio.create_task(inertial(Mpu9250(rack.imu, ImuConfig()), clock)),
-            asyncio.create_task(position(receiver, gps_line, clock)),
-            asyncio.create_task(configure(receiver, gps_line, clock)),
-            asyncio.create_task(distance(Ultrasonic(RangeConfig()), range_line, clock)),
-        ]
-        await world(rack, clock)
+        drivers = _Drivers(rack, gps_line, range_line)
+        tasks = drivers.start()
+        await _world(rack, seconds, faults)
         for task in tasks:
             task.cancel()
+        return drivers.heard
 
-    run_in_virtual_time(main())
-    return Heard(imu, mag, fixes, echoes, problems)
+    return run_in_virtual_time(main())
