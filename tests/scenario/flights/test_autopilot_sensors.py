@@ -84,7 +84,7 @@ def test_an_imu_stream_that_stops_in_the_descent_hands_the_vehicle_back(
     monkeypatch.setattr(SensorMessages, "build", until_then)
     flight, log = fly_static(tmp_path)
     assert flight.report.outcome is Outcome.ABORTED, flight.report.failures
-    assert "the vehicle's own estimate is gone" in texts(log)
+    assert "no fresh estimate of the vehicle" in texts(log)
     assert texts(log).count("autopilot's sensors: no HIGHRES_IMU comes; expected it at 200 Hz") == 1
 
 
