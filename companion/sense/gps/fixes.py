@@ -100,11 +100,11 @@ def fix_from_sol(time_s: float, sol: Any, geoid_separation_m: float | None) -> G
 def fix_from_nmea(time_s: float, rmc: Any, gga: Any) -> GpsFix | None:
     """One fix of RMC and GGA; the vertical speed is not in them: 0, and as good as unknown."""
     numbers = (gga.lat, gga.lon, gga.alt, gga.HDOP, gga.numSV, rmc.spd)
-    if rmc.status != "A" or not gga.quality or not all(isinstance(n, int | float) for n in numbers):
+    if rmc.status != "A" or not gga.quality or not all(_is_finite(n) for n in numbers):
         return None
     # a receiver at rest leaves the course out
-    course = math.radians(rmc.cog) if isinstance(rmc.cog, int | float) else 0.0
-    speed_m_s = rmc.spd * _KNOT_M_S if isinstance(rmc.cog, int | float) else 0.0
+    course = math.radians(rmc.cog) if _is_finite(rmc.cog) else 0.0
+    speed_m_s = rmc.spd * _KNOT_M_S if _is_finite(rmc.cog) else 0.0
     accuracy_m = _RANGE_ERROR_M * max(1.0, gga.HDOP)
     return GpsFix(
         time_s=time_s,
@@ -123,3 +123,7 @@ def fix_from_nmea(time_s: float, rmc: Any, gga: Any) -> GpsFix | None:
 def has_fix(sol: Any) -> bool:
     """Whether a NAV-SOL tells of a valid fix in three dimensions."""
     return sol.gpsFix in _FIX_3D and bool(sol.gpsfixOK)
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)

@@ -39,6 +39,11 @@ _ACK_ACK, _ACK_NAK = b"\x05\x01", b"\x05\x00"
 _PARTS: Final = FIX_MESSAGES | TRUST_MESSAGES
 _LENGTHS: Final = {"POSLLH": 28, "STATUS": 16, "DOP": 18, "SOL": 52, "VELNED": 36}
 _SENTENCES: Final = (b"RMC", b"GGA", b"GSA")
+_FIELDS: Final = {
+    "GSA": ("navMode",),
+    "RMC": ("time", "status", "spd", "cog"),
+    "GGA": ("time", "lat", "lon", "alt", "HDOP", "numSV", "quality"),
+}
 _SOL_ONLY_EPOCHS: Final = 2  # so many without another position are no accident of the line
 
 
@@ -283,10 +288,13 @@ class Neo6m:
 
 
 def _parse_nmea(data: bytes) -> Any | None:
-    """A sentence, if it can be read and, unless it is GSA, tells the time."""
+    """A sentence, if it can be read, holds the fields that are used and, unless it is GSA, tells the time."""
     try:
         sentence = NMEAReader.parse(data)
     except (NMEAMessageError, NMEAParseError, NMEATypeError, ValueError):
+        return None
+    # a short sentence with a right check sum is parsed without the fields that it lacks
+    if not all(hasattr(sentence, name) for name in _FIELDS.get(sentence.msgID, ())):
         return None
     return sentence if sentence.msgID == "GSA" or isinstance(sentence.time, datetime.time) else None
 
