@@ -1,30 +1,43 @@
-"""What becomes of a flight when one of its tasks fails: it continues without that task, and says so."""
+"""What becomes of a flight when one of its tasks fails: it continues, and the task is started again."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable
+from typing import Final
 
 from companion.app.sensing import Notify
 from companion.base.errors import ConfigError
+
+# long enough that a task which fails at once costs nothing, short beside what a flight survives without it
+RESTART_PAUSE_S: Final = 1.0
 
 
 async def supervised(
     name: str, work: Callable[[], Awaitable[None]], notify: Notify, on_ground: Callable[[], bool]
 ) -> None:
-    """Run a task; when it fails, report it and continue without it.
+    """Run a task; each time it fails, report that and start it again after `RESTART_PAUSE_S`.
 
-    The planner knows what a flight without that device may still do. An internal fault is treated alike:
-    better no GPS than no control.
+    Meanwhile the planner knows what a flight without that device may still do. An internal fault is treated
+    alike: better no GPS than no control. The same failure in a row is reported once.
 
     Raises:
         ConfigError: something the user can correct, while the vehicle is still on the ground.
     """
-    try:
-        await work()
-    except ConfigError as error:
-        if on_ground():
-            raise
-        notify("device_lost", f"{name} lost: {error}", "error")
-    except Exception as error:
-        kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
-        notify("device_lost", f"{name} lost: {kind}{error}", "error")
+    failures, reported = 0, ""
+    while True:
+        try:
+            return await work()
+        except ConfigError as error:
+            if on_ground():
+                raise
+            text = str(error)
+        except Exception as error:
+            kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
+            text = f"{kind}{error}"
+        failures += 1
+        if text != reported:
+            again = "" if failures == 1 else f" (failure {failures})"
+            notify("device_lost", f"{name} lost: {text}{again}", "error")
+            reported = text
+        await asyncio.sleep(RESTART_PAUSE_S)

@@ -1,0 +1,57 @@
+"""A task that fails is reported and started again."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from companion.app.supervision import RESTART_PAUSE_S, supervised
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.errors import ConfigError
+from companion.link.codec import Severity
+
+
+class FailingTask:
+    """Raises these errors, one a run, then ends well."""
+
+    def __init__(self, *errors: Exception) -> None:
+        self._errors = list(errors)
+        self.started_s: list[float] = []
+        self.notices: list[str] = []
+
+    async def work(self) -> None:
+        self.started_s.append(Clock().now_s())
+        await asyncio.sleep(0.0)
+        if self._errors:
+            raise self._errors.pop(0)
+
+    def notify(self, kind: str, text: str, severity: Severity) -> None:
+        assert (kind, severity) == ("device_lost", "error")
+        self.notices.append(text)
+
+    def run(self, *, on_ground: bool) -> None:
+        run_in_virtual_time(supervised("GPS", self.work, self.notify, lambda: on_ground))
+
+
+def test_it_is_started_again_after_a_pause() -> None:
+    task = FailingTask(AttributeError("no field"), OSError("unplugged"))
+    task.run(on_ground=False)
+    assert task.notices == ["GPS lost: AttributeError: no field", "GPS lost: unplugged (failure 2)"]
+    first_s = task.started_s[0]
+    assert [t - first_s for t in task.started_s] == pytest.approx([0.0, RESTART_PAUSE_S, 2 * RESTART_PAUSE_S])
+
+
+def test_a_failure_that_stays_is_reported_once() -> None:
+    task = FailingTask(*(OSError("unplugged") for _ in range(5)))
+    task.run(on_ground=False)
+    assert task.notices == ["GPS lost: unplugged"]
+    assert len(task.started_s) == 6
+
+
+def test_what_the_user_can_correct_ends_the_app_on_the_ground_alone() -> None:
+    with pytest.raises(ConfigError, match="wrong port"):
+        FailingTask(ConfigError("wrong port")).run(on_ground=True)
+    task = FailingTask(ConfigError("wrong port"))
+    task.run(on_ground=False)
+    assert task.notices == ["GPS lost: wrong port"]
