@@ -6,8 +6,7 @@
     (or, for those three, the autopilot's own by its telemetry)
 
 Samples go into the estimator when they arrive. Each control cycle reads the newest estimates; nothing queues.
-The control task is the only one that sends setpoints: when it stops, they stop, and the autopilot's own
-failsafe takes the vehicle.
+Only the control task sends setpoints: when it stops, they stop, and the autopilot's failsafe acts.
 """
 
 from __future__ import annotations
@@ -59,8 +58,7 @@ LINGER_S: Final = 1.0
 LAST_REQUESTS_S: Final = 12.0
 LAST_HOLD_S: Final = 2.0
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
-# entering one of these voids what was asked before
-NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)
+NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)  # entering one of these clears the action queue
 ON_THE_GROUND: Final = (Phase.CONNECT, Phase.ARM)  # there an error in the settings ends the app
 
 

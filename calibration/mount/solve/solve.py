@@ -1,11 +1,9 @@
 """Camera-IMU extrinsics and time offset from a recording, with their uncertainty.
 
-The coarse alignment (`correlation`) gives rotation and offset to a degree and a few milliseconds. Then
-Gauss-Newton fits all unknowns together: first with Student's t weights, which are robust against false
-sightings and flipped poses, then without the outliers that the first fit found. Sightings are weighted by
-their actual scatter about the fit, and by the correlation of the residuals within a segment (the variance of
-the scores between segments over that of white noise; Liang and Zeger 1986). A lens error repeats from frame
-to frame, so a hundred frames with the same error count as few.
+The coarse alignment gives rotation and offset. Gauss-Newton then fits all unknowns: first with Student's t
+weights, which are robust against false and flipped poses, then without the outliers found. Sightings are
+weighted by their scatter about the fit and the correlation of residuals within a segment (the variance of the
+scores between segments over white noise's; Liang and Zeger 1986): a lens error repeats in every frame.
 """
 
 from __future__ import annotations
