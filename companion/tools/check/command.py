@@ -15,6 +15,7 @@ from companion.app.hardware import open_hardware
 from companion.base.files import write_atomically
 from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError, load_config
+from companion.sense.vision.opencv import prepare_opencv
 from companion.tools.check.report import cause_lines, report_json, report_table, verdict_line
 from companion.tools.check.session import Outlets, PadCheck
 from companion.tools.check.steps import Say
@@ -72,6 +73,7 @@ def check_command(
     """
     if not pad:
         raise ConfigError("check: expected --pad, the check over the pad")
+    prepare_opencv()
     settings = load_config(config)
     if no_link and (settings.sense.source == "autopilot" or settings.sense.range_by_telemetry):
         raise ConfigError("--no-link: sense.source is autopilot; expected boards, or the autopilot's link")

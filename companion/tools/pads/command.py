@@ -15,6 +15,7 @@ from companion.base.printing.page import ENDINGS, png_dpi, save
 from companion.base.printing.paper import PaperName
 from companion.config import CameraConfig, ConfigError, find_file, load_model, validate
 from companion.pad import Pad, Sheet, checked, load_pad
+from companion.sense.vision.opencv import prepare_opencv
 from companion.tools.pads.coverage import HOVER, HoverSpread, predict
 from companion.tools.pads.printing import draw_pad
 from companion.tools.pads.report import TABLE_HEIGHTS_M, coverage_lines, coverage_table, draw_coverage
@@ -68,6 +69,7 @@ def pad_command(
     Raises:
         ConfigError: the pad breaks a rule, or a file cannot be written.
     """
+    prepare_opencv()
     console = Console()
     spread = {"offset_m": offset, "tilt_deg": tilt, "speed_m_s": speed}
     given = {name: value for name, value in spread.items() if value is not None}
