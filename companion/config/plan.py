@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -29,6 +29,20 @@ class PhaseTimesConfig(StrictModel):
     hold_s: float = Field(default=10.0, ge=1.0, le=300.0)
 
 
+class BatteryConfig(StrictModel):
+    """Remaining charge as the autopilot reports it, as shares; nothing follows where it reports none."""
+
+    low: float = Field(default=0.25, ge=0.0, le=0.9)  # no take-off and no new try
+    critical: float = Field(default=0.12, ge=0.0, le=0.9)  # the vehicle is returned to the autopilot
+    finish_descent: bool = True  # a descent over the pad is finished all the same
+
+    @model_validator(mode="after")
+    def _low_before_critical(self) -> Self:
+        if self.critical > self.low:
+            raise ValueError(f"critical: expected at most low ({self.low:g})")
+        return self
+
+
 class MissionConfig(StrictModel):
     """The flight: where to look for the pad, when to ask again, when to give up."""
 
@@ -45,6 +59,7 @@ class MissionConfig(StrictModel):
     action_answer_s: float = Field(default=6.0, ge=0.5, le=60.0)
     action_attempts: int = Field(default=4, ge=1, le=20)
     phases: PhaseTimesConfig = PhaseTimesConfig()
+    battery: BatteryConfig = BatteryConfig()
 
 
 class GuidanceConfig(StrictModel):

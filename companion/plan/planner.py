@@ -18,7 +18,7 @@ from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.requests import Requests
-from companion.plan.mission.states import DetectedEvent, MissionEvent, State
+from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import FINAL, impossible
 from companion.plan.notices import NoticeSeverity
 from companion.plan.obstacles.avoidance import Avoidance
@@ -33,16 +33,24 @@ class Planner:
     """One mission, from connecting to standing on the pad."""
 
     def __init__(
-        self, config: PlanConfig, vehicle: VehicleConfig, horizon_steps: int, step_s: float, law: SpeedLaw
+        self,
+        config: PlanConfig,
+        vehicle: VehicleConfig,
+        horizon_steps: int,
+        step_s: float,
+        law: SpeedLaw,
+        *,
+        may_fly: bool = True,
     ) -> None:
-        """Ready to connect.
+        """Ready to connect; in standby, asking for nothing, if it may not fly.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
         """
         check_places(config, vehicle.radius_m)
         mission, search = config.mission, config.search
-        self._machine = StateMachine(config.landing.retries)
+        self._machine = StateMachine(config.landing.retries, may_fly=may_fly)
+        self._battery, self._battery_told = mission.battery, False
         self._notices: list[Notice] = []
         self._fence_m, self._fence_told = mission.fence_m, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
@@ -76,6 +84,7 @@ class Planner:
         """One cycle at now_s: at most one event, then the reference, actions and notices."""
         self._notices = []
         self._see(inputs, now_s)
+        self._watch_battery(inputs, now_s)
         self._react(inputs, now_s)
         self._steering.turn(now_s)
         return PlanStep(
@@ -142,18 +151,40 @@ class Planner:
             self._say("refused", words, now_s, "error")
         for words in self._requests.news():
             self._say("refused", words, now_s, "warning")
-        control_granted = self._requests.granted(ActionKind.TAKE_CONTROL)
         refused = ((MissionEvent.REFUSED, spent[0]),) if spent else ()
-        return (*self._monitor.detect(inputs, control_granted, now_s), *refused)
+        detected = self._monitor.detect(
+            inputs,
+            now_s,
+            control_granted=self._requests.granted(ActionKind.TAKE_CONTROL),
+            taking_off=self._requests.granted(ActionKind.TAKE_OFF),
+            over_home_m=self._ground.over_home_m,
+        )
+        return (*detected, *refused)
+
+    def _watch_battery(self, inputs: PlanInputs, now_s: float) -> None:
+        """With a low battery no new try is begun; said once. It stays low, whatever the load does to it."""
+        share = inputs.autopilot.battery_share
+        if share is None or share > self._battery.low or self._battery_told:
+            return
+        if self.phase in {Phase.STANDBY, Phase.CONNECT}:
+            return  # departure says what it waits for
+        self._battery_told = self._machine.no_new_try = True
+        self._say("battery", f"low, {100.0 * share:.0f} % left: no new try", now_s, "warning")
+
+    def _circumstances(self, inputs: PlanInputs) -> Circumstances:
+        landed = inputs.autopilot.landed
+        return Circumstances(
+            on_surface=self._steering.on_pad or landed is LandedState.ON_GROUND,
+            airborne=landed is LandedState.IN_AIR,
+            disarm_asked=self._requests.asked(ActionKind.DISARM),
+            land_granted=self._requests.granted(ActionKind.LAND),
+            may_finish=self._battery.finish_descent,
+        )
 
     def _take(self, event: MissionEvent, reason: str, inputs: PlanInputs, now_s: float) -> None:
         """Take the table's branch for an event: change the state, send its requests."""
         machine, state, had = self._machine, self._machine.state, self._machine.authority
-        branch = machine.follows(
-            event,
-            on_surface=self._steering.on_pad or inputs.autopilot.landed is LandedState.ON_GROUND,
-            disarm_asked=self._requests.asked(ActionKind.DISARM),
-        )
+        branch = machine.follows(event, self._circumstances(inputs))
         if branch is None:
             return
         if impossible(state, event):
@@ -165,6 +196,10 @@ class Planner:
                 self._requests.forget()
                 self._monitor.phase_begins(now_s)
             self._steering.enter(branch, state, had, inputs, now_s)
+        if Effect.ASK_AFRESH in branch.effects:
+            self._requests.forget()
+            self._monitor.phase_begins(now_s)
+            self._say("motors_on", "down, and the motors still run: LAND, disarm again", now_s, "error")
         for action in branch.actions:
             self._requests.ask(self._steering.departure.with_numbers(action, inputs.autopilot), now_s)
 
@@ -179,7 +214,10 @@ class Planner:
         elif event is MissionEvent.BREAK_OFF:
             self._say("break_off", f"{reason}: waiting again over the pad", now_s, "warning")
         elif event is MissionEvent.CONTACT:
-            self._say("contact", f"on the pad: {reason}", now_s)
+            where = "on the pad" if before is State.SINK else "down"
+            self._say("contact", f"{where}: {reason}", now_s)
+        elif self._machine.state is State.SET_DOWN:
+            self._say("set_down", f"{reason}: straight down in LAND", now_s, "warning")
 
     def _say(self, kind: str, text: str, now_s: float, severity: NoticeSeverity = "info") -> None:
         self._notices.append(Notice(now_s, kind, text, severity))

@@ -72,6 +72,7 @@ class PhaseSteering:
         self._begun_s = 0.0
         self._retreat: Motion | None = None
         self._steered_by: dict[Phase, Callable[[PlanInputs, float], DetectedEvent | None]] = {
+            Phase.STANDBY: self._stand_by,
             Phase.CONNECT: self._depart,
             Phase.ARM: self._depart,
             Phase.TAKE_OFF: self._depart,
@@ -137,6 +138,8 @@ class PhaseSteering:
         elif state is State.WAIT and previous is State.DESCEND:
             self._touchdown.begin(now_s, _LAST_TRY_SLACK if self._machine.last_try else 1.0)
         elif state.phase is Phase.TOUCHDOWN:
+            if state is State.SET_DOWN and inputs.vehicle is not None:
+                self._leave_pad(vehicle_motion(inputs.vehicle, now_s), now_s)
             self._touchdown.enter(state, now_s)
         elif state.phase in {Phase.HOLD, Phase.ABORT}:
             self._enter_hold(previous, had, inputs, now_s)
@@ -209,7 +212,16 @@ class PhaseSteering:
             self._generator.change_frame("local", pad, now_s)
         self._generator.rest(self._generator.at(now_s), now_s)
 
+    def _leave_pad(self, actual: Motion, now_s: float) -> None:
+        """Go on without the pad: from the vehicle's own motion, and no more sideways than that."""
+        down = Motion(actual.position_m, (0.0, 0.0, actual.velocity_m_s[2]))
+        self._generator.start("local", down, now_s)
+
     # ------------------------------------------------------------ the phases
+
+    def _stand_by(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        self.departure.remind("standby", "standby: asks the autopilot for nothing", now_s)
+        return None
 
     def _depart(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         return self.departure.step(self._machine.state, inputs, now_s)

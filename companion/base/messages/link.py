@@ -38,7 +38,7 @@ class AutopilotState:
 
     `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
-    nothing of the kind is reported (PX4).
+    nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
     """
 
     time_s: float
@@ -58,6 +58,7 @@ class AutopilotState:
     global_position: Vector3 | None = None
     home: Vector3 | None = None
     texts: tuple[str, ...] = ()
+    battery_share: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,9 @@ from companion.base.geometry import FloatArray, Vector3
 
 
 class Phase(StrEnum):
-    """The states of the mission, in the order of a good flight; the last two are not."""
+    """The states of the mission, in the order of a good flight; standby, hold and abort are not."""
 
+    STANDBY = "standby"
     CONNECT = "connect"
     ARM = "arm"
     TAKE_OFF = "take_off"

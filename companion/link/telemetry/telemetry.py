@@ -107,7 +107,9 @@ def _sys_status(state: AutopilotState, message: Message, time_s: float) -> Autop
         ready = enabled & ~healthy == 0
     else:
         ready = bool(healthy & prearm)
-    return replace(state, time_s=time_s, ready_to_arm=ready)
+    charge = message.battery_remaining  # percent, -1 unknown
+    battery_share = 0.01 * charge if 0 <= charge <= 100 else None
+    return replace(state, time_s=time_s, ready_to_arm=ready, battery_share=battery_share)
 
 
 def _ekf_status_report(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:

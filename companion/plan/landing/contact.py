@@ -62,15 +62,17 @@ def contact_signs(
 ) -> ContactSigns:
     """Read the signs; `reference` is vehicle minus pad, as `sight` is.
 
-    The lowest foot counts: one that holds a leaning vehicle up is dragged over the pad by what that vehicle
-    does to come back over the middle.
+    Where the pad is counts only while it is seen; that the vehicle stopped sinking it feels itself, and the
+    pad's own motion is known for `blind_s`. The lowest foot counts: one that holds a leaning vehicle up is
+    dragged over the pad by what that vehicle does to come back over the middle.
     """
     hangs_m = vehicle.foot_reach_m * math.sin(min(lean_rad, _MOST_FOOT_LEAN_RAD))
     feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
-    low = sight is not None and sight.height_m <= feet_m
+    low = sight is not None and sight.age_s <= FRESH_S and sight.height_m <= feet_m
     # the reference goes on down and the vehicle does not
     stalled = (
         sight is not None
+        and sight.age_s <= config.blind_s
         and reference.velocity_m_s[2] >= 0.5 * config.contact_speed_m_s
         and reference.position_m[2] + sight.height_m >= _STALLED_BELOW_M
         and abs(sight.sink_m_s) <= _STALLED_M_S

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 
 from companion.base.geometry import GRAVITY_M_S2, Quaternion, horizontal_acceleration, tilt_from_quat
-from companion.base.messages import LevelOff, PadState
+from companion.base.messages import LandedState, LevelOff, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
@@ -37,6 +37,9 @@ _FOOT_DROP_M = 0.02
 # Near the pad the air carries, and the sink slows below what is planned; below this share of it not for long.
 _SLOWEST_SINK = 0.5
 _TOO_MUCH_LEAN = 1.3
+# Echoes so much deeper than the unseen pad's estimate, for so long: the pad is not below any more.
+_DEEPER_M = 0.25
+_DEEPER_S = 0.15
 
 
 class TouchdownSequence:
@@ -62,7 +65,7 @@ class TouchdownSequence:
         self._since_s = self._sunk_s = self._contact_due_s = now_s
         self._tolerance = Tolerance(self._config, now_s, slack)
         self._settled, self._touching = Debounce(), Debounce()
-        self._too_fast, self._far_aside = Debounce(), Debounce()
+        self._too_fast, self._far_aside, self._deeper = Debounce(), Debounce(), Debounce()
         self._lean_m_s2, self._tilt_rad = (0.0, 0.0), 0.0
         self._leaned_s: float | None = None
         self._level_due_s: float | None = None
@@ -75,6 +78,10 @@ class TouchdownSequence:
             self._commit(now_s)
         elif state is State.RISE:
             self._break_off(now_s)
+        elif state is State.SET_DOWN:
+            self._generator.sink(self._config.contact_speed_m_s, self._config.blend_s, now_s)
+            self._level_due_s = self._level_from_s = now_s
+            self._level_excess_m_s2 = 0.0
         elif state is State.STAND:
             self._standing.begin(now_s)
             self._stay_down(now_s)
@@ -87,6 +94,8 @@ class TouchdownSequence:
             self.note_lean(inputs.vehicle.attitude, now_s)
         if state is State.SINK:
             return self._sink(sight, inputs, now_s)
+        if state is State.SET_DOWN:
+            return self._set_down(sight, inputs, now_s)
         if state in {State.STAND, State.AUTO_LAND}:
             return self._stand(sight, inputs, now_s)
         event = self._wait(sight, now_s)
@@ -169,12 +178,58 @@ class TouchdownSequence:
         if touching:
             self._level_due_s = now_s  # no lean while contact is confirmed
             return None
+        lost = self._lost(sight, inputs.range, now_s)
+        if lost is not None:
+            return lost
+        assert sight is not None
         return self._go_down(sight, now_s)
 
-    def _go_down(self, sight: PadState | None, now_s: float) -> DetectedEvent | None:
+    def _lost(self, sight: PadState | None, echo: RangeSample | None, now_s: float) -> DetectedEvent | None:
+        """Whether the pad is lost: unseen for too long, or unseen and not below any more by the echoes.
+
+        It rises at once while there is room, and otherwise goes straight down, without the pad's motion.
+        """
         c = self._config
-        if sight is None or sight.age_s > c.blind_s:
-            return MissionEvent.PAD_LOST, f"not seen for {c.blind_s:.1f} s while sinking"
+        unseen = sight is None or sight.age_s > FRESH_S
+        echo_m = self._echo_height_m(echo, now_s)
+        below_m = math.inf if sight is None else sight.height_m
+        deeper = unseen and echo_m is not None and echo_m > below_m + _DEEPER_M
+        gone = self._deeper.held_s(deeper, now_s) >= _DEEPER_S
+        if not gone and sight is not None and sight.age_s <= c.blind_s:
+            return None
+        sink_m_s = c.contact_speed_m_s if sight is None else sight.sink_m_s
+        if not self._has_room(below_m if echo_m is None else echo_m, sink_m_s):
+            return MissionEvent.PAD_GONE, "pad not seen, and no room to rise"
+        self._generator.rise(now_s)
+        why = "not below any more" if gone else f"not seen for {c.blind_s:.1f} s"
+        return MissionEvent.PAD_LOST, f"{why} while sinking"
+
+    def _echo_height_m(self, echo: RangeSample | None, now_s: float) -> float | None:
+        """Height (m) of the reference point by a fresh echo."""
+        if echo is None or now_s - echo.time_s > FRESH_S:
+            return None
+        return echo.distance_m + self._vehicle.range_position_body_m[2]
+
+    def _set_down(self, sight: PadState | None, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
+        """Level, and on down in the EKF's NED, until something solid is below."""
+        self._level_due_s = now_s + _LEVEL_BEFORE_S
+        if inputs.autopilot.landed is LandedState.ON_GROUND:
+            return MissionEvent.LANDING_DETECTED, "the autopilot reports landed"
+        signs = contact_signs(
+            sight,
+            Motion((0.0, 0.0, 0.0)),  # its height is over no pad: nothing stalls by it
+            inputs.range,
+            inputs.autopilot.landed,
+            now_s,
+            config=self._config,
+            vehicle=self._vehicle,
+        )
+        if self._touching.held_s(signs.count >= SIGNS_NEEDED, now_s) >= self._config.contact_s:
+            return MissionEvent.CONTACT, signs.in_words()
+        return None
+
+    def _go_down(self, sight: PadState, now_s: float) -> DetectedEvent | None:
+        c = self._config
         if now_s > self._contact_due_s + c.overdue_s:
             self._generator.rise(now_s)
             return MissionEvent.MISALIGNED, f"no contact {c.overdue_s:.1f} s after it was due"
@@ -183,7 +238,7 @@ class TouchdownSequence:
         self._give_way(sight if high else None, now_s)
         self._expect_contact(sight, now_s)
         wrong = self._wrong(sight, now_s)
-        if wrong and self._has_room(sight):
+        if wrong and self._has_room(sight.height_m, sight.sink_m_s):
             return MissionEvent.BREAK_OFF, wrong
         if high and sight.age_s <= FRESH_S and self._escapes(sight):
             # even without room: a foot that touches on the way up is better than one beside a small pad
@@ -222,11 +277,11 @@ class TouchdownSequence:
             return f"{100.0 * sight.lateral_m:.0f} cm aside at {sight.lateral_speed_m_s:.2f} m/s"
         return ""
 
-    def _has_room(self, sight: PadState) -> bool:
-        """Whether it can stop and rise before a foot touches."""
+    def _has_room(self, height_m: float, sink_m_s: float) -> bool:
+        """Whether it can stop and rise before a foot touches what is so far below."""
         lean_rad = max(self._tilt_rad, math.radians(self._config.contact_tilt_deg))
-        room_m = stopping_m(sight.sink_m_s, lean_rad, self._vehicle.foot_reach_m)
-        return sight.height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
+        room_m = stopping_m(sink_m_s, lean_rad, self._vehicle.foot_reach_m)
+        return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
     def _expect_contact(self, sight: PadState, now_s: float) -> None:
         """When the feet will touch: by the speed as planned, until it goes level; from then on as seen."""
@@ -253,6 +308,7 @@ class TouchdownSequence:
         self._generator.rise(now_s)
         self._level_due_s = self._level_from_s = None
         self._settled, self._too_fast, self._far_aside = Debounce(), Debounce(), Debounce()
+        self._deeper = Debounce()
 
     # ------------------------------------------------------------ stand
 

@@ -80,13 +80,31 @@ class Departure:
     ) -> DetectedEvent | None:
         if autopilot.connected and autopilot.armed:
             return MissionEvent.ALREADY_ARMED, "not by this app"
-        missing = [text for text, there in _needs(vehicle, autopilot) if not there]
+        missing = [text for text, there in self._needs(vehicle, autopilot) if not there]
         if not missing:
             return MissionEvent.READY, "ready to arm"
+        self.remind("waiting", f"waiting for {', '.join(missing)}", now_s)
+        return None
+
+    def remind(self, kind: str, text: str, now_s: float) -> None:
+        """Say what is waited for, not in every cycle."""
         if now_s - self._reminded_s >= _REMIND_S:
             self._reminded_s = now_s
-            self._say("waiting", f"waiting for {', '.join(missing)}", now_s, "info")
-        return None
+            self._say(kind, text, now_s, "info")
+
+    def _needs(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tuple[str, bool], ...]:
+        low, share = self._config.battery.low, autopilot.battery_share
+        charged = share is None or share > low
+        charge = "" if share is None else f": {100.0 * share:.0f} % left, low at {100.0 * low:.0f} %"
+        return (
+            ("the autopilot", autopilot.connected),
+            ("its home position", autopilot.home is not None),
+            ("it to be ready to arm", autopilot.ready_to_arm),
+            ("its estimate of position", autopilot.ekf_ready is not False),
+            ("our own alignment", vehicle is not None and vehicle.aligned),
+            ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
+            (f"a charged battery{charge}", charged),
+        )
 
     def _take_off(
         self, vehicle: VehicleState | None, autopilot: AutopilotState, now_s: float
@@ -137,14 +155,3 @@ class Departure:
         if self._waypoint is None or self._waypoint[:2] != (home, origin):
             self._waypoint = (home, origin, ned_from_geodetic(*self._waypoint_geodetic(home), origin))
         return self._waypoint[2]
-
-
-def _needs(vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tuple[str, bool], ...]:
-    return (
-        ("the autopilot", autopilot.connected),
-        ("its home position", autopilot.home is not None),
-        ("it to be ready to arm", autopilot.ready_to_arm),
-        ("its estimate of position", autopilot.ekf_ready is not False),
-        ("our own alignment", vehicle is not None and vehicle.aligned),
-        ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
-    )

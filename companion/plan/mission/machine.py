@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from companion.base.messages import Phase
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, MissionEvent, State
 from companion.plan.mission.table import follows
@@ -10,10 +12,12 @@ from companion.plan.mission.table import follows
 class StateMachine:
     """Asks the table what follows, and takes it."""
 
-    def __init__(self, retries: int) -> None:
+    def __init__(self, retries: int, *, may_fly: bool = True) -> None:
+        """Ready to connect; in standby for good, if it may not fly."""
         self._retries = retries
         self._tries = 0
-        self.state = State.CONNECT
+        self.no_new_try = False  # whatever is left of the tries: the battery is low
+        self.state = State.CONNECT if may_fly else State.STANDBY
         self.authority = Authority.NONE
 
     @property
@@ -29,17 +33,12 @@ class StateMachine:
     @property
     def last_try(self) -> bool:
         """Whether the next try that fails is the last."""
-        return self._tries >= self._retries
+        return self.no_new_try or self._tries >= self._retries
 
-    def follows(self, event: MissionEvent, *, on_surface: bool, disarm_asked: bool) -> Branch | None:
-        """What follows an event now; None: it means nothing."""
-        circumstances = Circumstances(
-            authority=self.authority,
-            tries_left=not self.last_try,
-            on_surface=on_surface,
-            disarm_asked=disarm_asked,
-        )
-        return follows(self.state, event, circumstances)
+    def follows(self, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
+        """What follows an event now; None: it means nothing. Authority and tries are the machine's own."""
+        ours = replace(circumstances, authority=self.authority, tries_left=not self.last_try)
+        return follows(self.state, event, ours)
 
     def take(self, branch: Branch) -> None:
         """Go where a branch leads."""

@@ -1,6 +1,6 @@
 """The vocabulary of the mission's table: states, events, who has the vehicle, guards, effects, rows.
 
-A state is a phase of the mission, or one of its sub-phases: the touchdown has five, a hold has two. No clock,
+A state is a phase of the mission, or one of its sub-phases: the touchdown has six, a hold has two. No clock,
 no I/O.
 """
 
@@ -17,6 +17,7 @@ from companion.base.messages import Action, Phase
 class State(StrEnum):
     """Where the mission is; `phase` is what the log, the terminal and the time limits call it."""
 
+    STANDBY = "standby"  # not to fly: watches, asks for nothing
     CONNECT = "connect"
     ARM = "arm"
     TAKE_OFF = "take_off"
@@ -28,6 +29,7 @@ class State(StrEnum):
     WAIT = "wait"  # just over the pad, for a moment to land
     SINK = "sink"  # committed: down at a constant speed
     RISE = "rise"  # broken off: back up to where it waits
+    SET_DOWN = "set_down"  # too low to rise, and nothing to follow: straight down, by the autopilot's LAND
     STAND = "stand"  # the feet are on the pad
     AUTO_LAND = "auto_land"  # on the pad in the autopilot's LAND mode, until it detects the landing
     LANDED = "landed"
@@ -42,7 +44,9 @@ class State(StrEnum):
 
 
 _PART_OF: Final = {
-    **dict.fromkeys((State.WAIT, State.SINK, State.RISE, State.STAND, State.AUTO_LAND), Phase.TOUCHDOWN),
+    **dict.fromkeys(
+        (State.WAIT, State.SINK, State.RISE, State.SET_DOWN, State.STAND, State.AUTO_LAND), Phase.TOUCHDOWN
+    ),
     State.AWAIT_LINK: Phase.HOLD,
 }
 
@@ -71,6 +75,7 @@ class MissionEvent(StrEnum):
     LANDING_DETECTED = "landing_detected"  # by the autopilot
     AT_REST = "at_rest"  # shown to rest on the pad, without the autopilot's word
     UNPROVEN = "unproven"  # neither, and nothing shows the feet down
+    PAD_GONE = "pad_gone"  # on the last way down, where there is no room to rise either
     OFF_PAD = "off_pad"  # the pad is well below the feet again
     PAD_LOST = "pad_lost"
     GROUND_NEAR = "ground_near"  # echoes far nearer than the pad's estimate: the estimate is wrong
@@ -85,6 +90,7 @@ class MissionEvent(StrEnum):
     LINK_UP = "link_up"
     ESTIMATE_LOST = "estimate_lost"
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
+    BATTERY_CRITICAL = "battery_critical"
 
 
 # what is detected, and why
@@ -105,9 +111,12 @@ class Guard(StrEnum):
     ALWAYS = "always"
     CONTROL_NONE = "control not granted yet"
     CONTROL_OURS = "control is ours"
+    STILL_FLIES = "it flies, and control not granted yet"  # by the autopilot's word
     ON_SURFACE = "it stands"  # on the pad by our signs, on the ground by the autopilot's
     TRIES_LEFT = "tries left"
     DISARM_NOT_ASKED = "no disarm asked yet"
+    LAND_GRANTED = "the autopilot is in LAND"
+    MAY_FINISH = "the settings let a descent finish"
 
 
 class Effect(StrEnum):
@@ -116,6 +125,7 @@ class Effect(StrEnum):
     COUNT_TRY = "count the try"
     ASK_PAD_POSITION = "ask the ground station for the pad's position"
     STOP_SETPOINTS = "stop setpoints"
+    ASK_AFRESH = "forget what was answered, count the phase's time again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +136,9 @@ class Circumstances:
     tries_left: bool = True
     on_surface: bool = False
     disarm_asked: bool = False
+    land_granted: bool = False
+    airborne: bool = False
+    may_finish: bool = False
 
     def allow(self, guard: Guard) -> bool:
         """Whether a guard holds."""
@@ -133,9 +146,12 @@ class Circumstances:
             Guard.ALWAYS: True,
             Guard.CONTROL_NONE: self.authority is Authority.NONE,
             Guard.CONTROL_OURS: self.authority is Authority.OURS,
+            Guard.STILL_FLIES: self.airborne and self.authority is Authority.NONE,
             Guard.ON_SURFACE: self.on_surface,
             Guard.TRIES_LEFT: self.tries_left,
             Guard.DISARM_NOT_ASKED: not self.disarm_asked,
+            Guard.LAND_GRANTED: self.land_granted,
+            Guard.MAY_FINISH: self.may_finish,
         }[guard]
 
 

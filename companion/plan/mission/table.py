@@ -3,7 +3,8 @@
 Its rules:
   every pair of a state and an event has one row, or means nothing there, or is impossible;
   an impossible pair ends in a hold by the autopilot itself, and is announced;
-  every state but the two last (LANDED, ABORT) ends by time;
+  every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for the operator, and
+  AUTO_LAND, which presses down and asks on: a mission that ended there would leave the motors running;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
   STOP, a lost estimate and overtime return control to the autopilot, which holds its position.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
@@ -30,12 +31,13 @@ from companion.plan.mission.states import (
 E, S = MissionEvent, State
 FINAL: Final = frozenset({S.LANDED, S.ABORT})
 LIVE: Final = frozenset(State) - FINAL
-ON_GROUND: Final = frozenset({S.CONNECT, S.ARM})
+ON_GROUND: Final = frozenset({S.STANDBY, S.CONNECT, S.ARM})
 IN_AIR: Final = LIVE - ON_GROUND
 BY_AUTOPILOT: Final = frozenset({S.TAKE_OFF, S.WAYPOINT})
 OVER_PAD: Final = frozenset({S.WAIT, S.RISE})  # waiting for a moment to land
 ON_PAD: Final = frozenset({S.STAND, S.AUTO_LAND})
-COMMITTED: Final = ON_PAD | {S.SINK}
+LAST_CENTIMETRES: Final = frozenset({S.SINK, S.SET_DOWN})
+COMMITTED: Final = ON_PAD | LAST_CENTIMETRES
 TOUCHDOWN: Final = OVER_PAD | COMMITTED
 HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 # the pad's estimate carries the vehicle
@@ -43,7 +45,7 @@ BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP),
-    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.OVERTIME, E.TIMEOUT),
+    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL, E.OVERTIME, E.TIMEOUT),
 )
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
@@ -80,8 +82,8 @@ _NEXT_TRY: Final = (
     Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),
     Branch(S.HOLD, effects=(Effect.COUNT_TRY,)),
 )
-# LAND is active by then: the next try flies without control
-_NEXT_TRY_RELEASED: Final = tuple(replace(branch, authority=Authority.RELEASED) for branch in _NEXT_TRY)
+# Without the pad or our own estimate: LAND holds the vehicle level, and goes on down.
+_SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,))
 IMPOSSIBLE: Final = (
     Branch(S.HOLD, (_LAND,), Authority.RELEASED, guard=Guard.ON_SURFACE),
     Branch(S.HOLD, (_HOLD,), Authority.RELEASED),
@@ -92,6 +94,8 @@ _FLIES_ITSELF = "the autopilot navigates"
 _FINISHES = "committed: finishing is gentler than breaking off"
 _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
+_WAITS_FOR_OPERATOR = "it waits for the operator, and asks for nothing"
+_LANDS = "the autopilot lands already"
 
 ROWS: Final = (
     # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
@@ -136,8 +140,12 @@ ROWS: Final = (
         Branch(S.AUTO_LAND, (_LAND,), guard=Guard.DISARM_NOT_ASKED),
         except_={S.AUTO_LAND: "LAND is asked for already"},
     ),
+    _row(E.PAD_GONE, S.SINK, _SET_DOWN),
+    _row(E.CONTACT, S.SET_DOWN, Branch(S.AUTO_LAND)),
+    _row(E.LANDING_DETECTED, S.SET_DOWN, Branch(S.AUTO_LAND, (_DISARM,))),
     _row(E.OFF_PAD, S.STAND, *_NEXT_TRY),
-    _row(E.OFF_PAD, S.AUTO_LAND, *_NEXT_TRY_RELEASED),
+    # in LAND it comes down beside the pad, which is gentler than to fly again from there
+    _row(E.OFF_PAD, S.AUTO_LAND, _end(guard=Guard.LAND_GRANTED), *_NEXT_TRY),
     # ---- refused as often as it may be asked
     # if only the answer was lost it may be climbing: LAND is right in the air and on the ground; the DISARM,
     # refused in the air, ends it at once on the ground
@@ -145,25 +153,60 @@ ROWS: Final = (
     # not allowed to go: search from here, by the beacon
     _row(E.REFUSED, S.WAYPOINT, Branch(S.SEARCH)),
     _row(E.REFUSED, HOLDING | {S.ROUTE, S.SEARCH}, *_RETURN_CONTROL),
-    _row(E.REFUSED, TOUCHDOWN, _end(_LAND)),
+    _row(E.REFUSED, OVER_PAD | {S.SINK}, _end(_LAND)),
+    # Nobody else turns the motors off: it stays, pressed down, and asks again.
+    _row(E.REFUSED, S.STAND, Branch(None, (_DISARM,))),
+    _row(E.REFUSED, {S.SET_DOWN, S.AUTO_LAND}, Branch(None, (_LAND,))),
     # ---- the time of a phase
-    _row(E.TIMEOUT, S.CONNECT, _GIVE_UP),
+    _row(E.TIMEOUT, S.CONNECT, _GIVE_UP, except_={S.STANDBY: _WAITS_FOR_OPERATOR}),
     _row(E.TIMEOUT, S.ARM, _end(_DISARM)),
     _row(E.TIMEOUT, S.TAKE_OFF, _end(_LAND)),
     _row(E.TIMEOUT, {S.WAYPOINT, S.ROUTE}, Branch(S.SEARCH)),
     _row(E.TIMEOUT, S.APPROACH, _SEARCH_AGAIN),
     _row(E.TIMEOUT, S.DESCEND, *_NEXT_TRY),
-    _row(E.TIMEOUT, HOLDING | (TOUCHDOWN - {S.AUTO_LAND}) | {S.SEARCH}, *_RETURN_CONTROL),
-    _row(E.TIMEOUT, S.AUTO_LAND, _GIVE_UP),
+    _row(E.TIMEOUT, HOLDING | OVER_PAD | {S.SEARCH}, *_RETURN_CONTROL),
+    _row(E.TIMEOUT, S.SINK, _SET_DOWN),
+    _row(E.TIMEOUT, {S.SET_DOWN, S.STAND}, Branch(S.AUTO_LAND, (_LAND,))),
+    _row(E.TIMEOUT, S.AUTO_LAND, Branch(None, (_LAND, _DISARM), effects=(Effect.ASK_AFRESH,))),
     # ---- anywhere
-    _row(E.OVERTIME, IN_AIR - {S.AUTO_LAND}, *_RETURN_CONTROL, except_=_all(ON_GROUND, _NOT_YET)),
-    _row(E.OVERTIME, S.AUTO_LAND, _GIVE_UP),
-    _row(E.STOP, S.CONNECT, _GIVE_UP),
+    _row(
+        E.OVERTIME,
+        IN_AIR - COMMITTED,
+        *_RETURN_CONTROL,
+        except_={
+            **_all(ON_GROUND, _NOT_YET),
+            **_all(LAST_CENTIMETRES, _FINISHES),
+            **_all(ON_PAD, _STANDS),
+        },
+    ),
+    _row(
+        E.BATTERY_CRITICAL,
+        IN_AIR - COMMITTED - OVER_PAD - {S.DESCEND},
+        *_RETURN_CONTROL,
+        except_={
+            **_all({S.STANDBY, S.CONNECT}, _NOTHING_ASKED),
+            S.ARM: "the autopilot's own checks decide",
+            **_all(LAST_CENTIMETRES, _FINISHES),
+            **_all(ON_PAD, _STANDS),
+        },
+    ),
+    _row(E.BATTERY_CRITICAL, OVER_PAD | {S.DESCEND}, Branch(None, guard=Guard.MAY_FINISH), *_RETURN_CONTROL),
+    _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),
-    _row(E.STOP, IN_AIR, *_RETURN_CONTROL, except_={S.SINK: _FINISHES, **_all(ON_PAD, _STANDS)}),
-    _row(E.PILOT_TOOK_OVER, LIVE, _CONTROL_LOST, except_={S.CONNECT: _NOTHING_ASKED}),
-    _row(E.DISARMED, IN_AIR - ON_PAD, _CONTROL_LOST, except_=_all(ON_GROUND, _NOT_YET)),
-    _row(E.DISARMED, ON_PAD, replace(_CONTROL_LOST, to=S.LANDED)),
+    _row(
+        E.STOP,
+        IN_AIR,
+        *_RETURN_CONTROL,
+        except_={**_all(LAST_CENTIMETRES, _FINISHES), **_all(ON_PAD, _STANDS)},
+    ),
+    _row(
+        E.PILOT_TOOK_OVER,
+        LIVE,
+        _CONTROL_LOST,
+        except_={S.STANDBY: _WAITS_FOR_OPERATOR, S.CONNECT: _NOTHING_ASKED},
+    ),
+    _row(E.DISARMED, IN_AIR - ON_PAD - {S.SET_DOWN}, _CONTROL_LOST, except_=_all(ON_GROUND, _NOT_YET)),
+    _row(E.DISARMED, ON_PAD | {S.SET_DOWN}, replace(_CONTROL_LOST, to=S.LANDED)),
     _row(
         E.LINK_LOST,
         IN_AIR,
@@ -171,6 +214,7 @@ ROWS: Final = (
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(HOLDING, "it holds already"),
+            **_all(LAST_CENTIMETRES, _FINISHES),
             **_all(ON_PAD, _STANDS),
         },
     ),
@@ -178,18 +222,22 @@ ROWS: Final = (
         E.LINK_UP,
         S.AWAIT_LINK,
         Branch(S.SEARCH, guard=Guard.CONTROL_OURS),
+        # lost on the way to the waypoint; a vehicle on the ground is not lifted by our setpoints
+        Branch(S.SEARCH, guard=Guard.STILL_FLIES),
         except_=_all(LIVE - {S.AWAIT_LINK}, "no link is awaited"),
     ),
     _row(
         E.ESTIMATE_LOST,
-        IN_AIR,
+        IN_AIR - {S.SINK},
         *_RETURN_CONTROL,
         except_={
             **_all(ON_GROUND, _NOT_YET),
             **_all(BY_AUTOPILOT, _FLIES_ITSELF),
+            S.SET_DOWN: _LANDS,
             **_all(ON_PAD, _STANDS),
         },
     ),
+    _row(E.ESTIMATE_LOST, S.SINK, _SET_DOWN),
     _row(
         E.VELOCITY_UNKNOWN,
         IN_AIR,

@@ -114,6 +114,7 @@ class FakeAutopilot:
     ready_from_s: float = 2.0
     ekf_ready_from_s: float = 0.0
     doubts: bool = False  # never finds that it has landed
+    battery_share: float | None = None
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
         kind = action.kind
@@ -175,7 +176,7 @@ class Flight:
 
     @property
     def phase(self) -> Phase:
-        return self.phases[-1][1]
+        return self.phases[-1][1] if self.phases else Phase.CONNECT
 
     def entered(self, phase: Phase) -> float:
         return next(t for t, p in self.phases if p is phase)
@@ -298,6 +299,7 @@ class World:
             landed=a.landed,
             global_position=geodetic_from_ned(self.position, HOME),
             home=self.home(self.now_s),
+            battery_share=a.battery_share,
         )
 
     def _sense(self) -> None:

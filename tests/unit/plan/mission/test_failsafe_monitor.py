@@ -2,10 +2,9 @@ from dataclasses import replace
 
 import pytest
 
-from companion.base.autopilot_kind import AutopilotKind
 from companion.base.messages import AutopilotState
 from companion.config import MissionConfig, PhaseTimesConfig
-from companion.plan.mission.failsafe_monitor import FailsafeMonitor, is_pilots
+from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
@@ -37,33 +36,14 @@ def gravest(
 ) -> MissionEvent | None:
     """The first event that means something in a state; control is not granted anew."""
     watch, machine = monitor(state, authority)
-    events = [event for event, _ in watch.detect(given, False, 50.0)]
+    events = [event for event, _ in watch.detect(given, 50.0, control_granted=False)]
     circumstances = Circumstances(machine.authority)
     return next((e for e in events if follows(state, e, circumstances) is not None), None)
 
 
 def taken_over(watch: FailsafeMonitor, autopilot: AutopilotState, *, granted: bool = False) -> bool:
-    events = [event for event, _ in watch.detect(inputs(autopilot), granted, 50.0)]
+    events = [event for event, _ in watch.detect(inputs(autopilot), 50.0, control_granted=granted)]
     return MissionEvent.PILOT_TOOK_OVER in events
-
-
-@pytest.mark.parametrize(
-    ("autopilot_kind", "mode", "pilots"),
-    [
-        ("px4", "POSCTL", True),
-        ("px4", "posctl", True),
-        ("px4", "AUTO.RTL", True),
-        ("px4", "OFFBOARD", False),
-        ("px4", "LOITER", False),
-        ("px4", "TAKEOFF", False),
-        ("ardupilot", "LOITER", True),
-        ("ardupilot", "Alt Hold", True),
-        ("ardupilot", "GUIDED", False),
-        (None, "MANUAL", False),
-    ],
-)
-def test_which_modes_are_a_pilots(autopilot_kind: AutopilotKind | None, mode: str, pilots: bool) -> None:
-    assert is_pilots(mode, autopilot_kind) is pilots
 
 
 def test_all_is_well_is_nothing() -> None:
@@ -73,7 +53,7 @@ def test_all_is_well_is_nothing() -> None:
 def test_control_is_granted_once_the_autopilot_obeys() -> None:
     watch, _ = monitor(State.SEARCH, Authority.NONE)
     for autopilot, granted, found in ((HELD, True, False), (FLYING, False, False), (FLYING, True, True)):
-        events = [event for event, _ in watch.detect(inputs(autopilot), granted, 50.0)]
+        events = [event for event, _ in watch.detect(inputs(autopilot), 50.0, control_granted=granted)]
         assert (MissionEvent.CONTROL_GRANTED in events) is found
 
 
@@ -90,13 +70,15 @@ def test_returned_to_the_autopilot_a_change_of_mode_is_ours() -> None:
     assert not taken_over(watch, HELD)
 
 
-def test_before_control_only_the_change_into_a_pilots_mode_counts() -> None:
-    watch, _ = monitor(State.WAYPOINT, Authority.NONE)
-    manual = replace(FLYING, mode="POSCTL", offboard=False)
-    assert taken_over(watch, manual)
-    assert not taken_over(watch, manual)  # as found: it was like that already
-    assert not taken_over(watch, replace(manual, mode="TAKEOFF"))
-    assert taken_over(watch, manual)
+def test_what_was_heard_of_the_mode_before_the_link_was_lost_is_old() -> None:
+    watch, _ = monitor()
+    assert not taken_over(watch, replace(HELD, connected=False))
+
+
+@pytest.mark.parametrize(("share", "critical"), [(None, False), (0.13, False), (0.12, True), (0.0, True)])
+def test_a_battery_is_critical_on_both_sides_of_its_bound(share: float | None, critical: bool) -> None:
+    found = gravest(inputs(replace(FLYING, battery_share=share)))
+    assert (found is MissionEvent.BATTERY_CRITICAL) is critical
 
 
 @pytest.mark.parametrize(
@@ -115,6 +97,7 @@ def test_before_control_only_the_change_into_a_pilots_mode_counts() -> None:
         # on the last way down a stop waits, and what else is wrong does not
         (inputs(stop=True), State.WAIT, MissionEvent.STOP),
         (inputs(stop=True), State.SINK, None),
+        (inputs(replace(FLYING, connected=False)), State.SINK, None),
         (inputs(vehicle=False, stop=True), State.SINK, MissionEvent.ESTIMATE_LOST),
         # before take-off being disarmed is no event
         (inputs(replace(FLYING, armed=False)), State.ARM, None),
@@ -146,7 +129,7 @@ def test_a_velocity_that_nobody_knows_ends_a_search_but_not_a_descent() -> None:
 @pytest.mark.parametrize("state", sorted(FINAL))
 def test_a_mission_that_has_ended_detects_nothing_more(state: State) -> None:
     watch, _ = monitor(state)
-    assert watch.detect(inputs(HELD, stop=True), True, 50.0) == ()
+    assert watch.detect(inputs(HELD, stop=True), 50.0, control_granted=True) == ()
 
 
 def test_time_on_both_sides_of_its_bounds() -> None:
@@ -157,7 +140,7 @@ def test_time_on_both_sides_of_its_bounds() -> None:
         w.now_s = now_s
         given = replace(inputs(), vehicle=w.inputs().vehicle)
         late = {MissionEvent.TIMEOUT, MissionEvent.OVERTIME}
-        return [event for event, _ in watch.detect(given, False, now_s) if event in late]
+        return [event for event, _ in watch.detect(given, now_s, control_granted=False) if event in late]
 
     # waiting on the ground is not flying: the mission's time counts from take-off
     watch.phase_begins(2.0)

@@ -10,9 +10,11 @@ from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.states import Authority, Branch, Circumstances, Effect, Guard, MissionEvent, State
 from companion.plan.mission.table import (
     ANYWHERE,
+    COMMITTED,
     FINAL,
     IN_AIR,
     LIVE,
+    ON_GROUND,
     ON_PAD,
     ROWS,
     TABLE,
@@ -24,10 +26,9 @@ from docs import state_machine
 
 E, S = MissionEvent, State
 FLYING = Circumstances(authority=Authority.OURS)
+NOT_BY_TIME = {S.STANDBY, S.AUTO_LAND}  # it waits for the operator; it stands, and asks on
 EVERY_CIRCUMSTANCE = [
-    Circumstances(authority, tries_left, on_surface, asked)
-    for authority in Authority
-    for tries_left, on_surface, asked in product((False, True), repeat=3)
+    Circumstances(authority, *flags) for authority in Authority for flags in product((False, True), repeat=6)
 ]
 
 
@@ -67,13 +68,14 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
 @pytest.mark.parametrize(
     ("event", "excepted"),
     [
-        (E.STOP, {S.SINK, S.STAND, S.AUTO_LAND}),
-        (E.PILOT_TOOK_OVER, {S.CONNECT}),
-        (E.LINK_LOST, {S.CONNECT, S.ARM, S.HOLD, S.AWAIT_LINK, S.STAND, S.AUTO_LAND}),
-        (E.ESTIMATE_LOST, {S.CONNECT, S.ARM, S.TAKE_OFF, S.WAYPOINT, S.STAND, S.AUTO_LAND}),
-        (E.DISARMED, {S.CONNECT, S.ARM}),
-        (E.OVERTIME, {S.CONNECT, S.ARM}),
-        (E.TIMEOUT, set()),
+        (E.STOP, COMMITTED),
+        (E.PILOT_TOOK_OVER, {S.STANDBY, S.CONNECT}),
+        (E.LINK_LOST, ON_GROUND | COMMITTED | {S.HOLD, S.AWAIT_LINK}),
+        (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
+        (E.DISARMED, ON_GROUND),
+        (E.OVERTIME, ON_GROUND | COMMITTED),
+        (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED),
+        (E.TIMEOUT, {S.STANDBY}),
     ],
 )
 def test_the_failsafes_mean_something_in_every_state_but_these(
@@ -84,29 +86,67 @@ def test_the_failsafes_mean_something_in_every_state_but_these(
 
 @pytest.mark.parametrize("state", sorted(LIVE))
 def test_every_state_can_be_reached_and_left_whatever_the_circumstances(state: State) -> None:
-    reached, left = {State.CONNECT}, set()
+    reached, left = {State.STANDBY, State.CONNECT}, set()
     for (at, event), branches in TABLE.items():
         if not impossible(at, event) and at not in FINAL:
             reached |= {b.to for b in branches if b.to not in {None, at}}
             left |= {at for b in branches if b.to not in {None, at}}
     assert state in reached
     assert state in left
-    for circumstances in EVERY_CIRCUMSTANCE:
+    for circumstances in EVERY_CIRCUMSTANCE if state not in NOT_BY_TIME else ():
         assert taken(state, E.TIMEOUT, circumstances).to not in {None, state}
 
 
-@pytest.mark.parametrize("state", sorted(LIVE))
-def test_every_state_ends_by_time(state: State) -> None:
+@pytest.mark.parametrize("state", sorted(LIVE - NOT_BY_TIME))
+def test_every_state_ends_by_time_or_stands_on_the_pad_and_asks_on(state: State) -> None:
     # following TIMEOUT alone the mission is over after a few phases
     machine = StateMachine(retries=2)
     machine.state, machine.authority = state, Authority.OURS
     for _ in range(5):
-        if machine.state in FINAL:
+        if machine.state in FINAL | {S.AUTO_LAND}:
             return
-        branch = machine.follows(E.TIMEOUT, on_surface=False, disarm_asked=False)
+        branch = machine.follows(E.TIMEOUT, Circumstances())
         assert branch is not None
         machine.take(branch)
     pytest.fail(f"{state} does not end by time")
+
+
+def test_on_the_pad_with_the_motors_on_it_stays_and_asks_again() -> None:
+    for event in (E.REFUSED, E.TIMEOUT):
+        branch = taken(S.AUTO_LAND, event)
+        assert branch.to is None
+        assert ActionKind.LAND in kinds(branch)
+    assert taken(S.AUTO_LAND, E.TIMEOUT).effects == (Effect.ASK_AFRESH,)
+    assert taken(S.STAND, E.REFUSED).to is None
+    assert kinds(taken(S.STAND, E.REFUSED)) == [ActionKind.DISARM]
+
+
+def test_in_standby_nothing_is_asked_whatever_happens() -> None:
+    for event in MissionEvent:
+        if not impossible(S.STANDBY, event):
+            branch = follows(S.STANDBY, event, Circumstances())
+            assert branch is None or (branch.to is S.ABORT and branch.actions == ())
+
+
+@pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.PAD_GONE, E.TIMEOUT])
+def test_too_low_to_rise_and_nothing_to_follow_it_is_set_down_in_land(event: MissionEvent) -> None:
+    branch = taken(S.SINK, event)
+    assert branch.to is S.SET_DOWN
+    assert kinds(branch) == [ActionKind.LAND]
+    assert branch.authority is None  # our setpoints go on until LAND is active
+
+
+@pytest.mark.parametrize("state", sorted({S.WAIT, S.RISE, S.DESCEND}))
+def test_with_a_critical_battery_a_descent_is_finished_if_the_settings_say_so(state: State) -> None:
+    finishing = taken(state, E.BATTERY_CRITICAL, Circumstances(Authority.OURS, may_finish=True))
+    assert (finishing.to, finishing.actions) == (None, ())
+    assert kinds(taken(state, E.BATTERY_CRITICAL)) == [ActionKind.HOLD]
+
+
+def test_seen_off_the_pad_in_land_it_comes_down_in_land() -> None:
+    branch = taken(S.AUTO_LAND, E.OFF_PAD, Circumstances(Authority.OURS, land_granted=True))
+    assert (branch.to, branch.authority) == (S.ABORT, Authority.RELEASED)
+    assert taken(S.AUTO_LAND, E.OFF_PAD).to is S.APPROACH
 
 
 @pytest.mark.parametrize("state", sorted(FINAL))
@@ -150,7 +190,7 @@ def test_each_action_is_asked_from_few_states_alone() -> None:
     assert asked[ActionKind.GO_TO, False] == {S.TAKE_OFF}
     assert asked[ActionKind.TAKE_CONTROL, False] == {S.ROUTE, S.SEARCH}
     assert asked[ActionKind.DISARM, True] == ON_PAD  # in the air it drops the vehicle
-    assert asked[ActionKind.DISARM, False] == {S.ARM, S.TAKE_OFF} | ON_PAD
+    assert asked[ActionKind.DISARM, False] == {S.ARM, S.TAKE_OFF, S.SET_DOWN} | ON_PAD
 
 
 def test_what_should_not_happen_returns_control_to_the_autopilot() -> None:
@@ -199,7 +239,7 @@ def test_a_good_flight_goes_through_in_order() -> None:
     ):
         before = machine.state
         assert not impossible(before, E[name])
-        branch = machine.follows(E[name], on_surface=False, disarm_asked=False)
+        branch = machine.follows(E[name], Circumstances())
         assert branch is not None
         machine.take(branch)
         if machine.state is not before:
@@ -210,7 +250,7 @@ def test_a_good_flight_goes_through_in_order() -> None:
     ]
 
 
-@pytest.mark.parametrize("state", sorted(LIVE - {S.CONNECT}))
+@pytest.mark.parametrize("state", sorted(LIVE - {S.STANDBY, S.CONNECT}))
 def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
     branch = taken(state, E.PILOT_TOOK_OVER)
     assert (branch.to, branch.actions, branch.authority) == (S.ABORT, (), Authority.RELEASED)
@@ -218,7 +258,7 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
 
 
 @pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN])
-@pytest.mark.parametrize("state", sorted(IN_AIR - ON_PAD))
+@pytest.mark.parametrize("state", sorted(IN_AIR - COMMITTED))
 def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
     if TABLE[state, event]:
         assert taken(state, event).to is S.ABORT
@@ -259,7 +299,7 @@ def test_so_many_tries_more_than_the_first() -> None:
     for _ in range(3):
         machine.state = S.WAIT
         ends.append(machine.last_try)
-        branch = machine.follows(E.MISALIGNED, on_surface=False, disarm_asked=False)
+        branch = machine.follows(E.MISALIGNED, Circumstances())
         assert branch is not None
         machine.take(branch)
     assert ends == [False, False, True]
@@ -268,7 +308,7 @@ def test_so_many_tries_more_than_the_first() -> None:
 
 def test_motors_off_on_the_pad_are_a_landing_and_before_that_none() -> None:
     for state in IN_AIR:
-        assert taken(state, E.DISARMED).to is (S.LANDED if state in ON_PAD else S.ABORT)
+        assert taken(state, E.DISARMED).to is (S.LANDED if state in ON_PAD | {S.SET_DOWN} else S.ABORT)
 
 
 def test_land_is_asked_on_the_pad_only_where_no_disarm_is_open() -> None:
@@ -276,8 +316,10 @@ def test_land_is_asked_on_the_pad_only_where_no_disarm_is_open() -> None:
     assert follows(S.STAND, E.UNPROVEN, Circumstances(Authority.OURS, disarm_asked=True)) is None
 
 
-def test_a_link_that_is_back_is_of_use_only_while_control_is_ours() -> None:
+def test_a_link_that_is_back_is_of_use_while_control_is_ours_or_the_vehicle_flies() -> None:
     assert taken(S.AWAIT_LINK, E.LINK_UP).to is S.SEARCH
+    assert taken(S.AWAIT_LINK, E.LINK_UP, Circumstances(airborne=True)).to is S.SEARCH
+    assert follows(S.AWAIT_LINK, E.LINK_UP, Circumstances(Authority.RELEASED, airborne=True)) is None
     for authority in (Authority.NONE, Authority.RELEASED):
         assert follows(S.AWAIT_LINK, E.LINK_UP, Circumstances(authority)) is None
 
@@ -299,7 +341,11 @@ def test_whatever_happens_in_whatever_order_a_released_vehicle_stays_released(se
         possible = [event for event in MissionEvent if not impossible(machine.state, event)]
         event = possible[int(rng.integers(len(possible)))]
         released = machine.authority is Authority.RELEASED
-        branch = machine.follows(event, on_surface=bool(rng.integers(2)), disarm_asked=bool(rng.integers(2)))
+        asked, on_surface, land, airborne = (bool(n) for n in rng.integers(2, size=4))
+        circumstances = Circumstances(
+            on_surface=on_surface, disarm_asked=asked, land_granted=land, airborne=airborne
+        )
+        branch = machine.follows(event, circumstances)
         if branch is None:
             continue
         machine.take(branch)

@@ -1,0 +1,97 @@
+"""Whose word the flight mode is: a mode that we did not request is a pilot's, or an autopilot's failsafe.
+
+Before control is ours the autopilot flies what we requested, and may be in the modes that this leads to. The
+mode in which it was found is left alone on the ground; after our first request was accepted, the autopilot
+has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. With
+control ours, only the mode that obeys setpoints is ours.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotState
+from companion.plan.mission.states import Authority, State
+
+# A mode change is in the next HEARTBEAT (1 Hz), which may be lost once.
+TAKES_S: Final = 3.0
+# PX4 ends a take-off in LOITER within its acceptance radius (NAV_MC_ALT_RAD, 0.8 m). So low it was a pilot.
+_TAKE_OFF_DONE_SHARE: Final = 0.6
+# Where PX4 stands and flies as long as nobody chooses anything. It flies to a position in LOITER as well.
+_PX4_WAITS: Final = frozenset({"LOITER", "TAKEOFF", "READY", "HOLD"})
+_PX4_FLIES: Final = frozenset({"LOITER", "TAKEOFF"})
+_CONTROL: Final[dict[AutopilotKind, str]] = {"px4": "OFFBOARD", "ardupilot": "GUIDED"}
+_HOLD: Final[dict[AutopilotKind, str]] = {"px4": "LOITER", "ardupilot": "BRAKE"}
+_LAND: Final = "LAND"
+_LANDING: Final = frozenset({State.SET_DOWN, State.AUTO_LAND})
+_BEFORE_ANY_REQUEST: Final = frozenset({State.STANDBY, State.CONNECT})
+
+
+def short_name(mode: str) -> str:
+    """A mode's name without the prefix of its main mode: AUTO.LOITER is LOITER."""
+    return mode.upper().rsplit(".", 1)[-1].replace(" ", "_")
+
+
+class ModeMonitor:
+    """Call `taken_over` once a cycle while the autopilot is received."""
+
+    def __init__(self, take_off_height_m: float) -> None:
+        self._done_m = _TAKE_OFF_DONE_SHARE * take_off_height_m
+        self._found: str | None = None
+        self._left_found = False
+        self._obeyed_s: float | None = None
+        self._climbed = False
+
+    def taken_over(
+        self,
+        state: State,
+        authority: Authority,
+        autopilot: AutopilotState,
+        *,
+        requested: bool,
+        over_home_m: float | None,
+        now_s: float,
+    ) -> bool:
+        """Whether the mode is one that we did not request.
+
+        `requested`: the take-off was accepted. `over_home_m`: the height.
+        """
+        kind = autopilot.autopilot_kind
+        if kind is None or not autopilot.mode:
+            return False
+        mode = short_name(autopilot.mode)
+        if self._found is None or state in _BEFORE_ANY_REQUEST:
+            self._found, self._left_found = mode, False
+        if state in _BEFORE_ANY_REQUEST:
+            return False
+        self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
+        if mode in self._ours(state, authority, kind):
+            self._left_found = self._left_found or mode != self._found
+            return False
+        on_the_way_up = authority is Authority.NONE and state in {State.ARM, State.TAKE_OFF}
+        return not (on_the_way_up and self._still_as_found(mode, requested=requested, now_s=now_s))
+
+    def _ours(self, state: State, authority: Authority, kind: AutopilotKind) -> frozenset[str]:
+        """The modes that what we requested leads to."""
+        control = frozenset({_CONTROL[kind]})
+        if authority is Authority.RELEASED or state in _LANDING:
+            return control | {_HOLD[kind], _LAND}
+        if authority is Authority.OURS:
+            return control
+        if kind == "ardupilot":
+            return control
+        if state is State.ARM:
+            return _PX4_WAITS
+        if state is State.TAKE_OFF and not self._climbed:
+            # LOITER is also where the vehicle may have been found
+            return _PX4_FLIES - ({"LOITER"} if self._left_found or self._found != "LOITER" else frozenset())
+        return _PX4_FLIES | control
+
+    def _still_as_found(self, mode: str, *, requested: bool, now_s: float) -> bool:
+        """Whether the autopilot has not changed the mode yet in which it was found on the ground."""
+        if self._left_found or mode != self._found:
+            return False
+        if not requested or self._obeyed_s is None:
+            self._obeyed_s = now_s
+        return now_s - self._obeyed_s <= TAKES_S

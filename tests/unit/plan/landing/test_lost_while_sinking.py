@@ -1,0 +1,61 @@
+"""The pad gone in the last centimetres: up while there is room, else straight down; no old sign counts."""
+
+import math
+
+import pytest
+
+from companion.base.messages import ActionKind, Phase
+from tests.unit.plan.mission.test_planner import world
+from tests.unit.plan.plan_harness import LEG_M, World, line, still
+
+
+def committed(w: World) -> bool:
+    return bool(w.flight.told("commit"))
+
+
+def sinking_to(w: World, height_m: float) -> None:
+    """Fly until the vehicle sinks and is so high over the pad."""
+    w.fly(60.0, until=lambda w: committed(w) and w.flight.heights_m[-1] < height_m)
+    assert committed(w)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.0, 1.0])
+def test_a_pad_that_is_gone_by_the_echoes_is_left_upward_at_once(speed_m_s: float) -> None:
+    w = world(line(speed_m_s) if speed_m_s else still())
+    sinking_to(w, 0.40)
+    w.blind = lambda _t, _height: True
+    w.echo_m = 1.2
+    gone_s, before = w.now_s, len(w.flight.heights_m)
+    w.fly(8.0, until=lambda w: w.flight.phase is not Phase.TOUCHDOWN)
+    assert w.now_s - gone_s < 1.0  # not the whole of blind_s
+    w.fly(1.5, until=lambda _w: False)
+    assert min(w.flight.heights_m[before:]) > LEG_M + 0.02
+    assert w.velocity[2] < 0.1
+    assert any("not below any more" in text for text in w.flight.told("phase"))
+
+
+def test_unseen_for_too_long_with_no_room_to_rise_it_goes_straight_down_in_land() -> None:
+    w = world(line(1.0))
+    sinking_to(w, 0.30)
+    w.blind = lambda _t, _height: True
+    w.echo_m = 0.24 - 0.08  # no nearer than this, whatever it does: nothing says contact
+    w.autopilot.refuse = {ActionKind.LAND: 1}
+    w.fly(6.0, until=lambda w: bool(w.flight.told("set_down")))
+    assert w.flight.told("set_down")
+    # while LAND is refused our own setpoints bring it down, no more along with the pad
+    references = [step.reference for step in w.flight.steps[-1:]]
+    assert references[0] is not None
+    assert references[0].origin == "local"
+    x, y, z = references[0].velocity_m_s[-1]
+    assert math.hypot(x, y) < 0.05
+    assert 0.0 < z <= 0.5
+    assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.LAND
+
+
+def test_the_echo_of_the_ground_and_an_old_sighting_are_no_contact() -> None:
+    w = world(still())
+    sinking_to(w, 0.34)
+    w.blind = lambda _t, _height: True
+    w.lie_m = lambda _t: -0.2  # it believes the pad at its feet
+    w.fly(0.6, until=lambda _w: False)
+    assert not w.flight.told("contact")

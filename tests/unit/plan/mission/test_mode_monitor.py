@@ -1,0 +1,145 @@
+"""Which modes are ours, and which are a pilot's word, in every state and for both autopilots."""
+
+import pytest
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.messages import AutopilotState
+from companion.plan.mission.mode_monitor import TAKES_S, ModeMonitor
+from companion.plan.mission.states import Authority, State
+from companion.plan.mission.table import LIVE
+
+TAKE_OFF_M = 7.0
+PX4_OTHERS = ("MANUAL", "POSCTL", "AUTO.MISSION", "AUTO.RTL", "AUTO.FOLLOW_TARGET", "mode 196608")
+ARDUPILOT_OTHERS = ("STABILIZE", "LOITER", "AUTO", "RTL", "ALT_HOLD", "mode 27")
+WITHOUT_CONTROL = (State.TAKE_OFF, State.WAYPOINT, State.ROUTE, State.SEARCH, State.AWAIT_LINK)
+UNHEEDED = {State.STANDBY, State.CONNECT}
+
+
+class Modes:
+    """A monitor, and the mode that it is shown."""
+
+    def __init__(self, kind: AutopilotKind = "px4", found: str = "AUTO.LOITER") -> None:
+        self.kind: AutopilotKind = kind
+        self.monitor = ModeMonitor(TAKE_OFF_M)
+        self.now_s = 0.0
+        assert not self.taken_over(found, State.CONNECT)
+
+    def taken_over(
+        self,
+        mode: str,
+        state: State,
+        authority: Authority = Authority.NONE,
+        *,
+        requested: bool = True,
+        up_m: float | None = 0.0,
+    ) -> bool:
+        self.now_s += 0.03
+        autopilot = AutopilotState(self.now_s, connected=True, autopilot_kind=self.kind, mode=mode)
+        return self.monitor.taken_over(
+            state, authority, autopilot, requested=requested, over_home_m=up_m, now_s=self.now_s
+        )
+
+    def take_off(self) -> None:
+        """To the take-off height in the autopilot's own mode."""
+        own = "AUTO.TAKEOFF" if self.kind == "px4" else "GUIDED"
+        assert not self.taken_over(own, State.TAKE_OFF, up_m=1.0)
+        assert not self.taken_over(own, State.TAKE_OFF, up_m=TAKE_OFF_M)
+
+
+def test_a_flight_as_requested_is_nobody_elses() -> None:
+    px4 = Modes()
+    px4.take_off()
+    for state in (State.TAKE_OFF, State.WAYPOINT, State.SEARCH):
+        assert not px4.taken_over("AUTO.LOITER", state, up_m=TAKE_OFF_M)
+    assert not px4.taken_over("OFFBOARD", State.SEARCH)
+    assert not px4.taken_over("OFFBOARD", State.APPROACH, Authority.OURS)
+    ardupilot = Modes("ardupilot", "STABILIZE")
+    assert not ardupilot.taken_over("STABILIZE", State.ARM)
+    for state in (State.ARM, State.TAKE_OFF, State.WAYPOINT, State.SEARCH):
+        assert not ardupilot.taken_over("GUIDED", state)
+
+
+@pytest.mark.parametrize("state", WITHOUT_CONTROL)
+@pytest.mark.parametrize("mode", PX4_OTHERS)
+def test_before_control_any_mode_that_was_not_requested_is_a_pilots_on_px4(state: State, mode: str) -> None:
+    modes = Modes()
+    modes.take_off()
+    assert modes.taken_over(mode, state, up_m=TAKE_OFF_M)
+
+
+@pytest.mark.parametrize("state", WITHOUT_CONTROL)
+@pytest.mark.parametrize("mode", ARDUPILOT_OTHERS)
+def test_and_on_ardupilot(state: State, mode: str) -> None:
+    modes = Modes("ardupilot", "STABILIZE")
+    modes.take_off()
+    assert modes.taken_over(mode, state, up_m=TAKE_OFF_M)
+
+
+@pytest.mark.parametrize("state", sorted(LIVE - UNHEEDED))
+@pytest.mark.parametrize("authority", list(Authority))
+def test_a_pilots_sticks_are_heeded_in_every_state(state: State, authority: Authority) -> None:
+    modes = Modes()
+    modes.take_off()
+    assert modes.taken_over("POSCTL", state, authority, up_m=TAKE_OFF_M)
+
+
+@pytest.mark.parametrize("state", sorted(UNHEEDED))
+def test_before_the_first_request_every_mode_is_just_found(state: State) -> None:
+    modes = Modes()
+    for mode in PX4_OTHERS:
+        assert not modes.taken_over(mode, state)
+
+
+def test_a_pilots_hold_during_the_climb_is_a_pilots() -> None:
+    modes = Modes()
+    assert not modes.taken_over("AUTO.TAKEOFF", State.TAKE_OFF, up_m=2.0)
+    assert modes.taken_over("AUTO.LOITER", State.TAKE_OFF, up_m=2.5)
+
+
+def test_the_hold_that_ends_px4s_take_off_is_not() -> None:
+    modes = Modes()
+    modes.take_off()
+    assert not modes.taken_over("AUTO.LOITER", State.TAKE_OFF, up_m=TAKE_OFF_M - 0.8)
+
+
+@pytest.mark.parametrize("found", ["POSCTL", "MANUAL", "AUTO.RTL"])
+def test_a_mode_chosen_before_the_start_has_to_give_way_to_the_requested_one(found: str) -> None:
+    modes = Modes(found=found)
+    assert not modes.taken_over(found, State.ARM)
+    assert not modes.taken_over(found, State.TAKE_OFF, requested=False)
+    assert not modes.taken_over(found, State.TAKE_OFF)  # accepted: it takes a moment
+    modes.now_s += TAKES_S
+    assert modes.taken_over(found, State.TAKE_OFF)
+    # and once it has given way it is a pilot's
+    modes = Modes(found=found)
+    modes.take_off()
+    assert modes.taken_over(found, State.TAKE_OFF, up_m=3.0)
+
+
+def test_a_change_of_mode_while_arming_is_heeded() -> None:
+    assert Modes(found="POSCTL").taken_over("AUTO.MISSION", State.ARM)
+    assert not Modes(found="POSCTL").taken_over("AUTO.LOITER", State.ARM)
+    ardupilot = Modes("ardupilot", "STABILIZE")
+    assert not ardupilot.taken_over("GUIDED", State.ARM)
+    assert ardupilot.taken_over("STABILIZE", State.ARM)
+
+
+@pytest.mark.parametrize("authority", [Authority.OURS, Authority.RELEASED])
+@pytest.mark.parametrize(
+    ("kind", "mode"),
+    [("px4", "AUTO.LAND"), ("ardupilot", "LAND"), ("px4", "OFFBOARD"), ("ardupilot", "GUIDED")],
+)
+def test_land_that_we_requested_is_no_pilots(kind: AutopilotKind, mode: str, authority: Authority) -> None:
+    modes = Modes(kind)
+    for state in (State.SET_DOWN, State.AUTO_LAND):
+        assert not modes.taken_over(mode, state, authority)
+
+
+def test_returned_to_the_autopilot_the_hold_is_ours() -> None:
+    assert not Modes().taken_over("AUTO.LOITER", State.HOLD, Authority.RELEASED)
+    assert not Modes("ardupilot", "GUIDED").taken_over("BRAKE", State.HOLD, Authority.RELEASED)
+    assert Modes("ardupilot", "GUIDED").taken_over("LOITER", State.HOLD, Authority.RELEASED)
+
+
+def test_what_has_no_name_says_nothing() -> None:
+    assert not Modes().taken_over("", State.SEARCH)

@@ -1,0 +1,72 @@
+"""A vehicle that may not fly is left alone; a battery that is low begins nothing new."""
+
+import pytest
+
+from companion.base.messages import ActionKind, Phase
+from companion.config import PlanConfig
+from companion.plan.planner import Planner
+from tests.unit.plan.mission.test_planner import world
+from tests.unit.plan.plan_harness import TABLE, VEHICLE, World, still
+
+
+def in_standby() -> World:
+    w = world(still())
+    w.planner = Planner(PlanConfig(), VEHICLE, 20, 0.1, TABLE, may_fly=False)
+    return w
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_in_standby_nothing_is_asked_and_no_setpoint_leaves_whatever_the_time(armed: bool) -> None:
+    w = in_standby()
+    w.autopilot.armed, w.autopilot.mode = armed, "POSCTL"
+    flight = w.fly(200.0)
+    assert {phase for _, phase in flight.phases} == {Phase.STANDBY}
+    assert w.autopilot.heard == []
+    assert all(step.reference is None and not step.actions for step in flight.steps)
+    assert flight.told("standby")
+
+
+def test_standby_ends_when_the_operator_says_so() -> None:
+    w = in_standby()
+    w.stop = True
+    w.fly(1.0)
+    assert w.flight.phase is Phase.ABORT
+    assert w.autopilot.heard == []
+
+
+def test_a_low_battery_is_not_taken_off_with() -> None:
+    w = world(still())
+    w.autopilot.battery_share = 0.25
+    flight = w.fly(20.0)
+    assert flight.phase is Phase.CONNECT
+    assert any("charged battery: 25 % left, low at 25 %" in text for text in flight.told("waiting"))
+
+
+def test_low_in_flight_the_try_under_way_is_the_last() -> None:
+    w = world(still())
+    w.blind = lambda _t, height: height < 0.9 and w.now_s < 60.0  # the first try fails
+    w.fly(60.0, until=lambda w: w.flight.phase is Phase.DESCEND)
+    w.autopilot.battery_share = 0.2
+    w.fly(60.0, until=lambda w: w.flight.phase in {Phase.HOLD, Phase.LANDED, Phase.ABORT})
+    assert w.flight.phase is Phase.HOLD
+    assert w.flight.told("battery") == ["low, 20 % left: no new try"]
+
+
+def test_critical_on_the_way_it_is_handed_back_and_said() -> None:
+    w = world(still())
+    w.fly(60.0, until=lambda w: w.flight.phase is Phase.APPROACH)
+    w.autopilot.battery_share = 0.1
+    w.fly(2.0)
+    assert w.flight.phase is Phase.ABORT
+    assert [kind for _, kind in w.autopilot.heard][-1] is ActionKind.HOLD
+    assert any("battery critical: 10 % left" in text for text in w.flight.told("phase"))
+
+
+@pytest.mark.parametrize("finishes", [True, False])
+def test_critical_in_the_descent_it_is_finished_as_the_settings_say(finishes: bool) -> None:
+    config = PlanConfig.model_validate({"mission": {"battery": {"finish_descent": finishes}}})
+    w = world(still(), config)
+    w.fly(60.0, until=lambda w: w.flight.phase is Phase.DESCEND)
+    w.autopilot.battery_share = 0.1
+    w.fly(40.0)
+    assert w.flight.phase is (Phase.LANDED if finishes else Phase.ABORT)
