@@ -60,4 +60,4 @@ done
 install -m 0644 "$SOURCE/systemd/companion.service" "$UNIT"
 systemctl daemon-reload
 echo "installed; look through $SETTINGS/companion.yaml, then, props off the first time: systemctl start companion"
-echo "one start is one flight; do not enable it at boot: it would take off whenever the Pi is powered"
+echo "one start is one flight, and needs your permission: sudo -u companion companion permit --record /var/lib/companion"

@@ -20,6 +20,7 @@ from typing import Final
 from companion.app.action_queue import ActionQueue
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import ActionsFactory, Hardware
+from companion.app.loop_monitor import LoopMonitor
 from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import supervised
@@ -39,16 +40,12 @@ from companion.base.messages import (
     Setpoint,
     VehicleState,
 )
-from companion.config import (
-    CompanionConfig,
-    ConfigError,
-)
+from companion.config import CompanionConfig, ConfigError
 from companion.control.controller import Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
-from companion.link.transport import backlog_read
 from companion.plan.planner import PlanInputs
 
 LINK_TICK_S: Final = 0.05
@@ -59,7 +56,11 @@ LAST_REQUESTS_S: Final = 12.0
 LAST_HOLD_S: Final = 2.0
 END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)  # entering one of these clears the action queue
-ON_THE_GROUND: Final = (Phase.CONNECT, Phase.ARM)  # there an error in the settings ends the app
+ON_THE_GROUND: Final = (
+    Phase.STANDBY,
+    Phase.CONNECT,
+    Phase.ARM,
+)  # there an error in the settings ends the app
 
 
 class App:
@@ -72,30 +73,30 @@ class App:
         log: FlightLog,
         make_actions: ActionsFactory,
         on_status: Callable[[Status], None] | None = None,
+        *,
+        standby: str | None = None,
     ) -> None:
-        """Make the stages.
+        """Make the stages; with a reason for `standby` it watches, and asks for no flight.
 
         Raises:
             ConfigError: a settings file named in the configuration is missing or wrong.
         """
-        self._config, self._hardware, self._log = config, hardware, log
-        self._on_status = on_status
+        self._config, self._hardware, self._log, self._on_status = config, hardware, log, on_status
         self._clock = Clock()
-        stages = build_stages(config, hardware, log, self._clock, self._notice)
+        stages = build_stages(config, hardware, log, self._clock, self._notice, standby)
         self._vehicle, self.session, self._planner = stages.vehicle, stages.session, stages.planner
         self._estimator, self._sensing = stages.estimator, stages.sensing
+        self.loop_monitor = LoopMonitor(self.session, self._clock)
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._action_queue = ActionQueue(self._actions, self._take_result)
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()
-        self._phase = Phase.CONNECT
+        self._phase = self._planner.phase
         self._new_notices: list[Notice] = []
         self._latency_ms: float | None = None
-        self._cycles = self._late_cycles = self._heard = 0
         self._last_exposure_s: float | None = None
-        self._stop_requested = self._on_pad = False
-        self._log_problem_told = False
+        self._stop_requested = self._on_pad = self._log_problem_told = False
         self._start_s = self._clock.now_s()
 
     @property
@@ -160,17 +161,13 @@ class App:
         try:
             return await self._control_task()
         except Exception:
+            self.loop_monitor.end()
             if self.session.state.offboard:
                 self._action_queue.clear()
                 hold = self._actions.perform(Action(ActionKind.HOLD))
                 with suppress(TimeoutError):
                     self._take_result(await asyncio.wait_for(hold, LAST_HOLD_S))
             raise
-
-    @property
-    def late_share(self) -> float:
-        """Share of the control cycles so far that came late by more than half a period."""
-        return self._late_cycles / max(1, self._cycles)
 
     async def _control_task(self) -> Phase:
         """Plan, control and send at a fixed rate until the mission has ended."""
@@ -179,12 +176,10 @@ class App:
         ended_s: float | None = None
         while not self._finished(ended_s):
             late_s = self._clock.now_s() - due_s
-            self._cycles += 1
-            self._late_cycles += late_s > 0.5 * period_s
             if late_s > period_s:
-                # whoever was held up believes nothing from before
-                await backlog_read(lambda: self._heard)
+                await self._catch_up(late_s)
                 due_s = self._clock.now_s()  # what was missed is not made up for
+            self.loop_monitor.turn(late_s, period_s)
             await self._control_step(self._clock.now_s(), late_s)
             self._service.alive()
             if ended_s is None and self._phase in END_PHASES:
@@ -192,6 +187,13 @@ class App:
             due_s += period_s
             await self._clock.sleep_until(due_s)
         return self._phase
+
+    async def _catch_up(self, late_s: float) -> None:
+        """Whoever was held up believes nothing from before, and does not go on with what was under way."""
+        if self.loop_monitor.silent:
+            self._action_queue.clear()
+        if await self.loop_monitor.catch_up(late_s, self._service.alive):
+            self._notice("stalled", f"stood still for {late_s:.1f} s: read the autopilot anew", "warning")
 
     def _finished(self, ended_s: float | None) -> bool:
         """Whether the flight is over and nothing asked of the autopilot is open, or has been for too long."""
@@ -226,10 +228,8 @@ class App:
 
     def _control(self) -> Controller:
         if self._controller is None:
-            autopilot_kind, setup = (
-                self.session.state.autopilot_kind or "px4",
-                self.session.setup or AutopilotSetup(),
-            )
+            autopilot_kind = self.session.state.autopilot_kind or "px4"
+            setup = self.session.setup or AutopilotSetup()
             self._controller = Controller(
                 self._config.control,
                 self._vehicle,
@@ -285,7 +285,7 @@ class App:
         while True:
             data = await self._hardware.transport.read()
             now_s = self._clock.now_s()
-            self._heard += 1
+            self.loop_monitor.heard += 1
             self._log.write_mavlink(data, now_s, "in")
             self.session.receive(data, now_s)
             self._sensing.take_samples(self.session.take_samples())
@@ -303,7 +303,7 @@ class App:
         self._action_results.append(result)
 
     def _send(self, data: bytes) -> None:
-        if data:
+        if data and not self.loop_monitor.silent:
             self._hardware.transport.write(data)
             self._log.write_mavlink(data, self._clock.now_s(), "out")
 

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from companion.app.app import App
 from companion.app.hardware import make_actions, open_hardware
+from companion.app.latch import FlightLatch, state_folder, unattended
 from companion.app.signals import stopping_on_signals
 from companion.app.terminal import StatusView
 from companion.base.clock import start_unix_s
@@ -53,22 +54,30 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     """
     prepare_opencv()
     config = load_config(config_path)
+    latch = FlightLatch(output.record or state_folder())
+    standby = latch.begin(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
     log = new_log(folder, virtual=False)
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
-            phase = asyncio.run(_vehicle_flight(config, log, view))
+            phase = asyncio.run(_vehicle_flight(config, log, view, standby))
     except ConfigError:
         log.discard()
+        if standby is None:
+            latch.end("by an error in the settings")
         raise
     finally:
         log.close()
+    if standby is None:
+        latch.end(phase.value)
     return 0 if phase is Phase.LANDED else EXIT_CODES[Outcome.ABORTED]
 
 
-async def _vehicle_flight(config: CompanionConfig, log: FlightLog, view: StatusView) -> Phase:
+async def _vehicle_flight(
+    config: CompanionConfig, log: FlightLog, view: StatusView, standby: str | None
+) -> Phase:
     async with open_hardware(config) as hardware:
-        app = App(config, hardware, log, make_actions, view)
+        app = App(config, hardware, log, make_actions, view, standby=standby)
         with stopping_on_signals(app.request_stop):
             return await app.run()
 

@@ -37,9 +37,14 @@ class Stages:
 
 
 def build_stages(
-    config: CompanionConfig, hardware: Hardware, log: FlightLog, clock: Clock, notify: Notify
+    config: CompanionConfig,
+    hardware: Hardware,
+    log: FlightLog,
+    clock: Clock,
+    notify: Notify,
+    standby: str | None = None,
 ) -> Stages:
-    """Make the stages and write the settings that they use into the log.
+    """Make the stages and write the settings that they use into the log; `standby`: why not to fly.
 
     Raises:
         ConfigError: a settings file named in the configuration is missing or wrong.
@@ -77,5 +82,6 @@ def build_stages(
         horizon_steps=config.control.horizon_steps,
         step_s=config.control.step_s,
         law=load_speed_law(config.plan),
+        standby=standby,
     )
     return Stages(vehicle, session, estimator, sensing, planner)

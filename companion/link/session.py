@@ -85,6 +85,7 @@ class Session:
         self._boot_clock = BootClock(self.timesync)
         self.onboard = None if sense is None else TelemetrySensors(sense, self._boot_clock)
         self.texts_heard = 0
+        self.heartbeats = 0
         self.stranger: int | None = None
         self.beacon_stranger: int | None = None
         self._config = config
@@ -114,6 +115,11 @@ class Session:
     def system_id(self) -> int:
         """The vehicle's system id, which is ours too; 0 while none has been received and none is set."""
         return self._system_id
+
+    @property
+    def heartbeat_timeout_s(self) -> float:
+        """After so long without a heartbeat the link counts as lost."""
+        return self._config.heartbeat_timeout_s
 
     @property
     def counters(self) -> codec.CodecCounters:
@@ -184,6 +190,7 @@ class Session:
             self._home_due_s = now_s  # arming sets home again
         if message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._heartbeat_heard_s = now_s
+            self.heartbeats += 1
             if self._reads_setup:
                 self._setup.begin(self.state.autopilot_kind)
             self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}))

@@ -40,16 +40,16 @@ class Planner:
         step_s: float,
         law: SpeedLaw,
         *,
-        may_fly: bool = True,
+        standby: str | None = None,
     ) -> None:
-        """Ready to connect; in standby, asking for nothing, if it may not fly.
+        """Ready to connect; with a reason for `standby`, there for good, asking for nothing.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
         """
         check_places(config, vehicle.radius_m)
         mission, search = config.mission, config.search
-        self._machine = StateMachine(config.landing.retries, may_fly=may_fly)
+        self._machine = StateMachine(config.landing.retries, may_fly=standby is None)
         self._battery, self._battery_told = mission.battery, False
         self._notices: list[Notice] = []
         self._fence_m, self._fence_told = mission.fence_m, False
@@ -68,6 +68,7 @@ class Planner:
             ground=self._ground,
             requests=self._requests,
             say=self._say,
+            standby=standby,
         )
 
     @property

@@ -50,7 +50,9 @@ class PhaseSteering:
         ground: Ground,
         requests: Requests,
         say: NoticeSink,
+        standby: str | None = None,
     ) -> None:
+        self._standby = standby
         self._config, self._leg_m = config, vehicle.leg_height_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
@@ -220,7 +222,7 @@ class PhaseSteering:
     # ------------------------------------------------------------ the phases
 
     def _stand_by(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        self.departure.remind("standby", "standby: asks the autopilot for nothing", now_s)
+        self.departure.remind("standby", f"standby: {self._standby}", now_s)
         return None
 
     def _depart(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:

@@ -128,7 +128,7 @@ async def _fly_in_process(
     finally:
         await _cancel(world)
     factor = Clock().now_s() / (wall_clock_s() - started_s)
-    return SitlFlight(vehicle.simulation.report(phase), factor, app.late_share)
+    return SitlFlight(vehicle.simulation.report(phase), factor, app.loop_monitor.late_share)
 
 
 # ---------------------------------------------------------------- real time
@@ -165,4 +165,4 @@ async def _fly_against(
     report = await simulator.finish(phase)
     # both processes count by the same clock of the kernel's
     elapsed_s = Clock().now_s() - report.truth[0].time_s
-    return SitlFlight(report, report.duration_s / elapsed_s, app.late_share)
+    return SitlFlight(report, report.duration_s / elapsed_s, app.loop_monitor.late_share)

@@ -113,21 +113,49 @@ def test_a_simulator_that_crashes_ends_the_flight_in_one_line(tmp_path: Path) ->
     assert (tmp_path / "flight.mcap").stat().st_size > 0
 
 
-def test_the_vehicle_s_own_command_flies_by_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
+def simulated(folder: Path) -> tuple[subprocess.Popen[str], Path]:
+    """A simulator in real time that is no child of the app, and the app's settings for it."""
     simulator = subprocess.Popen(
-        (sys.executable, "-m", "sitl.cli", "--child", "--scenario", "static", "--folder", str(tmp_path)),
+        (sys.executable, "-m", "sitl.cli", "--child", "--scenario", "static", "--folder", str(folder)),
         cwd=ROOT,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
     )
+    assert simulator.stdout is not None
+    settings = folder / "companion.yaml"
+    settings.write_text(yaml.safe_dump(json.loads(simulator.stdout.readline())))
+    return simulator, settings
+
+
+def test_killed_before_it_armed_the_next_start_arms_nothing_until_it_is_permitted(tmp_path: Path) -> None:
+    simulator, settings = simulated(tmp_path)
+    flights = tmp_path / "flights"
+    fly = ("--no-ui", "--config", settings, "--record", flights)
+    with simulator:
+        with started(*fly) as killed:
+            wait_for_line(killed, "waiting for")
+        with started(*fly) as again:
+            wait_for_line(again, "standby: the last flight was begun and never ended")
+            time.sleep(12.0)  # the vehicle was ready to arm within 9 s
+            again.send_signal(signal.SIGTERM)
+            words, _ = again.communicate(timeout=END_TIMEOUT_S)
+        assert "arm:" not in words
+        assert run("permit", "--record", flights).code == 0
+        with started(*fly) as permitted:
+            wait_for_line(permitted, "arm:")
+            permitted.send_signal(signal.SIGTERM)
+            permitted.communicate(timeout=END_TIMEOUT_S)
+        simulator.communicate("finish aborted\n", timeout=20.0)
+
+
+def test_the_vehicle_s_own_command_flies_by_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
+    simulator, settings = simulated(tmp_path)
     with simulator, closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as manager:
-        assert simulator.stdout is not None
-        settings = tmp_path / "companion.yaml"
-        settings.write_text(yaml.safe_dump(json.loads(simulator.stdout.readline())))
         # nobody reads it meanwhile: a service manager that hangs must not hold up a flight
         manager.bind(str(tmp_path / "notify"))
         notify = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        assert run("permit", "--record", tmp_path / "flights").code == 0
         flown = run("--no-ui", "--config", settings, "--record", tmp_path / "flights", variables=notify)
         said, _ = simulator.communicate("finish landed\n", timeout=20.0)
         report = read_report(Path(json.loads(said)["report"]))

@@ -11,7 +11,7 @@ from tests.unit.plan.plan_harness import TABLE, VEHICLE, World, still
 
 def in_standby() -> World:
     w = world(still())
-    w.planner = Planner(PlanConfig(), VEHICLE, 20, 0.1, TABLE, may_fly=False)
+    w.planner = Planner(PlanConfig(), VEHICLE, 20, 0.1, TABLE, standby="nobody permitted it")
     return w
 
 

@@ -1,0 +1,126 @@
+"""The latch on disk: a flight was permitted, begun or ended. Without it a restart would fly again, unasked.
+
+A file beside the flights. `begin` writes "begun" before anything else is done, `end` writes how it ended; a
+process that is killed, or a battery that is pulled, leaves "begun". Then only the operator's word, `companion
+permit`, lets the next start fly. A service manager starts the app by itself, at boot and after a crash: under
+one every start needs that word.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+
+from companion.base.errors import ConfigError
+
+FILE_NAME: Final = "flight-latch.json"
+PERMIT_HINT: Final = "'companion permit' lets the next start fly"
+
+
+class LatchState(StrEnum):
+    """What the file says; NONE: there is no file."""
+
+    NONE = "none"
+    PERMITTED = "permitted"
+    BEGUN = "begun"
+    ENDED = "ended"
+    UNREADABLE = "unreadable"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightLatch:
+    """The latch in a folder, which is made."""
+
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / FILE_NAME
+
+    def read(self) -> tuple[LatchState, str]:
+        """The state, and the words written with it. A file that cannot be read is no permission."""
+        try:
+            content = json.loads(self.path.read_text(encoding="utf-8"))
+            return LatchState(content["state"]), str(content["words"])
+        except FileNotFoundError:
+            return LatchState.NONE, ""
+        except (OSError, ValueError, KeyError, TypeError):
+            return LatchState.UNREADABLE, ""
+
+    def begin(self, *, unattended: bool) -> str | None:
+        """Begin a flight; returns why it may not be one, None when it may.
+
+        `unattended`: a service manager started the app, not a person.
+
+        Raises:
+            ConfigError: the latch cannot be written: a flight whose begin nobody remembers is not flown.
+        """
+        state, words = self.read()
+        reason = _refusal(state, words, unattended=unattended)
+        if reason is None:
+            self._write(LatchState.BEGUN, "")
+        return reason
+
+    def end(self, words: str) -> None:
+        """The flight that `begin` began has ended, and how."""
+        self._write(LatchState.ENDED, words)
+
+    def permit(self) -> None:
+        """Let the next start fly.
+
+        Raises:
+            ConfigError: the latch cannot be written.
+        """
+        self._write(LatchState.PERMITTED, "")
+
+    def _write(self, state: LatchState, words: str) -> None:
+        """Replace the file so that a power cut leaves the old one or the new one."""
+        fresh = self.path.with_suffix(".new")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with fresh.open("w", encoding="utf-8") as file:
+                json.dump({"state": state.value, "words": words}, file)
+                file.flush()
+                os.fsync(file.fileno())
+            fresh.replace(self.path)
+            folder = os.open(self.folder, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        except OSError as error:
+            raise ConfigError(
+                f"{self.path}: cannot be written: {error.strerror}; expected a folder to write to"
+            ) from None
+
+
+def _refusal(state: LatchState, words: str, *, unattended: bool) -> str | None:
+    if state is LatchState.PERMITTED:
+        return None
+    if state is LatchState.BEGUN:
+        return f"the last flight was begun and never ended; {PERMIT_HINT}"
+    if state is LatchState.UNREADABLE:
+        return f"nobody knows how the last flight ended: {FILE_NAME} cannot be read; {PERMIT_HINT}"
+    if unattended:
+        ended = f" (the last one ended: {words})" if words else ""
+        return f"started by the service manager, and no flight is permitted{ended}; {PERMIT_HINT}"
+    return None
+
+
+def state_folder() -> Path:
+    """Where the latch is without `--record`: systemd's state directory, else the user's."""
+    directory = os.environ.get("STATE_DIRECTORY", "").split(":")[0]
+    if directory:
+        return Path(directory)
+    home = os.environ.get("XDG_STATE_HOME") or str(Path.home() / ".local" / "state")
+    return Path(home) / "companion"
+
+
+def unattended() -> bool:
+    """Whether a service manager started this process (sd_notify(3))."""
+    return bool(os.environ.get("NOTIFY_SOCKET"))

@@ -1,0 +1,69 @@
+"""A process that was stopped and goes on: by SIGSTOP, a card that does not answer, a machine without memory.
+
+The control loop reads what has arrived meanwhile before it plans. After `STALL_S` that is not enough: the
+socket's buffer keeps the oldest of what arrived, so the newest mode in it may be from before the autopilot's
+failsafe, or the pilot, chose another. Then it waits for a heartbeat that comes in now.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+from companion.base.clock import Clock
+from companion.link.session import Session
+from companion.link.transport import backlog_read
+
+# PX4 leaves OFFBOARD after COM_OF_LOSS_T (1 s) without setpoints; Linux' usual buffer holds more than this.
+STALL_S: Final = 1.0
+_LOOK_S: Final = 0.02
+
+
+class LoopMonitor:
+    """`turn` in every control cycle; what is to be sent asks `silent` first.
+
+    `heard` counts what was read from the link.
+    """
+
+    def __init__(self, session: Session, clock: Clock) -> None:
+        self._session, self._clock = session, clock
+        self.heard = 0
+        self._turned_s: float | None = None
+        self._cycles = self._late = 0
+
+    def turn(self, late_s: float, period_s: float) -> None:
+        """A cycle begins, so late."""
+        self._turned_s = self._clock.now_s()
+        self._cycles += 1
+        self._late += late_s > 0.5 * period_s
+
+    def end(self) -> None:
+        """The loop has ended: what is to be sent after it does not wait for it."""
+        self._turned_s = None
+
+    @property
+    def late_share(self) -> float:
+        """Share of the cycles so far that came late by more than half a period."""
+        return self._late / max(1, self._cycles)
+
+    @property
+    def silent(self) -> bool:
+        """Whether the control loop stands still: what other tasks send now would be by old knowledge."""
+        return self._turned_s is not None and self._clock.now_s() - self._turned_s > STALL_S
+
+    async def catch_up(self, late_s: float, alive: Callable[[], None]) -> bool:
+        """Read what has arrived; after a stall wait for the next heartbeat. Returns whether it was one.
+
+        Without a heartbeat within its time-out the link counts as lost, and the planner learns that.
+        """
+        await backlog_read(lambda: self.heard)
+        if late_s <= STALL_S:
+            return False
+        heard = self._session.heartbeats
+        until_s = self._clock.now_s() + self._session.heartbeat_timeout_s
+        while self._session.heartbeats == heard and self._clock.now_s() < until_s:
+            self._turned_s = self._clock.now_s()
+            alive()
+            await asyncio.sleep(_LOOK_S)
+        return True

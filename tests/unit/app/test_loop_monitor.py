@@ -1,0 +1,79 @@
+"""A loop that stood still: silent until it turns again, and then it waits for the autopilot's next word."""
+
+import asyncio
+
+import pytest
+
+from companion.app.loop_monitor import STALL_S, LoopMonitor
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.config import LinkConfig
+from companion.link.session import Session
+
+PERIOD_S = 1.0 / 30.0
+
+
+def monitored(work) -> None:  # type: ignore[no-untyped-def]
+    """Run a coroutine function of (monitor, session, clock) in virtual time."""
+
+    async def main() -> None:
+        session, clock = Session(LinkConfig()), Clock()
+        await work(LoopMonitor(session, clock), session, clock)
+
+    run_in_virtual_time(main())
+
+
+def test_before_it_turns_and_after_its_end_nothing_is_held_back() -> None:
+    async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
+        said = []
+        for step in (lambda: None, lambda: monitor.turn(0.0, PERIOD_S), monitor.end):
+            step()
+            await asyncio.sleep(2.0 * STALL_S)
+            said.append(monitor.silent)
+        assert said == [False, True, False]
+
+    monitored(work)
+
+
+def test_late_cycles_are_counted_from_half_a_period_on() -> None:
+    async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
+        for late_s in (0.0, 0.4 * PERIOD_S, 0.6 * PERIOD_S, 3.0):
+            monitor.turn(late_s, PERIOD_S)
+        assert monitor.late_share == 0.5
+
+    monitored(work)
+
+
+@pytest.mark.parametrize(("late_s", "stalled"), [(0.9 * STALL_S, False), (1.1 * STALL_S, True)])
+def test_a_stall_waits_for_a_heartbeat_that_comes_now(late_s: float, stalled: bool) -> None:
+    async def work(monitor: LoopMonitor, session: Session, clock: Clock) -> None:
+        session.heartbeats = 7
+        kept_alive = 0
+
+        def alive() -> None:
+            nonlocal kept_alive
+            kept_alive += 1
+
+        async def later() -> None:
+            await asyncio.sleep(0.6)
+            session.heartbeats += 1
+
+        heartbeat = asyncio.create_task(later())
+        monitor.turn(0.0, PERIOD_S)
+        begun_s = clock.now_s()
+        assert await monitor.catch_up(late_s, alive) is stalled
+        waited_s = clock.now_s() - begun_s
+        assert waited_s == (pytest.approx(0.6, abs=0.05) if stalled else 0.0)
+        assert (kept_alive > 20) is stalled  # the watchdog is fed meanwhile
+        assert not monitor.silent
+        await heartbeat
+
+    monitored(work)
+
+
+def test_without_a_heartbeat_it_goes_on_after_the_link_s_time_out() -> None:
+    async def work(monitor: LoopMonitor, session: Session, clock: Clock) -> None:
+        begun_s = clock.now_s()
+        assert await monitor.catch_up(5.0, lambda: None)
+        assert clock.now_s() - begun_s == pytest.approx(session.heartbeat_timeout_s, abs=0.05)
+
+    monitored(work)
