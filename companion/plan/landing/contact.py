@@ -17,6 +17,9 @@ from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent
 
 FRESH_S = 0.3
+# An age counts from the exposure, and vision may take 0.2 s of it. So old the pad is off its predicted place
+# by 0.4 m at most, at a pad that brakes with 3 m/s²; older it is no sign.
+_KNOWN_S = 0.5
 SIGNS_NEEDED = 2
 _STALLED_M_S = 0.06
 _STALLED_BELOW_M = 0.08
@@ -68,7 +71,7 @@ def contact_signs(
     """
     hangs_m = vehicle.foot_reach_m * math.sin(min(lean_rad, _MOST_FOOT_LEAN_RAD))
     feet_m = vehicle.leg_height_m + hangs_m + config.contact_margin_m
-    low = sight is not None and sight.age_s <= FRESH_S and sight.height_m <= feet_m
+    low = sight is not None and sight.age_s <= _KNOWN_S and sight.height_m <= feet_m
     # the reference goes on down and the vehicle does not
     stalled = (
         sight is not None

@@ -1,6 +1,7 @@
 """A loop that stood still: silent until it turns again, and then it waits for the autopilot's next word."""
 
 import asyncio
+from collections.abc import Callable
 
 import pytest
 
@@ -25,7 +26,12 @@ def monitored(work) -> None:  # type: ignore[no-untyped-def]
 def test_before_it_turns_and_after_its_end_nothing_is_held_back() -> None:
     async def work(monitor: LoopMonitor, _session: Session, _clock: Clock) -> None:
         said = []
-        for step in (lambda: None, lambda: monitor.turn(0.0, PERIOD_S), monitor.end):
+        steps: tuple[Callable[[], None], ...] = (
+            lambda: None,
+            lambda: monitor.turn(0.0, PERIOD_S),
+            monitor.end,
+        )
+        for step in steps:
             step()
             await asyncio.sleep(2.0 * STALL_S)
             said.append(monitor.silent)
