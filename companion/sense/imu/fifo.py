@@ -2,6 +2,11 @@
 
 A transaction that fails loses nothing as long as the FIFO keeps the samples: the next read gets them. One
 that broke off half way may have taken bytes with it, which the count betrays: then the FIFO is emptied.
+
+A FIFO that fills up stops within a frame, 512 bytes being 36 frames and 8 bytes. Whatever is read after
+those 8 bytes is shifted by them, and a count shows nothing of it once the FIFO has been read down. So the
+chip's own overflow flag is read before each count: what was counted before lies in front of the broken frame.
+A remainder of the count that stays from one poll to the next counts too: the chip was not just writing.
 Registers: RM-MPU-9250A-00 rev. 1.6.
 """
 
@@ -15,7 +20,8 @@ from companion.sense.imu.i2c import RegisterBus, SensorError
 FIFO_BYTES: Final = 512
 FRAME_BYTES: Final = 14  # seven big-endian 16-bit words
 
-_USER_CTRL, _FIFO_COUNT, _FIFO_R_W = 0x6A, 0x72, 0x74
+_INT_STATUS, _USER_CTRL, _FIFO_COUNT, _FIFO_R_W = 0x3A, 0x6A, 0x72, 0x74
+_OVERFLOW: Final = 0x10
 _ENABLE: Final = 0x40
 _RESET: Final = 0x04
 _BURST_BYTES: Final = 28  # two frames: what an SMBus adapter reads at once
@@ -37,13 +43,16 @@ class Fifo:
         self._user_control = user_control
         self._reset_due = False
         self._in_doubt = False
+        self._remainder = 0
 
     def reset(self) -> None:
         """Empty it and have it filled from now on."""
         self._reset_due = True  # until it is through: a bus fault may come between
         self._bus.write(self._address, _USER_CTRL, self._user_control | _RESET)
         self._bus.write(self._address, _USER_CTRL, self._user_control | _ENABLE)
+        self._bus.read(self._address, _INT_STATUS, 1)  # an old overflow is over
         self._reset_due = self._in_doubt = False
+        self._remainder = 0
 
     def waiting(self) -> int:
         """Whole frames that can be read.
@@ -54,17 +63,20 @@ class Fifo:
         if self._reset_due:
             self.reset()
             raise SamplesLostError("FIFO emptied after a bus fault, samples lost")
+        overflowed = self._overflowed()
         high, low = self._bus.read(self._address, _FIFO_COUNT, 2)
         count = (high & 0x1F) << 8 | low
         if count > FIFO_BYTES:
             raise OSError(errno.EIO, f"FIFO count {count} of {FIFO_BYTES}: the bus reads all ones")
-        if count > FIFO_BYTES - FRAME_BYTES:
+        if overflowed or count > FIFO_BYTES - FRAME_BYTES:
             self.reset()
             raise SamplesLostError("FIFO overflow, samples lost")
-        if self._in_doubt and count % FRAME_BYTES:
+        remainder, before = count % FRAME_BYTES, self._remainder
+        if remainder and (self._in_doubt or remainder == before):
+            after = " after a bus fault" if self._in_doubt else f" by {remainder} bytes"
             self.reset()
-            raise SamplesLostError("FIFO out of step after a bus fault, samples lost")
-        self._in_doubt = False
+            raise SamplesLostError(f"FIFO out of step{after}, samples lost")
+        self._in_doubt, self._remainder = False, remainder
         return count // FRAME_BYTES
 
     def read(self, frames: int) -> bytes:
@@ -78,6 +90,17 @@ class Fifo:
             if not data:
                 raise
         return data
+
+    def _overflowed(self) -> bool:
+        """Whether it was full since the last look; reading clears the chip's flag."""
+        try:
+            status = self._bus.read(self._address, _INT_STATUS, 1)[0]
+        except OSError:
+            self._in_doubt = True  # the flag may be gone
+            raise
+        if status == 0xFF:
+            raise OSError(errno.EIO, "the interrupt status reads all ones")
+        return bool(status & _OVERFLOW)
 
     def _burst(self, length: int) -> bytes:
         data = self._bus.read(self._address, _FIFO_R_W, length)

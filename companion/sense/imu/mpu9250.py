@@ -56,6 +56,13 @@ _I2C_OFF: Final = 0x10  # on SPI, or what passes on the lines may be taken for I
 # stop between reads, 400 kHz; not waiting for the external data: a dead magnetometer holds nothing up
 _MASTER_400_KHZ: Final = 0x1D
 
+# The flag is set whether or not it is enabled on most chips; enabled it is on all. The pin is not used.
+_INT_ENABLE: Final = 0x38
+_FIFO_OVERFLOW: Final = 0x10
+_COUNTS_PER_DEG_C: Final = 333.87
+# A chip's temperature follows its surroundings over seconds. From one sample to the next a jump like this is
+# a word that is no temperature: the frames are shifted.
+_MOST_TEMPERATURE_STEP_C: Final = 5.0
 _SILENT_S: Final = 0.25
 _STUCK_S: Final = 0.5
 _BUS_PATIENCE_POLLS: Final = 5  # so many polls may fail in a row: 50 ms at 100 Hz, of the FIFO's 180 ms
@@ -95,6 +102,7 @@ class Mpu9250:
         self._last_sample_s = -math.inf
         self._last_frame = b""
         self._same_frames = 0
+        self._last_temperature: int | None = None
 
     def _make_magnetometer(self) -> Ak8963:
         if self._config.mag_path == "bypass":
@@ -196,10 +204,12 @@ class Mpu9250:
         self._write_settings()
         self._write(_INT_PIN_CFG, _BYPASS if self._config.mag_path == "bypass" else 0x00)
         self._write(_I2C_MST_CTRL, _MASTER_400_KHZ)
+        self._write(_INT_ENABLE, _FIFO_OVERFLOW if self._config.read == "fifo" else 0x00)
         self._write(_FIFO_EN, _FIFO_ACCEL_TEMP_GYRO if self._config.read == "fifo" else 0x00)
         self._samples.reset()
         self._clock.restart()
         self._mag.restart()
+        self._last_temperature = None
 
     def _write_settings(self) -> None:
         for offset, value in enumerate(self._settings):
@@ -229,6 +239,7 @@ class Mpu9250:
         self._check_alive(data, frames)
         self._last_sample_s = now_s
         words = struct.unpack(f">{7 * frames}h", data)
+        self._check_in_step(words[3::7])
         # what a bus fault has left in the FIFO is newer than what was read
         read_s = now_s - (waiting - frames) * self._clock.period_s
         if self._config.read == "fifo":
@@ -249,13 +260,28 @@ class Mpu9250:
             self._same_frames = 0
             raise SensorError(f"stuck: the same sample for {_STUCK_S} s")
 
+    def _check_in_step(self, temperatures: tuple[int, ...]) -> None:
+        """Whether the word that is the temperature behaves like one.
+
+        Raises:
+            SamplesLostError: it does not; the frames have been thrown away.
+        """
+        before = temperatures[0] if self._last_temperature is None else self._last_temperature
+        self._last_temperature = temperatures[-1]
+        step = max(abs(b - a) for a, b in zip((before, *temperatures), temperatures, strict=False))
+        if step > _MOST_TEMPERATURE_STEP_C * _COUNTS_PER_DEG_C:
+            self._last_temperature = None
+            self._samples.reset()
+            degrees = step / _COUNTS_PER_DEG_C
+            raise SamplesLostError(f"out of step, the temperature jumps by {degrees:.0f} °C, samples lost")
+
     def _sample(self, time_s: float, words: tuple[int, ...], at: int) -> ImuSample:
         ax, ay, az, temperature, gx, gy, gz = words[at : at + 7]
         return ImuSample(
             time_s - self._delay_s,
             self._gyro.of(gx, gy, gz),
             self._accel.of(ax, ay, az),
-            temperature / 333.87 + 21.0,
+            temperature / _COUNTS_PER_DEG_C + 21.0,
         )
 
     def _mag_sample(self, now_s: float, field_ut: Vector3, newest: bool) -> MagSample:
