@@ -56,6 +56,7 @@ from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
+_AGREES_S = 0.5  # two samples so near each other agree on a time that is far from what was
 FUTURE_S = 0.1  # whose stamp is further ahead has a wrong time
 ALIGNED_STD_RAD = math.radians(20.0)  # an attitude known less well is none to fly by
 MAG_TIMEOUT_S = 0.5  # a heading is trusted for as long after the last good field
@@ -76,7 +77,7 @@ class VehicleEstimator:
         self._ekf: VehicleEkf | None = None
         self._timeline: Timeline[EkfSnapshot, EkfInput] | None = None
         self.origin: Vector3 | None = None
-        self.newest_s = -math.inf
+        self.newest_s = self._leap_s = -math.inf
         self._strapdown, self._fields = Strapdown(), VectorMean()
         self._fields_untrusted = 0  # of the wrong size or dip
         self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
@@ -92,9 +93,19 @@ class VehicleEstimator:
     # ------------------------------------------------------------ inputs
 
     def add_imu(self, sample: ImuSample) -> bool:
-        """Take one sample; False when it is not newer than the last."""
+        """Take one sample; False when it is not newer than the last, or far ahead of it and alone there.
+
+        A single wrong stamp, once believed, would have all that follow refused.
+        """
         elapsed_s = sample.time_s - self.newest_s
+        if elapsed_s < -LOST_S and self._ekf is None and self.motion.newest_s is None:
+            self._start_over()  # the very first stamp was the wrong one
+            elapsed_s = math.inf
         if elapsed_s <= 0.0:
+            return False
+        leap_s, self._leap_s = self._leap_s, -math.inf
+        if LOST_S < elapsed_s < math.inf and not 0.0 < sample.time_s - leap_s <= _AGREES_S:
+            self._leap_s = sample.time_s  # believed once the next one continues from it
             return False
         # a time that was turned from another clock into ours jitters, and may jump when that has stood still
         dt_s = elapsed_s if sample.interval_s is None else sample.interval_s

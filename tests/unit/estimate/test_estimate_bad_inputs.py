@@ -105,14 +105,42 @@ def test_a_reading_no_sensor_can_give_is_refused(rate: Vector3, force: Vector3) 
     assert estimator.add_imu(ImuSample(0.2, (0.0, 0.0, 30.0), (0.0, 0.0, -150.0), 25.0))
 
 
-def test_a_stamp_from_the_future_leaves_no_state_to_fly_by() -> None:
+@pytest.mark.parametrize("ahead_s", [3.0, 100.0, 3600.0, 1e9])
+def test_one_stamp_from_the_future_is_refused_and_costs_nothing_else(ahead_s: float) -> None:
+    clean, poisoned = new_estimator(), new_estimator()
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s >= 12.0:
+            break
+        feed(clean, sample)
+        feed(poisoned, sample)
+        if arrival_s >= 10.0 and isinstance(sample, ImuSample):
+            assert not poisoned.add_imu(
+                ImuSample(arrival_s + ahead_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0)
+            )
+    assert poisoned.vehicle(12.0) == clean.vehicle(12.0)
+    assert poisoned.vehicle(12.0) is not None
+    assert poisoned.refused["imu_unusable"] > clean.refused.get("imu_unusable", 0)
+
+
+def test_the_very_first_stamp_may_be_the_wrong_one() -> None:
     estimator = new_estimator()
-    samples = [sample for arrival_s, sample in FLOWN.samples if arrival_s < 10.0]
-    for sample in samples:
-        feed(estimator, sample)
+    assert estimator.add_imu(ImuSample(3600.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0))
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s < 10.0:
+            feed(estimator, sample)
     assert estimator.vehicle(10.0) is not None
-    estimator.add_imu(ImuSample(110.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0))
-    assert estimator.vehicle(10.1) is None
+
+
+def test_an_imu_that_is_back_after_long_is_believed_from_its_second_sample_on() -> None:
+    estimator = new_estimator()
+    for arrival_s, sample in FLOWN.samples:
+        if arrival_s < 10.0:
+            feed(estimator, sample)
+    taken = [
+        estimator.add_imu(ImuSample(time_s, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 25.0))
+        for time_s in (15.0, 15.005, 15.010)
+    ]
+    assert taken == [False, True, True]
 
 
 # ------------------------------------------------------------ the watch over fixes
