@@ -2,12 +2,14 @@
 
 A pad on a curve turns its velocity and acceleration at the rate omega = (v x a)_z / |v|^2; one that is too
 slow, or brakes rather than turns, for that to be well determined keeps its velocity while its acceleration
-dies away. The vertical acceleration always dies away. NED axes, SI units; the origin is where the pad was
+dies away. The vertical acceleration always dies away. A pad that brakes comes to a halt, and does not drive
+backwards from there. NED axes, SI units; the origin is where the pad was
 estimated.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +23,8 @@ ComplexArray = NDArray[np.complex128]
 MINIMUM_TURNING_SPEED_M_S = 0.4
 MINIMUM_TURN_RATE_RAD_S = 0.02
 MAXIMUM_TURN_RATE_RAD_S = 1.5
+# Slower than this the course is noise: a pad that turns back, or starts to move, does not halt first.
+MINIMUM_BRAKING_SPEED_M_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +52,16 @@ def predict_pad(pad: PadState, times_s: FloatArray, decay_s: float) -> PadPredic
     t = times_s - pad.time_s
     velocity, acceleration = pad.velocity_ned_m_s, pad.acceleration_ned_m_s2
     displacement, speed, change = _decaying(velocity, acceleration, t, decay_s)
+    v, a = complex(velocity[0], velocity[1]), complex(acceleration[0], acceleration[1])
     omega = turn_rate(velocity, acceleration)
     if omega is not None:
-        v, a = complex(velocity[0], velocity[1]), complex(acceleration[0], acceleration[1])
-        for columns, plane in zip(
-            (displacement, speed, change), _turning(v, a, t, omega, decay_s), strict=True
-        ):
-            columns[:, 0], columns[:, 1] = plane.real, plane.imag
+        plane = _turning(v, a, t, omega, decay_s)
+    elif abs(v) >= MINIMUM_BRAKING_SPEED_M_S and (a / v).real < 0.0:
+        plane = _braking(v, a, t, decay_s)
+    else:
+        return PadPrediction(displacement, speed, change)
+    for columns, row in zip((displacement, speed, change), plane, strict=True):
+        columns[:, 0], columns[:, 1] = row.real, row.imag
     return PadPrediction(displacement, speed, change)
 
 
@@ -82,9 +89,41 @@ def _turning(
     The course turns at the rate omega, and with it what is left of the acceleration along it: it dies away.
     """
     along = acceleration - 1j * omega * velocity
+    halt_s = _halt_s((along / velocity).real, decay_s)
+    t, moving = np.minimum(t, halt_s), t < halt_s
     turned, fade = np.exp(1j * omega * t), np.exp(-t / decay_s)
     pole = 1j * omega - 1.0 / decay_s
     speed = (velocity + along * decay_s * (1.0 - fade)) * turned
     displacement = (velocity + along * decay_s) * (turned - 1.0) / (1j * omega)
     displacement -= along * decay_s * (turned * fade - 1.0) / pole
-    return displacement, speed, 1j * omega * speed + along * turned * fade
+    return displacement, speed * moving, (1j * omega * speed + along * turned * fade) * moving
+
+
+def _braking(
+    velocity: complex, acceleration: complex, t: FloatArray, decay_s: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """The same on a straight course: what acts along it ends at the halt, what acts across it dies away."""
+    course = velocity / abs(velocity)
+    along, across = (acceleration / course).real, (acceleration / course).imag
+    halt_s = _halt_s(along / abs(velocity), decay_s)
+    fade, held = np.exp(-t / decay_s), np.minimum(t, halt_s)
+    held_fade, moving = np.exp(-held / decay_s), t < halt_s
+    displacement = abs(velocity) * held + along * decay_s * (held - decay_s * (1.0 - held_fade))
+    speed = (abs(velocity) + along * decay_s * (1.0 - held_fade)) * moving
+    change = along * held_fade * moving
+    aside = across * decay_s * (t - decay_s * (1.0 - fade))
+    aside_speed, aside_change = across * decay_s * (1.0 - fade), across * fade
+    return (
+        (displacement + 1j * aside) * course,
+        (speed + 1j * aside_speed) * course,
+        (change + 1j * aside_change) * course,
+    )
+
+
+def _halt_s(braking_1_s: float, decay_s: float) -> float:
+    """When a speed halts whose relative rate of change is `braking_1_s` at first and dies away; inf: never.
+
+    v (1 + k tau (1 - exp(-t / tau))) = 0 with k the rate and tau the decay.
+    """
+    spent = 1.0 + 1.0 / (braking_1_s * decay_s) if braking_1_s < 0.0 else -1.0
+    return -decay_s * math.log(spent) if spent > 0.0 else math.inf

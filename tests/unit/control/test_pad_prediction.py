@@ -64,3 +64,42 @@ def test_an_origin_at_rest_stays() -> None:
     path = origin_at_rest(5)
     assert path.displacement_m.shape == path.velocity_m_s.shape == path.acceleration_m_s2.shape == (5, 3)
     assert not path.displacement_m.any()
+
+
+def test_a_pad_that_brakes_halts_and_does_not_drive_backwards() -> None:
+    fine = np.linspace(0.0, 2.0, 401)
+    path = predict_pad(_pad((1.0, 0.0, 0.0), (-3.0, 0.0, 0.0)), fine, 1.0)
+    assert path.velocity_m_s[:, 0].min() >= 0.0
+    assert path.velocity_m_s[-1, 0] == path.acceleration_m_s2[-1, 0] == 0.0
+    # 1 - 3 (1 - exp(-t)) = 0 at t = ln 1.5; there 1 t - 3 (t - 1 / 3) = 1 - 2 ln 1.5
+    assert path.displacement_m[-1, 0] == pytest.approx(1.0 - 2.0 * math.log(1.5))
+
+
+@pytest.mark.parametrize("course_deg", [0.0, 70.0, 200.0, 310.0])
+@pytest.mark.parametrize("across_m_s2", [0.0, 0.05, 0.4, -0.9])
+@pytest.mark.parametrize("speed_m_s", [0.15, 0.6, 2.0])
+def test_the_speed_along_the_course_never_turns_round_and_the_rows_stay_derivatives(
+    course_deg: float, across_m_s2: float, speed_m_s: float
+) -> None:
+    yaw = math.radians(course_deg)
+    velocity = rotate_yaw((speed_m_s, 0.0, 0.0), yaw)
+    braking = rotate_yaw((-3.0, across_m_s2, 0.0), yaw)
+    fine = np.linspace(0.0, 2.0, 4001)
+    path = predict_pad(_pad(velocity, braking), fine, 1.0)
+    # along the course at the time: in a turn the course turns with the pad
+    omega = turn_rate(velocity, braking) or 0.0
+    along = [
+        v @ np.array(rotate_yaw((1.0, 0.0, 0.0), yaw + omega * t))
+        for t, v in zip(fine, path.velocity_m_s, strict=True)
+    ]
+    assert min(along) >= -1e-12
+    smooth = np.abs(np.gradient(path.acceleration_m_s2, fine, axis=0)).max(axis=1) < 20.0  # not at the halt
+    speeds = np.gradient(path.displacement_m, fine, axis=0)
+    np.testing.assert_allclose(speeds[1:-1], path.velocity_m_s[1:-1], atol=2e-3)
+    changes = np.gradient(path.velocity_m_s, fine, axis=0)
+    np.testing.assert_allclose(changes[smooth][1:-1], path.acceleration_m_s2[smooth][1:-1], atol=5e-3)
+
+
+def test_a_pad_that_gently_slows_down_as_before_never_halts() -> None:
+    path = predict_pad(_pad((1.5, 0.0, 0.0), (-0.5, 0.0, 0.0)), TIMES_S, 1.0)
+    np.testing.assert_allclose(path.velocity_m_s[:, 0], 1.5 - 0.5 * (1.0 - np.exp(-TIMES_S)))

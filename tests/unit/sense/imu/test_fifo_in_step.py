@@ -33,7 +33,7 @@ class Preempted:
         self._device.write(address, register, value)
 
     def close(self) -> None:
-        self._device.close()
+        pass
 
 
 def most_tilt_deg(rig: Rig, after_s: float) -> float:
