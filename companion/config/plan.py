@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+import math
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -12,6 +13,9 @@ from companion.config.reading import StrictModel
 Height = Annotated[float, Field(ge=1.0, le=50.0)]
 # north and east of home (m), and height over home where it is not that of the take-off
 Waypoint = tuple[Place, Place] | tuple[Place, Place, Height]
+
+
+_ROOM_M: Final = 2.0  # to stop in before fence and ceiling
 
 
 class PhaseTimesConfig(StrictModel):
@@ -53,6 +57,9 @@ class MissionConfig(StrictModel):
     arrival_speed_m_s: float = Field(default=0.8, ge=0.1, le=5.0)
     align_heading: bool = True
     fence_m: float = Field(default=150.0, ge=10.0, le=2000.0)  # from home; no beacon is followed beyond
+    ceiling_m: float = Field(default=60.0, ge=5.0, le=500.0)  # over home
+    pad_speed_m_s: float = Field(default=5.0, gt=0.0, le=30.0)  # horizontally; a faster pad is not followed
+    pad_acceleration_m_s2: float = Field(default=5.0, gt=0.0, le=30.0)
     largest_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=10.0)  # of our velocity, away from the pad
     total_timeout_s: float = Field(default=180.0, ge=10.0, le=3600.0)
     action_retry_s: float = Field(default=2.0, ge=0.2, le=30.0)
@@ -168,6 +175,23 @@ class PlanConfig(StrictModel):
     search: SearchConfig = SearchConfig()
     landing: LandingConfig = LandingConfig()
     touchdown: TouchdownConfig = TouchdownConfig()
+
+    @model_validator(mode="after")
+    def _what_is_planned_lies_within_bounds(self) -> PlanConfig:
+        mission = self.mission
+        highest_m = mission.take_off_height_m + self.search.climb_m + _ROOM_M
+        if mission.ceiling_m < highest_m:
+            raise ValueError(
+                f"mission.ceiling_m {mission.ceiling_m:g}: expected at least {highest_m:g}, "
+                f"take_off_height_m and search.climb_m with {_ROOM_M:g} m to stop in"
+            )
+        for north, east, *_ in (mission.waypoint_ned_m, *mission.waypoints_ned_m):
+            if math.hypot(north, east) > mission.fence_m - _ROOM_M:
+                raise ValueError(
+                    f"mission: a waypoint {math.hypot(north, east):.0f} m from home, "
+                    f"expected at most fence_m - {_ROOM_M:g} = {mission.fence_m - _ROOM_M:g}"
+                )
+        return self
 
     @model_validator(mode="after")
     def _a_try_fits_its_phase(self) -> PlanConfig:

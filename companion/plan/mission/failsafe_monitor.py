@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from companion.base.messages import AutopilotState, Phase, VehicleState
 from companion.config import MissionConfig
+from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.mode_monitor import ModeMonitor
@@ -25,6 +26,7 @@ class FailsafeMonitor:
     def __init__(self, config: MissionConfig, machine: StateMachine) -> None:
         self._config, self._machine = config, machine
         self._modes = ModeMonitor(config.take_off_height_m)
+        self._bounds = Bounds(config)
         self._took_off_s: float | None = None
         self._phase_since_s: float | None = None
 
@@ -77,7 +79,8 @@ class FailsafeMonitor:
             (not heard, MissionEvent.LINK_LOST, "no heartbeat from the autopilot"),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
-        found += [*self._estimate(inputs.vehicle, now_s), *self._battery(autopilot), *self._time(now_s)]
+        found += [*self._estimate(inputs.vehicle, now_s), *self._battery(autopilot)]
+        found += [*self._bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s), *self._time(now_s)]
         if heard:
             found.append((MissionEvent.LINK_UP, "heartbeat again"))
         return tuple(found)

@@ -91,6 +91,8 @@ class MissionEvent(StrEnum):
     ESTIMATE_LOST = "estimate_lost"
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
     BATTERY_CRITICAL = "battery_critical"
+    OUT_OF_BOUNDS = "out_of_bounds"  # the fence or the ceiling, with room to stop before it
+    PAD_TOO_FAST = "pad_too_fast"  # to be followed
 
 
 # what is detected, and why

@@ -45,7 +45,8 @@ BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
     *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP),
-    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL, E.OVERTIME, E.TIMEOUT),
+    *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
+    *(E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
 
 _ARM, _TAKE_OFF, _GO_TO = Action(ActionKind.ARM), Action(ActionKind.TAKE_OFF), Action(ActionKind.GO_TO)
@@ -191,6 +192,26 @@ ROWS: Final = (
         },
     ),
     _row(E.BATTERY_CRITICAL, OVER_PAD | {S.DESCEND}, Branch(None, guard=Guard.MAY_FINISH), *_RETURN_CONTROL),
+    _row(
+        E.OUT_OF_BOUNDS,
+        IN_AIR - COMMITTED,
+        *_RETURN_CONTROL,
+        except_={
+            **_all(ON_GROUND, _NOT_YET),
+            **_all(LAST_CENTIMETRES, _FINISHES),
+            **_all(ON_PAD, _STANDS),
+        },
+    ),
+    _row(
+        E.PAD_TOO_FAST,
+        {S.APPROACH, S.DESCEND} | OVER_PAD,
+        *_RETURN_CONTROL,
+        except_={
+            **_all(LIVE - BY_THE_PAD, "it does not follow the pad"),
+            **_all(LAST_CENTIMETRES, _FINISHES),
+            **_all(ON_PAD, _STANDS),
+        },
+    ),
     _row(E.STOP, {S.STANDBY, S.CONNECT}, _GIVE_UP),
     _row(E.STOP, S.ARM, _end(_DISARM)),
     _row(

@@ -75,6 +75,8 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.DISARMED, ON_GROUND),
         (E.OVERTIME, ON_GROUND | COMMITTED),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED),
+        (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED),
+        (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),
         (E.TIMEOUT, {S.STANDBY}),
     ],
 )
@@ -257,7 +259,10 @@ def test_a_pilot_who_takes_over_keeps_the_vehicle(state: State) -> None:
     assert Effect.STOP_SETPOINTS in branch.effects
 
 
-@pytest.mark.parametrize("event", [E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN])
+@pytest.mark.parametrize(
+    "event",
+    [E.STOP, E.OVERTIME, E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.OUT_OF_BOUNDS, E.PAD_TOO_FAST],
+)
 @pytest.mark.parametrize("state", sorted(IN_AIR - COMMITTED))
 def test_stop_overtime_and_a_lost_estimate_return_control_holding(state: State, event: MissionEvent) -> None:
     if TABLE[state, event]:

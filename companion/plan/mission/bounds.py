@@ -1,0 +1,77 @@
+"""The space and the pads that a mission keeps to: fence, ceiling, and the fastest pad that is followed.
+
+They bind the vehicle, whatever it follows. A bound is reached while there is still room to stop before it:
+at the speed v towards it that takes v t + v^2 / (2 a), with the time t until a HOLD is obeyed and the
+deceleration a that both autopilots reach in it. m, s; NED.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from companion.base.geometry import Vector3, ned_from_geodetic
+from companion.base.messages import AutopilotState, PadState, VehicleState
+from companion.config import MissionConfig
+from companion.plan.debounce import Debounce
+from companion.plan.mission.states import DetectedEvent, MissionEvent
+
+# A request, its answer and the begin of the braking: 0.2 s each on a slow link, and 0.4 s more to lean.
+_OBEYED_S: Final = 0.8
+# PX4 brakes with MPC_ACC_HOR (3 m/s²), ArduCopter's BRAKE with 2.5 m/s²; up and down with less.
+_BRAKES_M_S2: Final = 2.0
+# An estimate passes the bound for a moment when the pad is first seen.
+_TOO_FAST_S: Final = 0.5
+
+
+def stopping_m(speed_m_s: float) -> float:
+    """How far (m) the vehicle still gets at a speed towards a bound; 0 when it flies away from it."""
+    speed = max(0.0, speed_m_s)
+    return speed * _OBEYED_S + speed * speed / (2.0 * _BRAKES_M_S2)
+
+
+class Bounds:
+    """Looks at every cycle's estimates. Without a home position there is nothing to count from."""
+
+    def __init__(self, config: MissionConfig) -> None:
+        self._config = config
+        self._too_fast, self._too_hard = Debounce(), Debounce()
+        self._home: tuple[Vector3, Vector3, Vector3] | None = None
+
+    def detect(
+        self, vehicle: VehicleState | None, pad: PadState | None, autopilot: AutopilotState, now_s: float
+    ) -> Iterator[DetectedEvent]:
+        """Bounds that are reached."""
+        if vehicle is not None and vehicle.origin is not None and autopilot.home is not None:
+            yield from self._space(vehicle, self._home_local(autopilot.home, vehicle.origin))
+        yield from self._pad(pad, now_s)
+
+    def _home_local(self, home: Vector3, origin: Vector3) -> Vector3:
+        """Home in the EKF's NED; worked out once for a home and an origin."""
+        if self._home is None or self._home[:2] != (home, origin):
+            self._home = (home, origin, ned_from_geodetic(*home, origin))
+        return self._home[2]
+
+    def _space(self, vehicle: VehicleState, home: Vector3) -> Iterator[DetectedEvent]:
+        c = self._config
+        north, east, down = (p - h for p, h in zip(vehicle.position_ned_m, home, strict=True))
+        vn, ve, vd = vehicle.velocity_ned_m_s
+        away_m = math.hypot(north, east)
+        outward_m_s = (north * vn + east * ve) / away_m if away_m > 0.0 else 0.0
+        if away_m + stopping_m(outward_m_s) > c.fence_m:
+            yield MissionEvent.OUT_OF_BOUNDS, f"fence of {c.fence_m:.0f} m, {away_m:.0f} m from home"
+        if -down + stopping_m(-vd) > c.ceiling_m:
+            yield MissionEvent.OUT_OF_BOUNDS, f"ceiling of {c.ceiling_m:.0f} m, {-down:.0f} m over home"
+
+    def _pad(self, pad: PadState | None, now_s: float) -> Iterator[DetectedEvent]:
+        c = self._config
+        speed = acceleration = 0.0
+        if pad is not None:
+            speed = math.hypot(*pad.velocity_ned_m_s[:2])
+            acceleration = math.hypot(*pad.acceleration_ned_m_s2[:2])
+        if self._too_fast.held_s(speed > c.pad_speed_m_s, now_s) >= _TOO_FAST_S:
+            yield MissionEvent.PAD_TOO_FAST, f"{speed:.1f} m/s, at most {c.pad_speed_m_s:g} are followed"
+        if self._too_hard.held_s(acceleration > c.pad_acceleration_m_s2, now_s) >= _TOO_FAST_S:
+            most = c.pad_acceleration_m_s2
+            yield MissionEvent.PAD_TOO_FAST, f"{acceleration:.1f} m/s², at most {most:g} are followed"
