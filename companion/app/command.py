@@ -96,7 +96,7 @@ def new_log(folder: Path | None, *, virtual: bool) -> FlightLog:
     """
     if folder is not None and (folder / "flight.mcap").exists():
         raise ConfigError(f"--record {folder}: holds a flight already; expected a new or empty folder")
-    return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual))
+    return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual), virtual=virtual)
 
 
 def writable(path: Path | None) -> None:

@@ -17,7 +17,7 @@ from typing import Final
 
 from companion.base.errors import ConfigError
 
-FILE_NAME: Final = "flight-latch.json"
+FILE_NAME: Final = "latch.json"
 PERMIT_HINT: Final = "'companion permit' lets the next start fly"
 
 

@@ -3,7 +3,8 @@
 `FlightLog` keeps the topics that scoring needs in memory; with a folder it also streams every message to
 `flight.mcap` (JSON with a JSON schema for each topic: Foxglove opens it) and the MAVLink traffic to
 `flight.tlog` (the format of MAVProxy and pymavlink: 8 bytes of microseconds since 1970, then the packet).
-A log cut short by a crash or a flat battery still reads up to its last finished chunk.
+A log cut short by a crash or a flat battery still reads up to its last finished chunk: in flight one is
+finished, and written through to the card, every half second.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ import base64
 import contextlib
 import dataclasses
 import json
-import queue
+import math
+import os
 import struct
-import threading
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final, Literal
@@ -28,6 +29,7 @@ from pydantic import BaseModel
 from companion.base.message_json import encode, schema_of
 from companion.base.messages import Frame
 from companion.config import ConfigError
+from companion.flightlog.disk import DiskWriter
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(
@@ -39,9 +41,13 @@ LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
 SETTINGS_RECORD: Final = "settings"
 VERSIONS_RECORD: Final = "versions"
 VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
-# half a minute of everything
-QUEUE_SIZE: Final = 20_000
-QUEUE_PATIENCE_S: Final = 0.005
+# What is lost last when the disk does not keep up: it explains the flight.
+EXPLAINING: Final = frozenset(
+    {"notice", "plan", "action", "action_result", "vehicle", "pad", "control_report"}
+)
+# a process that is killed, or a Raspberry Pi without power, loses no more than this
+FLUSHED_S: Final = 0.5
+LOSSES_RECORD: Final = "losses"
 MCAP_CHUNK_BYTES: Final = 64 * 1024
 FRAME_JPEG_QUALITY: Final = 85
 MAVLINK2_MAGIC: Final = 0xFD
@@ -51,13 +57,16 @@ MAVLINK1_MAGIC: Final = 0xFE
 class FlightLog:
     """Takes every message with the time it was written; hands back the kept ones by topic."""
 
-    def __init__(self, folder: Path | None, start_unix_s: float, frame_rate_hz: float = 5.0) -> None:
+    def __init__(
+        self, folder: Path | None, start_unix_s: float, frame_rate_hz: float = 5.0, *, virtual: bool = False
+    ) -> None:
         """Open the log.
 
         Args:
             folder: where to leave flight.mcap and flight.tlog; None keeps nothing on disk.
             start_unix_s: seconds since 1970 at loop time 0.
             frame_rate_hz: how many of the camera's frames go to disk a second.
+            virtual: in virtual time; the flight waits for the disk, and nothing is written through.
 
         Raises:
             ConfigError: the folder cannot be made or written.
@@ -73,10 +82,12 @@ class FlightLog:
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                mcap, tlog = _McapFile(folder / LOG_NAMES[0]), _TlogFile(folder / LOG_NAMES[1])
+                flushed_s = math.inf if virtual else FLUSHED_S
+                mcap = _McapFile(folder / LOG_NAMES[0], flushed_s)
+                tlog = _TlogFile(folder / LOG_NAMES[1], flushed_s)
             except OSError as error:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
-            self._files = _Files(_Disk(), mcap, tlog)
+            self._files = _Files(DiskWriter(waits=virtual), mcap, tlog)
 
     @property
     def problem(self) -> str | None:
@@ -88,7 +99,8 @@ class FlightLog:
         if topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
-            files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s))
+            bulky = topic not in EXPLAINING
+            files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s), bulky=bulky)
 
     def write_settings(self, **settings: BaseModel) -> None:
         """Log the settings that the app flies with, and our versions: with them a flight can be replayed."""
@@ -102,17 +114,27 @@ class FlightLog:
         if (files := self._files) is None or time_s < self._next_frame_s:
             return
         self._next_frame_s = time_s + self._frame_period_s
-        files.disk.put(files.mcap.write_image, frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+        exposed_ns, size_bytes = self._unix_ns(frame.time_s), frame.image.nbytes
+        files.disk.put(
+            files.mcap.write_image,
+            frame,
+            exposed_ns,
+            self._unix_ns(time_s),
+            bulky=True,
+            size_bytes=size_bytes,
+        )
 
     def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
         """Log MAVLink bytes as they came or went; a packet cut by a read is joined with its rest."""
         if (files := self._files) is not None:
-            files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction)
+            files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction, bulky=True)
 
     def close(self) -> None:
         """Finish the files; the log takes nothing after that."""
         if (files := self._files) is not None:
             self._files = None
+            if files.disk.lost:
+                files.disk.put(files.mcap.write_metadata, LOSSES_RECORD, {"messages": str(files.disk.lost)})
             files.disk.put(files.mcap.close)
             files.disk.put(files.tlog.close)
             files.disk.finish()
@@ -131,54 +153,26 @@ class FlightLog:
         return int((self._start_unix_s + time_s) * 1e9)
 
 
-class _Disk:
-    """Writes in a thread of its own: a card that stalls must not stall the control loop.
+class _FlushDue:
+    """Whether so long has passed, by the messages' own times, since it last was due."""
 
-    What does not fit into the queue any more waits for a moment, then is dropped and counted. A card that is
-    full ends the log on disk, not the flight.
-    """
+    def __init__(self, every_s: float) -> None:
+        self._every_s = every_s
+        self._last_s = -math.inf
 
-    def __init__(self) -> None:
-        self._lost = 0
-        self._failure: str | None = None
-        self._queue: queue.Queue[tuple[Callable[..., None], tuple[Any, ...]] | None] = queue.Queue(QUEUE_SIZE)
-        self._thread = threading.Thread(target=self._work, name="flight-log", daemon=True)
-        self._thread.start()
-
-    @property
-    def problem(self) -> str | None:
-        """What was not written, if anything."""
-        if self._failure is not None:
-            return f"the flight log on disk ends here: {self._failure}"
-        return f"the disk does not keep up: {self._lost} messages lost from the log" if self._lost else None
-
-    def put(self, write: Callable[..., None], *arguments: Any) -> None:
-        """Have `write` called with these arguments."""
-        try:
-            self._queue.put((write, arguments), timeout=QUEUE_PATIENCE_S)
-        except queue.Full:
-            self._lost += 1
-
-    def finish(self) -> None:
-        """Write what is left, and end."""
-        self._queue.put(None)
-        self._thread.join()
-
-    def _work(self) -> None:
-        while (item := self._queue.get()) is not None:
-            write, arguments = item
-            if self._failure is None:
-                try:
-                    write(*arguments)
-                except OSError as error:
-                    self._failure = error.strerror or str(error)
+    def at(self, time_s: float) -> bool:
+        if not time_s - self._last_s >= self._every_s:
+            return False
+        self._last_s = time_s
+        return True
 
 
 class _McapFile:
     """One MCAP file with a channel for each topic."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, flushed_s: float) -> None:
         self._stream = path.open("wb")
+        self._flush_due = _FlushDue(flushed_s)
         self._writer = Writer(self._stream, chunk_size=MCAP_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="companion")
         self._channels: dict[str, int] = {}
@@ -188,6 +182,9 @@ class _McapFile:
         if channel is None:
             channel = self._register(topic, type(message).__name__, schema_of(type(message)))
         self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=encode(message))
+        if self._flush_due.at(1e-9 * unix_ns):
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            os.fsync(self._stream.fileno())
 
     def write_metadata(self, name: str, values: Mapping[str, str]) -> None:
         self._writer.add_metadata(name, dict(values))
@@ -220,8 +217,9 @@ class _McapFile:
 class _TlogFile:
     """One .tlog file; each direction is cut into packets by itself."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, flushed_s: float) -> None:
         self._stream: IO[bytes] = path.open("wb")
+        self._flush_due = _FlushDue(flushed_s)
         self._rest = {"in": b"", "out": b""}
 
     def write(self, data: bytes, unix_us: int, direction: str) -> None:
@@ -229,6 +227,9 @@ class _TlogFile:
         packets, self._rest[direction] = split_packets(self._rest[direction] + data)
         for packet in packets:
             self._stream.write(stamp + packet)
+        if self._flush_due.at(1e-6 * unix_us):
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
 
     def close(self) -> None:
         self._stream.close()
@@ -238,7 +239,7 @@ class _TlogFile:
 class _Files:
     """What is open, and the thread that writes to it."""
 
-    disk: _Disk
+    disk: DiskWriter
     mcap: _McapFile
     tlog: _TlogFile
 

@@ -1,0 +1,79 @@
+"""The thread that writes the flight log: a card that stalls must not stall the control loop.
+
+`put` never waits in flight. What does not fit is dropped, counted and told: bulky data (samples, frames,
+MAVLink) first, while there is still room for what explains a flight. In virtual time the flight waits for the
+disk instead, so that nothing is lost. An error of the card ends the log, not the flight.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from typing import Any, Final
+
+# half a minute of everything, and no more memory than a Raspberry Pi can spare
+QUEUE_SIZE: Final = 20_000
+BULKY_SHARE: Final = 0.75
+QUEUE_BYTES: Final = 64 * 1024 * 1024
+
+_Job = tuple[Callable[..., None], tuple[Any, ...], int]
+
+
+class DiskWriter:
+    """Calls what it is given, in order, in a thread of its own; `waits` is for virtual time."""
+
+    def __init__(self, *, waits: bool = False) -> None:
+        self._waits = waits
+        self._failure: str | None = None
+        self._queue: queue.Queue[_Job | None] = queue.Queue(QUEUE_SIZE)
+        self._lock = threading.Lock()
+        self._bytes = 0
+        self.lost = 0
+        self._thread = threading.Thread(target=self._work, name="flight-log", daemon=True)
+        self._thread.start()
+
+    @property
+    def problem(self) -> str | None:
+        """What was not written, if anything."""
+        if self._failure is not None:
+            return f"the flight log on disk ends here: {self._failure}"
+        return f"the disk does not keep up: {self.lost} messages lost from the log" if self.lost else None
+
+    def put(
+        self, write: Callable[..., None], *arguments: Any, bulky: bool = False, size_bytes: int = 0
+    ) -> None:
+        """Have `write` called with these arguments; `size_bytes`: the memory they hold, where it is much."""
+        if self._waits:
+            self._queue.put((write, arguments, 0))
+            return
+        full = bulky and self._queue.qsize() > BULKY_SHARE * QUEUE_SIZE
+        if full or self._bytes + size_bytes > QUEUE_BYTES:
+            self.lost += 1
+            return
+        try:
+            self._queue.put_nowait((write, arguments, size_bytes))
+        except queue.Full:
+            self.lost += 1
+            return
+        self._count(size_bytes)
+
+    def finish(self) -> None:
+        """Write what is left, and end."""
+        self._queue.put(None)
+        self._thread.join()
+
+    def _count(self, size_bytes: int) -> None:
+        if size_bytes:
+            with self._lock:
+                self._bytes += size_bytes
+
+    def _work(self) -> None:
+        while (item := self._queue.get()) is not None:
+            write, arguments, size_bytes = item
+            self._count(-size_bytes)
+            if self._failure is None:
+                try:
+                    write(*arguments)
+                except OSError as error:
+                    self._failure = error.strerror or str(error)

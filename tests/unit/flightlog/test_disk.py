@@ -1,0 +1,120 @@
+"""A card that stalls or is full: `put` returns at once, what explains the flight is dropped last."""
+
+import errno
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from companion.flightlog import disk
+from companion.flightlog.disk import DiskWriter
+
+
+class SlowCard:
+    """Writes nothing until it is let go on; keeps what came through."""
+
+    def __init__(self) -> None:
+        self.goes_on, self.stands = threading.Event(), threading.Event()
+        self.written: list[object] = []
+
+    def write(self, item: object) -> None:
+        self.stands.set()
+        assert self.goes_on.wait(30.0)
+        self.written.append(item)
+
+
+@pytest.fixture
+def card() -> Iterator[SlowCard]:
+    card = SlowCard()
+    yield card
+    card.goes_on.set()
+
+
+def held_up(card: SlowCard) -> DiskWriter:
+    """A writer whose thread stands in its first write, with an empty queue."""
+    writer = DiskWriter()
+    writer.put(card.write, "first")
+    assert card.stands.wait(30.0)
+    return writer
+
+
+def test_with_the_queue_full_put_waits_for_nobody_and_counts(
+    card: SlowCard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = held_up(card)
+    put = writer._queue.put
+
+    def put_without_waiting(item: Any, block: bool = True) -> None:
+        assert not block
+        put(item, block=False)
+
+    monkeypatch.setattr(writer._queue, "put", put_without_waiting)
+    for k in range(disk.QUEUE_SIZE + 50):
+        writer.put(card.write, k)
+    assert writer.lost == 50
+    assert writer.problem == "the disk does not keep up: 50 messages lost from the log"
+    monkeypatch.undo()
+    card.goes_on.set()
+    writer.finish()
+    assert card.written == ["first", *range(disk.QUEUE_SIZE)]
+
+
+def test_what_is_bulky_goes_first(card: SlowCard) -> None:
+    writer = held_up(card)
+    for k in range(disk.QUEUE_SIZE):
+        writer.put(card.write, ("sample", k), bulky=True)
+    kept = disk.QUEUE_SIZE - writer.lost
+    assert kept == pytest.approx(disk.BULKY_SHARE * disk.QUEUE_SIZE, abs=1)
+    writer.put(card.write, "notice")
+    card.goes_on.set()
+    writer.finish()
+    assert card.written[-1] == "notice"
+    assert len(card.written) == 1 + kept + 1
+
+
+def test_frames_are_bounded_by_the_memory_they_hold(card: SlowCard) -> None:
+    writer = held_up(card)
+    for k in range(20):
+        writer.put(card.write, k, bulky=True, size_bytes=disk.QUEUE_BYTES // 10)
+    assert writer.lost == 10
+    card.goes_on.set()
+    writer.finish()
+    assert len(card.written) == 1 + 10
+
+
+def test_once_the_card_keeps_up_again_so_does_the_log(card: SlowCard) -> None:
+    writer = held_up(card)
+    for _ in range(2):
+        writer.put(card.write, "frame", size_bytes=disk.QUEUE_BYTES)
+    assert writer.lost == 1
+    card.goes_on.set()
+    done = threading.Event()
+    writer.put(done.set)
+    assert done.wait(30.0)
+    writer.put(card.write, "later", size_bytes=disk.QUEUE_BYTES)
+    writer.finish()
+    assert card.written == ["first", "frame", "later"]
+
+
+def test_in_virtual_time_the_flight_waits_for_the_disk(card: SlowCard) -> None:
+    writer = DiskWriter(waits=True)
+    card.goes_on.set()
+    for k in range(disk.QUEUE_SIZE + 500):
+        writer.put(card.write, k, bulky=True)
+    writer.finish()
+    assert writer.problem is None
+    assert len(card.written) == disk.QUEUE_SIZE + 500
+
+
+def test_a_full_card_ends_the_log_and_nothing_else() -> None:
+    def full(_item: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    written: list[object] = []
+    writer = DiskWriter()
+    writer.put(full, "a")
+    writer.put(written.append, "b")
+    writer.finish()
+    assert written == []
+    assert writer.problem == "the flight log on disk ends here: No space left on device"
