@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -40,6 +41,7 @@ from companion.config.magnetometer import MagnetometerCalibration, Sensor, load_
 from companion.flightlog.record import FlightLog
 from companion.link.codec import Severity
 from companion.link.telemetry.autopilot_sensors import Sample, TelemetrySensors
+from companion.sense.camera.health import FrameJudge
 from companion.sense.camera.keeper import KeptCamera
 from companion.sense.camera.source import at_exposure
 from companion.sense.gps.neo6m import Neo6m
@@ -137,6 +139,9 @@ class Sensing:
         self.last_frame: FrameReport | None = None
         self.frame_count = 0
         self._fault_told_s = self._attitude_s = float("-inf")
+        # a camera that is kept judges its frames itself
+        kept = isinstance(hardware.frames, KeptCamera)
+        self._frame_judge = None if kept else FrameJudge(oldest_s=math.inf)
 
     @property
     def calibrations(self) -> dict[str, StrictModel]:
@@ -301,6 +306,10 @@ class Sensing:
         while True:
             frame = at_exposure(await self._hardware.frames.next(), self._frame_time_offset_s)
             self._log.write_frame(frame, self._clock.now_s())
+            fault = None if self._frame_judge is None else self._frame_judge.fault(frame)
+            if fault is not None and not fault.usable:
+                self._notify_fault(f"frame {frame.sequence} not used: {fault.text}")
+                continue
             prior = self._estimator.pad_prior(frame.time_s)
             try:
                 seen = await self._clock.run(

@@ -70,6 +70,55 @@ def test_the_pad_is_seen_again_and_people_are_told_when_the_camera_comes_back() 
     assert problems[1.5] is not None
 
 
+class FrozenPicture:
+    """Frames with new stamps and numbers, and from a moment on with the same picture."""
+
+    def __init__(self, frozen_from_s: float) -> None:
+        self._model = CameraModel(CAMERA, VEHICLE, PAD, ImagingSettings(), np.random.default_rng(5))
+        self._from_s, self._count, self._clock = frozen_from_s, 0, Clock()
+        self._image = self._render(0.0)
+
+    def _render(self, time_s: float) -> np.ndarray:
+        still = ScenePose((0.0, 0.0, -2.3), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -0.3), 0.0)
+        return self._model.render(time_s, lambda _: still)
+
+    async def next(self) -> Frame:
+        await asyncio.sleep(1.0 / 30.0)
+        now_s, self._count = self._clock.now_s(), self._count + 1
+        if now_s < self._from_s:
+            self._image = self._render(now_s)
+        return Frame(now_s - 0.01, now_s, self._count, self._image)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_picture_that_stands_still_with_new_stamps_is_no_sighting() -> None:
+    told = list[str]()
+    samples = RecentSamples()
+
+    async def main() -> None:
+        clock = Clock()
+        sensing = Sensing(
+            CompanionConfig(),
+            Hardware(memory_pair()[0], FrozenPicture(frozen_from_s=1.0)),
+            Vision(PAD, CAMERA, VEHICLE, CompanionConfig().sense.vision),
+            samples,
+            clock=clock,
+            log=FlightLog(None, start_unix_s=0.0),
+            notify=lambda _kind, text, _severity: told.append(text),
+        )
+        task = asyncio.create_task(run(sensing.tasks()["camera"]))
+        await clock.sleep_until(2.0)
+        task.cancel()
+
+    run_in_virtual_time(main())
+    times = [sighting.time_s for sighting in samples.sightings]
+    assert len(times) > 10
+    assert max(times) < 1.05
+    assert [text.partition(": ")[2] for text in told] == ["it gives the same image over and over"]
+
+
 async def run(work: Callable[[], Awaitable[None]]) -> None:
     await work()
 
