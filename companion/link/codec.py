@@ -1,9 +1,8 @@
-"""MAVLink 2 bytes <-> messages: framing, the messages we build. Pure; the only module that uses pymavlink.
+"""MAVLink 2 bytes <-> messages: framing, the messages we build. Pure.
 
-Both sides of the link use it: the app and the bundled simulator. The dialect is `ardupilotmega`:
-`common`, and what an ArduPilot says besides. It is untyped, so it gets its names here once: `mavlink`, and
-`Message` for what it makes. Frames and units are MAVLink's: local NED in m, angles in rad, quaternions
-(w, x, y, z), latitude and longitude in 1e-7 deg.
+Both sides of the link use it: the app and the bundled simulator. pymavlink is untyped, so it gets its names
+here once: `mavlink` (see `dialect`), and `Message` for what it makes. Frames and units are MAVLink's: local
+NED in m, angles in rad, quaternions (w, x, y, z), latitude and longitude in 1e-7 deg.
 
 Framing is our own and pymavlink decodes whole frames only: its parser drops everything a false start byte
 claims, where this one goes back to the next byte, so that garbage never costs a good message.
@@ -17,12 +16,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-from pymavlink.dialects.v20 import ardupilotmega
-
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Setpoint
+from companion.link.dialect import mavlink as mavlink  # noqa: PLC0414 - named here for all
 
-mavlink: Any = ardupilotmega
 Message = Any
 
 COMPANION_COMPONENT: Final = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -193,10 +190,11 @@ def is_autopilot_heartbeat(message: Message) -> bool:
     )
 
 
-def has_autopilot_heartbeat(data: bytes, system_id: int) -> bool:
-    """Whether whole frames in `data` hold an autopilot's heartbeat, of that system (0: of any)."""
+def autopilot_heard(data: bytes, system_id: int) -> int | None:
+    """The system whose autopilot's heartbeat whole frames in `data` hold, that one (0: any); None: none."""
     messages = Codec(system_id, wanted=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,)).decode(data)
-    return any(is_autopilot_heartbeat(m) and system_id in (0, m.get_srcSystem()) for m in messages)
+    found = (m.get_srcSystem() for m in messages if is_autopilot_heartbeat(m))
+    return next((system for system in found if system_id in (0, system)), None)
 
 
 def has_command(data: bytes) -> bool:

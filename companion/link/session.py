@@ -26,6 +26,7 @@ from companion.link.commands import (
     request_message,
     set_message_interval,
 )
+from companion.link.dialect import CURRENT_MODE
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.streams import OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.alignment import HeadingAlignment
@@ -50,6 +51,7 @@ HEARD: Final = frozenset(
         mavlink.MAVLINK_MSG_ID_TIMESYNC,
         mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET,
         mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+        CURRENT_MODE,
     }
 )
 _STAMPED: Final = frozenset(
@@ -135,6 +137,9 @@ class Session:
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
                 self._hear_beacon(message, now_s)
             elif message_id == mavlink.MAVLINK_MSG_ID_COMMAND_ACK:
+                # a gimbal or a ground station may not answer in the autopilot's place
+                if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+                    continue
                 us = (self._codec.system_id, self._codec.component_id)
                 self._commands.acknowledged(message, us, now_s)
             elif self._is_our_autopilot(message):

@@ -11,6 +11,7 @@ from typing import Final
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import mavlink
+from companion.link.dialect import CURRENT_MODE
 
 TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
@@ -21,7 +22,12 @@ TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
 }
 # what one make alone sends
 OWN_RATES_HZ: Final[dict[AutopilotKind | None, dict[int, float]]] = {
-    "ardupilot": {mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0},
+    # The mode is a pilot's word. PX4 refuses another rate of HEARTBEAT (1 Hz), ArduPilot has no CURRENT_MODE.
+    "px4": {CURRENT_MODE: 10.0},
+    "ardupilot": {
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 2.0,
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
+    },
 }
 _WINDOW_S: Final = 2.0
 _LONGEST_WINDOW_S: Final = 16.0

@@ -17,7 +17,7 @@ import serial
 
 from companion.base.clock import Clock
 from companion.config import CONNECTION_FORM, ConfigError
-from companion.link.codec import has_autopilot_heartbeat
+from companion.link.codec import autopilot_heard
 from companion.link.inbox import Inbox
 from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
 
@@ -47,9 +47,10 @@ class Transport(Protocol):
 class UdpTransport(asyncio.DatagramProtocol):
     """UDP: calling a fixed peer, or listening for one. Made by `open_transport`.
 
-    A listener's peer is the first address that an autopilot's heartbeat comes from (of `system_id`; 0: of
-    any). Others are neither received nor answered, or setpoints would go to whoever spoke last; once the peer
-    has been silent for 3 s, as when a router has restarted at another port, the next such address follows.
+    A listener's peer is the first address that an autopilot's heartbeat comes from (of `system_id`; 0: of the
+    first one that is received). Others are neither received nor answered, or setpoints would go to whoever
+    spoke last; once the peer has been silent for 3 s, as when a router has restarted at another port, the
+    next address of the same system follows.
     """
 
     def __init__(self, system_id: int = 0) -> None:
@@ -113,8 +114,12 @@ class UdpTransport(asyncio.DatagramProtocol):
 
     def _may_follow(self, data: bytes, now_s: float) -> bool:
         """Whether who sent this may be the peer from now on."""
-        silent = now_s - self._peer_heard_s > _PEER_SILENCE_S
-        return silent and has_autopilot_heartbeat(data, self._system_id)
+        if now_s - self._peer_heard_s <= _PEER_SILENCE_S:
+            return False
+        system_id = autopilot_heard(data, self._system_id)
+        # once one was found it stays that one: another vehicle's would get our setpoints
+        self._system_id = system_id or self._system_id
+        return system_id is not None
 
     def _ignore(self, address: tuple[str, int]) -> None:
         self.strangers += 1

@@ -181,8 +181,9 @@ class MavlinkEndpoint:
             self.send_to_other_links(message)
 
     def set_interval(self, message_id: int, interval_us: float) -> bool:
-        """SET_MESSAGE_INTERVAL; False when there is no such message."""
-        return self._has(message_id) and self._streams.set_interval(message_id, interval_us)
+        """SET_MESSAGE_INTERVAL; False when there is no such message. A PX4 keeps its heartbeat's rate."""
+        fixed = self.autopilot.profile.name == "px4" and message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        return not fixed and self._has(message_id) and self._streams.set_interval(message_id, interval_us)
 
     def send_message_interval(self, message_id: int) -> None:
         """MESSAGE_INTERVAL: 0 for a message that does not exist, -1 for one that is not streamed."""

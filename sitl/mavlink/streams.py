@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.link.dialect import CURRENT_MODE
 from sitl.mavlink.framing import dialect
 
 mavlink: Any = dialect
@@ -19,6 +20,7 @@ _LOWEST_RATE_HZ: Final = 0.01
 _HIGHEST_RATE_HZ: Final = 200.0
 DEFAULT_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,
+    CURRENT_MODE: 0.5,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,

@@ -13,6 +13,7 @@ from typing import Any, Final
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, euler_from_quat, norm
 from companion.base.messages import LandedState
+from companion.link.dialect import CURRENT_MODE, CurrentMode
 from sitl.autopilot import AttitudeSetpoint, SimulatedAutopilot
 from sitl.mavlink import mission_protocol
 from sitl.mavlink.framing import dialect
@@ -80,6 +81,12 @@ def heartbeat(autopilot: SimulatedAutopilot, now_s: float) -> Message:
     return mavlink.MAVLink_heartbeat_message(
         mavlink.MAV_TYPE_QUADROTOR, autopilot.profile.autopilot_id, base_mode, custom_mode, state, 3
     )
+
+
+def current_mode(autopilot: SimulatedAutopilot, now_s: float) -> Message:
+    """CURRENT_MODE of a PX4 from 1.15 on; it names no standard mode of most of its modes."""
+    _, custom_mode = autopilot.mode_numbers
+    return CurrentMode(0, custom_mode, custom_mode)
 
 
 def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) -> Message:
@@ -286,6 +293,7 @@ BUILDERS: Final[dict[int, Builder]] = {
 }
 OWN_BUILDERS: Final[dict[AutopilotKind, dict[int, Builder]]] = {
     "px4": {
+        CURRENT_MODE: current_mode,
         mavlink.MAVLINK_MSG_ID_ALTITUDE: altitude,
         mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: estimator_status,
     },

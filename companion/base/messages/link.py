@@ -39,6 +39,7 @@ class AutopilotState:
     `ready_to_arm` is what it says of its checks before arming. An ArduPilot makes them for the mode it is in,
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
+    `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
     """
 
     time_s: float
@@ -59,6 +60,7 @@ class AutopilotState:
     home: Vector3 | None = None
     texts: tuple[str, ...] = ()
     battery_share: float | None = None
+    motors_cut: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import Vector3, quat_from_euler, quat_normalise, vector3
 from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Message, mavlink
+from companion.link.dialect import CURRENT_MODE
 from companion.link.modes import CONTROL_MODE, mode_name
 
 KEPT_TEXTS: Final = 10
@@ -84,6 +85,9 @@ class StatusTexts:
 def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
     autopilot_kind = _AUTOPILOT_KINDS.get(message.autopilot)
     mode = "" if autopilot_kind is None else mode_name(autopilot_kind, message.custom_mode)
+    # PX4 says it here, ArduPilot in SYS_STATUS
+    terminated = message.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
+    cut = terminated or (autopilot_kind == "ardupilot" and state.motors_cut)
     # its filter's report is asked for: until that comes it is not known to be ready
     ekf_ready = False if autopilot_kind == "ardupilot" and state.ekf_ready is None else state.ekf_ready
     return replace(
@@ -94,8 +98,18 @@ def _heartbeat(state: AutopilotState, message: Message, time_s: float) -> Autopi
         armed=bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED),
         mode=mode,
         offboard=autopilot_kind is not None and mode == CONTROL_MODE[autopilot_kind],
+        motors_cut=cut,
         ekf_ready=ekf_ready,
     )
+
+
+def _current_mode(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
+    """The mode alone, sooner than the next heartbeat has it."""
+    kind = state.autopilot_kind
+    if kind is None or not state.connected:
+        return state
+    mode = mode_name(kind, message.custom_mode)
+    return replace(state, time_s=time_s, mode=mode, offboard=mode == CONTROL_MODE[kind])
 
 
 def _sys_status(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
@@ -109,7 +123,13 @@ def _sys_status(state: AutopilotState, message: Message, time_s: float) -> Autop
         ready = bool(healthy & prearm)
     charge = message.battery_remaining  # percent, -1 unknown
     battery_share = 0.01 * charge if 0 <= charge <= 100 else None
-    return replace(state, time_s=time_s, ready_to_arm=ready, battery_share=battery_share)
+    state = replace(state, time_s=time_s, ready_to_arm=ready, battery_share=battery_share)
+    if state.autopilot_kind != "ardupilot":
+        return state
+    # an emergency stop, or a safety switch, takes its outputs out of what is enabled (GCS.cpp)
+    outputs = mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+    stopped = bool(message.onboard_control_sensors_present & outputs and not enabled & outputs)
+    return replace(state, motors_cut=stopped and state.armed)
 
 
 def _ekf_status_report(state: AutopilotState, message: Message, time_s: float) -> AutopilotState:
@@ -174,4 +194,5 @@ _HANDLERS: Final[dict[int, Callable[[AutopilotState, Message, float], AutopilotS
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global_position,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home_position,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_status_report,
+    CURRENT_MODE: _current_mode,
 }

@@ -71,6 +71,11 @@ class FailsafeMonitor:
             ),
             (heard and not autopilot.armed, MissionEvent.DISARMED, "motors off"),
             (
+                heard and autopilot.motors_cut,
+                MissionEvent.PILOT_TOOK_OVER,
+                "kill switch, emergency stop or flight termination",
+            ),
+            (
                 taken_over,
                 MissionEvent.PILOT_TOOK_OVER,
                 f"mode {autopilot.mode or 'unknown'} was not requested",

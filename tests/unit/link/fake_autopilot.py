@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import Codec, Message, mavlink, status_texts, timesync
+from companion.link.dialect import CurrentMode
 from companion.link.modes import custom_mode
 
 ACCEPTED = mavlink.MAV_RESULT_ACCEPTED
@@ -82,6 +83,7 @@ class FakeAutopilot:
             m.id: m
             for m in (
                 self._heartbeat(),
+                CurrentMode(0, custom_mode(self.autopilot_kind, self.mode), 0),
                 mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, self.heading_rad, 0.0, 0.0, 0.0),
                 mavlink.MAVLink_local_position_ned_message(boot_ms, 1.0, 2.0, -3.0, 0.1, 0.2, 0.3),
                 mavlink.MAVLink_global_position_int_message(

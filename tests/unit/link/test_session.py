@@ -13,11 +13,12 @@ from companion.config import LinkConfig
 from companion.link.codec import Codec, Message, heartbeat, mavlink, status_texts, timesync
 from companion.link.commands import NO_ANSWER, VehicleCommand
 from companion.link.session import Session
-from companion.link.streams import TELEMETRY_RATES_HZ
+from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
 
 DELAY_S = 0.004
+PX4_RATES_HZ = TELEMETRY_RATES_HZ | OWN_RATES_HZ["px4"]
 
 
 class Flight:
@@ -97,8 +98,8 @@ def test_every_rate_is_asked_for_once_when_it_is_honoured() -> None:
     flight = Flight()
     flight.run(12.0)
     asked = [m.param1 for m in flight.autopilot.commands(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)]
-    assert sorted(asked) == sorted(TELEMETRY_RATES_HZ)
-    assert flight.autopilot.rates_hz == pytest.approx(TELEMETRY_RATES_HZ, rel=1e-3)
+    assert sorted(asked) == sorted(PX4_RATES_HZ)
+    assert flight.autopilot.rates_hz == pytest.approx(PX4_RATES_HZ, rel=1e-3)
 
 
 def test_a_rate_that_another_program_lowers_is_asked_for_again() -> None:
@@ -112,7 +113,7 @@ def test_a_rate_that_another_program_lowers_is_asked_for_again() -> None:
 def test_a_rate_request_that_is_lost_is_repeated() -> None:
     flight = Flight(autopilot=FakeAutopilot(deaf_to={mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: 2}))
     flight.run(2.0)
-    assert set(flight.autopilot.rates_hz) == set(TELEMETRY_RATES_HZ)
+    assert set(flight.autopilot.rates_hz) == set(PX4_RATES_HZ)
 
 
 def test_home_is_asked_for_until_it_is_known_and_again_after_arming() -> None:
@@ -140,7 +141,7 @@ def test_silence_is_a_lost_connection_and_everything_is_asked_for_again_afterwar
     flight.cut = False
     flight.run(2.0)
     assert flight.is_connected()
-    assert set(flight.autopilot.rates_hz) == set(TELEMETRY_RATES_HZ)
+    assert set(flight.autopilot.rates_hz) == set(PX4_RATES_HZ)
 
 
 @pytest.mark.parametrize("offset_s", [-99.9, 0.0, 4321.0])
@@ -364,8 +365,10 @@ def test_a_denied_command_says_so() -> None:
     assert flight.session.state.texts[-1] == "Arming denied: no GPS"
 
 
-def ack(result: int, target: tuple[int, int], source: int = 1) -> bytes:
-    return Codec(source, 1).encode(mavlink.MAVLink_command_ack_message(ARM.number, result, 0, 0, *target))
+def ack(result: int, target: tuple[int, int], source: int = 1, component: int = 1) -> bytes:
+    return Codec(source, component).encode(
+        mavlink.MAVLink_command_ack_message(ARM.number, result, 0, 0, *target)
+    )
 
 
 @pytest.mark.parametrize(
@@ -380,6 +383,37 @@ def test_only_an_answer_for_us_from_whom_we_asked_counts(
     session.tick(0.0)
     session.receive(ack(0, target, source), 0.1)
     assert pending.accepted is taken
+
+
+def test_another_component_does_not_answer_in_the_autopilots_place() -> None:
+    session = Session(LinkConfig())
+    pending = session.command(ARM)
+    session.tick(0.0)
+    session.receive(ack(0, (1, 191), component=154), 0.1)
+    assert pending.outcome is None
+    session.receive(ack(0, (1, 191)), 0.2)
+    assert pending.accepted
+
+
+def test_a_px4s_mode_is_known_between_its_heartbeats() -> None:
+    flight = Flight()
+    flight.run(3.0)
+    changes = []
+    for _ in range(7):
+        flight.run(0.53)  # at no particular time between two heartbeats
+        flight.autopilot.mode = "OFFBOARD" if flight.autopilot.mode != "OFFBOARD" else "POSCTL"
+        changed_s = flight.now_s
+        while flight.session.state.mode != flight.autopilot.mode:
+            flight.run(0.002)
+        changes.append(flight.now_s - changed_s)
+        assert flight.session.state.offboard is (flight.autopilot.mode == "OFFBOARD")
+    assert max(changes) <= 0.1 + 2 * DELAY_S + 0.004
+
+
+def test_an_ardupilots_heartbeat_is_asked_for_five_times_a_second() -> None:
+    flight = Flight(autopilot=FakeAutopilot("ardupilot", mode="GUIDED"))
+    flight.run(3.0)
+    assert flight.autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_HEARTBEAT] == pytest.approx(5.0)
 
 
 def test_in_progress_means_wait_and_do_not_repeat() -> None:

@@ -189,6 +189,16 @@ def test_with_system_id_0_any_autopilot_makes_a_peer() -> None:
     assert answered_to((0.0, heartbeat_of(2), AUTOPILOT), system_id=0) == [AUTOPILOT]
 
 
+def test_with_system_id_0_the_first_one_stays_the_only_one() -> None:
+    peers = answered_to(
+        (0.0, heartbeat_of(2), AUTOPILOT),
+        (4.0, heartbeat_of(3), STRAY),
+        (4.1, heartbeat_of(2), STRAY),
+        system_id=0,
+    )
+    assert peers == [AUTOPILOT, AUTOPILOT, STRAY]
+
+
 def test_setpoints_go_to_the_peer_whoever_speaks_in_between() -> None:
     peers = answered_to(
         (0.0, HEARTBEAT, AUTOPILOT), (1.0, b"x", AUTOPILOT), (3.9, b"hello", STRAY), (3.95, HEARTBEAT, STRAY)

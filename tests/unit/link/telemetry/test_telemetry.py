@@ -11,10 +11,12 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.base.geometry import euler_from_quat, quat_from_euler
 from companion.base.messages import AutopilotState, LandedState
 from companion.link.codec import Codec, Message, mavlink, status_texts
+from companion.link.dialect import CurrentMode
 from companion.link.modes import ARDUCOPTER_MODES, PX4_MODES, custom_mode, mode_name, mode_parameters
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 
 FRESH = AutopilotState(time_s=0.0)
+OUTPUTS = mavlink.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
 
 
 def over_the_wire(message: Message) -> Message:
@@ -170,6 +172,51 @@ def test_an_ardupilots_filter_is_ready_once_it_knows_where_it_is(flags: int, rea
     assert state.ekf_ready is False  # nothing heard of it yet
     report = mavlink.MAVLink_ekf_status_report_message(flags, 0.0, 0.0, 0.0, 0.0, 0.0)
     assert after(report, state).ekf_ready is ready
+
+
+def test_a_px4s_kill_switch_is_in_its_heartbeat() -> None:
+    cut = mavlink.MAVLink_heartbeat_message(
+        2, mavlink.MAV_AUTOPILOT_PX4, 129, 0, mavlink.MAV_STATE_FLIGHT_TERMINATION, 3
+    )
+    state = after(cut)
+    assert state.motors_cut
+    assert not after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, 0, 129), state).motors_cut
+
+
+@pytest.mark.parametrize(
+    ("present", "enabled", "armed", "cut"),
+    [
+        (OUTPUTS, 0, True, True),
+        (OUTPUTS, OUTPUTS, True, False),
+        (OUTPUTS, 0, False, False),  # the safety switch on the ground
+        (0, 0, True, False),  # one that does not say
+    ],
+)
+def test_an_ardupilots_emergency_stop_takes_its_outputs_away(
+    present: int, enabled: int, armed: bool, cut: bool
+) -> None:
+    message = mavlink.MAVLink_sys_status_message(present, enabled, present, *[0] * 10)
+    flying = replace(FRESH, autopilot_kind="ardupilot", armed=armed)
+    state = after(message, flying)
+    assert state.motors_cut is cut
+    # a heartbeat says nothing of it
+    again = after(heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, 4, 129), state)
+    assert again.motors_cut is cut
+
+
+@pytest.mark.parametrize(("percent", "share"), [(-1, None), (0, 0.0), (37, 0.37), (100, 1.0), (101, None)])
+def test_the_batterys_charge_is_a_share_or_not_known(percent: int, share: float | None) -> None:
+    message = mavlink.MAVLink_sys_status_message(0, 0, 0, 0, 0, 0, percent, *[0] * 6)
+    assert after(message).battery_share == share
+
+
+@pytest.mark.parametrize("mode", PX4_MODES)
+def test_current_mode_has_the_same_numbers_and_arms_nothing(mode: str) -> None:
+    state = after(heartbeat(mavlink.MAV_AUTOPILOT_PX4, 0, 129))
+    told = after(CurrentMode(0, custom_mode("px4", mode), 0), state)
+    assert (told.mode, told.offboard, told.armed) == (mode, mode == "OFFBOARD", True)
+    # before any heartbeat nobody knows whose numbers these are
+    assert after(CurrentMode(0, custom_mode("px4", mode), 0)).mode == ""
 
 
 def test_of_a_px4s_filter_nothing_is_awaited() -> None:

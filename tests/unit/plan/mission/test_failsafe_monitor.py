@@ -8,7 +8,7 @@ from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
-from companion.plan.mission.table import FINAL, follows
+from companion.plan.mission.table import FINAL, IN_AIR, follows
 from tests.unit.plan.plan_harness import World, still
 
 CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
@@ -73,6 +73,12 @@ def test_returned_to_the_autopilot_a_change_of_mode_is_ours() -> None:
 def test_what_was_heard_of_the_mode_before_the_link_was_lost_is_old() -> None:
     watch, _ = monitor()
     assert not taken_over(watch, replace(HELD, connected=False))
+
+
+@pytest.mark.parametrize("state", sorted(IN_AIR))
+def test_motors_that_the_pilot_cut_are_the_pilots_in_every_state(state: State) -> None:
+    cut = inputs(replace(FLYING, motors_cut=True))
+    assert gravest(cut, state) is MissionEvent.PILOT_TOOK_OVER
 
 
 @pytest.mark.parametrize(("share", "critical"), [(None, False), (0.13, False), (0.12, True), (0.0, True)])
