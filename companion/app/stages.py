@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
-from companion.base.clock import Clock
+from companion.base.clock import Clock, wall_clock_s
 from companion.base.files import find_file
 from companion.config import (
     CameraConfig,
@@ -19,6 +19,7 @@ from companion.config import (
 from companion.estimate.estimator import StateEstimator
 from companion.flightlog.record import FlightLog
 from companion.link.session import Session
+from companion.link.signing import read_signing_key
 from companion.pad import load_pad
 from companion.plan.planner import Planner
 from companion.plan.speed.laws import load_speed_law
@@ -55,7 +56,11 @@ def build_stages(
     pad = load_pad(config.pad)
     antenna = config.sense.gps.antenna_position_body_m
     by_telemetry = config.sense.source == "autopilot"
-    session = Session(config.link, config.sense if by_telemetry else None, reads_setup=True)
+    key = None
+    if config.link.signing_key is not None:
+        key = read_signing_key(config.link.signing_key, wall_clock_s())
+    sense = config.sense if by_telemetry else None
+    session = Session(config.link, sense, reads_setup=True, signing_key=key)
     estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
     sensing = Sensing(
         config,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -40,6 +41,7 @@ class LinkConfig(StrictModel):
     command_tries: int = Field(default=4, ge=1, le=10)
     force_disarm: bool = True
     set_parameters: bool = False
+    signing_key: Path | None = None
 
     @field_validator("connection")
     @classmethod
@@ -55,6 +57,8 @@ class LinkConfig(StrictModel):
 
     @model_validator(mode="after")
     def _has_a_component_for_each(self) -> LinkConfig:
+        if self.signing_key is not None and self.actions == "mavsdk":
+            raise ValueError("signing_key: MAVSDK cannot sign; expected actions: pymavlink with it")
         if self.component_id == self.mavsdk_component_id:
             raise ValueError(
                 f"expected mavsdk_component_id to differ from component_id, found {self.component_id} twice"

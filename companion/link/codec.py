@@ -19,6 +19,7 @@ from typing import Any, Final, Literal
 from companion.base.geometry import ZERO3, Vector3
 from companion.base.messages import Setpoint
 from companion.link.dialect import mavlink as mavlink  # noqa: PLC0414 - named here for all
+from companion.link.signing import SigningKey
 
 Message = Any
 
@@ -44,12 +45,16 @@ SIGNATURE_BYTES: Final = 13
 
 @dataclass(slots=True)
 class CodecCounters:
-    """What came in: messages given on and passed over unread, bytes of no message, gaps in the sequence."""
+    """What came in: messages given on and passed over unread, bytes of no message, gaps in the sequence.
+
+    `refused`: whole messages without a right signature, where one is demanded.
+    """
 
     decoded: int = 0
     passed_over: int = 0
     skipped_bytes: int = 0
     lost: int = 0
+    refused: int = 0
 
 
 class Codec:
@@ -66,6 +71,12 @@ class Codec:
         self._wanted = None if wanted is None else frozenset(wanted)
         self._buffer = bytearray()
         self._sequence: dict[tuple[int, int], int] = {}
+
+    def sign(self, key: SigningKey) -> None:
+        """Sign all that is sent from now on, and take nothing without a right signature."""
+        signing = self._packer.signing
+        signing.secret_key, signing.sign_outgoing = key.secret, True
+        signing.link_id, signing.timestamp = self.component_id, key.stamp
 
     @property
     def system_id(self) -> int:
@@ -120,7 +131,11 @@ class Codec:
             try:
                 message = self._packer.decode(frame)
             except mavlink.MAVError:
-                return False
+                demanded = self._packer.signing.secret_key is not None
+                if not demanded or not check_sum_is_right(frame, message_id):
+                    return False
+                self.counters.refused += 1
+                return True
             messages.append(message)
             self.counters.decoded += 1
         self._count_lost(frame)

@@ -28,6 +28,7 @@ from companion.link.commands import (
 )
 from companion.link.dialect import CURRENT_MODE
 from companion.link.parameters import ParameterRequest, ParameterRequests
+from companion.link.signing import SigningKey
 from companion.link.streams import OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.alignment import HeadingAlignment
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
@@ -77,9 +78,17 @@ class Session:
     """
 
     def __init__(
-        self, config: LinkConfig, sense: SenseConfig | None = None, *, reads_setup: bool = False
+        self,
+        config: LinkConfig,
+        sense: SenseConfig | None = None,
+        *,
+        reads_setup: bool = False,
+        signing_key: SigningKey | None = None,
     ) -> None:
-        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is received."""
+        """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
+
+        With a key all is signed, and nothing is taken that is not.
+        """
         self.state = AutopilotState(time_s=-math.inf)
         self.beacon: PadBeacon | None = None
         self.alignment = HeadingAlignment()
@@ -94,6 +103,8 @@ class Session:
         self._system_id = config.system_id
         heard = HEARD if sense is None else HEARD | SENSOR_MESSAGES
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
+        if signing_key is not None:
+            self._codec.sign(signing_key)
         self._commands = CommandQueue(config.command_patience_s, config.command_tries)
         self._parameters = ParameterRequests(config.command_patience_s, config.command_tries)
         self._reads_setup = reads_setup
@@ -132,6 +143,7 @@ class Session:
 
     def receive(self, data: bytes, now_s: float) -> None:
         """Take bytes that arrived now."""
+        refused = self.counters.refused
         for message in self._codec.decode(data):
             message_id = message.get_msgId()
             if message_id == mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET:
@@ -144,6 +156,8 @@ class Session:
                 self._commands.acknowledged(message, us, now_s)
             elif self._is_our_autopilot(message):
                 self._hear_autopilot(message, message_id, now_s)
+        if self.counters.refused != refused:
+            self.state = replace(self.state, refused_frames=self.counters.refused)
 
     def _is_our_autopilot(self, message: Message) -> bool:
         """Whether to accept it; the first autopilot is adopted when no system id is set."""

@@ -17,11 +17,9 @@ from typing import Any, Final
 from companion.base.autopilot_kind import AutopilotKind
 from companion.config import ConfigError
 from companion.link.codec import SIGNATURE_BYTES
+from companion.link.signing import STAMPS_PER_S, secret_from, stamp_from_unix
 from sitl.mavlink.framing import MavFrame, dialect
 
-KEY_BYTES: Final = 32
-EPOCH_UNIX_S: Final = 1_420_070_400
-STAMPS_PER_S: Final = 100_000
 _NEW_STREAM_MAY_LAG: Final = 60 * STAMPS_PER_S
 _TAG_BYTES: Final = 6
 _LAST_STAMP: Final = (1 << 48) - 1
@@ -38,11 +36,6 @@ UNSIGNED: Final[dict[AutopilotKind, frozenset[int]]] = {
 }
 
 
-def stamp_from_unix(unix_s: float) -> int:
-    """Seconds since 1970 as a signing time stamp, 0 before 2015."""
-    return max(0, int((unix_s - EPOCH_UNIX_S) * STAMPS_PER_S))
-
-
 def read_key(path: Path) -> bytes:
     """The key in a file: its 32 bytes, or else the SHA-256 of the passphrase in it, as MAVProxy makes it.
 
@@ -53,11 +46,10 @@ def read_key(path: Path) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"--signing-key {path}: {error.strerror}; expected a file with the key") from error
-    if len(data) == KEY_BYTES:
-        return data
-    if not data.strip():
+    secret = secret_from(data)
+    if secret is None:
         raise ConfigError(f"--signing-key {path}: empty; expected 32 bytes or a passphrase")
-    return hashlib.sha256(data.strip()).digest()
+    return secret
 
 
 class Signing:

@@ -40,6 +40,7 @@ class AutopilotState:
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
     `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
+    `refused_frames`: what came without a right signature, where the link demands one.
     """
 
     time_s: float
@@ -61,6 +62,7 @@ class AutopilotState:
     texts: tuple[str, ...] = ()
     battery_share: float | None = None
     motors_cut: bool = False
+    refused_frames: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,12 @@ _SETTLED_M_S = 0.2
 _SETTLED_S = 1.5
 
 
+def refused_words(autopilot: AutopilotState) -> str:
+    """What the link refused for its signature, if anything, to follow other words."""
+    count = autopilot.refused_frames
+    return f" ({count} frames refused: no right signature, see link.signing_key)" if count else ""
+
+
 class Departure:
     """Connect, arm, take off and go to the waypoint."""
 
@@ -97,7 +103,7 @@ class Departure:
         charged = share is None or share > low
         charge = "" if share is None else f": {100.0 * share:.0f} % left, low at {100.0 * low:.0f} %"
         return (
-            ("the autopilot", autopilot.connected),
+            (f"the autopilot{refused_words(autopilot)}", autopilot.connected),
             ("its home position", autopilot.home is not None),
             ("it to be ready to arm", autopilot.ready_to_arm),
             ("its estimate of position", autopilot.ekf_ready is not False),

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from companion.base.messages import AutopilotState, Phase, VehicleState
 from companion.config import MissionConfig
 from companion.plan.mission.bounds import Bounds
+from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.mode_monitor import ModeMonitor
@@ -81,7 +82,11 @@ class FailsafeMonitor:
                 f"mode {autopilot.mode or 'unknown'} was not requested",
             ),
             (inputs.stop_requested, MissionEvent.STOP, "by the operator"),
-            (not heard, MissionEvent.LINK_LOST, "no heartbeat from the autopilot"),
+            (
+                not heard,
+                MissionEvent.LINK_LOST,
+                f"no heartbeat from the autopilot{refused_words(autopilot)}",
+            ),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
         found += [*self._estimate(inputs.vehicle, now_s), *self._battery(autopilot)]
