@@ -90,6 +90,11 @@ class Commander:
         """Another task within the present mode."""
         self.task, self.subtask = task, None
 
+    def recover(self) -> None:
+        """After a reset in flight: nothing is left of failsafes and modes, it holds."""
+        self._forget_failsafe()
+        self._enter(self._profile.mode(self._profile.hold_mode))
+
     @property
     def flown(self) -> Task:
         """The present task, that of the mission item where there is one."""

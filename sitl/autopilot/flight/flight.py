@@ -71,7 +71,9 @@ class FlightLoop(FlightState):
         """Update the commander's vehicle status."""
         now = self._commander.situation
         now.home_set = up_s >= self.profile.home_s
-        if not now.aligned and up_s >= self.profile.alignment_s:
+        if self.position_lost:
+            now.aligned = False
+        elif not now.aligned and up_s >= self.profile.alignment_s:
             now.aligned = True
             for text in self.profile.texts.aligned:
                 self._commander.send_text(Severity.INFO, text)

@@ -235,7 +235,7 @@ def test_truth_a_moment_ago_lies_between_the_steps() -> None:
     yaw = [euler_from_quat(t.vehicle_attitude)[2] for t in (told[160], between, told[161])]
     assert wrap_angle(yaw[1] - 0.5 * (yaw[0] + yaw[2])) == pytest.approx(0.0, abs=1e-7)
     assert between.pad_position_ned_m == pytest.approx(
-        world._pad_motion.at(160.5 * DT).position_ned_m, abs=1e-5
+        world.pad_motion.at(160.5 * DT).position_ned_m, abs=1e-5
     )
 
 
