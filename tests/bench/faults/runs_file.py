@@ -50,26 +50,31 @@ class RunsFile:
     def __init__(self, path: Path) -> None:
         self._path = path
 
+    def _whole(self) -> bytes:
+        """The lines that are complete."""
+        there = self._path.read_bytes() if self._path.exists() else b""
+        return there[: there.rfind(b"\n") + 1]
+
     def read(self, code: str) -> list[Row]:
         """The flights of this state of the code."""
-        if not self._path.exists():
-            return []
-        with self._path.open(newline="", encoding="utf-8") as file:
-            found = [_row(line) for line in csv.DictReader(file)]
-        return [row for row in found if row is not None and row.code == code]
+        lines = self._whole().decode("utf-8").splitlines()
+        return [row for row in map(_row, csv.DictReader(lines)) if row is not None and row.code == code]
 
     def append(self, row: Row) -> None:
         """Add one, at once."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        new = not self._path.exists()
-        whole = new or self._path.read_bytes().endswith(b"\n")
-        with self._path.open("a", newline="", encoding="utf-8") as file:
+        whole = self._whole()
+        with self._path.open("r+b" if self._path.exists() else "wb") as file:
+            file.truncate(len(whole))
+        with self._path.open("a", newline="", encoding="utf-8") as text:
+            writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
             if not whole:
-                file.write("\n")
-            writer = csv.DictWriter(file, [field.name for field in fields(Row)], lineterminator="\n")
-            if new:
                 writer.writeheader()
-            writer.writerow(asdict(row))
+            writer.writerow({name: _in_a_line(value) for name, value in asdict(row).items()})
+
+
+def _in_a_line(value: object) -> object:
+    return " ".join(value.split()) if isinstance(value, str) else value
 
 
 def _row(line: dict[str, str]) -> Row | None:

@@ -43,7 +43,7 @@ from sitl.scenario.scenario import load_scenario
 from tests.unit.sitl.devices.sensor_desk import Heard, fly
 
 START_S, END_S, SECONDS = 6.0, 8.0, 10.0
-TIMES = {"start_s": START_S, "duration_s": END_S - START_S}
+TIMES: dict[str, Any] = {"start_s": START_S, "duration_s": END_S - START_S}
 FORCE = "specific_force_body_m_s2"
 EPOCH_S = 0.21  # between two fixes
 SETTLE_S = 0.05  # the filters' delay, and samples that are averages
