@@ -40,6 +40,7 @@ PHASE_WORDS: Final = re.compile(
 )
 CLIMB_WORDS: Final = re.compile(r"\b(climb\w*|ris(e|es|ing)|waiting again)\b")
 FREE_PHASES: Final = ("take off", "waypoint", "route", "search")
+DOWN_PHASES: Final = ("descend", "touchdown", "landed")  # their beginning announces no climb
 END_PHASES: Final = ("landed", "abort", "hold")
 _ERROR: Final = 3  # MAV_SEVERITY, and less is graver
 
@@ -140,17 +141,18 @@ def _climbs(record: FlightRecord) -> Iterator[str]:
         rise_m = lowest.position_ned_m[2] - sample.position_ned_m[2]
         if rise_m < CLIMB_M:
             continue
-        if not _announced(record.texts, lowest.time_s, sample.time_s):
+        if not _announced(record.texts, lowest.time_s):
             yield f"climbed from {lowest.time_s:.1f} s, unannounced"
             return
         lowest = sample
 
 
-def _announced(texts: list[AppText], from_s: float, to_s: float) -> bool:
-    if _phase_at(texts, to_s) in FREE_PHASES:
+def _announced(texts: list[AppText], from_s: float) -> bool:
+    if _phase_at(texts, from_s) in FREE_PHASES:
         return True
-    near = (t for t in texts if from_s - ANNOUNCED_BEFORE_S <= t.time_s <= from_s + ANNOUNCED_AFTER_S)
-    return any(PHASE_WORDS.match(t.text) or CLIMB_WORDS.search(t.text) for t in near)
+    near = [t for t in texts if from_s - ANNOUNCED_BEFORE_S <= t.time_s <= from_s + ANNOUNCED_AFTER_S]
+    phases = [found[1] for t in near if (found := PHASE_WORDS.match(t.text))]
+    return any(phase not in DOWN_PHASES for phase in phases) or any(CLIMB_WORDS.search(t.text) for t in near)
 
 
 def _phase_at(texts: list[AppText], time_s: float) -> str:

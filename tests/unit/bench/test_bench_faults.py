@@ -157,6 +157,24 @@ def test_an_announced_climb_is_none_against_it() -> None:
     assert judge(record, BOUNDS) == Verdict("landed")
 
 
+def test_a_climb_that_was_begun_in_the_search_may_end_in_the_next_phase() -> None:
+    record = landing()
+    climb(record)
+    record.texts[3:3] = [
+        AppText(19.9, 6, "search: pad lost: unseen"),
+        AppText(26.2, 6, "approach: pad seen: x"),
+    ]
+    record.texts.pop(5)
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+def test_what_goes_down_announces_no_climb() -> None:
+    record = landing()
+    climb(record)
+    record.texts.insert(4, AppText(25.8, 6, "touchdown: low: 42 cm over the pad"))
+    assert "climbed from 26.0 s" in judge(record, BOUNDS).unsafe[0]
+
+
 def test_what_the_autopilot_flies_by_itself_is_not_the_apps_climb_nor_its_fence() -> None:
     record = landing()
     for k in range(1300, 1400):
