@@ -33,6 +33,8 @@ from tests.bench.faults.witness import FlightRecord, Witness
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
 LOOK_S: Final = 0.1
+# a pad that has just braked rocks what stands on it
+SETTLES_S: Final = 5.0
 # where no setting says how high the vehicle may fly
 DEFAULT_CEILING_M: Final = 40.0
 
@@ -131,7 +133,7 @@ def _words(failure: BaseException) -> str:
 
 
 async def _aftermath(vehicle: InProcess, record: FlightRecord) -> None:
-    """Go on until it is disarmed, has held for a while, or has crashed."""
+    """Go on until it is disarmed and at rest, has held for a while, or has crashed."""
     world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
     ended_s = held_s = world.time_s
     while autopilot.armed and not world.crashed and world.time_s < ended_s + AFTERMATH_S:
@@ -141,6 +143,10 @@ async def _aftermath(vehicle: InProcess, record: FlightRecord) -> None:
             return
         await asyncio.sleep(LOOK_S)
     await asyncio.sleep(1.0)
+    for _ in range(round(SETTLES_S / LOOK_S)):
+        if world.at_rest_on_pad or not world.contact.on_board:
+            return
+        await asyncio.sleep(LOOK_S)
 
 
 async def _cancel(task: asyncio.Task[Any]) -> None:
