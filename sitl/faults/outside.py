@@ -82,10 +82,10 @@ class PadTilts(FaultTimes):
 
 
 class AutopilotRefuses(FaultTimes):
-    """It denies a request, with or without force; what it does by itself it still does."""
+    """It denies a request, with or without force. `auto_disarm`: it does not disarm by itself either."""
 
     kind: Literal["autopilot_refuses"]
-    what: Literal["arm", "take_off", "offboard", "land", "disarm"]  # Which request
+    what: Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]  # Which request
 
 
 class PilotMode(FaultTimes):

@@ -36,6 +36,7 @@ class Commander:
         self.armed = False
         self.disarmings = 0
         self.in_failsafe = False
+        self.stays_armed = False  # a fault: no failsafe disarms
         self.texts: deque[Text] = deque((Severity.INFO, text) for text in profile.texts.boot)
         self.mode = profile.mode(profile.boot_mode)
         self.task = self.mode.task
@@ -128,6 +129,8 @@ class Commander:
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0
+                continue
+            if self.stays_armed and failsafe.response is FailsafeAction.DISARM:
                 continue
             self._held_s[index] += dt_s
             if self._held_s[index] >= failsafe.after_s:

@@ -85,6 +85,7 @@ class FlightLoop(FlightState):
         self._watch_mission()
         self._manual_control.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up
+        self._commander.stays_armed = "auto_disarm" in self.refused
         self._commander.update(self.profile.outer_period_s)
 
     def _begin_task(self) -> None:

@@ -36,7 +36,7 @@ from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
-RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm"]
+RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
 FULL_BATTERY_PERCENT: Final = 90
 PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 

@@ -99,6 +99,7 @@ _AUTOPILOT: Final[dict[str, FaultCase]] = {
     "refuses disarm": _refused(("start", *LOW), "disarm"),
     "refuses LAND": _refused(("start", *LOW), "land"),
     "refuses disarm, LAND": _refused(("start", *LOW), "disarm", "land"),
+    "never disarms": _refused(("start", *LOW), "disarm", "land", "auto_disarm"),
     "pilot: Position": _one("pilot_mode", ("start", *TO_THE_END), mode="position"),
     "pilot: Hold": _one("pilot_mode", ("start", *TO_THE_END), mode="hold"),
     "pilot: Return": _one("pilot_mode", mode="return"),

@@ -17,8 +17,16 @@ from companion.config import LimitsConfig
 from sitl.mavlink.app_words import AppText
 from tests.bench.faults.witness import FlightRecord, Sample, SentSetpoint
 
-Outcome = Literal["landed", "held", "pilot", "returned", "not flown", "unsafe"]
-OUTCOMES: Final[tuple[Outcome, ...]] = ("landed", "held", "pilot", "returned", "not flown", "unsafe")
+Outcome = Literal["landed", "held", "pilot", "returned", "stands", "not flown", "unsafe"]
+OUTCOMES: Final[tuple[Outcome, ...]] = (
+    "landed",
+    "held",
+    "pilot",
+    "returned",
+    "stands",
+    "not flown",
+    "unsafe",
+)
 
 SIDEWAYS_M_S: Final = 0.3
 DOWN_M_S: Final = 0.7
@@ -42,7 +50,9 @@ CLIMB_WORDS: Final = re.compile(r"\b(climb\w*|ris(e|es|ing)|waiting again)\b")
 FREE_PHASES: Final = ("take off", "waypoint", "route", "search")
 DOWN_PHASES: Final = ("descend", "touchdown", "landed")  # their beginning announces no climb
 END_PHASES: Final = ("landed", "abort", "hold")
+SHOUTS_EVERY_S: Final = 60.0
 _ERROR: Final = 3  # MAV_SEVERITY, and less is graver
+_WARNING: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +92,8 @@ def _ending(record: FlightRecord) -> Outcome:
         return "not flown"
     if record.at_rest_on_pad and not last.armed:
         return "landed"
+    if record.at_rest_on_pad:
+        return "stands"  # with its motors on: nothing disarms it
     if record.pilot_took_over:
         return "pilot"
     return "held" if last.armed and last.mode in HOLD_MODES else "returned"
@@ -201,9 +213,17 @@ def _bounded(sent: SentSetpoint, limits: LimitsConfig) -> Iterator[tuple[str, fl
         yield "acceleration down (m/s2)", down, -most, most
 
 
+def _stands_and_shouts(record: FlightRecord) -> bool:
+    """Whether it stands on the pad, and the app keeps saying that it cannot be disarmed."""
+    last_s = record.samples[-1].time_s
+    shouts = (t for t in record.texts if t.severity <= _WARNING and t.time_s >= last_s - SHOUTS_EVERY_S)
+    return record.at_rest_on_pad and any(shouts)
+
+
 def _silent_end(record: FlightRecord) -> Iterator[str]:
     if record.app_ended_s is None:
-        yield "no end within the time limit"
+        if not _stands_and_shouts(record):
+            yield "no end within the time limit"
     elif record.app_failed:
         last = [t for t in record.texts if t.time_s >= record.app_ended_s - ANNOUNCED_BEFORE_S]
         if not any(t.severity <= _ERROR for t in last):

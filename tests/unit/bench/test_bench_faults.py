@@ -219,6 +219,15 @@ def test_how_a_safe_flight_ended(record: FlightRecord, expected: str) -> None:
     assert judge(record, BOUNDS).outcome == expected
 
 
+def test_one_that_nothing_disarms_stands_and_has_to_say_so() -> None:
+    record = ended("OFFBOARD", armed=True)
+    record.at_rest_on_pad, record.app_ended_s = True, None
+    record.texts[-1] = AppText(35.0, 6, "on the pad: low, short echo")
+    assert judge(record, BOUNDS).unsafe == ("no end within the time limit",)
+    record.texts.append(AppText(36.0, 3, "on the pad and armed: disarm refused"))
+    assert judge(record, BOUNDS) == Verdict("stands")
+
+
 def test_one_that_never_left_the_ground() -> None:
     record = landing()
     record.samples = record.samples[:100]

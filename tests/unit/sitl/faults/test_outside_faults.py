@@ -181,6 +181,16 @@ def test_a_refused_request_is_denied_for_as_long_as_the_fault(profile: Any) -> N
     assert autopilot.take_off(5.0) is not CommandResult.ACCEPTED
 
 
+def test_an_autopilot_that_does_not_disarm_by_itself_stays_armed() -> None:
+    flights = [Flight("px4"), Flight("px4")]
+    flights[1].autopilot.refused = frozenset({"auto_disarm"})
+    for flight in flights:
+        flight.run(5.0)
+        assert flight.autopilot.arm() is CommandResult.ACCEPTED
+        flight.run(12.0)  # PX4 disarms what does not take off within 10 s
+    assert [flight.autopilot.armed for flight in flights] == [False, True]
+
+
 def test_the_pilot_changes_the_mode_once() -> None:
     flight = Flight("px4")
     flight.run(5.0)
