@@ -36,6 +36,8 @@ AFTER_DISARMING_S: Final = 1.0
 # the autopilot's own position is off by its GPS
 PLACE_ERROR_M: Final = 3.0
 CLIMB_M: Final = 0.7
+DRIFT_M: Final = 0.2
+RISING_M_S: Final = 0.1
 ANNOUNCED_BEFORE_S: Final = 3.0
 ANNOUNCED_AFTER_S: Final = 1.0
 FLOWN_M: Final = 0.3
@@ -144,19 +146,25 @@ def _away_m(sample: Sample) -> float:
 
 
 def _climbs(record: FlightRecord) -> Iterator[str]:
-    """Rises by more than `CLIMB_M`, flown by the app's setpoints, that nothing announced; the first alone."""
-    lowest: Sample | None = None
+    """Rises by more than `CLIMB_M`, flown by the app's setpoints, that nothing announced; the first alone.
+
+    One begins where it leaves the lowest place by more than `DRIFT_M`: a slow drift is no beginning. One that
+    was announced may go on until it pauses.
+    """
+    lowest_down_m, begun_s, going_on = -math.inf, 0.0, False
     for sample in _obeyed(record):
-        if lowest is None or sample.position_ned_m[2] >= lowest.position_ned_m[2]:
-            lowest = sample
-            continue
-        rise_m = lowest.position_ned_m[2] - sample.position_ned_m[2]
+        down_m = sample.position_ned_m[2]
+        going_on = going_on and sample.velocity_ned_m_s[2] < -RISING_M_S
+        lowest_down_m = down_m if going_on else max(lowest_down_m, down_m)
+        rise_m = lowest_down_m - down_m
+        if rise_m <= DRIFT_M:
+            begun_s = sample.time_s
         if rise_m < CLIMB_M:
             continue
-        if not _announced(record.texts, lowest.time_s):
-            yield f"climbed from {lowest.time_s:.1f} s, unannounced"
+        if not _announced(record.texts, begun_s):
+            yield f"climbed from {begun_s:.1f} s, unannounced"
             return
-        lowest = sample
+        lowest_down_m, going_on = down_m, True
 
 
 def _announced(texts: list[AppText], from_s: float) -> bool:
