@@ -1,4 +1,4 @@
-"""The bench of faults beside its judge: the solver's faults, the cases, the bars, and going on where it was."""
+"""The bench of faults beside its judge: the solver's faults, the cases, the bars, and going on."""
 
 from __future__ import annotations
 
