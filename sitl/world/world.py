@@ -205,11 +205,14 @@ class World:
 
     @property
     def feet_over_pad_m(self) -> float | None:
-        """Height of the feet over the pad's surface; None before the flight and beside the pad."""
+        """Height of the feet over the pad's surface, 0 as soon as one touches; None before the flight and
+        beside the pad."""
         north, east, down = self._state.position_ned_m
         if not self._watch.flown or not self.board.is_under(self.pad_state, self._state.position_ned_m):
             return None
-        return self.board.surface_down_m(self.pad_state, north, east) - down - self.landed_reference_height_m
+        over_m = self.board.surface_down_m(self.pad_state, north, east) - down
+        # feet that bear a part of the weight are pressed in less than those of the height they stand at
+        return 0.0 if self._load.on_board else over_m - self.landed_reference_height_m
 
     @property
     def landed_reference_height_m(self) -> float:

@@ -128,8 +128,8 @@ def _disarmings(record: FlightRecord) -> Iterator[str]:
 
 
 def _obeyed(record: FlightRecord) -> Iterator[Sample]:
-    """The samples in which the vehicle flies by the app's setpoints."""
-    return (s for s in record.samples if s.armed and s.mode in OBEYED_MODES)
+    """The samples in which the vehicle flies by the app's setpoints; what stands on the pad goes with it."""
+    return (s for s in record.samples if s.armed and s.mode in OBEYED_MODES and not s.touching)
 
 
 def _strayed(record: FlightRecord, bounds: Bounds) -> Iterator[str]:

@@ -203,6 +203,16 @@ def test_what_the_autopilot_flies_by_itself_is_not_the_apps_climb_nor_its_fence(
     assert judge(record, BOUNDS) == Verdict("landed")
 
 
+def test_a_pad_may_carry_away_what_stands_on_it() -> None:
+    record = landing()
+    for k in range(1760, 1790):
+        far = (200.0, 0.0, -0.5)
+        record.samples[k] = record.samples[k]._replace(position_ned_m=far, touching=True)
+    assert judge(record, BOUNDS) == Verdict("landed")
+    record.samples[1770] = record.samples[1770]._replace(touching=False)
+    assert "outside the fence" in judge(record, BOUNDS).unsafe[0]
+
+
 def test_one_that_stands_disarmed_on_the_ground_may_be_run_over() -> None:
     record = landing()
     record.touches.append(GroundTouch(39.0, 1.5, 0.0, False))
