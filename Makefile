@@ -12,6 +12,7 @@
 # make bench-precision       the autopilots' own precision landing, beside what the real firmware did
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
 # make bench-firmware PX4=BIN ARDUCOPTER=BIN  landings on the real firmwares, in lockstep
+# make bench-faults          every fault in every phase of a flight: how it ends, and whether it is safe
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
@@ -32,7 +33,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -110,6 +111,10 @@ bench-firmware: $(VENV)/.dev
 
 bench-response: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.autopilot.bench_response $(if $(PX4),--px4 $(PX4)) $(if $(ARDUCOPTER),--arducopter $(ARDUCOPTER))
+
+# hours on two cores; give it again after an interruption, and it goes on
+bench-faults: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.faults.bench_faults --jobs 2
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.mavlink.bench_fuzz

@@ -105,7 +105,10 @@ class CameraModel:
         self._camera_attitude = quat_from_matrix(self.body_from_camera)
         self._exposure_s = camera.exposure_s if settings.exposure_s is None else settings.exposure_s
         self._readout_s = camera.readout_s if settings.readout_s is None else settings.readout_s
-        self._pad_texture = pad_texture(pad) if board is None else board
+        self._printed = pad_texture(pad) if board is None else board
+        self.show(None)
+        # the place of a second pad's surface, from that of the pad's; None: there is none
+        self.twin_ned_m: Callable[[Vector3], Vector3] | None = None
         self._ground_texture = ground_texture(ground_seed)
         self._node_rays = node_rays(camera)
         self._ray_x, self._ray_y = (np.ascontiguousarray(self._node_rays[..., k]) for k in (0, 1))
@@ -121,6 +124,10 @@ class CameraModel:
             self._exposure_s = self._metering.now.exposure_s
         self._vignette = vignette(camera, settings, dirt_rng)
         self._noise = noise_bank(camera, settings.noise_grey, rng)
+
+    def show(self, board: Texture | None) -> None:
+        """Another print on the board from now on; None: its own."""
+        self._pad_texture = self._printed if board is None else board
 
     @property
     def span_s(self) -> float:
@@ -153,6 +160,7 @@ class CameraModel:
             ground = self._surface(self._ground_texture, scenes, grounds)
             self._draw(image, ground, self._node_map(ground), None)
             seen = pad if part is not None else ground
+            self._draw_twin(image, scenes)
         if part is not None and pad_map is not None:
             self._draw(image, pad, pad_map, part)
         if self._finer > 1:
@@ -162,6 +170,16 @@ class CameraModel:
             inside = None if pad_map is None else within_board(pad_map, pad.level.image.shape)
             image, glow = self._lit(image, scenes[middle], time_s, inside)
         return self._expose(self._through_lens(image, seen, part), glow)
+
+    def _draw_twin(self, image: GreyImage, scenes: list[ScenePose]) -> None:
+        if self.twin_ned_m is None:
+            return
+        places = [(self.twin_ned_m(s.pad_position_ned_m), _pad_attitude(s)) for s in scenes]
+        twin = self._surface(self._printed, scenes, places)
+        nodes = self._node_map(twin) if twin.height_m > 0.0 else None
+        part = None if nodes is None else visible_part(nodes, twin.level.image.shape)
+        if nodes is not None and part is not None:
+            self._draw(image, twin, nodes, part)
 
     def _lit(
         self, image: GreyImage, scene: ScenePose, time_s: float, inside: FloatArray | None

@@ -28,6 +28,7 @@ class FrameLine:
         self.lost_share, self.burst_frames = self._always
         self.stuck = False
         self.garbled_share = 0.0
+        self.black = self.garbage = False
 
     def delay_s(self, sequence: int) -> float | None:
         """Additional delay of a frame (s); None: it is lost."""
@@ -46,7 +47,11 @@ class FrameLine:
         return self._losing
 
     def carried(self, image: GreyImage) -> GreyImage:
-        """The image that arrives: unchanged, the last one again, or random data below some row."""
+        """The image that arrives: unchanged, black, the last one again, or random data (below some row)."""
+        if self.black:
+            return np.zeros_like(image)
+        if self.garbage:
+            return self._rng.integers(0, 256, image.shape, dtype=np.uint8)
         if self.stuck and self._last is not None:
             return self._last
         self._last = image

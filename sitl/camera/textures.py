@@ -25,6 +25,8 @@ PAD_WHITE: Final = 222
 PAD_BLACK: Final = 24
 PAD_TEXELS_PER_M: Final = 2400.0
 PAD_COARSEST_PER_M: Final = 8.0
+TARPAULIN_GREY: Final = 96
+TARPAULIN_PER_M: Final = 100.0
 GROUND_TEXELS_PER_M: Final = 64.0
 GROUND_TILE_M: Final = 20.0
 GROUND_LEVELS: Final = 6
@@ -58,6 +60,20 @@ class Texture:
 def pad_texture(pad: Pad) -> Texture:
     """The board as printed: black codes on white. Not to be drawn on."""
     return board_texture(_paint_pad(pad, PAD_TEXELS_PER_M), pad.width_m, pad.length_m)
+
+
+@lru_cache(maxsize=4)
+def other_ids_texture(pad: Pad) -> Texture:
+    """The board of another pad: the same layout, other markers."""
+    others = tuple(marker.model_copy(update={"id": (marker.id + 25) % 50}) for marker in pad.markers)
+    return pad_texture(pad.model_copy(update={"markers": others}))
+
+
+@lru_cache(maxsize=4)
+def covered_texture(pad: Pad) -> Texture:
+    """The board under a grey tarpaulin."""
+    size = (round(pad.length_m * TARPAULIN_PER_M), round(pad.width_m * TARPAULIN_PER_M))
+    return board_texture(np.full(size, TARPAULIN_GREY, np.uint8), pad.width_m, pad.length_m)
 
 
 def board_texture(finest: GreyImage, width_m: float, length_m: float) -> Texture:

@@ -21,7 +21,7 @@ from sitl.devices.ak8963 import Ak8963Device
 from sitl.sensors.inertial import ImuSensor
 
 FIFO_BYTES: Final = 512
-Fault = Literal["none", "nack", "ones", "stuck"]
+Fault = Literal["none", "nack", "ones", "stuck", "saturated"]
 Interface = Literal["i2c", "spi"]
 
 _SMPLRT_DIV, _CONFIG, _GYRO_CONFIG, _ACCEL_CONFIG, _FIFO_EN = 0x19, 0x1A, 0x1B, 0x1C, 0x23
@@ -45,7 +45,8 @@ _QueuedStep = tuple[float, Vector3, Vector3, float]
 class Mpu9250Device:
     """A register bus with one MPU9250 on it. Step it at the physics' rate, read and write it any time.
 
-    The fault "nack" is a bus that fails, "ones" a line that is pulled up, "stuck" a chip that stops sampling.
+    The fault "nack" is a bus that fails, "ones" a line that is pulled up, "stuck" a chip that stops sampling,
+    "saturated" one whose every axis is at the end of its range.
 
     Until its first access it does not sample: it queues the truth, which `wake` samples later. So
     sensors that are not read cost little, and a reader sees no difference.
@@ -162,6 +163,8 @@ class Mpu9250Device:
         gx, gy, gz = rate_rad_s
         words = [round(ax * ka), round(ay * ka), round(az * ka), self._temperature_counts()]
         words += (round(gx * kg), round(gy * kg), round(gz * kg))
+        if self.fault == "saturated":
+            words = [32767, 32767, 32767, words[3], 32767, 32767, 32767]
         if max(words) > 32767 or min(words) < -32768:
             words = [max(-32768, min(32767, word)) for word in words]
         data = _WORDS.pack(*words)

@@ -1,8 +1,8 @@
 """What fails in flight, and when: faults as data of a scenario.
 
 A fault acts on a sensor's input, its chip, its line or on a frame's transport (`sitl.faults.injection`),
-never on anything the app computes. Every sensor can be lost, freeze, step aside (a bias) and spike. Times
-count from the start of the simulation (s), axes are the body's (FRD).
+never on anything the app computes. Every sensor can be lost, freeze, step aside (a bias) and spike. Axes are
+the body's (FRD). When a fault begins: `sitl.faults.times`; what is no sensor: `sitl.faults.outside`.
 """
 
 from __future__ import annotations
@@ -11,22 +11,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from companion.config import StrictModel
+from sitl.faults.outside import OutsideFault
+from sitl.faults.times import FaultTimes
 
 Component = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+LinkDirection = Literal["both", "to_app", "to_vehicle"]
 BodyVector = tuple[Component, Component, Component]
-
-
-class FaultTimes(StrictModel):
-    """When a fault is there."""
-
-    start_s: float = Field(ge=0.0, le=900.0)  # From the start of the simulation
-    duration_s: float = Field(default=900.0, gt=0.0, le=900.0)  # By default to the end of the flight
-
-    @property
-    def end_s(self) -> float:
-        """When it is over."""
-        return self.start_s + self.duration_s
 
 
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
@@ -52,6 +42,12 @@ class ImuFrozen(FaultTimes):
     """It repeats its last rates and forces."""
 
     kind: Literal["imu_frozen"]
+
+
+class ImuSaturated(FaultTimes):
+    """Every axis of both is at the end of its range."""
+
+    kind: Literal["imu_saturated"]
 
 
 class GyroBiasStep(FaultTimes):
@@ -185,6 +181,14 @@ class RangeSpikes(FaultTimes):
     share: float = Field(default=0.3, ge=0.0, le=1.0)  # Of the pings: an echo from anywhere in between
 
 
+class RangeOtherEcho(FaultTimes):
+    """Something nearer than the floor answers now and then: a cable, a strap, grass."""
+
+    kind: Literal["range_other_echo"]
+    distance_m: float = Field(default=0.4, ge=0.0, le=4.5)  # Where it hangs
+    share: Share = 0.7  # Of the pings
+
+
 # ---------------------------------------------------------------- camera
 
 
@@ -217,6 +221,18 @@ class FrameGarbled(FaultTimes):
     share: Share = 0.3  # Of the frames
 
 
+class FrameBlack(FaultTimes):
+    """Frames come, but black: a cap on the lens."""
+
+    kind: Literal["frame_black"]
+
+
+class FrameGarbage(FaultTimes):
+    """Every frame is random data."""
+
+    kind: Literal["frame_garbage"]
+
+
 # ---------------------------------------------------------------- link and motors
 
 
@@ -224,7 +240,23 @@ class LinkBlackout(FaultTimes):
     """Nothing gets through between vehicle and app."""
 
     kind: Literal["link_blackout"]
-    way: Literal["both", "to_app", "to_vehicle"] = "both"  # Which direction
+    way: LinkDirection = "both"  # Which direction
+
+
+class LinkLoss(FaultTimes):
+    """Datagrams are lost between vehicle and app."""
+
+    kind: Literal["link_loss"]
+    share: Share = 0.5  # Of the datagrams
+    way: LinkDirection = "both"  # Which direction
+
+
+class LinkDelay(FaultTimes):
+    """Datagrams come late, in their order."""
+
+    kind: Literal["link_delay"]
+    extra_s: float = Field(default=0.5, gt=0.0, le=10.0)  # On top of the line's own delay
+    way: LinkDirection = "both"  # Which direction
 
 
 class MotorWeak(FaultTimes):
@@ -239,6 +271,7 @@ Fault = (
     ImuLost
     | ImuBusError
     | ImuFrozen
+    | ImuSaturated
     | GyroBiasStep
     | GyroSpikes
     | AccelBiasStep
@@ -256,10 +289,16 @@ Fault = (
     | RangeStuck
     | RangeBiasStep
     | RangeSpikes
+    | RangeOtherEcho
     | FrameLate
     | FrameLost
     | FrameStuck
     | FrameGarbled
+    | FrameBlack
+    | FrameGarbage
     | LinkBlackout
+    | LinkLoss
+    | LinkDelay
     | MotorWeak
+    | OutsideFault
 )

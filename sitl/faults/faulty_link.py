@@ -28,26 +28,33 @@ class LinkSettings(StrictModel):
 
 
 class LinkWay:
-    """One direction of a line. `cut` is a blackout."""
+    """One direction of a line. `cut` is a blackout; faults add to its delay and its loss."""
 
     def __init__(self, settings: LinkSettings, rng: np.random.Generator) -> None:
         self._settings = settings
         self._rng = rng
         self._perfect = settings == LinkSettings()
         self._latest_s = -1.0
+        self.clear_faults()
+
+    def clear_faults(self) -> None:
+        """Clear all faults; the line's own quality stays. What is under way is not overtaken."""
         self.cut = False
+        self.extra_delay_s = self.extra_loss = 0.0
 
     def arrival_s(self, now_s: float) -> float | None:
         """When a datagram sent now arrives (s), None if it is lost."""
         if self.cut:
             return None
-        if self._perfect:
+        if self.extra_loss > 0.0 and float(self._rng.random()) < self.extra_loss:
+            return None
+        if self._perfect and self.extra_delay_s == 0.0 and self._latest_s < now_s:
             return now_s
         s = self._settings
         lost, late, held = (float(self._rng.random()) for _ in range(3))
         if lost < s.loss_share:
             return None
-        arrival_s = now_s + s.delay_s + s.jitter_s * late
+        arrival_s = now_s + s.delay_s + self.extra_delay_s + s.jitter_s * late
         if held < s.reorder_share:
             return arrival_s + s.reorder_hold_s
         self._latest_s = max(arrival_s, self._latest_s + NEXT_S)

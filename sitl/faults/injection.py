@@ -1,13 +1,13 @@
-"""Fault injection: applies a scenario's faults at their times, one function per fault.
+"""Fault injection: one function per fault of a sensor, a line or a motor.
 
-`FaultSchedule` checks at each step whether a fault starts or ends. Then it clears all faults and applies the
-active ones again, so that faults may overlap. SI units, body axes (FRD).
+`sitl.faults.schedule` clears all faults when one starts or ends and applies the active ones again, so that
+faults may overlap. SI units, body axes (FRD). Pad, autopilot and computer: `sitl.faults.outside_injection`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final
 
 from companion.base.geometry import GRAVITY_M_S2, ZERO3, add
@@ -15,6 +15,8 @@ from sitl.camera.frame_line import FrameLine
 from sitl.devices.rack import SensorRack
 from sitl.faults import faults
 from sitl.faults.faulty_link import LinkWay
+from sitl.faults.outside import AutopilotReboots
+from sitl.faults.outside_injection import OUTSIDE, OutsideTargets
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.actuators import Motors
 
@@ -30,8 +32,10 @@ class FaultTargets:
         motors: Motors,
         to_app: LinkWay,
         to_vehicle: LinkWay,
+        outside: OutsideTargets | None = None,
     ) -> None:
-        """`autopilot_sensors`: faults of the environment act on them too."""
+        """`autopilot_sensors`: faults of the environment act on them too; `outside`: what is no sensor."""
+        self.outside = outside
         self.inertial, self.magnetometer, self.echo = rack.inertial, rack.magnetometer, rack.echo
         self.gps, self.bus, self.range, self.position = rack.gps, rack.imu, rack.range, rack.position
         self.autopilot_sensors = autopilot_sensors
@@ -58,7 +62,10 @@ class FaultTargets:
         self.autopilot_sensors.has_sky, self.autopilot_sensors.stray_field_ut = True, ZERO3
         self.frames.clear_faults()
         self.motors.clear_faults()
-        self.to_app.cut = self.to_vehicle.cut = False
+        self.to_app.clear_faults()
+        self.to_vehicle.clear_faults()
+        if self.outside is not None:
+            self.outside.clear_faults()
 
 
 # ---------------------------------------------------------------- IMU
@@ -77,6 +84,11 @@ def disturb_bus(fault: faults.ImuBusError, targets: FaultTargets) -> None:
 def freeze_imu(_fault: faults.ImuFrozen, targets: FaultTargets) -> None:
     """Repeat the last readings."""
     targets.inertial.gyro_glitches.frozen = targets.inertial.accel_glitches.frozen = True
+
+
+def saturate_imu(_fault: faults.ImuSaturated, targets: FaultTargets) -> None:
+    """The ends of the ranges."""
+    targets.bus.fault = "saturated"
 
 
 def step_gyro_bias(fault: faults.GyroBiasStep, targets: FaultTargets) -> None:
@@ -185,6 +197,11 @@ def spike_range(fault: faults.RangeSpikes, targets: FaultTargets) -> None:
     targets.echo.extra_spikes = max(targets.echo.extra_spikes, fault.share)
 
 
+def answer_from_nearer(fault: faults.RangeOtherEcho, targets: FaultTargets) -> None:
+    """Echoes of something else."""
+    targets.echo.other_m, targets.echo.other_share = fault.distance_m, fault.share
+
+
 # ---------------------------------------------------------------- camera
 
 
@@ -209,13 +226,46 @@ def garble_frames(fault: faults.FrameGarbled, targets: FaultTargets) -> None:
     targets.frames.garbled_share = max(targets.frames.garbled_share, fault.share)
 
 
+def cap_lens(_fault: faults.FrameBlack, targets: FaultTargets) -> None:
+    """Black frames."""
+    targets.frames.black = True
+
+
+def fill_frames_with_garbage(_fault: faults.FrameGarbage, targets: FaultTargets) -> None:
+    """Random data in all frames."""
+    targets.frames.garbage = True
+
+
 # ---------------------------------------------------------------- link and motors
+
+
+def ways(direction: faults.LinkDirection, targets: FaultTargets) -> tuple[LinkWay, ...]:
+    """The directions of the line that a fault is in."""
+    both = {"to_app": targets.to_app, "to_vehicle": targets.to_vehicle}
+    return tuple(both.values()) if direction == "both" else (both[direction],)
 
 
 def black_out_link(fault: faults.LinkBlackout, targets: FaultTargets) -> None:
     """No datagram arrives."""
-    targets.to_app.cut |= fault.way in ("both", "to_app")
-    targets.to_vehicle.cut |= fault.way in ("both", "to_vehicle")
+    for way in ways(fault.way, targets):
+        way.cut = True
+
+
+def lose_datagrams(fault: faults.LinkLoss, targets: FaultTargets) -> None:
+    """Some do not arrive."""
+    for way in ways(fault.way, targets):
+        way.extra_loss = max(way.extra_loss, fault.share)
+
+
+def delay_datagrams(fault: faults.LinkDelay, targets: FaultTargets) -> None:
+    """All arrive later."""
+    for way in ways(fault.way, targets):
+        way.extra_delay_s += fault.extra_s
+
+
+def silence_link(_fault: AutopilotReboots, targets: FaultTargets) -> None:
+    """Nothing is sent or taken."""
+    targets.to_app.cut = targets.to_vehicle.cut = True
 
 
 def weaken_motor(fault: faults.MotorWeak, targets: FaultTargets) -> None:
@@ -227,6 +277,7 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "imu_lost": lose_imu,
     "imu_bus_error": disturb_bus,
     "imu_frozen": freeze_imu,
+    "imu_saturated": saturate_imu,
     "gyro_bias_step": step_gyro_bias,
     "gyro_spikes": spike_gyro,
     "accel_bias_step": step_accel_bias,
@@ -244,30 +295,17 @@ INJECT: Final[dict[str, Callable[[Any, FaultTargets], None]]] = {
     "range_stuck": stick_range,
     "range_bias_step": step_range_bias,
     "range_spikes": spike_range,
+    "range_other_echo": answer_from_nearer,
     "frame_late": hold_frames_up,
     "frame_lost": lose_frames,
     "frame_stuck": stick_frames,
     "frame_garbled": garble_frames,
+    "frame_black": cap_lens,
+    "frame_garbage": fill_frames_with_garbage,
+    "link_loss": lose_datagrams,
+    "link_delay": delay_datagrams,
     "link_blackout": black_out_link,
     "motor_weak": weaken_motor,
+    "autopilot_reboots": silence_link,
+    **OUTSIDE,
 }
-
-
-class FaultSchedule:
-    """Injects and clears the faults at their times."""
-
-    def __init__(self, plan: Sequence[faults.Fault], targets: FaultTargets) -> None:
-        self._plan = plan
-        self._targets = targets
-        self._changes_s = sorted({time_s for fault in plan for time_s in (fault.start_s, fault.end_s)})
-
-    def step(self, now_s: float) -> None:
-        """Once per physics step, before the sensors' step."""
-        if not self._changes_s or now_s < self._changes_s[0]:
-            return
-        while self._changes_s and now_s >= self._changes_s[0]:
-            self._changes_s.pop(0)
-        self._targets.clear_faults()
-        for fault in self._plan:
-            if fault.start_s <= now_s < fault.end_s:
-                INJECT[fault.kind](fault, self._targets)

@@ -89,6 +89,11 @@ class MavlinkEndpoint:
         for message_id, handler in pilot_inputs.HANDLERS.items():
             self._handlers[message_id] = partial(handler, autopilot)
 
+    def restart(self) -> None:
+        """After a reset of the autopilot: the default streams, and nothing to send."""
+        self._streams = Streams(self._has)
+        self._outgoing.clear()
+
     # ------------------------------------------------------------ bytes
 
     def receive(self, data: bytes, now_s: float) -> None:

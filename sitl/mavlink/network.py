@@ -97,6 +97,11 @@ class Network:
         """Close a port."""
         self._ports.remove(port)
 
+    def restart(self) -> None:
+        """After a reset of the autopilot: every link's streams are the default ones."""
+        for port in self._ports:
+            port.endpoint.restart()
+
     def receive(self, port: Port, data: bytes, now_s: float) -> None:
         """Handle what a client sent, forward what is for others, and answer at once."""
         endpoint = port.endpoint

@@ -99,7 +99,7 @@ def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) 
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
     return mavlink.MAVLink_sys_status_message(
-        present, present, health, 300, 12300, 1500, 90, 0, 0, 0, 0, 0, 0
+        present, present, health, 300, 12300, 1500, autopilot.battery_percent, 0, 0, 0, 0, 0, 0
     )
 
 
@@ -179,8 +179,10 @@ def mission_current(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def battery_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """BATTERY_STATUS of a battery that never drains."""
-    return mavlink.MAVLink_battery_status_message(0, 1, 1, 32767, _CELL_MV, 1500, -1, -1, 90)
+    """BATTERY_STATUS of a battery that drains by a fault alone."""
+    return mavlink.MAVLink_battery_status_message(
+        0, 1, 1, 32767, _CELL_MV, 1500, -1, -1, autopilot.battery_percent
+    )
 
 
 def system_time(autopilot: SimulatedAutopilot, now_s: float) -> Message:

@@ -23,6 +23,7 @@ from typing import Any, Final
 from companion.base.messages import Frame
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.ports import AppEnd, MemoryPort
+from sitl.faults.computer import ComputerFaults
 from sitl.firmware.spec import FirmwareSpec
 from sitl.run.latest_value import LatestValue
 from sitl.run.mavlink_line import ByteLink
@@ -68,10 +69,12 @@ class InProcess:
         gps_baud: int = GPS_BAUD,
         range_baud: int = RANGE_BAUD,
         firmware: FirmwareSpec | None = None,
+        computer: ComputerFaults | None = None,
     ) -> None:
         """Build it; `motion`: it is carried by hand; `link` is the vehicle's end of the MAVLink line.
 
-        A `firmware` flies it in lockstep; `simulation.close` ends that.
+        A `firmware` flies it in lockstep; `simulation.close` ends that. `computer` takes the faults of the
+        companion computer, for a harness that applies them to the app.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -91,6 +94,7 @@ class InProcess:
             deliver_frame=self.frames.deliver,
             camera_wanted=lambda: self.wants_frames,
             firmware=firmware,
+            computer=computer,
         )
 
     @property

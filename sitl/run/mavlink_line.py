@@ -56,6 +56,8 @@ class MavlinkLine:
         self.to_app = LinkWay(settings, to_app_rng)
         self.to_vehicle = LinkWay(settings, to_vehicle_rng)
         self._timer = timer
+        # called with what clients send, before the line loses or delays it, and the time (s)
+        self.listeners: list[Callable[[bytes, float], None]] = []
 
     def connect(self, write: Write, *, datagrams: bool) -> Any:
         """Connect a client. `write` takes whole frames and must not wait."""
@@ -71,6 +73,8 @@ class MavlinkLine:
 
     def receive(self, port: Any, data: bytes) -> None:
         """Take bytes that a client has just sent."""
+        for hear in self.listeners:
+            hear(data, self._timer.elapsed_s)
 
         def deliver() -> None:
             self.network.receive(port, data, self._timer.elapsed_s)

@@ -91,6 +91,11 @@ class SceneCamera:
         self._next_s = start_s + self._period_s
 
     @property
+    def model(self) -> optics.CameraModel:
+        """What renders: for faults of what is in view."""
+        return self._model
+
+    @property
     def exposed_s(self) -> float:
         """When the next frame's last row will have been read (world time)."""
         return self._next_s + 0.5 * self._model.span_s

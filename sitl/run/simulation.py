@@ -18,15 +18,20 @@ import numpy as np
 from companion.base.geometry import Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
+from companion.pad import load_pad
 from sitl.autopilot import ESTIMATORS, PROFILES, SimulatedAutopilot
 from sitl.camera.frame_line import FrameLine
 from sitl.devices.mpu9250 import Mpu9250Device
 from sitl.devices.neo6m import UNIX_AT_START_S
 from sitl.devices.ports import DevicePort
-from sitl.faults.injection import FaultSchedule, FaultTargets
+from sitl.faults.computer import ComputerFaults
+from sitl.faults.injection import FaultTargets
+from sitl.faults.outside_injection import OutsideTargets
+from sitl.faults.schedule import FaultSchedule, Moments
 from sitl.firmware.errors import FirmwareError
 from sitl.firmware.spec import FirmwareSpec
 from sitl.firmware.vehicle import IMU_FILTER, FirmwareVehicle
+from sitl.mavlink.app_words import AppWords
 from sitl.mavlink.ground_station import GroundStation
 from sitl.mavlink.network import Network
 from sitl.mavlink.signing import Signing
@@ -38,6 +43,7 @@ from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.sensor_setup import autopilot_sensors, sensor_rack
 from sitl.run.tick_timer import TickTimer
 from sitl.scenario.scenario import Scenario
+from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.sensors import RangeErrors
 from sitl.vehicle.hand_paths import HandMotion
@@ -89,6 +95,7 @@ class Simulation:
         motion: HandMotion | None = None,
         hands_wait: bool = False,
         firmware: FirmwareSpec | None = None,
+        computer: ComputerFaults | None = None,
     ) -> None:
         """Build the world and connect the devices. No frame is rendered while `camera_wanted` is false.
 
@@ -96,6 +103,7 @@ class Simulation:
         `unix_at_start_s` is UTC (s since 1970) at simulation time 0. `serve_truth` lets clients request the
         truth, `keep_truth` stores it for `report`. With a `motion` the vehicle is carried by hand and cannot
         fly; `hands_wait`: until `begin_motion`. A `firmware` that flies it has booted on return.
+        `computer`: where faults of the companion computer are noted, for a harness that applies them.
 
         Raises:
             ConfigError: a settings file that the scenario names is missing or wrong.
@@ -121,8 +129,6 @@ class Simulation:
         self._camera = SceneCamera(scenario, self._vehicle, world, noise_rng, latency_rng, lens_rng)
         self.line = line = MavlinkLine(scenario.link, fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
-        devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
-        self._faults = FaultSchedule(scenario.faults, FaultTargets(*devices))
         signing = Signing(scenario.autopilot, signing_key)
         station = GroundStation.of(scenario.beacon, beacon_rng, HOME, signing)
         self._flight_controller: SimulatedAutopilot | FirmwareVehicle
@@ -132,6 +138,10 @@ class Simulation:
             line.network = Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
         else:
             self._flight_controller, line.network = self._start_firmware(firmware, station, autopilot_rng)
+        self.app_words = AppWords()
+        line.listeners.append(self.app_words.hear)
+        self.on_step: Callable[[], None] | None = None  # after each step of the physics: for benches
+        self.faults = self._fault_schedule(sensors, computer)
 
     @property
     def imu_bus(self) -> Mpu9250Device:
@@ -233,6 +243,23 @@ class Simulation:
             )
         return vehicle, vehicle.network
 
+    def _fault_schedule(
+        self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None
+    ) -> FaultSchedule:
+        world, line, network = self._world, self.line, self.line.network
+        autopilot = self._flight_controller
+        outside = OutsideTargets(
+            self._camera.model,
+            load_pad(self._scenario.pad.name),
+            world.pad_motion,
+            autopilot if isinstance(autopilot, SimulatedAutopilot) else None,
+            network.restart if isinstance(network, Network) else lambda: None,
+            computer,
+        )
+        devices = (self._rack, sensors, self._frame_line, world.motors, line.to_app, line.to_vehicle)
+        moments = Moments(self.app_words, lambda: world.feet_over_pad_m)
+        return FaultSchedule(self._scenario.faults, FaultTargets(*devices, outside), moments)
+
     # ------------------------------------------------------------ one tick
 
     def _tick(self) -> None:
@@ -240,7 +267,7 @@ class Simulation:
             self._step_physics()
         now_s = self._world.time_s
         self._expose(now_s)
-        pad = self._world.pad_state
+        pad = self._world.pad_motion.beacon_at(now_s)
         self.line.network.transmit(now_s, pad.position_ned_m, pad.velocity_ned_m_s)
         if self._timer.count % TRUTH_EVERY_TICKS == 0:
             self._world.attitude_setpoint = self._flight_controller.attitude_setpoint
@@ -256,9 +283,11 @@ class Simulation:
         state, throttle = world.state, 0.25 * sum(motors)
         if self._timer.count % RANGE_EVERY_TICKS == 0:
             self._range_finder = world.ranging(self._vehicle.range_position_body_m, HALF_BEAM_RAD)
-        self._faults.step(world.time_s)
+        self.faults.step(world.time_s)
         self._autopilot_sensors.step(world.time_s, state, throttle, self._range_height_m)
         self._rack.step(world.time_s, state, throttle, self._range_height_m)
+        if self.on_step is not None:
+            self.on_step()
 
     def _range_height_m(self) -> float:
         """The ultrasonic's distance to the first echo."""

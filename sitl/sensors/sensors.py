@@ -191,6 +191,7 @@ class RangeSensor:
         self.bias_m = 0.0
         self.frozen = False
         self.stuck_m: float | None = None
+        self.other_m, self.other_share = math.inf, 0.0
 
     def sample(self, height_m: float, tilt_rad: float = 0.0) -> float | None:
         """Distance (m) of the first echo, or None: of a sensor `height_m` over a flat floor, tilted.
@@ -204,6 +205,8 @@ class RangeSensor:
         if spike < spikes:
             # the shells' edges ring, or a neighbour's rotor does: an echo from anywhere in between
             distance_m *= spike / spikes
+        if spike < self.other_share:
+            distance_m = min(distance_m, self.other_m)
         distance_m += (e.noise_m + e.noise_share * distance_m) * float(noise) + self.bias_m
         if self.frozen:
             return self._last_m if self.stuck_m is None else self.stuck_m

@@ -48,6 +48,11 @@ class PadBoard:
         """Whether the board is above or below a point given in its own axes."""
         return abs(local_m[0]) <= self.half_length_m and abs(local_m[1]) <= self.half_width_m
 
+    def is_under(self, pad: PadTruth, point_ned_m: Vector3) -> bool:
+        """Whether the board is under a point (or over it)."""
+        dn, de = point_ned_m[0] - pad.position_ned_m[0], point_ned_m[1] - pad.position_ned_m[1]
+        return math.hypot(dn, de) <= self.half_diagonal_m and self.contains(self.local(pad, point_ned_m))
+
     def surface_down_m(self, pad: PadTruth, north_m: float, east_m: float) -> float:
         """Down coordinate of what lies under a point: the board's top or the ground."""
         dn, de = north_m - pad.position_ned_m[0], east_m - pad.position_ned_m[1]

@@ -76,13 +76,14 @@ class TouchdownDetector:
     """Watches a flight for its touchdown and for a crash.
 
     A vehicle that rises a metre again after a touchdown flies again: its next contact replaces the last.
-    A crash stays a crash.
+    A crash stays a crash. `flown`: it has ever been so high.
     """
 
     def __init__(self) -> None:
         self.touchdown: TouchdownState | None = None
         self.crashed = False
         self.nearest_obstacle_m: float | None = None
+        self.flown = False
         self._airborne = False
         self._touching = True
 
@@ -113,7 +114,7 @@ class TouchdownDetector:
     def airborne(self, height_m: float) -> None:
         """Note the feet's height (m) over whatever is beneath."""
         if height_m > AIRBORNE_HEIGHT_M:
-            self._airborne = True
+            self._airborne = self.flown = True
 
     def _hit(self, time_s: float, state: QuadrotorState, pad: PadTruth, load: ContactLoad) -> None:
         touchdown = _touchdown(time_s, state, pad, load.on_board > 0)

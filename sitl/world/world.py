@@ -27,6 +27,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import Truth
 from companion.pad import load_pad
+from sitl.pad.incidents import IncidentMotion
 from sitl.pad.motion import PadTruth, build_pad_motion
 from sitl.scenario.scenario import Scenario, load_airframe
 from sitl.vehicle.actuators import Motors
@@ -94,14 +95,16 @@ class World:
         self._ground_effect_reach_m = ground_effect_reach_m(body.rotor_radius_m)
         self._wind = Wind(scenario.wind, np.random.default_rng((seed, _Stream.WIND)))
         pad = scenario.pad
-        self._pad_motion = build_pad_motion(
-            pad.motion,
-            pad.surface_height_m,
-            pad.heading,
-            np.random.default_rng((seed, _Stream.PAD)),
-            pad.deck,
+        self.pad_motion = IncidentMotion(
+            build_pad_motion(
+                pad.motion,
+                pad.surface_height_m,
+                pad.heading,
+                np.random.default_rng((seed, _Stream.PAD)),
+                pad.deck,
+            )
         )
-        self.pad_state = self._pad_motion.at(0.0)
+        self.pad_state = self.pad_motion.at(0.0)
         self._state = self._at_home(scenario, np.random.default_rng((seed, _Stream.START)))
         self._load: ContactLoad = NO_CONTACT
         self._obstacles = Obstacles(scenario.obstacles, body)
@@ -147,7 +150,7 @@ class World:
         """Advance the time: the vehicle's new state, and the pad's motion."""
         self._state = state
         self.time_s += dt_s
-        self.pad_state = self._pad_motion.at(self.time_s)
+        self.pad_state = self.pad_motion.at(self.time_s)
         self._watch.beside(self._obstacles.clearance_m(state.position_ned_m))
         if not self._watch.flying:
             self._watch.airborne(self.height_m - self.landed_reference_height_m)
@@ -194,6 +197,22 @@ class World:
         """Height of the reference point over what lies under it."""
         north, east, down = self._state.position_ned_m
         return self.board.surface_down_m(self.pad_state, north, east) - down
+
+    @property
+    def contact(self) -> ContactLoad:
+        """What touched, and how, in the last step."""
+        return self._load
+
+    @property
+    def feet_over_pad_m(self) -> float | None:
+        """Height of the feet over the pad's surface, 0 as soon as one touches; None before the flight and
+        beside the pad."""
+        north, east, down = self._state.position_ned_m
+        if not self._watch.flown or not self.board.is_under(self.pad_state, self._state.position_ned_m):
+            return None
+        over_m = self.board.surface_down_m(self.pad_state, north, east) - down
+        # feet that bear a part of the weight are pressed in less than those of the height they stand at
+        return 0.0 if self._load.on_board else over_m - self.landed_reference_height_m
 
     @property
     def landed_reference_height_m(self) -> float:

@@ -6,7 +6,7 @@ Commands are method calls that return a MAV_RESULT; texts for the ground are in 
 from __future__ import annotations
 
 import dataclasses
-from math import isfinite, isnan, nan
+from math import inf, isfinite, isnan, nan
 
 from companion.base.geometry import Vector3, yaw_from_quat
 from sitl.autopilot.control.setpoints import (
@@ -34,10 +34,14 @@ class SimulatedAutopilot(FlightLoop):
 
     def arm(self, force: bool = False) -> CommandResult:
         """Arm; refused with a text before alignment, when leaning, or in a mode that lands."""
+        if "arm" in self.refused:
+            return self.profile.refused_arming
         return self._commander.arm(force)
 
     def disarm(self, force: bool = False) -> CommandResult:
         """Disarm; refused in flight unless forced."""
+        if "disarm" in self.refused:
+            return self.profile.refused_disarming
         return self._commander.disarm(force)
 
     def set_mode(self, custom_mode: int) -> CommandResult:
@@ -50,6 +54,8 @@ class SimulatedAutopilot(FlightLoop):
         PX4 takes an altitude above sea level, NaN or too low a one meaning MIS_TAKEOFF_ALT; ArduPilot
         takes one over home, in GUIDED, armed, from the ground.
         """
+        if "take_off" in self.refused:
+            return CommandResult.TEMPORARILY_REJECTED
         if self.profile.take_off_needs_guided:
             if self.mode != self.profile.take_off_mode or not self.armed or not self._cascade.landed:
                 return CommandResult.FAILED
@@ -123,6 +129,12 @@ class SimulatedAutopilot(FlightLoop):
             return self.profile.refused_arming
         self._boot()
         return CommandResult.ACCEPTED
+
+    def recover(self, now_s: float) -> None:
+        """A watchdog's reset: the motors stay on, the time since boot begins again, and it holds."""
+        self.boots += 1
+        self.booted_s, self._setpoint, self._setpoint_s = now_s, None, -inf
+        self._commander.recover()
 
     def send_text(self, severity: Severity, text: str) -> None:
         """Queue a STATUSTEXT."""

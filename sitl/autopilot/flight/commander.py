@@ -36,6 +36,7 @@ class Commander:
         self.armed = False
         self.disarmings = 0
         self.in_failsafe = False
+        self.stays_armed = False  # a fault: no failsafe disarms
         self.texts: deque[Text] = deque((Severity.INFO, text) for text in profile.texts.boot)
         self.mode = profile.mode(profile.boot_mode)
         self.task = self.mode.task
@@ -90,6 +91,11 @@ class Commander:
         """Another task within the present mode."""
         self.task, self.subtask = task, None
 
+    def recover(self) -> None:
+        """After a reset in flight: nothing is left of failsafes and modes, it holds."""
+        self._forget_failsafe()
+        self._enter(self._profile.mode(self._profile.hold_mode))
+
     @property
     def flown(self) -> Task:
         """The present task, that of the mission item where there is one."""
@@ -123,6 +129,8 @@ class Commander:
             if not failsafe.condition(self.situation):
                 if failsafe.over is None or failsafe.over(self.situation) or self._held_s[index] > -inf:
                     self._held_s[index] = 0.0
+                continue
+            if self.stays_armed and failsafe.response is FailsafeAction.DISARM:
                 continue
             self._held_s[index] += dt_s
             if self._held_s[index] >= failsafe.after_s:

@@ -71,7 +71,9 @@ class FlightLoop(FlightState):
         """Update the commander's vehicle status."""
         now = self._commander.situation
         now.home_set = up_s >= self.profile.home_s
-        if not now.aligned and up_s >= self.profile.alignment_s:
+        if self.position_lost:
+            now.aligned = False
+        elif not now.aligned and up_s >= self.profile.alignment_s:
             now.aligned = True
             for text in self.profile.texts.aligned:
                 self._commander.send_text(Severity.INFO, text)
@@ -83,6 +85,7 @@ class FlightLoop(FlightState):
         self._watch_mission()
         self._manual_control.watch(now, self.task, self._now_s)
         self._runner.started = self._runner.started or now.throttle_up
+        self._commander.stays_armed = "auto_disarm" in self.refused
         self._commander.update(self.profile.outer_period_s)
 
     def _begin_task(self) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from math import inf
+from typing import Final, Literal
 
 import numpy as np
 
@@ -35,6 +36,8 @@ from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
 
+RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
+FULL_BATTERY_PERCENT: Final = 90
 PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
@@ -61,7 +64,14 @@ class FlightState:
         self._airframe, self._rates = airframe, rates
         self._origin = home
         self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None
+        self.clear_faults()
         self._boot()
+
+    def clear_faults(self) -> None:
+        """Nothing refused, the position known, the battery as good as new."""
+        self.refused: frozenset[RefusedRequest] = frozenset()
+        self.position_lost = False
+        self.battery_percent = FULL_BATTERY_PERCENT
 
     def _boot(self) -> None:
         """Reset everything but the parameters and the mission, as a reboot does."""
@@ -184,6 +194,13 @@ class FlightState:
         return self._change_mode(self.profile.mode(name))
 
     def _change_mode(self, mode: Mode | None, number: int = 0) -> CommandResult:
+        refused: RefusedRequest | None = None
+        if mode is not None and mode.takes_setpoints:
+            refused = "offboard"
+        elif mode is not None and mode.task is Task.LAND:
+            refused = "land"
+        if refused in self.refused:
+            return self.profile.refused_mode
         self._watch_mission()  # one received since the last step counts already
         return self._commander.change_mode(mode, number)
 

@@ -21,7 +21,8 @@ from sitl.devices.ports import MemoryPort
 from sitl.devices.rack import SensorRack
 from sitl.faults.faults import Fault
 from sitl.faults.faulty_link import LinkSettings, LinkWay
-from sitl.faults.injection import FaultSchedule, FaultTargets
+from sitl.faults.injection import FaultTargets
+from sitl.faults.schedule import FaultSchedule
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.vehicle.actuators import Motors
 from sitl.vehicle.quadrotor import QuadrotorState

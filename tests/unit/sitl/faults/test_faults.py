@@ -43,7 +43,7 @@ from sitl.scenario.scenario import load_scenario
 from tests.unit.sitl.devices.sensor_desk import Heard, fly
 
 START_S, END_S, SECONDS = 6.0, 8.0, 10.0
-TIMES = {"start_s": START_S, "duration_s": END_S - START_S}
+TIMES: dict[str, Any] = {"start_s": START_S, "duration_s": END_S - START_S}
 FORCE = "specific_force_body_m_s2"
 EPOCH_S = 0.21  # between two fixes
 SETTLE_S = 0.05  # the filters' delay, and samples that are averages
@@ -351,9 +351,9 @@ def test_a_scenario_lists_faults_by_kind(tmp_path: Path) -> None:
     )
     late, lost = load_scenario(path).faults
     assert isinstance(late, FrameLate)
-    assert (late.extra_s, late.every, late.end_s) == (0.25, 5, 918.0)
+    assert (late.extra_s, late.every, late.lasts_s) == (0.25, 5, 900.0)
     assert isinstance(lost, FrameLost)
-    assert (lost.share, lost.end_s) == (1.0, 21.0)
+    assert (lost.share, lost.start_s, lost.lasts_s) == (1.0, 20.0, 1.0)
 
 
 @pytest.mark.parametrize(

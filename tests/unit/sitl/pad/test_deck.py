@@ -198,10 +198,10 @@ def test_touchdown_is_scored_along_the_decks_normal() -> None:
     world = on_deck(at_sea(significant_roll_deg=25.0), 0.0)
     for _ in range(round(60.0 / DT)):
         # wait for a good lean: the deck moves on without the vehicle
-        if abs(math.degrees(world._pad_motion.at(world.time_s).roll_rad)) > 5.0:
+        if abs(math.degrees(world.pad_motion.at(world.time_s).roll_rad)) > 5.0:
             break
         world.time_s += DT
-    world.pad_state = world._pad_motion.at(world.time_s)
+    world.pad_state = world.pad_motion.at(world.time_s)
     on_deck(world, 1.2)
     lean_deg = math.degrees(tilt_from_quat(world.state.attitude))
     assert lean_deg > 5.0

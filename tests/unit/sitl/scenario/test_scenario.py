@@ -42,7 +42,7 @@ def test_the_pad_can_be_met_at_the_waypoint_and_stays_in_reach(name: str) -> Non
     scenario = load_scenario(name)
     north, east = scenario.companion["plan"]["mission"]["waypoint_ned_m"]
     for seed in range(10):
-        pad = World(scenario, seed)._pad_motion
+        pad = World(scenario, seed).pad_motion
         met = min(
             math.hypot(p.position_ned_m[0] - north, p.position_ned_m[1] - east)
             for p in (pad.at(20.0 + 0.5 * i) for i in range(11))

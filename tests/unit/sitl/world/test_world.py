@@ -17,6 +17,7 @@ from companion.base.geometry import (
     yaw_from_quat,
 )
 from companion.config import validate
+from sitl.autopilot.control.airframe import hover_thrust
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import Four, QuadrotorState
 from sitl.world.wind import shear
@@ -145,6 +146,24 @@ def test_a_hop_below_a_metre_is_no_flight_and_a_later_flight_replaces_the_touchd
     assert world.touchdown.time_s > first
 
 
+def test_feet_that_touch_the_pad_are_not_above_it_however_little_they_bear() -> None:
+    world = put(World(scenario(pad=pad_at(5.0, 5.0)), 0), 1.1)
+    assert world.feet_over_pad_m == pytest.approx(1.1)
+    most = 0.95 * hover_thrust(world.airframe.body)
+    heights = []
+    for _ in range(2000):
+        world.step((most,) * 4, DT)
+        heights.append((world.contact.on_board > 0, world.feet_over_pad_m))
+    assert any(touching for touching, _ in heights)
+    assert {height for touching, height in heights if touching} == {0.0}
+    assert min(height for touching, height in heights if not touching and height is not None) > 0.0
+
+
+def test_over_the_pad_and_in_flight_alone_there_is_a_height_over_it() -> None:
+    assert World(scenario(pad=pad_at(0.0, 0.0, 0.3)), 0).feet_over_pad_m is None
+    assert put(World(scenario(pad=pad_at(5.0, 5.0)), 0), 2.0, sideways=1.0).feet_over_pad_m is None
+
+
 def test_touching_the_ground_beside_the_pad_is_not_on_the_pad() -> None:
     world = World(scenario(pad=pad_at(20.0, 0.0)), 0)
     world.place(QuadrotorState((17.0, 0.0, -1.3)))
@@ -235,7 +254,7 @@ def test_truth_a_moment_ago_lies_between_the_steps() -> None:
     yaw = [euler_from_quat(t.vehicle_attitude)[2] for t in (told[160], between, told[161])]
     assert wrap_angle(yaw[1] - 0.5 * (yaw[0] + yaw[2])) == pytest.approx(0.0, abs=1e-7)
     assert between.pad_position_ned_m == pytest.approx(
-        world._pad_motion.at(160.5 * DT).position_ned_m, abs=1e-5
+        world.pad_motion.at(160.5 * DT).position_ned_m, abs=1e-5
     )
 
 

@@ -1,0 +1,152 @@
+"""Every fault in every phase in which it can happen: what becomes of the flight, and is it safe?
+
+    python -m tests.bench.faults.bench_faults --jobs 2 --out flights/bench-faults
+
+Flies the scenarios `line` and `circle` under five seeds, rendered, in virtual time. Each flight is written
+down when it ends; give the same command again after an interruption, and it goes on. Flights of another state
+of the code are not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Final
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from sitl.campaign.figures import Bar
+from sitl.campaign.manifest import code_digest
+from tests.bench.faults.cases import CASES, PHASES, Run, all_runs
+from tests.bench.faults.fault_flight import fly_run
+from tests.bench.faults.judge import OUTCOMES
+from tests.bench.faults.runs_file import Row, RunsFile
+
+SCENARIOS: Final = ("line", "circle")
+SEEDS: Final = 5
+LANDED_SHARE: Final = 0.95
+
+
+def fly_row(run: Run, code: str) -> Row:
+    """Fly one; a flight that cannot be flown is an unsafe one, with why."""
+    try:
+        verdict, record = fly_run(run)
+    except Exception as error:
+        traceback.print_exc()
+        return Row(*run, code, 0, "unsafe", f"{type(error).__name__}: {error}", 0.0, "")
+    said = record.texts[-1].text if record.texts else ""
+    ended_s = round(record.app_ended_s or record.samples[-1].time_s, 1)
+    return Row(*run, code, int(record.fault_began), verdict.outcome, "; ".join(verdict.unsafe), ended_s, said)
+
+
+def fly_all(runs: Sequence[Run], code: str, jobs: int) -> Iterator[Row]:
+    """Fly, so many at a time; they come as they end."""
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")  # the flights share the cores
+    if jobs == 1:
+        yield from (fly_row(run, code) for run in runs)
+        return
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        for future in as_completed([pool.submit(fly_row, run, code) for run in runs]):
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+# ---------------------------------------------------------------- what is shown
+
+
+def cell(rows: Sequence[Row]) -> str:
+    """How the flights of one fault in one phase ended."""
+    count = Counter(row.outcome for row in rows)
+    words = [f"{name} {count[name]}" for name in OUTCOMES if count[name]]
+    idle = sum(not row.began for row in rows)
+    return ", ".join(words) + (f" ({idle} before the fault)" if idle else "")
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """Fault x phase: how it ended."""
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    phases = [phase for phase in PHASES if any(row.phase == phase for row in rows)]
+    shown.add_column("fault", no_wrap=True)
+    for phase in phases:
+        shown.add_column(phase.replace("_", " "))
+    for fault in CASES:
+        mine = [row for row in rows if row.fault == fault]
+        if mine:
+            cells = (cell([row for row in mine if row.phase == phase]) for phase in phases)
+            shown.add_row(fault, *cells)
+    return shown
+
+
+def bars(rows: Sequence[Row]) -> list[Bar]:
+    """No unsafe end, and landings where the fault leaves one possible."""
+    unsafe = sum(row.outcome == "unsafe" for row in rows)
+    found = [Bar("unsafe ends", f"{unsafe} of {len(rows)}", unsafe == 0)]
+    gentle = [row for row in rows if CASES[row.fault].lands]
+    if gentle:
+        landed = sum(row.outcome == "landed" for row in gentle) / len(gentle)
+        found.append(Bar("landed where possible", f"{100 * landed:.1f} %", landed >= LANDED_SHARE))
+    return found
+
+
+def print_unsafe(console: Console, rows: Sequence[Row]) -> None:
+    """Each unsafe flight in a line, with what was unsafe and what the app said last."""
+    for row in rows:
+        if row.outcome == "unsafe":
+            where = f"{row.fault}, {row.phase}, {row.scenario} {row.seed}"
+            console.print(f"unsafe: {where}: {row.unsafe} ({row.said})", highlight=False, soft_wrap=True)
+
+
+def _names(text: str, known: Sequence[str]) -> list[str]:
+    names = [name.strip() for name in text.split(";") if name.strip()]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"'{unknown[0]}': expected some of {'; '.join(known)}")
+    return names
+
+
+def main() -> int:
+    """Fly, print the table, and say which bars hold."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    faults, phases = list(CASES), list(PHASES)
+    parser.add_argument("--faults", type=lambda text: _names(text, faults), default=faults, help="'a;b'")
+    parser.add_argument("--phases", type=lambda text: _names(text, phases), default=phases, help="'a;b'")
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--scenarios", nargs="+", default=SCENARIOS)
+    parser.add_argument("--out", type=Path, default=Path("flights/bench-faults"))
+    options = parser.parse_args()
+    console = Console(width=None if sys.stdout.isatty() else 150)
+    file, code = RunsFile(options.out / "runs.csv"), code_digest()
+    asked = list(all_runs(options.faults, options.phases, options.scenarios, options.seeds))
+    done = {row.run: row for row in file.read(code)}
+    left = [run for run in asked if run not in done]
+    console.print(f"{len(asked)} flights, {len(left)} to fly")
+    for number, row in enumerate(fly_all(left, code, options.jobs), 1):
+        file.append(row)
+        done[row.run] = row
+        where = f"{row.fault}, {row.phase}, {row.scenario} {row.seed}"
+        console.print(f"{number}/{len(left)} {where}: {row.outcome} {row.unsafe}", highlight=False)
+    rows = [done[run] for run in asked]
+    console.print(table(rows))
+    print_unsafe(console, rows)
+    found = bars(rows)
+    console.print(f"bars: {', '.join(map(str, found))}", highlight=False, soft_wrap=True)
+    return 0 if all(bar.holds for bar in found) else 1
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit("stopped; the same command goes on")

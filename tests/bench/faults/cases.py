@@ -1,0 +1,171 @@
+"""The faults of `bench_faults`, the phases in which each can happen, and the flights made of them.
+
+Under each seed a fault begins at another moment of its phase.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NamedTuple
+
+from companion.config import merge
+from sitl.scenario.scenario import Scenario, load_scenario
+
+PhaseName = Literal["start", "search", "approach", "descend", "last_metre", "on_pad"]
+PHASES: Final[tuple[PhaseName, ...]] = ("start", "search", "approach", "descend", "last_metre", "on_pad")
+IN_AIR: Final[tuple[PhaseName, ...]] = ("search", "approach", "descend", "last_metre")
+TO_THE_END: Final[tuple[PhaseName, ...]] = (*IN_AIR, "on_pad")
+LOW: Final[tuple[PhaseName, ...]] = ("last_metre", "on_pad")
+# whatever happens, the app has given up by then
+TIME_LIMIT_S: Final = 220.0
+
+_DELAYS_S: Final = (0.3, 0.8, 1.3, 2.0, 0.0)
+_HEIGHTS_M: Final = (0.6, 0.3, 0.15, 0.95, 0.05)
+_ON_PAD_DELAYS_S: Final = (0.05, 0.2, 0.4, 0.0, 0.8)
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCase:
+    """A fault (or several at once) by the name of its row; `lands`: a landing is possible all the same."""
+
+    faults: tuple[dict[str, Any], ...]
+    phases: tuple[PhaseName, ...]
+    lands: bool = False
+
+
+def _case(phases: tuple[PhaseName, ...], *faults: dict[str, Any], lands: bool = False) -> FaultCase:
+    return FaultCase(faults, phases, lands)
+
+
+def _one(kind: str, phases: tuple[PhaseName, ...] = TO_THE_END, /, **settings: Any) -> FaultCase:
+    return FaultCase(({"kind": kind, **settings},), phases)
+
+
+def _refused(phases: tuple[PhaseName, ...], *what: str) -> FaultCase:
+    return FaultCase(tuple({"kind": "autopilot_refuses", "what": one} for one in what), phases)
+
+
+_CAMERA: Final[dict[str, FaultCase]] = {
+    "frames lost 0.2 s": _case(TO_THE_END, {"kind": "frame_lost", "duration_s": 0.2}, lands=True),
+    "frames lost 1 s": _case(TO_THE_END, {"kind": "frame_lost", "duration_s": 1.0}, lands=True),
+    "frames lost": _one("frame_lost"),
+    "frames black": _one("frame_black"),
+    "frames garbage": _one("frame_garbage"),
+    "frames stuck": _one("frame_stuck"),
+    "pad wrong ids": _one("pad_wrong_ids"),
+    "pad covered": _one("pad_covered"),
+    "pad twin": _one("pad_twin"),
+}
+_SENSORS: Final[dict[str, FaultCase]] = {
+    "IMU lost": _one("imu_lost"),
+    "IMU frozen": _one("imu_frozen"),
+    "IMU NaN": _one("imu_nan"),
+    "IMU saturated": _one("imu_saturated"),
+    "30 uT": _case(TO_THE_END, {"kind": "mag_disturbed"}, lands=True),
+    "GPS lost": _case(TO_THE_END, {"kind": "gps_lost"}, lands=True),
+    "range spikes": _one("range_spikes", share=0.5),
+    "range stuck": _one("range_stuck"),
+    "range stuck near": _one("range_stuck", distance_m=0.05),
+    "range lost": _one("range_lost"),
+    "range other echo": _one("range_other_echo"),
+}
+_LINK: Final[dict[str, FaultCase]] = {
+    "link lost 1 s": _case(TO_THE_END, {"kind": "link_blackout", "duration_s": 1.0}, lands=True),
+    "link lost 5 s": _one("link_blackout", duration_s=5.0),
+    "link lost": _one("link_blackout"),
+    "link lost to app": _one("link_blackout", way="to_app"),
+    "link lost to vehicle": _one("link_blackout", way="to_vehicle"),
+    "link half lost": _one("link_loss"),
+    "link 0.5 s late": _one("link_delay"),
+}
+_PAD: Final[dict[str, FaultCase]] = {
+    "pad stops": _one("pad_stops"),
+    "pad brakes": _one("pad_brakes"),
+    "pad turns back": _one("pad_turns_back"),
+    "pad leaves at 6 m/s": _one("pad_leaves"),
+    "pad vanishes": _one("pad_vanishes", IN_AIR),
+    "pad tilts 15 deg": _one("pad_tilts"),
+}
+_SOLVER: Final[dict[str, FaultCase]] = {
+    "MPC infeasible": _one("solver_infeasible"),
+    "MPC late": _one("solver_late"),
+    "MPC NaN": _one("solver_nan"),
+}
+_AUTOPILOT: Final[dict[str, FaultCase]] = {
+    "refuses arm": _refused(("start",), "arm"),
+    "refuses take-off": _refused(("start",), "take_off"),
+    "refuses offboard": _refused(("start",), "offboard"),
+    "refuses disarm": _refused(("start", *LOW), "disarm"),
+    "refuses LAND": _refused(("start", *LOW), "land"),
+    "refuses disarm, LAND": _refused(("start", *LOW), "disarm", "land"),
+    "never disarms": _refused(("start", *LOW), "disarm", "land", "auto_disarm"),
+    "pilot: Position": _one("pilot_mode", ("start", *TO_THE_END), mode="position"),
+    "pilot: Hold": _one("pilot_mode", ("start", *TO_THE_END), mode="hold"),
+    "pilot: Return": _one("pilot_mode", mode="return"),
+    "autopilot reboots": _one("autopilot_reboots"),
+    "autopilot position lost": _one("autopilot_position_lost"),
+    "battery low": _one("battery", remaining_percent=18),
+    "battery critical": _one("battery", remaining_percent=6),
+}
+_DISK: Final[dict[str, FaultCase]] = {
+    "disk full": _one("disk_full"),
+    "disk slow": _one("disk_slow"),
+}
+CASES: Final[dict[str, FaultCase]] = {
+    **_CAMERA,
+    **_SENSORS,
+    **_LINK,
+    **_PAD,
+    **_SOLVER,
+    **_AUTOPILOT,
+    **_DISK,
+}
+
+
+class Run(NamedTuple):
+    """One flight: what fails, when, and in which scenario under which seed."""
+
+    fault: str
+    phase: PhaseName
+    scenario: str
+    seed: int
+
+
+def all_runs(
+    faults: Sequence[str], phases: Sequence[str], scenarios: Sequence[str], seeds: int
+) -> Iterator[Run]:
+    """Every fault in every phase in which it can happen; the first seed of all before the second."""
+    for seed in range(seeds):
+        for scenario in scenarios:
+            for name in faults:
+                for phase in CASES[name].phases:
+                    if phase in phases:
+                        yield Run(name, phase, scenario, seed)
+
+
+def beginning(phase: PhaseName, seed: int) -> dict[str, Any]:
+    """When a fault begins: in a phase, at the moment that the seed gives."""
+    if phase == "start":
+        return {"start_s": 0.0}
+    if phase == "last_metre":
+        return {"below_m": _HEIGHTS_M[seed % len(_HEIGHTS_M)]}
+    if phase == "on_pad":
+        return {"below_m": 0.0, "delay_s": _ON_PAD_DELAYS_S[seed % len(_ON_PAD_DELAYS_S)]}
+    return {"phase": phase, "delay_s": _DELAYS_S[seed % len(_DELAYS_S)]}
+
+
+def scenario_of(run: Run) -> Scenario:
+    """The run's scenario.
+
+    Raises:
+        ConfigError: the scenario's file is missing or wrong.
+    """
+    shipped = load_scenario(run.scenario)
+    when = beginning(run.phase, run.seed)
+    if run.phase == "start" and run.fault.startswith("pilot"):
+        when = {"phase": "take off", "delay_s": 2.0}  # before control is ours
+    faults = [{**fault, **when} for fault in CASES[run.fault].faults]
+    content = shipped.model_dump(by_alias=True, exclude_unset=True)
+    changes = {"faults": faults, "time_limit_s": TIME_LIMIT_S}
+    return Scenario.model_validate(merge(content, changes))

@@ -1,0 +1,154 @@
+"""One flight with a fault: app and simulator in one process, in virtual time, watched to its real end.
+
+When the app has ended, the world goes on until the vehicle is disarmed or has held for a while: what the
+autopilot makes of what it was handed belongs to how the flight ended.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from companion.app.app import App
+from companion.app.hardware import Hardware, make_own_actions
+from companion.base.clock import run_in_virtual_time
+from companion.config import CONFIG_FOLDER, CompanionConfig
+from companion.flightlog.record import FlightLog
+from companion.link.inbox import memory_pair
+from companion.sense.vision.opencv import prepare_opencv
+from companion.sim.settings import sitl_settings
+from companion.sim.trial import Trial
+from sitl.faults.computer import ComputerFaults
+from sitl.run.in_process import InProcess
+from sitl.scenario.scenario import Scenario
+from tests.bench.faults.cases import CASES, Run, scenario_of
+from tests.bench.faults.computer import applied
+from tests.bench.faults.judge import HOLD_MODES, Bounds, Verdict, judge
+from tests.bench.faults.witness import FlightRecord, Witness
+
+HELD_S: Final = 4.0
+AFTERMATH_S: Final = 60.0
+LOOK_S: Final = 0.1
+# a pad that has just braked rocks what stands on it
+SETTLES_S: Final = 5.0
+# where no setting says how high the vehicle may fly
+DEFAULT_CEILING_M: Final = 40.0
+
+
+def fly_run(run: Run) -> tuple[Verdict, FlightRecord]:
+    """Fly one and judge it."""
+    prepare_opencv()
+    scenario = scenario_of(run)
+    on_disk = any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
+    record, config = fly(scenario, run.seed, on_disk=on_disk)
+    record.pilot_took_over = run.fault.startswith("pilot")
+    return judge(record, bounds_of(config)), record
+
+
+def bounds_of(config: CompanionConfig) -> Bounds:
+    """What the settings promise."""
+    mission = config.plan.mission
+    ceiling_m = float(getattr(mission, "ceiling_m", DEFAULT_CEILING_M))
+    return Bounds(config.control.limits, mission.fence_m, ceiling_m)
+
+
+def fly(scenario: Scenario, seed: int, *, on_disk: bool = False) -> tuple[FlightRecord, CompanionConfig]:
+    """Fly a scenario to its end; returns what was seen and the settings that it was flown with."""
+    trial = Trial(Path(f"{scenario.name}.yaml"), scenario, seed)
+    config = sitl_settings(CONFIG_FOLDER / "companion.yaml", trial, fast=True)
+    faults = ComputerFaults()
+    with _log(on_disk) as log, applied(faults):
+        record = run_in_virtual_time(_fly(trial, config, log, faults))
+        faults.clear_faults()  # what is left of the log is written
+        log.close()
+    return record, config
+
+
+@contextmanager
+def _log(on_disk: bool) -> Iterator[FlightLog]:
+    if not on_disk:
+        yield FlightLog(None, start_unix_s=0.0)
+        return
+    with tempfile.TemporaryDirectory(prefix="bench-faults-") as folder:
+        yield FlightLog(Path(folder), start_unix_s=0.0)
+
+
+async def _fly(trial: Trial, config: CompanionConfig, log: FlightLog, faults: ComputerFaults) -> FlightRecord:
+    app_end, vehicle_end = memory_pair()
+    vehicle = InProcess(
+        trial.scenario,
+        trial.seed,
+        link=vehicle_end,
+        gps_baud=config.sense.gps.baud,
+        range_baud=config.sense.range.baud,
+        computer=faults,
+    )
+    simulation = vehicle.simulation
+    witness = Witness(simulation.world, simulation.autopilot)
+    simulation.on_step = witness.step
+    simulation.line.listeners.append(witness.hear)
+    hardware = Hardware(
+        app_end,
+        vehicle.frames,
+        imu_bus=vehicle.imu_bus,
+        gps_port=vehicle.gps_port,
+        range_port=vehicle.range_port,
+    )
+    app = App(config, hardware, log, make_own_actions)
+    world = asyncio.create_task(simulation.run())
+    try:
+        await _run_app(app, trial.scenario.time_limit_s, vehicle, witness.record)
+        vehicle.wants_frames = False
+        await _aftermath(vehicle, witness.record)
+    finally:
+        await _cancel(world)
+    record = witness.record
+    record.fault_began = simulation.faults.all_begun
+    record.texts = list(simulation.app_words.texts)
+    record.crashed, record.at_rest_on_pad = simulation.world.crashed, simulation.world.at_rest_on_pad
+    return record
+
+
+async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: FlightRecord) -> None:
+    """Let it run to its end, to a crash or to the limit; an app that fails is noted."""
+    flight = asyncio.create_task(app.run())
+    world = vehicle.simulation.world
+    while not flight.done() and world.time_s < limit_s and not world.crashed:
+        await asyncio.wait([flight], timeout=LOOK_S)
+    if flight.done() or world.crashed:
+        record.app_ended_s = world.time_s
+    if flight.done() and (failure := flight.exception()) is not None:
+        record.app_failed = _words(failure)
+    await _cancel(flight)
+
+
+def _words(failure: BaseException) -> str:
+    while isinstance(failure, BaseExceptionGroup):
+        failure = failure.exceptions[0]
+    return f"{type(failure).__name__}: {failure}"
+
+
+async def _aftermath(vehicle: InProcess, record: FlightRecord) -> None:
+    """Go on until it is disarmed and at rest, has held for a while, or has crashed."""
+    world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
+    ended_s = held_s = world.time_s
+    while autopilot.armed and not world.crashed and world.time_s < ended_s + AFTERMATH_S:
+        if autopilot.mode not in HOLD_MODES:
+            held_s = world.time_s
+        if world.time_s >= held_s + HELD_S:
+            return
+        await asyncio.sleep(LOOK_S)
+    await asyncio.sleep(1.0)
+    for _ in range(round(SETTLES_S / LOOK_S)):
+        if world.at_rest_on_pad or not world.contact.on_board:
+            return
+        await asyncio.sleep(LOOK_S)
+
+
+async def _cancel(task: asyncio.Task[Any]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)

@@ -1,0 +1,88 @@
+"""The flights that are done, a CSV line each: what is there is not flown again."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Final, cast
+
+from tests.bench.faults.cases import PhaseName, Run
+from tests.bench.faults.judge import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One flight: what was flown by which state of the code, and how it ended.
+
+    `began` is 0 when the flight was over before the fault. `said` is the app's last text, `ended_s` when the
+    app ended.
+    """
+
+    fault: str
+    phase: str
+    scenario: str
+    seed: int
+    code: str
+    began: int
+    outcome: str
+    unsafe: str
+    ended_s: float
+    said: str
+
+    @property
+    def run(self) -> Run:
+        """What was flown."""
+        return Run(self.fault, cast(PhaseName, self.phase), self.scenario, self.seed)
+
+    @property
+    def ending(self) -> Outcome:
+        """How it ended."""
+        return cast(Outcome, self.outcome)
+
+
+WORDS: Final = ("fault", "phase", "scenario", "code", "outcome", "unsafe", "said")
+
+
+class RunsFile:
+    """The file; a line that an interruption has cut short counts as not flown."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def _whole(self) -> bytes:
+        """The lines that are complete."""
+        there = self._path.read_bytes() if self._path.exists() else b""
+        return there[: there.rfind(b"\n") + 1]
+
+    def read(self, code: str) -> list[Row]:
+        """The flights of this state of the code."""
+        lines = self._whole().decode("utf-8").splitlines()
+        return [row for row in map(_row, csv.DictReader(lines)) if row is not None and row.code == code]
+
+    def append(self, row: Row) -> None:
+        """Add one, at once."""
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        whole = self._whole()
+        with self._path.open("r+b" if self._path.exists() else "wb") as file:
+            file.truncate(len(whole))
+        with self._path.open("a", newline="", encoding="utf-8") as text:
+            writer = csv.DictWriter(text, [field.name for field in fields(Row)], lineterminator="\n")
+            if not whole:
+                writer.writeheader()
+            writer.writerow({name: _in_a_line(value) for name, value in asdict(row).items()})
+
+
+def _in_a_line(value: object) -> object:
+    return " ".join(value.split()) if isinstance(value, str) else value
+
+
+def _row(line: dict[str, str]) -> Row | None:
+    try:
+        numbers = {"seed": int(line["seed"]), "began": int(line["began"]), "ended_s": float(line["ended_s"])}
+        words = {
+            name: line[name] for name in ("fault", "phase", "scenario", "code", "outcome", "unsafe", "said")
+        }
+        return Row(**words, **numbers) if None not in words.values() else None  # type: ignore[arg-type]
+    except (KeyError, TypeError, ValueError):
+        return None

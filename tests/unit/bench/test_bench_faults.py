@@ -1,0 +1,291 @@
+"""The judge of `bench_faults` finds each unsafe thing in a made-up record, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from companion.base.geometry import quat_from_euler
+from companion.config import LimitsConfig
+from companion.link import codec
+from sitl.mavlink.app_words import AppText
+from tests.bench.faults.judge import Bounds, Verdict, judge
+from tests.bench.faults.witness import (
+    Disarming,
+    FlightRecord,
+    GroundTouch,
+    Sample,
+    SentSetpoint,
+    attitude_setpoint,
+    local_setpoint,
+)
+
+BOUNDS = Bounds(LimitsConfig(), fence_m=150.0, ceiling_m=40.0)
+NAN = math.nan
+SAID = (
+    (4.0, "take off: armed: motors on"),
+    (10.0, "search: arrived: 0.6 m from the waypoint"),
+    (15.0, "approach: pad seen: 3.3 m aside, 7.0 m below"),
+    (20.0, "descend: centred: 3.9 m above the pad"),
+    (30.0, "touchdown: low: 42 cm over the pad"),
+    (36.0, "landed: disarmed: motors off"),
+)
+
+
+def height_m(time_s: float) -> float:
+    """Up to 7 m, and from 15 s on down to the pad at 35 s."""
+    return min(max(time_s - 4.0, 0.0), 7.0) if time_s < 15.0 else max(0.0, 7.0 * (35.0 - time_s) / 20.0)
+
+
+def landing() -> FlightRecord:
+    """A flight with nothing wrong in it."""
+    record = FlightRecord(app_ended_s=37.0, at_rest_on_pad=True)
+    for k in range(37 * 50):
+        t = k / 50
+        up = height_m(t)
+        mode = "OFFBOARD" if t > 10.0 else "AUTO_TAKEOFF"
+        armed = 4.0 <= t < 36.0
+        record.samples.append(Sample(t, (10.0, 0.0, -up), (0.0, 0.0, 0.0), up, up <= 0.0, armed, mode))
+    record.disarmings.append(Disarming(36.0, 0.0, True))
+    record.touches.append(GroundTouch(3.0, 0.0, 0.01, False))
+    record.setpoints.append(SentSetpoint(12.0, velocity_ned_m_s=(1.0, 0.0, 0.5), thrust=0.4))
+    record.texts = [AppText(t, 6, text) for t, text in SAID]
+    return record
+
+
+def test_a_good_landing_is_nothing_but_that() -> None:
+    assert judge(landing(), BOUNDS) == Verdict("landed")
+
+
+# ---------------------------------------------------------------- each unsafe kind
+
+
+def crash(record: FlightRecord) -> None:
+    record.crashed = True
+
+
+def slide(record: FlightRecord) -> None:
+    record.touches.append(GroundTouch(34.0, 0.31, 0.1, True))
+
+
+def drop(record: FlightRecord) -> None:
+    record.touches.append(GroundTouch(34.0, 0.1, 0.71, True))
+
+
+def fall(record: FlightRecord) -> None:
+    record.touches.append(GroundTouch(36.5, 0.1, 0.9, False))
+
+
+def disarm_in_the_air(record: FlightRecord) -> None:
+    record.disarmings.append(Disarming(34.0, 0.06, False))
+
+
+def stray(record: FlightRecord) -> None:
+    record.samples[700] = record.samples[700]._replace(position_ned_m=(110.0, 110.0, -7.0))
+
+
+def soar(record: FlightRecord) -> None:
+    for k in range(490, 700):  # announced by the search, and still too high
+        record.samples[k] = record.samples[k]._replace(position_ned_m=(10.0, 0.0, -44.0))
+
+
+def climb(record: FlightRecord) -> None:
+    for k in range(1300, 1400):
+        record.samples[k] = record.samples[k]._replace(position_ned_m=(10.0, 0.0, -4.5))
+
+
+def break_limit(record: FlightRecord) -> None:
+    record.setpoints.append(SentSetpoint(30.0, velocity_ned_m_s=(0.0, 0.0, 1.6)))
+
+
+def end_in_silence(record: FlightRecord) -> None:
+    record.texts.pop()
+
+
+def fail(record: FlightRecord) -> None:
+    record.app_failed = "ValueError: a bug"
+
+
+def go_on_for_ever(record: FlightRecord) -> None:
+    record.app_ended_s = None
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (crash, "crash"),
+        (slide, "0.31 m/s sideways at 34.0 s"),
+        (drop, "0.71 m/s down at 34.0 s"),
+        (fall, "0.90 m/s down at 36.5 s"),
+        (disarm_in_the_air, "disarmed 0.06 m up at 34.0 s"),
+        (stray, "156 m from home at 14.0 s"),
+        (soar, "44 m up"),
+        (climb, "climbed from 26.0 s"),
+        (break_limit, "setpoint at 30.0 s: velocity down (m/s) 1.60"),
+        (end_in_silence, "ended without a text"),
+        (fail, "the app failed without a text: ValueError: a bug"),
+        (go_on_for_ever, "no end"),
+    ],
+)
+def test_each_unsafe_thing_is_found(spoil: Callable[[FlightRecord], None], words: str) -> None:
+    record = landing()
+    spoil(record)
+    verdict = judge(record, BOUNDS)
+    assert verdict.outcome == "unsafe"
+    assert len(verdict.unsafe) == 1, verdict.unsafe
+    assert words in verdict.unsafe[0]
+
+
+# ---------------------------------------------------------------- what is not unsafe
+
+
+def test_an_announced_climb_is_none_against_it() -> None:
+    record = landing()
+    climb(record)
+    record.texts.insert(4, AppText(25.8, 4, "approach: misaligned: 0.3 m aside"))
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+def test_a_climb_that_was_begun_in_the_search_may_end_in_the_next_phase() -> None:
+    record = landing()
+    climb(record)
+    record.texts[3:3] = [
+        AppText(19.9, 6, "search: pad lost: unseen"),
+        AppText(26.2, 6, "approach: pad seen: x"),
+    ]
+    record.texts.pop(5)
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+def test_a_drift_before_an_announced_climb_is_not_its_beginning() -> None:
+    record = landing()
+    for k in range(1300, 1500):  # 2 cm/s from 26 s on, and from 29 s on 1 m/s, which is announced
+        up = 3.15 + 0.02 * (k - 1300) / 50 + max(0.0, k / 50 - 29.0)
+        record.samples[k] = record.samples[k]._replace(position_ned_m=(10.0, 0.0, -up))
+    assert "climbed from 29.1 s" in judge(record, BOUNDS).unsafe[0]
+    record.texts.insert(4, AppText(28.8, 4, "climbing 3.9 m to look for the pad"))
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+def test_a_long_climb_is_announced_once_and_a_second_one_again() -> None:
+    def climbing(pause_s: float) -> FlightRecord:
+        """From 25 s on 1 m/s up for 4 s, a pause, and up again for 3 s."""
+        record = landing()
+        record.texts.insert(4, AppText(24.8, 4, "hold: misaligned: too often"))
+        for k in range(1250, 1800):
+            t = k / 50 - 25.0
+            pausing = 4.0 <= t < 4.0 + pause_s
+            up = 3.5 + min(t, 4.0) + min(max(t - 4.0 - pause_s, 0.0), 3.0)
+            speed = (0.0, 0.0, 0.0 if pausing else -1.0)
+            record.samples[k] = record.samples[k]._replace(
+                position_ned_m=(10.0, 0.0, -up), velocity_ned_m_s=speed
+            )
+        return record
+
+    assert judge(climbing(0.0), BOUNDS) == Verdict("landed")
+    assert "climbed from 30." in judge(climbing(1.0), BOUNDS).unsafe[0]
+
+
+def test_what_goes_down_announces_no_climb() -> None:
+    record = landing()
+    climb(record)
+    record.texts.insert(4, AppText(25.8, 6, "touchdown: low: 42 cm over the pad"))
+    assert "climbed from 26.0 s" in judge(record, BOUNDS).unsafe[0]
+
+
+def test_what_the_autopilot_flies_by_itself_is_not_the_apps_climb_nor_its_fence() -> None:
+    record = landing()
+    for k in range(1300, 1400):
+        far = (200.0, 0.0, -60.0)
+        record.samples[k] = record.samples[k]._replace(position_ned_m=far, mode="AUTO_RTL")
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+def test_a_pad_may_carry_away_what_stands_on_it() -> None:
+    record = landing()
+    for k in range(1760, 1790):
+        far = (200.0, 0.0, -0.5)
+        record.samples[k] = record.samples[k]._replace(position_ned_m=far, touching=True)
+    assert judge(record, BOUNDS) == Verdict("landed")
+    record.samples[1770] = record.samples[1770]._replace(touching=False)
+    assert "outside the fence" in judge(record, BOUNDS).unsafe[0]
+
+
+def test_one_that_stands_disarmed_on_the_ground_may_be_run_over() -> None:
+    record = landing()
+    record.touches.append(GroundTouch(39.0, 1.5, 0.0, False))
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+def test_an_app_that_failed_and_said_so_is_not_silent() -> None:
+    record = landing()
+    record.app_failed = "OSError: gone"
+    record.texts.append(AppText(36.9, 3, "control lost: OSError: gone"))
+    assert judge(record, BOUNDS) == Verdict("landed")
+
+
+# ---------------------------------------------------------------- how it ended
+
+
+def ended(mode: str, *, armed: bool, pilot: bool = False) -> FlightRecord:
+    record = landing()
+    record.at_rest_on_pad, record.pilot_took_over = False, pilot
+    record.samples[-1] = record.samples[-1]._replace(mode=mode, armed=armed)
+    return record
+
+
+@pytest.mark.parametrize(
+    ("record", "expected"),
+    [
+        (ended("AUTO_LOITER", armed=True), "held"),
+        (ended("POSCTL", armed=True, pilot=True), "pilot"),
+        (ended("AUTO_LAND", armed=False), "returned"),
+        (ended("OFFBOARD", armed=False), "returned"),
+    ],
+)
+def test_how_a_safe_flight_ended(record: FlightRecord, expected: str) -> None:
+    assert judge(record, BOUNDS).outcome == expected
+
+
+def test_one_that_nothing_disarms_stands_and_has_to_say_so() -> None:
+    record = ended("OFFBOARD", armed=True)
+    record.at_rest_on_pad, record.app_ended_s = True, None
+    record.texts[-1] = AppText(35.0, 6, "on the pad: low, short echo")
+    assert judge(record, BOUNDS).unsafe == ("no end within the time limit",)
+    record.texts.append(AppText(36.0, 3, "on the pad and armed: disarm refused"))
+    assert judge(record, BOUNDS) == Verdict("stands")
+
+
+def test_one_that_never_left_the_ground() -> None:
+    record = landing()
+    record.samples = record.samples[:100]
+    assert judge(record, BOUNDS).outcome == "not flown"
+
+
+# ---------------------------------------------------------------- setpoints on the wire
+
+
+def test_what_a_mask_ignores_may_be_anything() -> None:
+    message = codec.mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 0b0000_0110_0000_0111 | 1 << 8, NAN, NAN, NAN, 1.0, 2.0, 0.5, 3.0, 4.0, NAN, NAN, 0.1
+    )
+    sent = local_setpoint(message, 5.0)
+    assert sent.finite
+    assert sent.velocity_ned_m_s == (1.0, 2.0, 0.5)
+    assert sent.acceleration_ned_m_s2 == (3.0, 4.0, 0.0)
+    message.vx = NAN
+    assert not local_setpoint(message, 5.0).finite
+
+
+def test_an_attitude_is_judged_by_its_tilt() -> None:
+    q = list(quat_from_euler(math.radians(31.0), 0.0, 1.0))
+    message = codec.mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 0, q, 0.0, 0.0, 0.0, 0.5)
+    sent = attitude_setpoint(message, 5.0)
+    assert math.degrees(sent.tilt_rad) == pytest.approx(31.0)
+    record = landing()
+    record.setpoints.append(sent)
+    assert "tilt (deg) 31.00" in judge(record, BOUNDS).unsafe[0]
+    message.thrust = NAN
+    assert not attitude_setpoint(message, 5.0).finite

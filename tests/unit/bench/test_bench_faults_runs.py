@@ -1,0 +1,122 @@
+"""The bench of faults beside its judge: the solver's faults, the cases, the bars, and going on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from companion.base.motion import Motion
+from companion.control.tracking import Target, TrackingSolution
+from sitl.faults.computer import ComputerFaults
+from tests.bench.faults.bench_faults import bars, cell, main
+from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, scenario_of
+from tests.bench.faults.computer import FaultyTracker
+from tests.bench.faults.runs_file import Row, RunsFile
+
+# ---------------------------------------------------------------- the solver's faults
+
+
+class GoodTracker:
+    """Always the same solution."""
+
+    def solve(self, *_arguments: object) -> TrackingSolution:
+        return TrackingSolution(np.ones((5, 3)), np.ones((5, 9)), solved=True, iterations=3)
+
+    def reset(self) -> None:
+        """Nothing."""
+
+
+def test_the_solver_fails_as_its_fault_says() -> None:
+    faults = ComputerFaults()
+    tracker = FaultyTracker(GoodTracker(), faults)
+    zeros = np.zeros((6, 3))
+    still = Motion((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def solve() -> TrackingSolution:
+        return tracker.solve(still, Target(zeros, zeros, zeros), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    assert solve().solved
+    faults.solver = "infeasible"
+    assert (solve().solved, solve().late) == (False, False)
+    faults.solver = "late"
+    assert (solve().solved, solve().late) == (False, True)
+    faults.solver = "nan"
+    assert solve().solved
+    assert np.isnan(solve().inputs_m_s2).all()
+
+
+# ---------------------------------------------------------------- cases and files
+
+
+def test_every_case_is_a_scenario_and_every_phase_has_cases() -> None:
+    runs = list(all_runs(list(CASES), PHASES, ["line"], 1))
+    assert {run.phase for run in runs} == set(PHASES)
+    assert len(set(runs)) == len(runs)
+    for run in runs:
+        scenario = scenario_of(run)
+        assert len(scenario.faults) == len(CASES[run.fault].faults)
+
+
+def test_seeds_put_a_fault_at_different_moments() -> None:
+    moments = {scenario_of(Run("frames lost", "last_metre", "line", k)).faults[0].below_m for k in range(5)}
+    assert len(moments) == 5
+    assert max(m for m in moments if m is not None) <= 1.0
+
+
+def row(outcome: str, fault: str = "GPS lost", phase: str = "descend", **more: object) -> Row:
+    values = {
+        "scenario": "line",
+        "seed": 0,
+        "code": "abc",
+        "began": 1,
+        "unsafe": "",
+        "ended_s": 30.0,
+        "said": "x",
+    }
+    return Row(fault, phase, outcome=outcome, **(values | more))  # type: ignore[arg-type]
+
+
+def test_the_bars_count_unsafe_ends_and_landings_where_a_fault_leaves_one_possible() -> None:
+    good = [row("landed")] * 19 + [row("held", "frames lost")]
+    assert [bar.holds for bar in bars([*good, row("held")])] == [True, True]
+    assert [bar.holds for bar in bars([*good, row("held"), row("held")])] == [True, False]
+    assert [bar.holds for bar in bars([*good, row("unsafe", "frames lost")])] == [False, True]
+    assert cell([row("landed"), row("landed"), row("unsafe", began=0)]) == (
+        "landed 2, unsafe 1 (1 before the fault)"
+    )
+
+
+def test_what_is_written_is_read_again_and_a_torn_line_is_not(tmp_path: Path) -> None:
+    file = RunsFile(tmp_path / "there" / "runs.csv")
+    rows = [row("landed"), row("unsafe", unsafe='crash; "x", y', seed=1)]
+    for one in rows:
+        file.append(one)
+    path = tmp_path / "there" / "runs.csv"
+    path.write_bytes(path.read_bytes()[:-12])
+    assert file.read("abc") == rows[:1]
+    file.append(rows[1])
+    assert file.read("abc") == rows
+    assert file.read("another state of the code") == []
+
+
+def test_flights_that_are_there_are_not_flown_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flown = []
+
+    def fly(run: Run, code: str) -> Row:
+        flown.append(run)
+        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
+
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
+    asked = ["bench", "--jobs", "1", "--faults", "GPS lost;30 uT", "--phases", "descend"]
+    monkeypatch.setattr("sys.argv", [*asked, "--seeds", "1", "--out", str(tmp_path)])
+    assert main() == 0
+    assert len(flown) == 4
+    monkeypatch.setattr("sys.argv", [*asked, "--seeds", "2", "--out", str(tmp_path)])
+    assert main() == 0
+    assert [run.seed for run in flown[4:]] == [1] * 4
+    said = capsys.readouterr().out
+    assert "bars: unsafe ends 0 of 8 holds, landed where possible 100.0 % holds" in said
