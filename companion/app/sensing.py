@@ -307,7 +307,8 @@ class Sensing:
             frame = at_exposure(await self._hardware.frames.next(), self._frame_time_offset_s)
             self._log.write_frame(frame, self._clock.now_s())
             fault = None if self._frame_judge is None else self._frame_judge.fault(frame)
-            if fault is not None and not fault.usable:
+            # a frame that comes late is of use: its sighting is fused at its own time
+            if fault is not None and fault.kind == "content" and not fault.usable:
                 self._notify_fault(f"frame {frame.sequence} not used: {fault.text}")
                 continue
             prior = self._estimator.pad_prior(frame.time_s)
