@@ -295,7 +295,8 @@ def yaml_examples() -> list[tuple[str, dict[str, Any]]]:
 
 @pytest.mark.parametrize(("name", "example"), yaml_examples())
 def test_every_example_in_yaml_is_valid(name: str, example: dict[str, Any]) -> None:
-    validate(Scenario if "description" in example else CompanionConfig, example, name)
+    model: type[BaseModel] = Scenario if "description" in example else CompanionConfig
+    assert validate(model, example, name).model_fields_set == example.keys() != set()
 
 
 def test_the_shipped_settings_file_sets_nothing_but_defaults() -> None:
