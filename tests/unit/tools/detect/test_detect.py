@@ -41,7 +41,7 @@ def finder() -> PadFinder:
 
 def painted(image: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.bool_]:
     """Where a picture has a colour; the edges of lines are blended."""
-    return (np.abs(image.astype(int) - colour) < 30).all(axis=-1)
+    return np.asarray((np.abs(image.astype(int) - colour) < 30).all(axis=-1))
 
 
 def run(*words: object, monkeypatch: pytest.MonkeyPatch) -> int:
