@@ -156,10 +156,10 @@ def test_a_sample_is_a_fixed_part_of_the_whole(
     assert set(large) <= set(whole)
     assert len({run.fault for run in large}) > 20
 
-    monkeypatch.setattr(
-        "tests.bench.faults.bench_faults.fly_row",
-        lambda run, code: Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed"),
-    )
+    def fly(run: Run, code: str) -> Row:
+        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
+
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
     monkeypatch.setattr("sys.argv", ["bench", "--jobs", "1", "--sample", "20", "--out", str(tmp_path)])
     assert main() == 0
     assert f"flown: 20 of the whole {len(whole)}" in capsys.readouterr().out
