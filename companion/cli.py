@@ -30,7 +30,8 @@ COMMANDS: Final = {
         "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
     ),
     "identify": Command(
-        "companion.tools.identify:identify_command", "Identify the vehicle's response from a flight."
+        "companion.tools.identify.command:identify_command",
+        "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
         "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
