@@ -10,6 +10,7 @@ import errno
 import math
 import random
 from collections.abc import Iterator
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -99,7 +100,7 @@ def _imu(device: Mpu9250Device, driver: Mpu9250, bus: SpoiltBus, rng: random.Ran
         bus.one_in = 3 if driver.ready else 30  # else it would never come up
         device.step(now_s, rest, (0.0, 0.0, 0.0), (20.9, 0.6, 42.9), 0.0)
         try:
-            samples, fields = driver.poll(lambda at_s=now_s: at_s)
+            samples, fields = driver.poll(partial(float, now_s))
         except SensorError:
             samples, fields = [], []
         for sample in samples:

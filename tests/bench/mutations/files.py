@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,7 +47,7 @@ def texts(rng: random.Random) -> Iterator[None]:
         while True:
             text, load = rng.choice(read)
             path.write_bytes(spoiled_text(rng, text))
-            _load(lambda load=load: load(path))
+            _load(partial(load, path))
             yield
 
 
@@ -61,7 +62,7 @@ def trees(rng: random.Random) -> Iterator[None]:
     while True:
         model, tree = rng.choice(models)
         spoilt = spoiled_tree(rng, tree)
-        _load(lambda model=model, spoilt=spoilt: validate(model, spoilt, "spoilt.yaml"))
+        _load(partial(validate, model, spoilt, "spoilt.yaml"))
         yield
 
 
