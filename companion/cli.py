@@ -33,7 +33,8 @@ COMMANDS: Final = {
         "companion.tools.identify:identify_command", "Identify the vehicle's response from a flight."
     ),
     "check": Command(
-        "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
+        "companion.tools.check.command:check_command",
+        "Check everything before a flight; --pad: sensors and axes, by hand.",
     ),
     "fuzzy": Command(
         "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."
