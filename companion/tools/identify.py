@@ -35,9 +35,7 @@ from companion.control.response.identification import (
     windows,
 )
 from companion.control.setpoints import resolved
-from companion.flightlog.record import SETTINGS_RECORD
-from companion.flightlog.replay.mcap_log import records
-from companion.flightlog.replay.reading import log_file
+from companion.flightlog.log_file import SETTINGS_RECORD, log_file, records
 
 HELP: Final = """Hover thrust and the autopilot's response, from a recorded flight.
 
