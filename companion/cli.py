@@ -30,11 +30,15 @@ COMMANDS: Final = {
         "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
     ),
     "identify": Command(
-        "companion.tools.identify:identify_command", "Identify the vehicle's response from a flight."
+        "companion.tools.identify.command:identify_command",
+        "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
         "companion.tools.check.command:check_command",
         "Check everything before a flight; --pad: sensors and axes, by hand.",
+    ),
+    "detect": Command(
+        "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
     ),
     "fuzzy": Command(
         "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."
@@ -43,6 +47,9 @@ COMMANDS: Final = {
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
     "logs": Command("companion.flightlog.logs:logs_command", "Repair a flight log that was cut short."),
+    "report": Command(
+        "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
+    ),
     "permit": Command("companion.app.permit:permit_command", "Let the next start of the app fly."),
     "flights": Command(
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True
