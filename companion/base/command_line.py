@@ -12,6 +12,7 @@ written is said.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -28,6 +29,8 @@ from companion.base.errors import ConfigError
 
 USER_ERROR: Final = 2
 INTERRUPTED: Final = 130
+# of what we print, which has no file name: a full disk or quota, the device's end, a closed output
+NOT_WRITTEN: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 PIPE_CLOSED: Final = 141  # as a shell reports a program that SIGPIPE has ended
 
 
@@ -120,7 +123,8 @@ def run_program(
         code = PIPE_CLOSED
         _let_go_of(sys.stdout)
     except OSError as error:
-        # a file that was not expected to fail has its name; without one it is what we print
+        if error.filename is None and error.errno not in NOT_WRITTEN:
+            raise
         where = error.filename or "the output cannot be written"
         code = print_error(program, f"{where}: {error.strerror or error}", USER_ERROR)
         _let_go_of(sys.stdout)
