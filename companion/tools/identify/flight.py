@@ -15,15 +15,14 @@ import numpy as np
 from mcap.records import Channel, Message, Metadata
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.files import cannot_read
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import Phase
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
 from companion.control.response.flight_model import lags, velocity_gains
 from companion.control.response.identification import IdentifiedResponse, ResponseRecord
 from companion.control.setpoints import resolved
-from companion.flightlog.record import SETTINGS_RECORD
-from companion.flightlog.replay.mcap_log import records
-from companion.flightlog.replay.reading import log_file
+from companion.flightlog.log_file import SETTINGS_RECORD, log_file, records
 
 TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
 # low over the ground, or on it, other forces act than the model knows
@@ -77,7 +76,7 @@ def read_flight(path: Path) -> IdentificationLog:
                 elif isinstance(item, Message) and topics[item.channel_id] in TOPICS:
                     messages[topics[item.channel_id]].append(json.loads(item.data))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; expected a flight.mcap") from error
+        raise cannot_read(path, error, expected="a flight.mcap") from error
     if not {"config", "vehicle"} <= settings.keys():
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")
