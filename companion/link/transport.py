@@ -7,6 +7,7 @@ is worse than none. `read` gives what came, one byte or more, and raises OSError
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import math
 import os
@@ -16,7 +17,8 @@ from typing import Final, Protocol
 import serial
 
 from companion.base.clock import Clock
-from companion.config import CONNECTION_FORM, ConfigError
+from companion.base.errors import ConfigError, DeviceMissing
+from companion.config import CONNECTION_FORM
 from companion.link.codec import autopilot_heard
 from companion.link.inbox import Inbox
 from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
@@ -202,8 +204,17 @@ async def open_transport(spec: str, system_id: int = 0) -> Transport:
         transport = UdpTransport(system_id)
         await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
     except (OSError, ValueError, OverflowError) as error:
-        raise ConfigError(f"link.connection: {spec}: {_reason(error)}") from error
+        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        passes = isinstance(error, OSError) and not taken and not _is_no_serial_port(error)
+        raise (DeviceMissing if passes else ConfigError)(
+            f"link.connection: {spec}: {_reason(error)}"
+        ) from error
     return transport
+
+
+def _is_no_serial_port(error: OSError) -> bool:
+    """Whether a file is there, and it is no serial port: no waiting mends that."""
+    return error.errno in {errno.ENOTTY, errno.EINVAL}
 
 
 def _reason(error: Exception) -> str:

@@ -9,6 +9,7 @@ from companion.base.clock import Clock
 from companion.base.formats.frame_format import FrameHeader
 from companion.base.formats.frame_stream import FrameStream
 from companion.base.messages import Frame
+from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.reader import Newest, ReadBack, check_size, grey
 
@@ -41,7 +42,9 @@ class SocketCamera:
         """
         try:
             stream = await FrameStream.open(address)
-        except (OSError, ValueError) as error:
+        except OSError as error:
+            raise DeviceMissing(f"sense.vision.source: {error}") from error
+        except ValueError as error:
             raise ConfigError(f"sense.vision.source: {error}") from error
         return cls(stream, camera, unstamped_latency_s, Clock())
 
