@@ -35,6 +35,9 @@ COMMANDS: Final = {
     "check": Command(
         "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
     ),
+    "detect": Command(
+        "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
+    ),
     "fuzzy": Command(
         "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."
     ),

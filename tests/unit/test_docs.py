@@ -238,6 +238,12 @@ def test_the_pad_command_s_options_are_in_its_page() -> None:
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
 
 
+def test_the_detect_command_s_options_are_in_its_page() -> None:
+    detect = command_of(cli, "detect")
+    options = {option for parameter in detect.params for option in parameter.opts if option.startswith("--")}
+    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["detect.md"], re.MULTILINE))
+
+
 def test_every_experiment_is_in_its_page() -> None:
     experiments = typer.main.get_command(experiments_cli).commands  # type: ignore[attr-defined]
     assert set(experiments) <= set(re.findall(r"^## ([\w-]+)", TEXTS["experiments.md"], re.MULTILINE))
@@ -289,7 +295,8 @@ def yaml_examples() -> list[tuple[str, dict[str, Any]]]:
 
 @pytest.mark.parametrize(("name", "example"), yaml_examples())
 def test_every_example_in_yaml_is_valid(name: str, example: dict[str, Any]) -> None:
-    validate(Scenario if "description" in example else CompanionConfig, example, name)
+    model: type[BaseModel] = Scenario if "description" in example else CompanionConfig
+    assert validate(model, example, name).model_fields_set == example.keys() != set()
 
 
 def test_the_shipped_settings_file_sets_nothing_but_defaults() -> None:
