@@ -21,7 +21,7 @@ async def supervised(
     """Run a task; each time it fails, report that and start it again after `RESTART_PAUSE_S`.
 
     Meanwhile the planner knows what a flight without that device may still do. An internal fault is treated
-    alike: better no GPS than no control. The same failure in a row is reported once, and the end of a row too.
+    alike: better no GPS than no control. The same failure in a row is reported once, and so is its end.
 
     Raises:
         ConfigError: something the user can correct, while the vehicle is still on the ground.

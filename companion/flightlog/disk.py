@@ -7,6 +7,7 @@ disk instead, so that nothing is lost. An error of the card ends the log, not th
 
 from __future__ import annotations
 
+import atexit
 import queue
 import threading
 from collections.abc import Callable
@@ -58,10 +59,13 @@ class DiskWriter:
             return
         self._count(size_bytes)
 
-    def finish(self) -> None:
-        """Write what is left, and end."""
+    def finish(self, *, wait: bool = True) -> None:
+        """Write what is left, and end; the process does not exit before that."""
         self._queue.put(None)
-        self._thread.join()
+        if wait:
+            self._thread.join()
+        else:
+            atexit.register(self._thread.join)
 
     def _count(self, size_bytes: int) -> None:
         if size_bytes:

@@ -11,6 +11,7 @@ import errno
 import logging
 import math
 import os
+import socket
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -25,6 +26,10 @@ from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, Seria
 
 _PEER_SILENCE_S: Final = 3.0
 _QUIET_TURNS: Final = 3
+_ABSENT: Final = frozenset(
+    {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY, errno.EAGAIN}
+    | {errno.ECONNREFUSED, errno.ETIMEDOUT, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL}
+)
 _TURNS_TO_READ: Final = 500
 _log = logging.getLogger(__name__)
 
@@ -204,17 +209,14 @@ async def open_transport(spec: str, system_id: int = 0) -> Transport:
         transport = UdpTransport(system_id)
         await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
     except (OSError, ValueError, OverflowError) as error:
-        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        passes = isinstance(error, OSError) and not taken and not _is_no_serial_port(error)
-        raise (DeviceMissing if passes else ConfigError)(
-            f"link.connection: {spec}: {_reason(error)}"
-        ) from error
+        kind = DeviceMissing if _may_come(error) else ConfigError
+        raise kind(f"link.connection: {spec}: {_reason(error)}") from error
     return transport
 
 
-def _is_no_serial_port(error: OSError) -> bool:
-    """Whether a file is there, and it is no serial port: no waiting mends that."""
-    return error.errno in {errno.ENOTTY, errno.EINVAL}
+def _may_come(error: Exception) -> bool:
+    """Whether it may open later: a port to be plugged in, a network or a peer that is still starting."""
+    return isinstance(error, socket.gaierror) or (isinstance(error, OSError) and error.errno in _ABSENT)
 
 
 def _reason(error: Exception) -> str:

@@ -74,7 +74,9 @@ class ModeMonitor:
             self._left_found = self._left_found or mode != self._found
             return False
         on_the_way_up = authority is Authority.NONE and state in {State.ARM, State.TAKE_OFF}
-        return not ((on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s))
+        return not (
+            (on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s)
+        )
 
     def _ours(self, state: State, authority: Authority, kind: AutopilotKind) -> frozenset[str]:
         """The modes that what we requested leads to."""

@@ -6,10 +6,10 @@ import asyncio
 from typing import Final
 
 from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
 from companion.base.formats.frame_format import FrameHeader
 from companion.base.formats.frame_stream import FrameStream
 from companion.base.messages import Frame
-from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.reader import Newest, ReadBack, check_size, grey
 

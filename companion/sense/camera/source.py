@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
 from companion.base.formats.frame_stream import ADDRESS_FORM
 from companion.base.messages import Frame
-from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.folder_replay import open_folder, open_video
 from companion.sense.camera.frame_socket import SocketCamera

@@ -22,7 +22,7 @@ import cv2
 
 from companion.base.clock import Clock
 from companion.base.errors import DeviceMissing
-from companion.config import CaptureConfig, ConfigError
+from companion.config import CaptureConfig
 from companion.sense.camera.reader import ReadBack, Shot, check_size, grey
 from companion.sense.camera.stamps import StampPoint, StampReader
 

@@ -215,7 +215,11 @@ def test_a_udp_port_in_use_is_said(tmp_path: Path, pty: str, companion: Companio
         ("range", {"port": "/dev/null"}, "serial port /dev/null: cannot be opened at 9600 baud"),
         ("link", {"connection": "serial:/dev/null:57600"}, "link.connection: serial:/dev/null:57600: "),
         ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"),
-        ("vision", {"source": "video:/nowhere.mp4"}, "sense.vision.source: video:/nowhere.mp4: cannot be read"),
+        (
+            "vision",
+            {"source": "video:/nowhere.mp4"},
+            "sense.vision.source: video:/nowhere.mp4: cannot be read",
+        ),
         ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER, picamera2:NUMBER"),
     ],
 )

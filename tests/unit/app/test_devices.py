@@ -1,4 +1,4 @@
-"""Devices that are not there yet: what reads them fails, what writes to them is dropped, and they come back."""
+"""Devices that are not there yet: what reads them fails, what is written is dropped, they come back."""
 
 from __future__ import annotations
 
@@ -82,9 +82,7 @@ async def test_a_line_is_opened_when_it_is_there_and_again_after_it_went(kind: s
     shelf = Shelf()
     line: AwaitedPort | AwaitedTransport
     line = (
-        AwaitedPort(None, shelf.open_line)
-        if kind == "port"
-        else AwaitedTransport(None, shelf.open_transport)
+        AwaitedPort(None, shelf.open_line) if kind == "port" else AwaitedTransport(None, shelf.open_transport)
     )
     line.write(b"into the void")
     with pytest.raises(OSError, match="no such port"):
