@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import typer
 
 from companion.base.errors import ConfigError
-from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable
+from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable, must_exist
 
 HELP: Final = """Find the pad in your own photos and videos, by the vision that flies.
 
@@ -59,8 +59,7 @@ def detect_command(
         Exit: with 1 when the pad is in none.
     """
     for source in sources:
-        if not source.exists():
-            raise ConfigError(f"{source}: not there; expected a photo, a video or a folder of them")
+        must_exist(source, "expected a photo, a video or a folder of them")
     for folder, name in (("pads", pad), ("cameras", camera)):
         if name is not None:
             find_file(folder, name)
