@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from companion.base.messages import LandedState, Order, OrderKind, Refusal
-from companion.config import PlanConfig
+from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
+from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds
 from companion.plan.mission.departure import refused_words
 from companion.plan.mission.inputs import PlanInputs
@@ -39,7 +39,17 @@ def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
 
 
 def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
-    autopilot, vehicle, mission = inputs.autopilot, inputs.vehicle, config.mission
+    yield from _autopilot(inputs.autopilot, config.mission)
+    if inputs.camera_problem is not None:
+        yield f"no pad camera: {inputs.camera_problem}"
+    yield from _estimate(inputs.vehicle, config.mission, now_s)
+    if config.obstacles:
+        yield "plan.obstacles count from the place of a take-off, which was not ours"
+    for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
+        yield f"beyond the {words}"
+
+
+def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
     if not autopilot.connected:
         yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
     if not autopilot.armed:
@@ -50,18 +60,18 @@ def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> It
         yield "kill switch, emergency stop or flight termination"
     if autopilot.home is None:
         yield "the autopilot has no home position, from which the fence counts"
-    if inputs.camera_problem is not None:
-        yield f"no pad camera: {inputs.camera_problem}"
+    late_s, most_s = autopilot.round_trip_s, mission.largest_round_trip_s
+    if late_s is not None and late_s > most_s:
+        yield f"the link answers after {late_s:.2f} s, at most {most_s:g} are flown by"
+    share = autopilot.battery_share
+    if share is not None and share <= mission.battery.critical:
+        yield f"battery critical: {100.0 * share:.0f} % left"
+
+
+def _estimate(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
     if vehicle is None or not vehicle.aligned or now_s - vehicle.time_s > _STALE_S:
         yield "no fresh estimate of the vehicle"
     elif vehicle.origin is None:
         yield "our own estimate has no GPS position yet"
     elif not vehicle.velocity_std_m_s <= mission.largest_speed_std_m_s:
         yield f"velocity uncertain: standard deviation {vehicle.velocity_std_m_s:.1f} m/s"
-    share = autopilot.battery_share
-    if share is not None and share <= mission.battery.critical:
-        yield f"battery critical: {100.0 * share:.0f} % left"
-    if config.obstacles:
-        yield "plan.obstacles count from the place of a take-off, which was not ours"
-    for _, words in Bounds(mission).detect(vehicle, None, autopilot, now_s):
-        yield f"beyond the {words}"
