@@ -7,7 +7,6 @@ disk instead, so that nothing is lost. An error of the card ends the log, not th
 
 from __future__ import annotations
 
-import atexit
 import queue
 import threading
 from collections.abc import Callable
@@ -60,12 +59,14 @@ class DiskWriter:
         self._count(size_bytes)
 
     def finish(self, *, wait: bool = True) -> None:
-        """Write what is left, and end; the process does not exit before that."""
+        """Write what is left, and end; without `wait` call `join` before the process ends."""
         self._queue.put(None)
         if wait:
             self._thread.join()
-        else:
-            atexit.register(self._thread.join)
+
+    def join(self) -> None:
+        """Wait until all is written, after `finish`."""
+        self._thread.join()
 
     def _count(self, size_bytes: int) -> None:
         if size_bytes:

@@ -49,6 +49,7 @@ class FlightsRecorder(FlightLog):
         super().__init__(None, start_unix_s)
         self._root, self._make_room = folder, make_room
         self._flight: FlightLog | None = None
+        self._ending: FlightLog | None = None  # whose last messages are being written
         self._minute: deque[_Kept] = deque(maxlen=MOST_KEPT)
         self._kept_frame_s = float("-inf")
         self._settings: dict[str, BaseModel] = {}
@@ -73,6 +74,8 @@ class FlightsRecorder(FlightLog):
         try:
             if self._make_room is not None:
                 self._make_room(self._root)
+            if self._ending is not None:
+                self._ending.join()  # long since written
             self._flight = FlightLog(next_flight_folder(self._root), self._start_unix_s, keeps=False)
         except (ConfigError, OSError) as error:
             self._failed = str(error)
@@ -85,7 +88,7 @@ class FlightsRecorder(FlightLog):
         """The flight under way has ended; its files are finished by the log's thread."""
         if self._flight is not None:
             self._flight.close(wait=False)
-            self._flight = None
+            self._ending, self._flight = self._flight, None
 
     # ------------------------------------------------------------ as a FlightLog
 
@@ -112,9 +115,9 @@ class FlightsRecorder(FlightLog):
 
     def close(self, *, wait: bool = True) -> None:
         """See `FlightLog`."""
-        if self._flight is not None:
-            self._flight.close(wait=wait)
-            self._flight = None
+        self.end()
+        if wait and self._ending is not None:
+            self._ending.join()
 
     def discard(self) -> None:
         """Nothing is removed: every folder here is a flight's."""

@@ -17,7 +17,7 @@ import math
 import os
 import struct
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final, Literal
@@ -83,6 +83,7 @@ class FlightLog:
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._ended_with: str | None = None
+        self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -168,6 +169,7 @@ class FlightLog:
             files.disk.put(files.tlog.close)
             files.disk.finish(wait=wait)
             self._ended_with = files.disk.problem
+            self.join = files.disk.join
 
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
