@@ -59,5 +59,5 @@ done
 
 install -m 0644 "$SOURCE/systemd/companion.service" "$UNIT"
 systemctl daemon-reload
-echo "installed; look through $SETTINGS/companion.yaml, then, props off the first time: systemctl start companion"
-echo "one start is one flight, and needs your permission: sudo -u companion companion permit --record /var/lib/companion"
+echo "installed; look through $SETTINGS/companion.yaml, then: systemctl enable --now companion"
+echo "it stands by and flies nothing unasked: companion status, companion order land; see docs/service.md"

@@ -33,6 +33,7 @@ from companion.config.mounting import (
     load_vehicle,
 )
 from companion.config.obstacles import MOST_OBSTACLES, Box, Cylinder, Shape
+from companion.config.orders import OrdersConfig
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -106,6 +107,7 @@ __all__ = [
     "ModelConfig",
     "MountCalibration",
     "MountStd",
+    "OrdersConfig",
     "OrientationConfig",
     "PadFilterConfig",
     "PhaseTimesConfig",
@@ -167,6 +169,7 @@ class CompanionConfig(StrictModel):
     plan: PlanConfig = PlanConfig()
     control: ControlConfig = ControlConfig()
     link: LinkConfig = LinkConfig()
+    orders: OrdersConfig = OrdersConfig()
     compute: ComputeConfig = ComputeConfig()
 
     @model_validator(mode="after")

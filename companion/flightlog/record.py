@@ -17,7 +17,7 @@ import math
 import os
 import struct
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final, Literal
@@ -55,7 +55,13 @@ class FlightLog:
     """Takes every message with the time it was written; hands back the kept ones by topic."""
 
     def __init__(
-        self, folder: Path | None, start_unix_s: float, frame_rate_hz: float = 5.0, *, virtual: bool = False
+        self,
+        folder: Path | None,
+        start_unix_s: float,
+        frame_rate_hz: float = 5.0,
+        *,
+        virtual: bool = False,
+        keeps: bool = True,
     ) -> None:
         """Open the log.
 
@@ -64,18 +70,20 @@ class FlightLog:
             start_unix_s: seconds since 1970 at loop time 0.
             frame_rate_hz: how many of the camera's frames go to disk a second.
             virtual: in virtual time; the flight waits for the disk, and nothing is written through.
+            keeps: whether `kept` collects what the score reads.
 
         Raises:
             ConfigError: the folder cannot be made or written.
         """
         self.kept: defaultdict[str, list[Any]] = defaultdict(list)
-        self._start_unix_s = start_unix_s
+        self._start_unix_s, self._keeps = start_unix_s, keeps
         self._frame_period_s = 1.0 / frame_rate_hz
         self._next_frame_s = float("-inf")
         self._folder = folder
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._ended_with: str | None = None
+        self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -87,13 +95,18 @@ class FlightLog:
             self._files = _Files(DiskWriter(waits=virtual), mcap, tlog)
 
     @property
+    def folder(self) -> Path | None:
+        """Where the files are."""
+        return self._folder
+
+    @property
     def problem(self) -> str | None:
         """What has stopped the log on disk, or made it lose messages; None when it is whole."""
         return self._ended_with if self._files is None else self._files.disk.problem
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.base.messages) under a topic."""
-        if topic in KEPT_TOPICS:
+        if self._keeps and topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
             bulky = topic not in EXPLAINING
@@ -126,16 +139,37 @@ class FlightLog:
         if (files := self._files) is not None:
             files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction, bulky=True)
 
-    def close(self) -> None:
-        """Finish the files; the log takes nothing after that."""
+    def write_before(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        """Log what happened before the log began: names of the methods here, with their arguments.
+
+        The log's thread does all of it: a minute of messages takes a second of computing.
+        """
+        if (files := self._files) is not None:
+            files.disk.put(self._write_all, files, calls)
+
+    def _write_all(self, files: _Files, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        for method, arguments in calls:
+            if method == "write":
+                topic, message, time_s = arguments
+                files.mcap.write(topic, message, self._unix_ns(time_s))
+            elif method == "write_frame":
+                frame, time_s = arguments
+                files.mcap.write_image(frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+            else:
+                data, time_s, direction = arguments
+                files.tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+
+    def close(self, *, wait: bool = True) -> None:
+        """Finish the files, without waiting for the disk if so wished; the log takes nothing after that."""
         if (files := self._files) is not None:
             self._files = None
             if files.disk.lost:
                 files.disk.put(files.mcap.write_metadata, LOSSES_RECORD, {"messages": str(files.disk.lost)})
             files.disk.put(files.mcap.close)
             files.disk.put(files.tlog.close)
-            files.disk.finish()
+            files.disk.finish(wait=wait)
             self._ended_with = files.disk.problem
+            self.join = files.disk.join
 
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""

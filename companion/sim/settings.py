@@ -45,6 +45,8 @@ _BY_TELEMETRY: Final[dict[str, Any]] = {
     "link": {"set_parameters": True},
 }
 
+_MAY_ARM: Final[dict[str, Any]] = {"plan": {"mission": {"may_arm": True}}}
+
 
 def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionConfig:
     """The app's settings for a trial: the file, and over it what the scenario's operator knows.
@@ -58,7 +60,7 @@ def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     elif trial.firmware is not None:
         link = {"link": {"system_id": 0}}  # PX4 numbers itself by its instance
     hardware = merge(merge(SIMULATED_HARDWARE, link), _wiring(trial.scenario))
-    overrides = merge(hardware, trial.scenario.companion)
+    overrides = merge(merge(hardware, _MAY_ARM), trial.scenario.companion)
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})

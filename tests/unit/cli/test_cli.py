@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from companion.app.command import EXIT_CODES, next_flight_folder
+from companion.app.command import EXIT_CODES
 from companion.base.messages import Outcome
+from companion.flightlog.flights_recorder import next_flight_folder
 
 
 def test_every_outcome_has_an_exit_code_of_its_own() -> None:
