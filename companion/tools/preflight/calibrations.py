@@ -68,7 +68,7 @@ def _read(found: list[Finding], name: str, load: Callable[[], T]) -> T | None:
 def _vehicle(config: CompanionConfig, vehicle: VehicleConfig) -> Finding:
     shipped = (CONFIG_FOLDER / "vehicles" / f"{config.vehicle}.yaml").is_file()
     if shipped:
-        hint = "measure your own into a copy of configs/vehicles/px4_500mm.yaml (ardupilot_500mm.yaml), and name it"
+        hint = "measure your own into a copy of it (configs/vehicles/), and name that in the settings"
         return _SETTINGS.warn("vehicle", f"'{vehicle.name}', a shipped example", hint)
     return _SETTINGS.ok("vehicle", f"'{vehicle.name}', hover thrust {vehicle.hover_thrust:g}")
 
