@@ -173,7 +173,9 @@ def assert_flight_is_as_documented(folder: Path) -> None:
     logged = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
     assert logged == dict(re.findall(r"^\| `(/\w+)` \| ([\w.]+) \|", page, re.MULTILINE))
     pictures = {path.name for path in (folder / "pictures").iterdir()}
-    assert pictures | {"margins.png"} == {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    assert pictures | {"margins.png", "wiring.svg"} == {
+        path.name for path in (ROOT / "docs" / "images").iterdir()
+    }
 
 
 # ---------------------------------------------------------------- what the pages name
