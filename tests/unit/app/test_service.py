@@ -2,7 +2,7 @@
 
 import socket
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
@@ -34,17 +34,31 @@ def test_a_manager_that_does_not_read_holds_nobody_up(manager: socket.socket) ->
     notifier = ServiceNotifier()
     for _ in range(5000):
         notifier.alive()
-    while manager.recv(1000) == b"WATCHDOG=1":
-        notifier.status("heard again")
+    manager.setblocking(False)
+    waiting = 0
+    with suppress(BlockingIOError):
+        while manager.recv(1000) == b"WATCHDOG=1":
+            waiting += 1
+    assert 0 < waiting < 5000
+    notifier.status("heard again")
+    assert manager.recv(1000) == b"STATUS=heard again"
 
 
-def test_a_manager_that_went_away_is_no_fault_of_the_flight(manager: socket.socket) -> None:
+def test_a_manager_that_went_away_is_no_fault_of_the_flight(
+    manager: socket.socket, capfd: pytest.CaptureFixture[str]
+) -> None:
     notifier = ServiceNotifier()
+    notifier.ready()
+    assert manager.recv(1000) == b"READY=1"
     manager.close()
     notifier.alive()
     notifier.alive()
+    assert capfd.readouterr() == ("", "")
 
 
-def test_without_a_manager_nothing_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_manager_nothing_is_opened_or_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[object] = []
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    monkeypatch.setattr("companion.app.systemd.socket.socket", lambda *kind: opened.append(kind))
     ServiceNotifier().ready()
+    assert opened == []
