@@ -33,7 +33,7 @@ WITH_CHILD: Final = (
     "scenario", "seed", "autopilot", "folder", "child", "firmware", "firmware_path", "firmware_param",
 )  # fmt: skip
 WITH_FIRMWARE: Final = (
-    "scenario", "seed", "bind", "port", "gcs_port", "tcp_port", "folder",
+    "scenario", "seed", "home", "bind", "port", "gcs_port", "tcp_port", "folder",
     "firmware", "firmware_path", "firmware_param",
 )  # fmt: skip
 WITH_EXTERNAL: Final = ("scenario", "seed", "folder", "child", "external")
@@ -60,6 +60,13 @@ def companion_sitl(
     seed: Annotated[int, typer.Option(min=0, help="Repeats a flight.")] = 0,
     autopilot: Annotated[
         AutopilotKind | None, typer.Option(help="Autopilot profile, instead of the scenario's.")
+    ] = None,
+    home: Annotated[
+        str | None,
+        typer.Option(
+            help="Where it stands; else where its autopilot's own simulator starts.",
+            metavar="LAT,LON,ALT,HEADING",
+        ),
     ] = None,
     bind: Annotated[
         str, typer.Option(help="Address to serve at; 0.0.0.0 opens it to the network.", metavar="ADDRESS")
@@ -109,7 +116,7 @@ def companion_sitl(
     from sitl.run.serve_command import Served, serve_vehicle  # noqa: PLC0415 - imports what simulates
 
     flown = (firmware, firmware_path, firmware_param)
-    served = Served(scenario, seed, autopilot, flown, folder, external, signing_key, child, serve_truth)
+    served = Served(scenario, seed, autopilot, flown, folder, external, signing_key, child, serve_truth, home)
     serve_vehicle(served, bind, (port, gcs_port, tcp_port))
 
 

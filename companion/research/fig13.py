@@ -25,7 +25,6 @@ from companion.base.messages import GpsFix, VehicleState
 from companion.config import ConfigError
 from companion.flightlog.errors import TruthTrack
 from companion.research.flown import EndedFlight
-from sitl.run.simulation import HOME
 
 mpl.use("Agg")
 
@@ -98,9 +97,11 @@ def observe(flown: EndedFlight) -> Observed:
     truth = TruthTrack(flown.truth)
     fixes: list[GpsFix] = [f for f in flown.kept["gps"] if began_s <= f.time_s <= ended_s]
     states: list[VehicleState] = [v for v in flown.kept["vehicle"] if began_s <= v.time_s <= ended_s]
-    gps = [ned_from_geodetic(f.latitude_deg, f.longitude_deg, f.altitude_m, HOME) for f in fixes]
+    gps = [ned_from_geodetic(f.latitude_deg, f.longitude_deg, f.altitude_m, flown.home) for f in fixes]
     ekf = [
-        np.add(v.position_ned_m, ned_from_geodetic(*v.origin, HOME)) for v in states if v.origin is not None
+        np.add(v.position_ned_m, ned_from_geodetic(*v.origin, flown.home))
+        for v in states
+        if v.origin is not None
     ]
     times = [v.time_s for v in states if v.origin is not None]
     title = f"{flown.result.scenario}, seed {flown.result.seed}"

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from companion.base.geometry import Vector3
 from companion.base.messages import GpsFix, Phase, Truth
 from companion.config import CONFIG_FOLDER, CompanionConfig, merge, validate
 from companion.flightlog.record import FlightLog
@@ -18,6 +19,7 @@ from companion.sim.runner import fly
 from companion.sim.scoring import score
 from companion.sim.settings import sitl_settings
 from companion.sim.trial import Trial
+from sitl.scenario.home import USUAL_HOMES
 
 SETTINGS: Final = CONFIG_FOLDER / "companion.yaml"
 
@@ -38,6 +40,7 @@ class EndedFlight:
     result: Result
     truth: Sequence[Truth]
     kept: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    home: Vector3 = USUAL_HOMES["px4"]  # latitude (deg), longitude (deg), altitude (m) of the truth's origin
 
     def first_s(self, phase: Phase) -> float | None:
         """When a phase began for the first time."""
@@ -66,4 +69,4 @@ def fly_scenario(scenario: str, seed: int, settings: Mapping[str, Any] | None = 
     flight = fly(config, trial, log, lambda _status: None, fast=True)
     result = score(trial, flight, log)
     kept, truth = from_start(log.kept, flight.report.truth)
-    return EndedFlight(result, truth, kept)
+    return EndedFlight(result, truth, kept, trial.scenario.place)

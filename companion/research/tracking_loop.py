@@ -36,7 +36,7 @@ from companion.control.controller import Controller
 from companion.plan.trajectory.min_jerk import Trajectory, plan
 from sitl.autopilot import SimulatedAutopilot
 from sitl.autopilot.control.setpoints import MotionSetpoint
-from sitl.run.simulation import HOME, PHYSICS_STEP_S
+from sitl.run.simulation import PHYSICS_STEP_S
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import resting_state
 from sitl.world.world import World
@@ -122,7 +122,7 @@ class TrackingLoop:
             np.random.default_rng(s) for s in np.random.SeedSequence((seed, 31)).spawn(2)
         )
         self._world = World(scenario, seed)
-        self._autopilot = SimulatedAutopilot("px4", self._world.airframe.body, autopilot_rng, HOME)
+        self._autopilot = SimulatedAutopilot("px4", self._world.airframe.body, autopilot_rng, scenario.place)
         vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
         self._controller = Controller(config, vehicle)
         self._link_delay_s = case.link_delay_s

@@ -12,6 +12,7 @@ from sitl.firmware.spec import FirmwareSpec
 from sitl.mavlink.signing import read_key
 from sitl.run.process_control import socket_folder, terminated_as_interrupted
 from sitl.run.server import Service, serve, serve_child
+from sitl.scenario.home import read_home
 from sitl.scenario.scenario import load_scenario
 
 
@@ -28,6 +29,7 @@ class Served:
     signing_key: Path | None
     child: bool
     serve_truth: bool
+    home: str | None = None
 
 
 def serve_vehicle(served: Served, bind: str, ports: tuple[int, int, int]) -> None:
@@ -40,6 +42,9 @@ def serve_vehicle(served: Served, bind: str, ports: tuple[int, int, int]) -> Non
     loaded = load_scenario(served.scenario)
     if served.autopilot is not None:
         loaded = loaded.model_copy(update={"autopilot": served.autopilot})
+    if served.home is not None:
+        home, heading_deg = read_home(served.home)
+        loaded = loaded.model_copy(update={"home": home, "start_heading_deg": heading_deg})
     kind, program, parameters = served.firmware
     flown = FirmwareSpec.of(kind, program, parameters or ())
     if flown is not None:

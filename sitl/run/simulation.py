@@ -15,7 +15,6 @@ from typing import Final
 
 import numpy as np
 
-from companion.base.geometry import Vector3
 from companion.base.messages import Frame, Phase, Truth
 from companion.config import VehicleConfig, find_file, load_model
 from companion.pad import load_pad
@@ -42,6 +41,7 @@ from sitl.run.report import SimulationReport
 from sitl.run.scene_camera import CameraTruth, SceneCamera
 from sitl.run.sensor_setup import autopilot_sensors, sensor_rack
 from sitl.run.tick_timer import TickTimer
+from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.calibration_errors import BoardTruth
@@ -59,9 +59,6 @@ RANGE_EVERY_TICKS: Final = 2
 # random draws of the simulation and of its faults; world and sensors draw from (seed, 0..14)
 SIMULATION_STREAM: Final = 20
 FAULT_STREAM: Final = 21
-# latitude (deg), longitude (deg), altitude (m) of the world's origin, and the field there (WMM 2025, rounded)
-HOME: Final[Vector3] = (47.0, 8.0, 400.0)
-MAGNETIC_FIELD_NED_UT: Final[Vector3] = (20.9, 0.6, 42.9)
 OUT_OF_RANGE_M: Final = 99.0
 HALF_BEAM_RAD: Final = RangeErrors().half_beam_rad
 
@@ -121,7 +118,8 @@ class Simulation:
         streams = np.random.default_rng((seed, SIMULATION_STREAM)).spawn(6)
         autopilot_rng, beacon_rng, noise_rng, latency_rng, sensors_rng, lens_rng = streams
         fault_rng = np.random.default_rng((seed, FAULT_STREAM))
-        place = (HOME, MAGNETIC_FIELD_NED_UT)
+        home = scenario.place
+        place = (home, magnetic_field_ned_ut(home))
         self._rack = sensor_rack(scenario.sensors, seed, PHYSICS_STEP_S, place, gps_port, range_port)
         imu_filter = PROFILES[scenario.autopilot].imu_filter if firmware is None else IMU_FILTER
         sensors = autopilot_sensors(scenario.sensors, sensors_rng, PHYSICS_STEP_S, place, imu_filter)
@@ -130,11 +128,11 @@ class Simulation:
         self.line = line = MavlinkLine(scenario.link, fault_rng, self._timer)
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
-        station = GroundStation.of(scenario.beacon, beacon_rng, HOME, signing)
+        station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
         self._flight_controller: SimulatedAutopilot | FirmwareVehicle
         if firmware is None:
             self._flight_controller = autopilot = self._bundled_autopilot(autopilot_rng)
-            truth = TruthMessages(autopilot, world, HOME) if serve_truth else None
+            truth = TruthMessages(autopilot, world, home) if serve_truth else None
             line.network = Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
         else:
             self._flight_controller, line.network = self._start_firmware(firmware, station, autopilot_rng)
@@ -225,7 +223,8 @@ class Simulation:
     def _bundled_autopilot(self, rng: np.random.Generator) -> SimulatedAutopilot:
         scenario, airframe = self._scenario, self._world.airframe
         estimator = ESTIMATORS[scenario.estimator]
-        return SimulatedAutopilot(scenario.autopilot, airframe.body, rng, HOME, estimator, airframe.rates)
+        home, kind = scenario.place, scenario.autopilot
+        return SimulatedAutopilot(kind, airframe.body, rng, home, estimator, airframe.rates)
 
     def _start_firmware(
         self, firmware: FirmwareSpec, station: GroundStation, rng: np.random.Generator
@@ -237,7 +236,7 @@ class Simulation:
                 self._autopilot_sensors,
                 station,
                 rng,
-                home=HOME,
+                home=self._scenario.place,
                 gps_delay_s=self._scenario.sensors.gps_delay_s,
                 step_s=PHYSICS_STEP_S,
             )

@@ -27,7 +27,8 @@ def settings_text(scenario: Scenario, connection: str, devices: dict[str, Any]) 
         "vehicle": _findable(scenario.airframe),
         "sense": {"range": {"kind": scenario.sensors.ultrasonic}},
     }
-    found = merge(merge(named, scenario.companion), merge(devices, {"link": {"connection": connection}}))
+    there = merge(devices, {"link": {"connection": connection}})
+    found = merge(merge(named, scenario.operator_settings), there)
     return _HEAD + str(yaml.safe_dump(found, sort_keys=False))
 
 

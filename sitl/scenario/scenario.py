@@ -12,7 +12,8 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import ConfigDict, Field, model_validator
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.config import Shape, StrictModel, find_file, load_model
+from companion.base.geometry import Vector3
+from companion.config import Shape, StrictModel, find_file, load_model, merge
 from sitl.autopilot.control.estimator import EstimatorName
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.camera.exposure import DirtSettings
@@ -23,6 +24,7 @@ from sitl.faults.faulty_link import LinkSettings
 from sitl.pad.motion import PadMotionSettings
 from sitl.pad.paths import Angle, Heading, HeaveMotion, StaticMotion
 from sitl.pad.sea import DeckSettings
+from sitl.scenario.home import USUAL_HOMES, HomeSettings, magnetic_field_ned_ut
 from sitl.vehicle.quadrotor import QuadrotorParameters
 from sitl.world.contact import ContactParameters
 from sitl.world.wind import WindSettings
@@ -135,6 +137,7 @@ class Scenario(StrictModel):
     airframe: str = "x500"
     estimator: EstimatorName = "typical"
     mass_factor: float = Field(default=1.0, ge=0.5, le=1.6)
+    home: HomeSettings | None = None
     start_heading_deg: Angle = "random"
     pad: PadSettings = PadSettings()
     obstacles: tuple[Shape, ...] = ()
@@ -147,6 +150,17 @@ class Scenario(StrictModel):
     faults: tuple[Annotated[Fault, Field(discriminator="kind")], ...] = ()
     pass_bounds: PassBounds = Field(default=PassBounds(), alias="pass")
     companion: dict[str, Any] = Field(default_factory=dict)
+
+    @property
+    def place(self) -> Vector3:
+        """Latitude (deg), longitude (deg), altitude (m AMSL) of the world's origin."""
+        return USUAL_HOMES[self.autopilot] if self.home is None else self.home.place
+
+    @property
+    def operator_settings(self) -> dict[str, Any]:
+        """The app's settings by who flies here: `companion`, and the magnetic field of the place."""
+        here = {"estimate": {"magnetic_field_ned_ut": list(magnetic_field_ned_ut(self.place))}}
+        return merge(here, self.companion)
 
 
 def load_scenario(name: str | Path) -> Scenario:

@@ -20,6 +20,7 @@ from companion.config.calibration import Provenance
 from companion.config.magnetometer import MagnetometerCalibration, MagnetometerQuality
 
 _LEAST_KEPT: Final = 0.1  # of the samples; fewer are what happened to lie near something
+_LEAST_SPAN: Final = 0.2  # of the field there is: an ellipsoid smaller than that is one of the noise
 
 
 class UnfitError(Exception):
@@ -83,6 +84,10 @@ def calibrate(
     rotation = np.eye(3) if alignment is None else alignment.rotation
     sphere = sphere @ rotation.T
     figures = _figures(recording, fit, sphere, field, alignment)
+    if figures.strength_ratio is not None and figures.strength_ratio < _LEAST_SPAN:
+        raise UnfitError(
+            f"the samples span {figures.strength_ratio:.2f} times the field: was it turned about at all?"
+        )
     symmetric = (fit.radius if field is None else field.strength_ut) * fit.ellipsoid.matrix
     parameters: dict[str, float] = {}
     if recording.onboard is not None:

@@ -14,7 +14,8 @@ from companion.base.autopilot_kind import AutopilotKind
 from sitl.autopilot import ESTIMATORS, EstimatorName, SimulatedAutopilot
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.pad.paths import Meeting, StaticMotion
-from sitl.run.simulation import HOME, MAGNETIC_FIELD_NED_UT, PHYSICS_STEP_S
+from sitl.run.simulation import PHYSICS_STEP_S
+from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import PadSettings, Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.world.world import World
@@ -41,12 +42,12 @@ def fly(autopilot_kind: AutopilotKind, recorded: Record, seed: int) -> Record:
     errors = ESTIMATORS[ESTIMATOR_OF[autopilot_kind]]
     airframe = world.airframe
     rng = np.random.default_rng((seed, 20))
-    autopilot = SimulatedAutopilot(autopilot_kind, airframe.body, rng, HOME, errors, airframe.rates)
+    autopilot = SimulatedAutopilot(autopilot_kind, airframe.body, rng, scenario.place, errors, airframe.rates)
     sensors = SimulatedAutopilotSensors(
         np.random.default_rng((seed, 21)),
         PHYSICS_STEP_S,
-        home=HOME,
-        field_ned_ut=MAGNETIC_FIELD_NED_UT,
+        home=scenario.place,
+        field_ned_ut=magnetic_field_ned_ut(scenario.place),
         imu_filter=autopilot.profile.imu_filter,
     )
     endpoint = MavlinkEndpoint(autopilot, sensors)

@@ -39,7 +39,7 @@ from companion.sim.trial import Trial
 from sitl.devices.rack import SensorErrors
 from sitl.run.in_process import carried
 from sitl.run.sensor_setup import sensor_errors
-from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.home import magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, SensorSettings
 from tests.bench.state.streams import fly_stream, rerun, rms, settings_of
 from tests.unit.calibration.magnetometer.magnetometer_truth import FIELD_UT, turned
@@ -130,7 +130,7 @@ async def carried_about(scenario: Scenario, seed: int) -> tuple[Calibrated, Floa
         source = Mpu9250Compass(vehicle.imu_bus, ImuConfig())
         recording = await collect(source, CollectionLimits(150.0), Console(file=io.StringIO()))
         truth = vehicle.simulation.sensor_truth.boards.magnetometer.offset
-    field = TrueField(MAGNETIC_FIELD_NED_UT, "the simulator's")
+    field = TrueField(magnetic_field_ned_ut(scenario.place), "the simulator's")
     rng = np.random.default_rng(0)
     return calibrate(recording, rng, field=field, aligned=False, objective=None, tool="bench", date=""), truth
 

@@ -16,7 +16,9 @@ from companion.base.geometry import rotation_vector_from_quat as rotation_vector
 from companion.base.messages import PadState, Truth, VehicleState
 from companion.estimate.estimator import StateEstimator
 from companion.flightlog.errors import TruthTrack
-from sitl.run.simulation import HOME
+from sitl.scenario.home import USUAL_HOMES
+
+HOME = USUAL_HOMES["px4"]
 
 SEEN_GAP_S: Final = 0.5  # unseen for so long, the pad is out of view
 

@@ -34,7 +34,7 @@ from companion.base.geometry import (
 )
 from companion.config import VehicleConfig
 from sitl.autopilot import ESTIMATORS, SimulatedAutopilot
-from sitl.run.simulation import HOME, PHYSICS_STEP_S
+from sitl.run.simulation import PHYSICS_STEP_S
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.inertial import ImuErrors
 from sitl.world.wind import WindSettings
@@ -93,13 +93,13 @@ def flight(seed: int) -> Flight:
     world = World(scenario, seed)
     rng = np.random.default_rng((seed, 1))
     autopilot = SimulatedAutopilot(
-        "px4", world.airframe.body, rng, HOME, ESTIMATORS["typical"], world.airframe.rates
+        "px4", world.airframe.body, rng, scenario.place, ESTIMATORS["typical"], world.airframe.rates
     )
     asked, samples = False, []
     while world.time_s < STEADY_S + FLOWN_S:
         if world.time_s >= ASKED_S and not asked:
             autopilot.arm()
-            autopilot.take_off(HOME[2] + HEIGHT_M)
+            autopilot.take_off(scenario.place[2] + HEIGHT_M)
             asked = True
         world.step(autopilot.step(world.truth(), PHYSICS_STEP_S, world.time_s), PHYSICS_STEP_S)
         if world.time_s >= STEADY_S:

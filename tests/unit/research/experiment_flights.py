@@ -18,7 +18,9 @@ from companion.flightlog.result import (
     Result,
     SimResult,
 )
-from sitl.run.simulation import HOME
+from sitl.scenario.home import USUAL_HOMES
+
+HOME = USUAL_HOMES["px4"]
 
 
 def result(outcome: Outcome = Outcome.LANDED) -> Result:

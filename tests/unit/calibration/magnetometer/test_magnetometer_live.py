@@ -20,11 +20,11 @@ from companion.config import ConfigError, ImuConfig
 from companion.link.inbox import memory_pair
 from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried
-from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.vehicle.hand_paths import HandMotion
 
-FIELD = TrueField(MAGNETIC_FIELD_NED_UT, "the simulator's")
+FIELD = TrueField(magnetic_field_ned_ut(USUAL_HOMES["px4"]), "the simulator's")
 
 
 def uncalibrated() -> Scenario:

@@ -17,10 +17,12 @@ from sitl.autopilot import SimulatedAutopilot
 from sitl.external import pose as external_pose
 from sitl.mavlink.endpoint import MavlinkEndpoint
 from sitl.mavlink.truth_telemetry import HIL_STATE, SIM_STATE, TruthMessages
-from sitl.run.simulation import HOME
+from sitl.scenario.home import USUAL_HOMES
 from sitl.scenario.scenario import Scenario
 from sitl.vehicle.quadrotor import QuadrotorState
 from sitl.world.world import World
+
+HOME = USUAL_HOMES["px4"]
 
 AUTOPILOT_KINDS: tuple[AutopilotKind, ...] = ("px4", "ardupilot")
 OF = {"px4": HIL_STATE, "ardupilot": SIM_STATE}

@@ -48,11 +48,13 @@ from sitl.cli import main
 from sitl.devices.register_server import serve_registers
 from sitl.run.in_process import InProcess, carried
 from sitl.run.scene_camera import CameraTruth
-from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
+from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
 from sitl.vehicle.hand_paths import FACES, HandMotion
 from sitl.world.hand_held import HandHeldWorld
+
+MAGNETIC_FIELD_NED_UT = magnetic_field_ned_ut(USUAL_HOMES["px4"])
 
 STEP_S = 0.0025
 STATIC = load_scenario("static")
