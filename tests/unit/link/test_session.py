@@ -31,6 +31,7 @@ class Flight:
         self.heard = Codec(9)
         self.sent: list[tuple[float, Message]] = []
         self.cut = False
+        self.delay_s = DELAY_S
         self._to_autopilot: list[tuple[float, bytes]] = []
         self._to_session: list[tuple[float, bytes]] = []
 
@@ -50,11 +51,11 @@ class Flight:
     def send(self, data: bytes) -> None:
         self.sent += [(self.now_s, message) for message in self.heard.decode(data)]
         if data and not self.cut:
-            self._to_autopilot.append((self.now_s + DELAY_S, data))
+            self._to_autopilot.append((self.now_s + self.delay_s, data))
 
     def _answer(self, data: bytes) -> None:
         if data and not self.cut:
-            self._to_session.append((self.now_s + DELAY_S, data))
+            self._to_session.append((self.now_s + self.delay_s, data))
 
     def sent_of(self, kind: str) -> list[tuple[float, Message]]:
         return [(time_s, m) for time_s, m in self.sent if m.get_type() == kind]
@@ -192,6 +193,40 @@ def test_the_clock_offset_leans_on_the_quickest_answers() -> None:
             autopilot.receive(session.tick(asked_s), asked_s + there_s), asked_s + there_s + back_s
         )
     assert session.timesync.offset_s == pytest.approx(0.0, abs=2e-3)
+
+
+def test_the_time_is_asked_for_five_times_a_second() -> None:
+    flight = Flight()
+    flight.run(7.0)
+    asked = [time_s for time_s, m in flight.sent_of("TIMESYNC") if m.tc1 == 0 and time_s > 102.0]
+    assert len(asked) == 25
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.5, 1.6])
+def test_how_late_answers_come_is_told_within_seconds_and_forgotten_with_the_link(delay_s: float) -> None:
+    flight = Flight()
+    flight.run(3.0)
+    assert flight.session.state.round_trip_s == pytest.approx(2 * DELAY_S, abs=0.005)
+    flight.delay_s += delay_s
+    flight.run(2 * delay_s + 0.7)
+    state = flight.session.state
+    assert state.round_trip_s == pytest.approx(2 * flight.delay_s, abs=0.005)
+    assert flight.now_s - state.round_trip_time_s < 0.21
+    flight.cut = True
+    flight.run(5.0)
+    assert flight.session.state.round_trip_s is None
+
+
+def test_one_slow_answer_is_no_late_link() -> None:
+    flight = Flight()
+    flight.run(3.0)
+    slowest = 0.0
+    for wait_s in (0.21, 1.0):
+        flight.delay_s = DELAY_S + (0.4 if wait_s < 0.3 else 0.0)
+        for _ in range(round(wait_s / 0.05)):
+            flight.run(0.05)
+            slowest = max(slowest, flight.session.state.round_trip_s or 0.0)
+    assert slowest < 0.3
 
 
 def test_the_autopilots_own_question_for_the_time_is_answered() -> None:
