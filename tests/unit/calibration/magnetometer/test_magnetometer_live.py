@@ -22,7 +22,7 @@ from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 
 FIELD = TrueField(MAGNETIC_FIELD_NED_UT, "the simulator's")
 

@@ -17,12 +17,12 @@ from rich.console import Console
 
 from companion.config import CONFIG_FOLDER, ConfigError
 from sitl.campaign import SCENARIOS, command
-from sitl.campaign.command import INTERRUPTED, Options, run_campaign
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
+from sitl.campaign.run import INTERRUPTED, Options, run_campaign
 from sitl.campaign.worker import RunResult, Worker
 from sitl.cli import main
 from tests.unit.sitl.campaign.campaign_parts import row, scenario_file

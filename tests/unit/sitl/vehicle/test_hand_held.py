@@ -51,7 +51,8 @@ from sitl.run.scene_camera import CameraTruth
 from sitl.run.simulation import MAGNETIC_FIELD_NED_UT
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
-from sitl.vehicle.hand_paths import FACES, HandMotion
+from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle.hand_paths import FACES
 from sitl.world.hand_held import HandHeldWorld
 
 STEP_S = 0.0025
