@@ -22,7 +22,7 @@ from companion.base.files import cannot_read
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.config.magnetometer import Sensor
-from companion.flightlog.replay.reading import log_file
+from companion.flightlog.log_file import log_file
 
 _LOGS: Final[dict[bytes, Callable[[Path], MagnetometerRecording]]] = {
     b"\x89MCAP0\r\n": read_own_log,
