@@ -9,7 +9,7 @@ import pytest
 
 from companion import cli
 from companion.flightlog.record import FlightLog
-from companion.flightlog.replay.command import log_name
+from companion.flightlog.replay.job import log_name
 from tests.unit.estimate.estimate_flight import Flight, hover, pad_at_rest, sprint
 from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
 
