@@ -30,7 +30,8 @@ COMMANDS: Final = {
         "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
-        "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
+        "companion.tools.check.command:check_command",
+        "Check everything before a flight; --pad: sensors and axes, by hand.",
     ),
     "detect": Command(
         "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
