@@ -206,8 +206,8 @@ class App:
     async def _control_step(self, now_s: float, late_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self._sensing.take_attitude(self.session.state)
-        for words in self._estimator.take_corrections():
-            self._notice("attitude", words, "warning")
+        for kind, words in self._estimator.take_notices():
+            self._notice(kind, words, "warning")
         if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self._estimator.vehicle(now_s), self._estimator.pad(now_s)
