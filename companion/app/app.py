@@ -213,8 +213,8 @@ class App:
     async def _control_step(self, now_s: float, late_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
         self.sensing.take_attitude(self.session.state)
-        for words in self.estimator.take_corrections():
-            self.announcer.notify("attitude", words, "warning")
+        for kind, words in self.estimator.take_notices():
+            self.announcer.notify(kind, words, "warning")
         if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
         vehicle, pad = self.estimator.vehicle(now_s), self.estimator.pad(now_s)

@@ -46,7 +46,7 @@ from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.sensors import RangeErrors
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
 from sitl.world.world import World
