@@ -45,7 +45,7 @@ COMMANDS: Final = {
     "pad": Command(
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
-    "logs": Command("companion.flightlog.logs:logs_command", "Repair a flight log that was cut short."),
+    "logs": Command("companion.flightlog.logs:logs_command", "List, export or repair recorded flights."),
     "report": Command(
         "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
     ),

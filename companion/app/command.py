@@ -19,6 +19,7 @@ from companion.base.clock import start_unix_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Outcome, Phase
 from companion.config import CompanionConfig, load_config
+from companion.flightlog.flights import make_room, next_flight_folder
 from companion.flightlog.record import FlightLog
 from companion.sense.vision.opencv import prepare_opencv
 
@@ -57,6 +58,8 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     latch = FlightLatch(output.record or state_folder())
     standby = latch.begin(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
+    if output.record is not None and output.record.is_dir():
+        make_room(output.record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
     log = new_log(folder, virtual=False)
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
@@ -80,12 +83,6 @@ async def _vehicle_flight(
         app = App(config, hardware, log, make_actions, view, standby=standby)
         with stopping_on_signals(app.request_stop):
             return await app.run()
-
-
-def next_flight_folder(folder: Path) -> Path:
-    """A new folder for this flight: numbered, since a Raspberry Pi may not know the date."""
-    names = [path.name.removeprefix("flight-") for path in folder.glob("flight-*")]
-    return folder / f"flight-{max((int(n) for n in names if n.isdecimal()), default=0) + 1:04d}"
 
 
 def new_log(folder: Path | None, *, virtual: bool) -> FlightLog:

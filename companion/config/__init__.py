@@ -51,6 +51,7 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
+from companion.config.record import RecordConfig
 from companion.config.response import (
     ARDUPILOT,
     PX4,
@@ -168,6 +169,7 @@ class CompanionConfig(StrictModel):
     control: ControlConfig = ControlConfig()
     link: LinkConfig = LinkConfig()
     compute: ComputeConfig = ComputeConfig()
+    record: RecordConfig = RecordConfig()
 
     @model_validator(mode="after")
     def _one_rate(self) -> CompanionConfig:

@@ -10,7 +10,6 @@ finished, and written through to the card, every half second.
 from __future__ import annotations
 
 import base64
-import contextlib
 import dataclasses
 import json
 import math
@@ -18,11 +17,11 @@ import os
 import struct
 from collections import defaultdict
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
 import cv2
+import yaml
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
 
@@ -30,15 +29,20 @@ from companion.base.message_json import encode, schema_of
 from companion.base.messages import Frame
 from companion.config import ConfigError
 from companion.flightlog.disk import DiskWriter
-from companion.flightlog.log_file import LOG_NAMES, LOSSES_RECORD, SETTINGS_RECORD, VERSIONS_RECORD
+from companion.flightlog.log_file import (
+    LOG_NAMES,
+    LOSSES_RECORD,
+    SETTINGS_NAME,
+    SETTINGS_RECORD,
+    VERSIONS_RECORD,
+)
+from companion.flightlog.version import versions
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(
     {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
     | {"action_result"}
 )
-# what computes the estimates is what their last digits hang on
-VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
 # What is lost last when the disk does not keep up: it explains the flight.
 EXPLAINING: Final = frozenset(
     {"notice", "plan", "action", "action_result", "vehicle", "pad", "control_report"}
@@ -84,7 +88,7 @@ class FlightLog:
                 tlog = _TlogFile(folder / LOG_NAMES[1], flushed_s)
             except OSError as error:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
-            self._files = _Files(DiskWriter(waits=virtual), mcap, tlog)
+            self._files = _Files(DiskWriter(waits=virtual), mcap, tlog, folder)
 
     @property
     def problem(self) -> str | None:
@@ -100,11 +104,16 @@ class FlightLog:
             files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s), bulky=bulky)
 
     def write_settings(self, **settings: BaseModel) -> None:
-        """Log the settings that the app flies with, and our versions: with them a flight can be replayed."""
+        """Log the settings that the app flies with, and our versions: with them a flight can be replayed.
+
+        They also stand in a file of their own, `settings.yaml`.
+        """
         if (files := self._files) is not None:
             models = {name: model.model_dump_json() for name, model in settings.items()}
             files.disk.put(files.mcap.write_metadata, SETTINGS_RECORD, models)
             files.disk.put(files.mcap.write_metadata, VERSIONS_RECORD, versions())
+            plain = {"versions": versions(), **{name: json.loads(text) for name, text in models.items()}}
+            files.disk.put(files.write_settings, plain)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
@@ -141,7 +150,7 @@ class FlightLog:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
         self.close()
         if self._folder is not None:
-            for name in LOG_NAMES:
+            for name in (*LOG_NAMES, SETTINGS_NAME):
                 (self._folder / name).unlink(missing_ok=True)
             if self._made_folder:
                 self._folder.rmdir()
@@ -168,7 +177,7 @@ class _McapFile:
     """One MCAP file with a channel for each topic."""
 
     def __init__(self, path: Path, flushed_s: float) -> None:
-        self._stream = path.open("wb")
+        self._stream = path.open("xb")
         self._flush_due = _FlushDue(flushed_s)
         self._writer = Writer(self._stream, chunk_size=MCAP_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="companion")
@@ -215,7 +224,7 @@ class _TlogFile:
     """One .tlog file; each direction is cut into packets by itself."""
 
     def __init__(self, path: Path, flushed_s: float) -> None:
-        self._stream: IO[bytes] = path.open("wb")
+        self._stream: IO[bytes] = path.open("xb")
         self._flush_due = _FlushDue(flushed_s)
         self._rest = {"in": b"", "out": b""}
 
@@ -239,6 +248,12 @@ class _Files:
     disk: DiskWriter
     mcap: _McapFile
     tlog: _TlogFile
+    folder: Path
+
+    def write_settings(self, settings: Mapping[str, Any]) -> None:
+        """The same as in the log's metadata, for people."""
+        text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, width=110)
+        (self.folder / SETTINGS_NAME).write_text(text, encoding="utf-8")
 
 
 def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
@@ -265,15 +280,6 @@ def _packet_length(data: bytes, at: int) -> int | None:
     if data[at] == MAVLINK1_MAGIC:
         return payload + 8
     return payload + 12 + (13 if data[at + 2] & 1 else 0)
-
-
-def versions() -> dict[str, str]:
-    """The versions of this program and of the libraries it computes with; what is not installed has none."""
-    found = {}
-    for name in VERSIONED:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
 
 
 _IMAGE_SCHEMA: Final = {
