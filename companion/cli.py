@@ -45,7 +45,7 @@ COMMANDS: Final = {
     "pad": Command(
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
-    "logs": Command("companion.flightlog.logs:logs_command", "List, export or repair recorded flights."),
+    "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
     "report": Command(
         "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
     ),

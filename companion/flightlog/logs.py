@@ -1,4 +1,4 @@
-"""`companion logs`: the recorded flights as a list, one of them as an archive, a cut log made whole again.
+"""`companion logs`: the recorded flights as a list, one as an archive or as tables, a cut log made whole.
 
 Our own tools read a cut log as it is; others', Foxglove and the seeking reader of the `mcap` package among
 them, look for the index at its end.
@@ -10,19 +10,20 @@ import zipfile
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import typer
 
 from companion.base.files import must_be_readable
 from companion.config import ConfigError
 
-HELP: Final = """List the recorded flights, export one, or repair a log that was cut short.
+HELP: Final = """List the recorded flights; export one, repair its log or convert that to tables.
 
 \b
 companion logs --record flights
 companion logs export 7
 companion logs repair flights/flight-0007
+companion logs convert 7 --to parquet
 
 FLIGHT is a number from the list, or the path of a flight's folder. Without --record the flights are those of
 the service, in /var/lib/companion, if that is there, and else those in the folder 'flights'.
@@ -39,6 +40,7 @@ class LogsAction(StrEnum):
     LIST = "list"
     EXPORT = "export"
     REPAIR = "repair"
+    CONVERT = "convert"
 
 
 def logs_command(
@@ -47,7 +49,7 @@ def logs_command(
         str | None,
         typer.Argument(
             metavar="FLIGHT",
-            help="For export and repair; repair also takes a flight.mcap.",
+            help="Which one, for all but list; repair and convert also take a flight.mcap.",
             show_default=False,
         ),
     ] = None,
@@ -59,10 +61,13 @@ def logs_command(
         typer.Option(
             "--output",
             "-o",
-            help=f"The new file; else NAME.zip here, or {REPAIRED_NAME} beside the log.",
-            metavar="FILE",
+            help=f"What is made; else NAME.zip here, or {REPAIRED_NAME} or tables/ beside the log.",
+            metavar="PATH",
         ),
     ] = None,
+    form: Annotated[
+        Literal["csv", "parquet"], typer.Option("--to", help="What to convert to.", metavar="csv|parquet")
+    ] = "csv",
 ) -> None:
     """Carry it out, and say in one line what was made.
 
@@ -80,6 +85,8 @@ def logs_command(
     chosen = find_flight(root, flight)
     if action is LogsAction.EXPORT:
         export(chosen, output)
+    elif action is LogsAction.CONVERT:
+        convert_log(chosen, output, form)
     else:
         repair_log(chosen, output)
 
@@ -159,6 +166,21 @@ def export(folder: Path, output: Path | None) -> None:
     finally:
         part.unlink(missing_ok=True)
     typer.echo(f"{target}: {target.stat().st_size / MEGABYTE:.1f} MB, all of {folder}")
+
+
+def convert_log(log: Path, output: Path | None, form: str) -> None:
+    """Write a log's topics as tables.
+
+    Raises:
+        ConfigError: the log cannot be read, or the tables cannot be written.
+    """
+    source = log / "flight.mcap" if log.is_dir() else log
+    must_be_readable(source)
+    from companion.flightlog.tables import TableFormat, convert  # noqa: PLC0415 - told first
+
+    folder = output or source.with_name("tables")
+    written = convert(source, folder, TableFormat(form))
+    typer.echo(f"{folder}: {len(written)} tables, {sum(written.values())} rows of {source}")
 
 
 def repair_log(log: Path, output: Path | None) -> None:
