@@ -141,7 +141,7 @@ def test_settings_and_folders_that_are_wrong_are_refused(
     assert "--config: belongs to a flight" in refused(
         monkeypatch, capsys, "--config", tmp_path / "bad.yaml", "replay", log
     )
-    assert "companion --help" in refused(monkeypatch, capsys, "replay")
+    assert "companion replay --help" in refused(monkeypatch, capsys, "replay")
     assert "companion --help" in refused(monkeypatch, capsys, "replai", log)
 
 
