@@ -42,7 +42,7 @@ COMMANDS: Final = {
     "pad": Command(
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
-    "logs": Command("companion.flightlog.logs:logs_command", "Repair a flight log that was cut short."),
+    "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
     "status": Command(
         "companion.app.service.commands:status_command", "Show what the running service does.", "STATUS_HELP"
     ),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +23,8 @@ from companion.base.clock import Clock, start_unix_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Outcome, Phase
 from companion.config import CompanionConfig, load_config
-from companion.flightlog.flights_recorder import FlightsRecorder, next_flight_folder
+from companion.flightlog.flights import make_room, next_flight_folder
+from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.sense.vision.opencv import prepare_opencv
 
@@ -66,6 +68,7 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     latch = FlightLatch(output.record or state_folder())
     standby = latch.begin(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
+    _make_room(output.record, config)
     log = new_log(folder, virtual=False)
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
@@ -99,8 +102,10 @@ def stand_by(config_path: Path, output: Output) -> int:
     """
     prepare_opencv()
     config = load_config(config_path)
+    clear = partial(_make_room, output.record, config)
+    clear()
     with StatusView(output.console, config.vehicle, live=output.live) as view:
-        log = FlightsRecorder(output.record, start_unix_s(virtual=False))
+        log = FlightsRecorder(output.record, start_unix_s(virtual=False), clear)
         try:
             return asyncio.run(_service(config, log, view, output.record))
         finally:
@@ -127,6 +132,12 @@ async def _service(
             with stopping_on_signals(app.request_stop):
                 await app.run()
     return 0 if app.missions.stopped_idle else EXIT_CODES[Outcome.ABORTED]
+
+
+def _make_room(record: Path | None, config: CompanionConfig) -> None:
+    """Room for the next flight, by the settings."""
+    if record is not None and record.is_dir():
+        make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
 
 
 def new_log(folder: Path | None, *, virtual: bool) -> FlightLog:

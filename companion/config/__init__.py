@@ -52,6 +52,7 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
+from companion.config.record import RecordConfig
 from companion.config.response import (
     ARDUPILOT,
     PX4,
@@ -171,6 +172,7 @@ class CompanionConfig(StrictModel):
     link: LinkConfig = LinkConfig()
     orders: OrdersConfig = OrdersConfig()
     compute: ComputeConfig = ComputeConfig()
+    record: RecordConfig = RecordConfig()
 
     @model_validator(mode="after")
     def _one_rate(self) -> CompanionConfig:

@@ -6,6 +6,7 @@ written by the log's own thread: the control loop hands over the whole minute at
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,18 +17,13 @@ from pydantic import BaseModel
 
 from companion.base.messages import Frame
 from companion.config import ConfigError
+from companion.flightlog.flights import next_flight_folder
 from companion.flightlog.meter import Meter
 from companion.flightlog.record import FlightLog
 
 KEPT_S: Final = 60.0
 KEPT_FRAME_PERIOD_S: Final = 1.0  # a picture a second: a minute of them is 18 MB at 640 x 480
 MOST_KEPT: Final = 120_000  # messages, whatever their stamps say
-
-
-def next_flight_folder(folder: Path) -> Path:
-    """A new folder for this flight: numbered, since a Raspberry Pi may not know the date."""
-    names = [path.name.removeprefix("flight-") for path in folder.glob("flight-*")]
-    return folder / f"flight-{max((int(n) for n in names if n.isdecimal()), default=0) + 1:04d}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +39,9 @@ class FlightsRecorder(FlightLog):
     """A `FlightLog` of many flights: `begin` and `end` each; without a folder only the meter runs."""
 
     def __init__(
-        self, folder: Path | None, start_unix_s: float, make_room: Callable[[Path], None] | None = None
+        self, folder: Path | None, start_unix_s: float, make_room: Callable[[], None] | None = None
     ) -> None:
-        """`make_room` is called with `folder` before each flight's log begins."""
+        """`make_room` is called after each flight's log, in a thread: a card may take long to remove one."""
         super().__init__(None, start_unix_s)
         self._root, self._make_room = folder, make_room
         self._flight: FlightLog | None = None
@@ -72,8 +68,6 @@ class FlightsRecorder(FlightLog):
         if self._root is None or self._flight is not None:
             return
         try:
-            if self._make_room is not None:
-                self._make_room(self._root)
             if self._ending is not None:
                 self._ending.join()  # long since written
             self._flight = FlightLog(next_flight_folder(self._root), self._start_unix_s, keeps=False)
@@ -89,6 +83,8 @@ class FlightsRecorder(FlightLog):
         if self._flight is not None:
             self._flight.close(wait=False)
             self._ending, self._flight = self._flight, None
+            if self._make_room is not None:
+                threading.Thread(target=self._make_room, name="flights", daemon=True).start()
 
     # ------------------------------------------------------------ as a FlightLog
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -73,14 +74,14 @@ def test_a_card_that_cannot_be_written_is_told_and_ends_no_flight(tmp_path: Path
     log.end()
 
 
-def test_room_is_made_before_each_flight(tmp_path: Path) -> None:
-    asked: list[Path] = []
-    log = FlightsRecorder(tmp_path, 1.7e9, asked.append)
+def test_room_is_made_after_each_flight(tmp_path: Path) -> None:
+    made = threading.Semaphore(0)
+    log = FlightsRecorder(tmp_path, 1.7e9, made.release)
     for _ in range(2):
         log.begin()
         log.end()
+        assert made.acquire(timeout=10.0)
     log.close()
-    assert asked == [tmp_path, tmp_path]
 
 
 def test_without_a_folder_nothing_is_kept(tmp_path: Path) -> None:
