@@ -30,10 +30,14 @@ COMMANDS: Final = {
         "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
     ),
     "identify": Command(
-        "companion.tools.identify:identify_command", "Identify the vehicle's response from a flight."
+        "companion.tools.identify.command:identify_command",
+        "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
         "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
+    ),
+    "detect": Command(
+        "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
     ),
     "fuzzy": Command(
         "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."

@@ -31,7 +31,20 @@ def find_file(folder: str, name: str | Path) -> Path:
 
 def cannot_read(path: Path, error: OSError, key: str | None = None) -> ConfigError:
     """The error for a file that cannot be read; `key` is the setting or option that names it."""
-    return ConfigError(f"{'' if key is None else f'{key}: '}{path}: cannot be read: {error.strerror}")
+    lead = "" if key is None else f"{key}: "
+    if isinstance(error, IsADirectoryError):
+        return ConfigError(f"{lead}{path}: a folder; expected a file")
+    return ConfigError(f"{lead}{path}: cannot be read: {error.strerror}")
+
+
+def must_exist(path: Path, expected: str) -> None:
+    """See that a file or folder is there, before what takes long to import would open it.
+
+    Raises:
+        ConfigError: it is not; the line ends in what was `expected`.
+    """
+    if not path.exists():
+        raise ConfigError(f"{path}: not there; {expected}")
 
 
 def must_be_readable(path: Path) -> None:

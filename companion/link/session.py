@@ -64,7 +64,7 @@ _STAMPED: Final = frozenset(
     }
 )
 _HEARTBEAT_S: Final = 1.0
-_TIMESYNC_S: Final = 1.0
+_TIMESYNC_S: Final = 0.2
 _TIMESYNC_QUICK_S: Final = 0.1  # at the start, and where samples are stamped by it: as often as PX4 asks us
 _TIMESYNC_START_COUNT: Final = 10
 _HOME_S: Final = 2.0
@@ -225,7 +225,9 @@ class Session:
         if message.tc1 == 0:
             self._replies.append(codec.timesync(clock_ns(now_s), message.ts1))
         else:
-            self.timesync.answered(message.tc1, message.ts1, now_s)
+            if self.timesync.answered(message.tc1, message.ts1, now_s):
+                late_s = self.timesync.round_trip_s
+                self.state = replace(self.state, round_trip_s=late_s, round_trip_time_s=now_s)
             if self._syncs_sent >= _TIMESYNC_START_COUNT and not self.timesync.settled:
                 # the autopilot has restarted, or answers were lost: find the offset quickly again
                 self._syncs_sent, self._timesync_due_s = 0, now_s
@@ -318,6 +320,7 @@ class Session:
                 ready_to_arm=False,
                 ekf_ready=None,
                 landed=LandedState.UNDEFINED,
+                round_trip_s=None,
             )
             self.timesync.forget()
             self._rates.forget()

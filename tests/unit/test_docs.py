@@ -238,6 +238,12 @@ def test_the_pad_command_s_options_are_in_its_page() -> None:
     assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
 
 
+def test_the_detect_command_s_options_are_in_its_page() -> None:
+    detect = command_of(cli, "detect")
+    options = {option for parameter in detect.params for option in parameter.opts if option.startswith("--")}
+    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["detect.md"], re.MULTILINE))
+
+
 def test_every_experiment_is_in_its_page() -> None:
     experiments = typer.main.get_command(experiments_cli).commands  # type: ignore[attr-defined]
     assert set(experiments) <= set(re.findall(r"^## ([\w-]+)", TEXTS["experiments.md"], re.MULTILINE))

@@ -88,6 +88,7 @@ class MissionEvent(StrEnum):
     STOP = "stop_requested"
     LINK_LOST = "link_lost"
     LINK_UP = "link_up"
+    LINK_LATE = "link_late"  # answers come, but too late to fly by
     ESTIMATE_LOST = "estimate_lost"
     VELOCITY_UNKNOWN = "velocity_unknown"  # our estimate is there, but its velocity is too uncertain
     BATTERY_CRITICAL = "battery_critical"

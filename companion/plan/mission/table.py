@@ -44,7 +44,7 @@ HOLDING: Final = frozenset({S.HOLD, S.AWAIT_LINK})
 BY_THE_PAD: Final = TOUCHDOWN | {S.APPROACH, S.DESCEND}
 # what may be detected in any state: each state has a row or a reason for none
 ANYWHERE: Final = (
-    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP),
+    *(E.DISARMED, E.PILOT_TOOK_OVER, E.STOP, E.LINK_LOST, E.LINK_UP, E.LINK_LATE),
     *(E.ESTIMATE_LOST, E.VELOCITY_UNKNOWN, E.BATTERY_CRITICAL),
     *(E.OUT_OF_BOUNDS, E.PAD_TOO_FAST, E.OVERTIME, E.TIMEOUT),
 )
@@ -246,6 +246,18 @@ ROWS: Final = (
         # lost on the way to the waypoint; a vehicle on the ground is not lifted by our setpoints
         Branch(S.SEARCH, guard=Guard.STILL_FLIES),
         except_=_all(LIVE - {S.AWAIT_LINK}, "no link is awaited"),
+    ),
+    # setpoints that come late make the vehicle swing, higher and higher
+    _row(
+        E.LINK_LATE,
+        IN_AIR - COMMITTED - BY_AUTOPILOT,
+        *_RETURN_CONTROL,
+        except_={
+            **_all(ON_GROUND, _NOT_YET),
+            **_all(BY_AUTOPILOT, _FLIES_ITSELF),
+            **_all(LAST_CENTIMETRES, _FINISHES),
+            **_all(ON_PAD, _STANDS),
+        },
     ),
     _row(
         E.ESTIMATE_LOST,

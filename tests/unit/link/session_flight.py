@@ -20,6 +20,7 @@ class Flight:
         self.heard = Codec(9)
         self.sent: list[tuple[float, Message]] = []
         self.cut = False
+        self.delay_s = DELAY_S
         self._to_autopilot: list[tuple[float, bytes]] = []
         self._to_session: list[tuple[float, bytes]] = []
 
@@ -39,11 +40,11 @@ class Flight:
     def send(self, data: bytes) -> None:
         self.sent += [(self.now_s, message) for message in self.heard.decode(data)]
         if data and not self.cut:
-            self._to_autopilot.append((self.now_s + DELAY_S, data))
+            self._to_autopilot.append((self.now_s + self.delay_s, data))
 
     def _answer(self, data: bytes) -> None:
         if data and not self.cut:
-            self._to_session.append((self.now_s + DELAY_S, data))
+            self._to_session.append((self.now_s + self.delay_s, data))
 
     def sent_of(self, kind: str) -> list[tuple[float, Message]]:
         return [(time_s, m) for time_s, m in self.sent if m.get_type() == kind]

@@ -8,7 +8,7 @@ from companion.config import LinkConfig
 from companion.link.codec import Codec, mavlink, timesync
 from companion.link.session import Session
 from tests.unit.link.fake_autopilot import FakeAutopilot
-from tests.unit.link.session_flight import Flight
+from tests.unit.link.session_flight import DELAY_S, Flight
 
 
 @pytest.mark.parametrize("offset_s", [-99.9, 0.0, 4321.0])
@@ -59,6 +59,40 @@ def test_the_clock_offset_leans_on_the_quickest_answers() -> None:
             autopilot.receive(session.tick(asked_s), asked_s + there_s), asked_s + there_s + back_s
         )
     assert session.timesync.offset_s == pytest.approx(0.0, abs=2e-3)
+
+
+def test_the_time_is_asked_for_five_times_a_second() -> None:
+    flight = Flight()
+    flight.run(7.0)
+    asked = [time_s for time_s, m in flight.sent_of("TIMESYNC") if m.tc1 == 0 and time_s > 102.0]
+    assert len(asked) == 25
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.5, 1.6])
+def test_how_late_answers_come_is_told_within_seconds_and_forgotten_with_the_link(delay_s: float) -> None:
+    flight = Flight()
+    flight.run(3.0)
+    assert flight.session.state.round_trip_s == pytest.approx(2 * DELAY_S, abs=0.005)
+    flight.delay_s += delay_s
+    flight.run(2 * delay_s + 0.7)
+    state = flight.session.state
+    assert state.round_trip_s == pytest.approx(2 * flight.delay_s, abs=0.005)
+    assert flight.now_s - state.round_trip_time_s < 0.21
+    flight.cut = True
+    flight.run(5.0)
+    assert flight.session.state.round_trip_s is None
+
+
+def test_one_slow_answer_is_no_late_link() -> None:
+    flight = Flight()
+    flight.run(3.0)
+    slowest = 0.0
+    for wait_s in (0.21, 1.0):
+        flight.delay_s = DELAY_S + (0.4 if wait_s < 0.3 else 0.0)
+        for _ in range(round(wait_s / 0.05)):
+            flight.run(0.05)
+            slowest = max(slowest, flight.session.state.round_trip_s or 0.0)
+    assert slowest < 0.3
 
 
 def test_the_autopilots_own_question_for_the_time_is_answered() -> None:

@@ -115,6 +115,7 @@ class FakeAutopilot:
     ekf_ready_from_s: float = 0.0
     doubts: bool = False  # never finds that it has landed
     battery_share: float | None = None
+    round_trip_s: float | None = None
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
         kind = action.kind
@@ -300,6 +301,8 @@ class World:
             global_position=geodetic_from_ned(self.position, HOME),
             home=self.home(self.now_s),
             battery_share=a.battery_share,
+            round_trip_s=a.round_trip_s,
+            round_trip_time_s=self.now_s,
         )
 
     def _sense(self) -> None:

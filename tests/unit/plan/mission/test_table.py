@@ -74,6 +74,7 @@ def test_what_may_happen_anywhere_is_handled_in_every_state_or_excepted_with_a_r
         (E.ESTIMATE_LOST, ON_GROUND | ON_PAD | {S.TAKE_OFF, S.WAYPOINT, S.SET_DOWN}),
         (E.DISARMED, ON_GROUND),
         (E.OVERTIME, ON_GROUND | COMMITTED),
+        (E.LINK_LATE, ON_GROUND | COMMITTED | {S.TAKE_OFF, S.WAYPOINT}),
         (E.BATTERY_CRITICAL, ON_GROUND | COMMITTED),
         (E.OUT_OF_BOUNDS, ON_GROUND | COMMITTED),
         (E.PAD_TOO_FAST, LIVE - {S.APPROACH, S.DESCEND, S.WAIT, S.RISE}),

@@ -1,7 +1,7 @@
-"""Photos of the board from folders, files and videos.
+"""Photos and videos as a user has them, in files and folders: each picture once, however long it takes.
 
 A photo is read as the sensor took it: a turn that the camera has noted beside it is not applied, since the
-app gets its frames unturned too.
+app gets its frames unturned too. For a recording that plays in real time see `folder_replay`.
 """
 
 from __future__ import annotations
@@ -28,11 +28,21 @@ FLAGS: Final = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 
 @dataclass(frozen=True, slots=True)
 class Photo:
-    """A grey image (height, width); `time_s` counts from a video's start, None for a photo."""
+    """A grey image (height, width) from the file at `path`.
 
-    name: str
+    `frame` and `time_s` count from a video's start, at `rate_hz`; they are None for a photo.
+    """
+
+    path: Path
     image: NDArray[np.uint8]
+    frame: int | None = None
     time_s: float | None = None
+    rate_hz: float = USUAL_RATE_HZ
+
+    @property
+    def name(self) -> str:
+        """As messages call it."""
+        return str(self.path) if self.frame is None else f"{self.path} frame {self.frame}"
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -96,7 +106,7 @@ def _photo(path: Path) -> Photo:
     image = cv2.imdecode(data, FLAGS) if len(data) else None
     if image is None:
         raise ConfigError(f"{path}: not a photo that can be read; expected JPEG, PNG, TIFF, BMP or PGM")
-    return Photo(str(path), np.asarray(image, dtype=np.uint8))
+    return Photo(path, np.asarray(image, dtype=np.uint8))
 
 
 def _frames(path: Path) -> Iterator[Photo]:
@@ -110,7 +120,7 @@ def _frames(path: Path) -> Iterator[Photo]:
             if not good:
                 break
             grey = frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-            yield Photo(f"{path} frame {number}", np.asarray(grey, dtype=np.uint8), number / rate_hz)
+            yield Photo(path, np.asarray(grey, dtype=np.uint8), number, number / rate_hz, rate_hz)
             number += 1
     finally:
         video.release()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from companion.base.geometry import IDENTITY, ZERO3
 from companion.base.messages import ControlReport, Phase, PlanStep, Setpoint, VehicleState
@@ -18,8 +19,11 @@ from companion.config import (
     load_config,
     load_vehicle,
 )
+from companion.control.response.identification import IdentifiedResponse, ResponseEstimate
 from companion.flightlog.record import FlightLog
-from companion.tools.identify import identify_command, read_flight
+from companion.tools.identify import judge
+from companion.tools.identify.command import identify_command
+from companion.tools.identify.flight import read_flight
 
 PERIOD_S = 1.0 / 30.0
 HOVER_THRUST = 0.56
@@ -50,7 +54,12 @@ def _state(time_s: float, velocity_m_s: float, acceleration_m_s2: float) -> Vehi
 
 
 def _record(
-    folder: Path, setpoint: str, *, lag_s: float = 0.3, seconds: float = 20.0, autopilot_kind: str = "px4"
+    folder: Path,
+    setpoint: str,
+    *,
+    lag_s: float = 0.3,
+    seconds: float = 20.0,
+    autopilot_kind: str = "px4",
 ) -> Path:
     """A flight that sways north, recorded as the app does."""
     log, (config, vehicle) = FlightLog(folder, 0.0), _config(setpoint)
@@ -83,16 +92,29 @@ def _record(
     return folder
 
 
+def run(log: Path, check: Path | None = None) -> int:
+    """The command's exit code."""
+    with pytest.raises(typer.Exit) as ended:
+        identify_command(log, check=check)
+    return ended.value.exit_code
+
+
 def test_by_velocity_the_lag_goes_into_the_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     flight, other = (_record(tmp_path / name, "velocity") for name in ("one", "two"))
-    identify_command(flight, check=other)
+    assert run(flight, check=other) == 0
     said = capsys.readouterr().out
     lag = next(line for line in said.splitlines() if "autopilot_lag_s" in line)
     assert float(lag.split(":")[1]) == pytest.approx(0.3, abs=0.06)
-    checked = next(line for line in said.splitlines() if line.startswith("velocity sideways"))
-    now, before = (float(word) for word in checked.split() if word.startswith("0."))
+    checked = next(
+        line for line in said.splitlines() if "half a second ahead in" in line and str(other) in line
+    )
+    now, before = (
+        float(word)
+        for word in checked.removeprefix("velocity sideways").split(": ")[1].split()
+        if word.startswith("0.")
+    )
     assert now < before
     assert "hover thrust: no thrust in the log" in said
 
@@ -100,7 +122,7 @@ def test_by_velocity_the_lag_goes_into_the_settings(
 def test_by_attitude_hover_thrust_goes_into_the_vehicle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    identify_command(_record(tmp_path / "one", "attitude"))
+    assert run(_record(tmp_path / "one", "attitude")) == 0
     said = capsys.readouterr().out
     hover = next(line for line in said.splitlines() if line.startswith("hover_thrust:"))
     assert float(hover.split(":")[1]) == pytest.approx(HOVER_THRUST, rel=0.02)
@@ -113,7 +135,7 @@ def test_by_the_shipped_settings_the_setpoints_tell_what_was_sent(
 ) -> None:
     # GIVEN flights by `auto`: PX4 gets accelerations, ArduPilot attitudes
     px4, ardupilot = (_record(tmp_path / name, "auto", autopilot_kind=name) for name in ("px4", "ardupilot"))
-    identify_command(px4)
+    assert run(px4) == 0
     said = capsys.readouterr().out
     assert "by acceleration setpoints" in said
     assert "sideways: velocity gain" not in said
@@ -124,12 +146,56 @@ def test_by_the_shipped_settings_the_setpoints_tell_what_was_sent(
     assert read_flight(ardupilot).starting_points()["sideways"].gain_1_s == 0.0
 
 
+def test_a_number_that_predicts_its_own_flight_worse_is_withheld(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # GIVEN a fit that is sure of a lag that the flight does not have, as one is whose setpoints answer gusts
+    flight = _record(tmp_path / "one", "acceleration", lag_s=0.11)
+    wrong = ResponseEstimate(IdentifiedResponse(0.0, 0.314), 0.0, 0.03, windows=38)
+    monkeypatch.setattr(judge, "fit", lambda *_: wrong)
+    assert run(flight) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "withheld: what was found predicts this flight no better than what is assumed" in said
+    assert "nothing is offered" in said
+    assert "acceleration_time_constant_s" not in said
+
+
+def test_a_number_that_predicts_another_flight_worse_is_withheld(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # GIVEN a flight that shows a lag of 0.3 s, and another in which the vehicle answers as assumed
+    flight = _record(tmp_path / "slow", "acceleration", lag_s=0.3)
+    assumed_s = read_flight(flight).starting_points()["sideways"].lag_s
+    other = _record(tmp_path / "as_assumed", "acceleration", lag_s=assumed_s)
+    assert run(flight) == 0
+    assert "acceleration_time_constant_s: 0.2" in capsys.readouterr().out
+    assert run(flight, check=other) == 1
+    said = capsys.readouterr().out
+    assert f"sideways: withheld: what was found predicts {other} no better than what is assumed" in " ".join(
+        said.split()
+    )
+    assert "acceleration_time_constant_s" not in said
+
+
+def test_a_hover_thrust_that_another_flight_contradicts_is_withheld(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight = _record(tmp_path / "one", "attitude")
+    assumed = read_flight(flight).vehicle.hover_thrust
+    monkeypatch.setattr("tests.unit.tools.identify.test_identify.HOVER_THRUST", assumed)
+    other = _record(tmp_path / "other", "attitude")
+    assert run(flight, check=other) == 1
+    said = capsys.readouterr().out
+    assert "hover thrust: withheld: the other flight is nearer to what is assumed" in said
+    assert "hover_thrust:" not in said
+
+
 def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:
     short = _record(tmp_path / "short", "velocity", seconds=3.0)
     with pytest.raises(ConfigError, match=r"short: \d windows of 1 s of flight by setpoints, expected 10"):
         identify_command(short)
-    with pytest.raises(ConfigError, match=r"nowhere.*cannot be read"):
-        read_flight(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match=r"nowhere: not there; expected a flight's folder or"):
+        identify_command(tmp_path / "nowhere")
     bare = FlightLog(tmp_path / "bare", 0.0)
     bare.close()
     with pytest.raises(ConfigError, match="no settings in it"):
