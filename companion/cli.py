@@ -46,6 +46,9 @@ COMMANDS: Final = {
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
     "logs": Command("companion.flightlog.logs:logs_command", "Repair a flight log that was cut short."),
+    "report": Command(
+        "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
+    ),
     "permit": Command("companion.app.permit:permit_command", "Let the next start of the app fly."),
     "flights": Command(
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True

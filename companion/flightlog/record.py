@@ -30,16 +30,14 @@ from companion.base.message_json import encode, schema_of
 from companion.base.messages import Frame
 from companion.config import ConfigError
 from companion.flightlog.disk import DiskWriter
+from companion.flightlog.log_file import LOG_NAMES, LOSSES_RECORD, SETTINGS_RECORD, VERSIONS_RECORD
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(
     {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
     | {"action_result"}
 )
-LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
-# the MCAP metadata that a replay needs; what computes the estimates is what their last digits hang on
-SETTINGS_RECORD: Final = "settings"
-VERSIONS_RECORD: Final = "versions"
+# what computes the estimates is what their last digits hang on
 VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
 # What is lost last when the disk does not keep up: it explains the flight.
 EXPLAINING: Final = frozenset(
@@ -47,7 +45,6 @@ EXPLAINING: Final = frozenset(
 )
 # a process that is killed, or a Raspberry Pi without power, loses no more than this
 FLUSHED_S: Final = 0.5
-LOSSES_RECORD: Final = "losses"
 MCAP_CHUNK_BYTES: Final = 64 * 1024
 FRAME_JPEG_QUALITY: Final = 85
 MAVLINK2_MAGIC: Final = 0xFD

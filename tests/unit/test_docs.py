@@ -164,7 +164,7 @@ def assert_flight_is_as_documented(folder: Path) -> None:
     """The flight of the README left the files and topics that the pages list, and the pictures."""
     page = TEXTS["flight-log.md"]
     left = {path.name for path in (folder / "flights" / "circle").iterdir()}
-    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|png))` \|", page, re.MULTILINE))
+    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|png|html))` \|", page, re.MULTILINE))
     with (folder / "flights" / "circle" / "flight.mcap").open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None

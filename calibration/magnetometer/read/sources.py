@@ -21,7 +21,7 @@ from calibration.magnetometer.read.units import COUNTS, UT_PER, unit_called, wor
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.config.magnetometer import Sensor
-from companion.flightlog.replay.reading import log_file
+from companion.flightlog.log_file import log_file
 
 _LOGS: Final[dict[bytes, Callable[[Path], MagnetometerRecording]]] = {
     b"\x89MCAP0\r\n": read_own_log,

@@ -12,11 +12,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from companion.config import ConfigError
-from companion.flightlog.record import LOG_NAMES, versions
+from companion.flightlog.log_file import LOG_NAMES, log_file
+from companion.flightlog.record import versions
 from companion.flightlog.replay.compare import ReplayResult, build_result
 from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.plots import replay_lines, replay_table, write_plots
-from companion.flightlog.replay.reading import log_file, read_log
+from companion.flightlog.replay.reading import read_log
 from companion.flightlog.replay.run import Replayed, replay
 from companion.flightlog.replay.settings import Choice, choose
 

@@ -21,9 +21,7 @@ from companion.config import CompanionConfig, ConfigError, ControlConfig, Vehicl
 from companion.control.response.flight_model import lags, velocity_gains
 from companion.control.response.identification import IdentifiedResponse, ResponseRecord
 from companion.control.setpoints import resolved
-from companion.flightlog.record import SETTINGS_RECORD
-from companion.flightlog.replay.mcap_log import records
-from companion.flightlog.replay.reading import log_file
+from companion.flightlog.log_file import SETTINGS_RECORD, log_file, records
 
 TOPICS: Final = {"/vehicle", "/setpoint", "/plan", "/control_report"}
 # low over the ground, or on it, other forces act than the model knows

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from companion.base.messages import ImuSample
 from companion.cli import cli
 from companion.config import ConfigError
+from companion.flightlog.log_file import records
 from companion.flightlog.record import FlightLog
-from companion.flightlog.replay.mcap_log import records
 
 # logs at 200 Hz by its own clock, and says how far it has come
 WRITER = """
