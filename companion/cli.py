@@ -1,7 +1,7 @@
 """`companion`: flies on the vehicle, or against the bundled simulator.
 
 Exit codes: 0 landed within the bounds (on the vehicle: landed and disarmed), 1 the simulator failed,
-2 something the user can correct, 3 missed, 4 aborted, 5 timeout, 6 crashed.
+2 something the user can correct, 3 missed, 4 aborted, 5 timeout, 6 crashed, 130 interrupted before a flight.
 
 Only the options are here. What flies is imported once they are right, since OpenCV, OSQP, MAVSDK and the
 rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
@@ -9,22 +9,18 @@ rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from typer.exceptions import TyperException
 
-from companion.base.command_line import Command, VersionOption, lazy_app, print_error
+from companion.base.command_line import Command, VersionOption, lazy_app, run_program
 from companion.base.errors import ConfigError
 from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
-USER_ERROR: Final = 2
-INTERRUPTED: Final = 4
 COMMANDS: Final = {
     "replay": Command(
         "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
@@ -34,7 +30,8 @@ COMMANDS: Final = {
         "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
-        "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
+        "companion.tools.check.command:check_command",
+        "Check everything before a flight; --pad: sensors and axes, by hand.",
     ),
     "detect": Command(
         "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
@@ -164,15 +161,7 @@ def refuse(options: Mapping[str, object]) -> None:
 
 def main() -> None:
     """Entry point: whatever the user got wrong ends in one line on standard error."""
-    try:
-        code = cli(standalone_mode=False)
-    except TyperException as error:
-        code = print_error(PROGRAM, f"{error.format_message().rstrip('.')}; see companion --help", USER_ERROR)
-    except ConfigError as error:
-        code = print_error(PROGRAM, str(error), USER_ERROR)
-    except typer.Abort:
-        code = print_error(PROGRAM, "aborted: interrupted outside a flight", INTERRUPTED)
-    sys.exit(code)
+    run_program(cli, PROGRAM)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from calibration.camera.job import (
 )
 from calibration.camera.solve.adjustment import Model
 from calibration.command_line import run
+from companion.base.command_line import VersionOption, new_app
 
 HELP: Final = """Calibrate a camera with a printed board: focal length, principal point, distortion.
 
@@ -37,14 +38,14 @@ calibrate-camera frames -o mine.yaml --plots plots
 calibrate-camera photos --board 9x6 --pattern chessboard --square-mm 25 --model rational -o mine.yaml
 """
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = new_app()
 
 
 @app.command(help=HELP)
 def command(
     sources: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SOURCE]...", help="A camera, or photos.", show_default=False),
+        typer.Argument(metavar="SOURCE", help="A camera, or photos.", show_default=False),
     ] = None,
     *,
     board: Annotated[
@@ -140,6 +141,7 @@ def command(
     force: Annotated[
         bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
     ] = False,
+    version: VersionOption = False,
 ) -> None:
     """Print a board, or calibrate.
 

@@ -14,6 +14,7 @@ from calibration.magnetometer.job import (
     SampleSource,
     calibrate_magnetometer,
 )
+from companion.base.command_line import VersionOption, new_app
 
 HELP: Final = """Calibrate a magnetometer (hard and soft iron): live, or from a recording of a rotation.
 
@@ -32,16 +33,14 @@ Exit codes: 0 calibrated, 1 refused as not good enough (the picture shows why; o
 2 user error, 130 interrupted.
 """
 
-cli = typer.Typer(
-    add_completion=False, rich_markup_mode=None, context_settings={"help_option_names": ["--help"]}
-)
+cli = new_app()
 
 
 @cli.command(help=HELP)
 def calibrate_command(
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="[RECORDING]", help="Recording to calibrate from.", show_default=False),
+        typer.Argument(metavar="RECORDING", help="Recording to calibrate from.", show_default=False),
     ] = None,
     *,
     output: Annotated[
@@ -119,6 +118,7 @@ def calibrate_command(
     force: Annotated[
         bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
     ] = False,
+    version: VersionOption = False,
 ) -> None:
     """Read or collect, calibrate, judge, write.
 

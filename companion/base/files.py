@@ -29,12 +29,15 @@ def find_file(folder: str, name: str | Path) -> Path:
     raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
 
 
-def cannot_read(path: Path, error: OSError, key: str | None = None) -> ConfigError:
+def cannot_read(
+    path: Path, error: OSError, key: str | None = None, expected: str | None = None
+) -> ConfigError:
     """The error for a file that cannot be read; `key` is the setting or option that names it."""
     lead = "" if key is None else f"{key}: "
     if isinstance(error, IsADirectoryError):
-        return ConfigError(f"{lead}{path}: a folder; expected a file")
-    return ConfigError(f"{lead}{path}: cannot be read: {error.strerror}")
+        return ConfigError(f"{lead}{path}: a folder; expected {expected or 'a file'}")
+    tail = "" if expected is None else f"; expected {expected}"
+    return ConfigError(f"{lead}{path}: cannot be read: {error.strerror}{tail}")
 
 
 def must_exist(path: Path, expected: str) -> None:

@@ -190,7 +190,7 @@ class Session:
         elif message_id == mavlink.MAVLINK_MSG_ID_TIMESYNC:
             self._hear_timesync(message, now_s)
         elif message_id == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
-            self._parameters.heard(message)
+            self._parameters.heard(message, self.state.autopilot_kind)
         elif message_id in SENSOR_MESSAGES:
             if self.onboard is not None:
                 self.onboard.hear(message, now_s)
@@ -281,7 +281,7 @@ class Session:
         return self._commands.submit(command)
 
     def read_parameter(self, name: str) -> ParameterRequest:
-        """Ask for an ArduPilot's parameter; `tick` sends it while the autopilot is connected."""
+        """Ask for a parameter; `tick` sends it while the autopilot is connected."""
         return self._request_parameter(ParameterRequest(name))
 
     def set_parameter(self, name: str, value: float) -> ParameterRequest:

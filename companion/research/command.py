@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 from rich.console import Console
 from rich.progress import track
-from typer.exceptions import TyperException
 
-from companion.config import ConfigError
+from companion.base.command_line import VersionOption, new_app, run_program
 from companion.research import fig13, pad_recall, profiles, tune_flight_pid
 from companion.research.fig14.command import fig14
 from companion.research.flown import fly_scenario
 from companion.research.output import writable
 
-app = typer.Typer(
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    no_args_is_help=True,
-)
+PROGRAM: Final = "companion-experiments"
+app = new_app(no_args_is_help=True)
 
 
 @app.callback()
-def experiments() -> None:
+def experiments(*, version: VersionOption = False) -> None:
     """The paper's experiments, each with a table and a plot."""
 
 
@@ -126,15 +120,7 @@ def finish(console: Console, bars: Mapping[str, bool], output: Path) -> None:
 
 def main() -> None:
     """Run an experiment: whatever the user got wrong ends in one line on standard error."""
-    try:
-        code = app(standalone_mode=False)
-    except (TyperException, ConfigError, OSError) as error:
-        text = error.format_message() if isinstance(error, TyperException) else str(error)
-        print(f"companion-experiments: {text.rstrip('.')}", file=sys.stderr)
-        code = 2
-    except typer.Abort:
-        code = 1
-    sys.exit(code)
+    run_program(app, PROGRAM)
 
 
 if __name__ == "__main__":

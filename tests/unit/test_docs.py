@@ -51,6 +51,8 @@ EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULT
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND_TIMEOUT_S = 300.0
+# what each program has, as the README says
+EVERYWHERE = {"-h", "--help", "--version", "--install-completion", "--show-completion"}
 PROGRAMS = {
     "companion": cli,
     "companion-sitl": sitl_cli,
@@ -217,31 +219,33 @@ def test_the_exit_codes_are_in_the_readme() -> None:
 
 def test_the_options_are_in_the_readme() -> None:
     options = {option for parameter in typer.main.get_command(cli).params for option in parameter.opts}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
+    told = set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
+    assert options - {"-h", "--help"} == told
+    assert "`-h`" in TEXTS["README.md"]
 
 
 def test_the_simulator_s_options_are_in_its_page() -> None:
     shown = [p for p in typer.main.get_command(sitl_cli).params if not getattr(p, "hidden", False)]
     options = {option for parameter in shown for option in parameter.opts}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
 
 
 def test_the_fuzzy_command_s_options_are_in_its_page() -> None:
     fuzzy = command_of(cli, "fuzzy")
     options = {option for parameter in fuzzy.params for option in parameter.opts if option.startswith("--")}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
 
 
 def test_the_pad_command_s_options_are_in_its_page() -> None:
     pad = command_of(cli, "pad")
     options = {option for parameter in pad.params for option in parameter.opts if option.startswith("--")}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
 
 
 def test_the_detect_command_s_options_are_in_its_page() -> None:
     detect = command_of(cli, "detect")
     options = {option for parameter in detect.params for option in parameter.opts if option.startswith("--")}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["detect.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["detect.md"], re.MULTILINE))
 
 
 def test_every_experiment_is_in_its_page() -> None:
@@ -254,7 +258,7 @@ def test_the_magnetometer_tools_options_are_in_its_page() -> None:
         o for p in typer.main.get_command(magnetometer_cli).params for o in p.opts if o.startswith("--")
     }
     page = TEXTS["calibrate-magnetometer.md"]
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", page, re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", page, re.MULTILINE))
 
 
 def result_keys(model: type[BaseModel], prefix: str = "") -> list[str]:

@@ -28,7 +28,7 @@ Exit codes: 0 the pad was seen, 1 in no picture, 2 something to correct.
 """
 Source = Annotated[
     list[Path],
-    typer.Argument(metavar="SOURCE...", help="Photos, videos or folders of them.", show_default=False),
+    typer.Argument(metavar="SOURCE", help="Photos, videos or folders of them.", show_default=False),
 ]
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from mcap.records import Channel, Message, Metadata
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.files import cannot_read
 from companion.base.geometry import GRAVITY_M_S2, FloatArray
 from companion.base.messages import Phase
 from companion.config import CompanionConfig, ConfigError, ControlConfig, VehicleConfig, validate
@@ -75,7 +76,7 @@ def read_flight(path: Path) -> IdentificationLog:
                 elif isinstance(item, Message) and topics[item.channel_id] in TOPICS:
                     messages[topics[item.channel_id]].append(json.loads(item.data))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; expected a flight.mcap") from error
+        raise cannot_read(path, error, expected="a flight.mcap") from error
     if not {"config", "vehicle"} <= settings.keys():
         raise ConfigError(f"{path}: no settings in it; expected a flight.mcap that `--record` left")
     config = validate(CompanionConfig, json.loads(settings["config"]), f"{path}: config")

@@ -180,7 +180,7 @@ def parameter(name: bytes, value: float) -> bytes:
 
 def test_a_parameter_is_read_by_its_name() -> None:
     session = Session(LinkConfig())
-    session.receive(FakeAutopilot().tick(0.0), 0.0)
+    session.receive(FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED").tick(0.0), 0.0)
     request = session.read_parameter("GUID_OPTIONS")
     asked = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "PARAM_REQUEST_READ"]
     assert [(m.param_id, m.param_index, m.target_system) for m in asked] == [("GUID_OPTIONS", -1, 1)]
@@ -194,7 +194,7 @@ def test_a_parameter_is_read_by_its_name() -> None:
 
 def test_a_setting_ends_with_the_value_wanted_and_not_with_an_older_one() -> None:
     session = Session(LinkConfig(command_tries=2, command_patience_s=0.2))
-    session.receive(FakeAutopilot().tick(0.0), 0.0)
+    session.receive(FakeAutopilot(autopilot_kind="ardupilot", mode="GUIDED").tick(0.0), 0.0)
     request = session.set_parameter("GUID_OPTIONS", 8)
     session.tick(0.1)
     session.receive(parameter(b"GUID_OPTIONS", 0.0), 0.15)
