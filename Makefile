@@ -1,5 +1,6 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
+# make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
@@ -61,6 +62,11 @@ lint: $(VENV)/.dev
 
 test: lint
 	$(BIN)/python -m pytest
+
+# fetches Debian roots into DEPLOY and keeps them there; what this machine cannot do is skipped, with the reason
+.PHONY: test-deploy
+test-deploy: $(VENV)/.dev
+	COMPANION_DEPLOY=$(or $(DEPLOY),/var/tmp/companion-deploy) $(BIN)/python -m pytest -n 0 -rs tests/deploy
 
 # each prints its table beside the bars and ends in a line that says which hold; all of them run
 bench: $(VENV)/.dev
