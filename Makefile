@@ -14,6 +14,8 @@
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
 # make bench-firmware PX4=BIN ARDUCOPTER=BIN  landings on the real firmwares, in lockstep
 # make bench-faults          every fault in every phase of a flight: how it ends, and whether it is safe
+# make bench-service         the service: start, CPU, memory, ten orders in one run
+# make bench-interruptions   kills, stalls and stops at random moments of a flight in real time
 # make bench-mutations       a million spoilt inputs to drivers, link, settings and scenario files
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
@@ -37,7 +39,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-mutations bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-interruptions bench-mutations bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -124,6 +126,13 @@ bench-response: $(VENV)/.dev
 # hours on two cores; give it again after an interruption, and it goes on
 bench-faults: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.faults.bench_faults --jobs 2
+
+# need the machine to themselves: real time, two processes
+bench-service: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.service.bench_service
+
+bench-interruptions: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.service.bench_interruptions --trials 20
 
 bench-mutations: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.mutations.bench_mutations --count $(MUTATIONS)
