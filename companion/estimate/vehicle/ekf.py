@@ -21,6 +21,7 @@ from companion.base.geometry import (
     Vector3,
     euler_from_quat,
     norm,
+    quat_conjugate,
     quat_from_rotation_vector,
     quat_multiply,
     quat_normalise,
@@ -140,11 +141,38 @@ class VehicleEkf(EkfState):
         if measured @ expected < 0.0:
             measured = -measured
         rotation = np.diag([tilt_noise_rad**2, tilt_noise_rad**2, heading_noise_rad**2])
+        apart = rotation_vector_from_quat(quat_multiply(attitude, quat_conjugate(self.attitude)))
+        root = np.linalg.cholesky(self.rotation_covariance() + rotation)
         # along the quaternion's length there is nothing to learn: any noise that keeps R regular
         R = model.attitude_covariance(self.attitude, rotation) + 1e-2 * np.outer(expected, expected)
-        self._update("orientation", measured - expected, C, R, R)
-        if self.gates["orientation"].shut_out(self.time_s, self._config.orientation_patience_s):
-            self._start_attitude(attitude, rotation)
+        if self._update("orientation", measured - expected, C, R, R):
+            self.watch = self.watch.after(self.time_s, vector3(np.linalg.solve(root, apart)))
+            self._heed_watch(attitude, rotation, apart)
+        elif self.gates["orientation"].shut_out(self.time_s, self._config.orientation_patience_s):
+            self._restart_attitude(attitude, rotation)
+
+    def _heed_watch(self, attitude: Quaternion, rotation: FloatArray, apart: Vector3) -> None:
+        """Doubt our attitude when the pre-filter's keeps to one side of it; then start again from that.
+
+        Fixes that fit know the tilt better, the heading only in motion: while they come that alone is
+        doubted, and nothing started again.
+        """
+        if not self.watch.misfits:
+            return
+        fixes_fit = self.time_s - self.gps_time_s < self._config.gps_timeout_s
+        if not self.watch.doubted_lately:
+            self.watch = self.watch.renewed()._replace(doubted_s=self.time_s)
+            tilt = 0.0 if fixes_fit else apart[0] ** 2 + apart[1] ** 2
+            self._inflate_rotation(np.diag((tilt, tilt, apart[2] ** 2)))
+        elif not fixes_fit:
+            self._restart_attitude(attitude, rotation)
+
+    def _restart_attitude(self, attitude: Quaternion, rotation: FloatArray) -> None:
+        """Take the pre-filter's attitude; what has led away from it may be the gyroscope's bias."""
+        self._start_attitude(attitude, rotation)
+        P = self.P.copy()
+        P[model.GYRO_BIAS, model.GYRO_BIAS] += SUSPECTED_BIAS_RAD_S**2 * EYE3
+        self.P, self.watch = P, self.watch.renewed()._replace(restarted_s=self.time_s)
 
     def _take_field(self, field_body_ut: Vector3) -> None:
         expected, C = model.mag_model(self.x)

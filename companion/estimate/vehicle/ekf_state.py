@@ -26,6 +26,7 @@ from companion.estimate.vehicle.ekf_start import (
     noise_density,
 )
 from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.innovation_watch import InnovationWatch
 
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
@@ -53,6 +54,7 @@ class EkfSnapshot(NamedTuple):
     gps_time_s: float
     fix_watch: FixWatch
     moved: FloatArray | None
+    watch: InnovationWatch
 
 
 class EkfState:
@@ -68,19 +70,20 @@ class EkfState:
         self.has_position = False
         self.gps_time_s = -math.inf
         self.fix_watch = FixWatch()
+        self.watch = InnovationWatch()
         self._moved: FloatArray | None = EYE
 
     def snapshot(self) -> EkfSnapshot:
         """The whole state; cheap, since nothing is changed in place."""
         return EkfSnapshot(
             *(self.time_s, self.x, self.P, self.gates, self.has_position, self.gps_time_s, self.fix_watch),
-            self._moved,
+            *(self._moved, self.watch),
         )
 
     def restore(self, snapshot: EkfSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.x, self.P, self.gates, self.has_position = snapshot[:5]
-        self.gps_time_s, self.fix_watch, self._moved = snapshot[5:]
+        self.gps_time_s, self.fix_watch, self._moved, self.watch = snapshot[5:]
 
     @property
     def attitude(self) -> Quaternion:

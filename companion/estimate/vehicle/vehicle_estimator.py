@@ -51,6 +51,7 @@ from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
 from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
+from companion.estimate.vehicle.innovation_watch import TroubleReport
 from companion.estimate.vehicle.strapdown import Strapdown
 from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 
@@ -84,11 +85,10 @@ class VehicleEstimator:
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
-        self._inertial = InertialMotion(config, motion)
-        self._resting = False
-        self._settled_s = -math.inf
-        self._still_block = False
-        self._mag_s = self._field_step_s = self._orientation_step_s = self._mag_trusted_s = -math.inf
+        self._inertial, self._trouble = InertialMotion(config, motion), TroubleReport()
+        self._resting = self._still_block = False
+        self._mag_s = self._field_step_s = self._orientation_step_s = -math.inf
+        self._mag_trusted_s = self._settled_s = -math.inf
 
     # ------------------------------------------------------------ inputs
 
@@ -198,7 +198,7 @@ class VehicleEstimator:
         self._read_ekf()
         self._orientation.attitude = self._inertial.attitude
         words = f"attitude corrected by {math.degrees(correction.apart_rad):.0f} deg, by the autopilot's"
-        self.corrections = (*self.corrections, f"{words}: {correction.why}")
+        self.corrections += (f"{words}: {correction.why}",)
 
     # ------------------------------------------------------------ outputs
 
@@ -327,6 +327,7 @@ class VehicleEstimator:
 
     def _read_ekf(self) -> None:
         assert self._ekf is not None
+        self.corrections += self._trouble.news(self._ekf.watch, self._ekf.fix_watch)
         self._inertial.gyro_bias_rad_s = vector3(self._ekf.x[model.GYRO_BIAS])
         self._inertial.accel_bias_m_s2 = vector3(self._ekf.x[model.ACCEL_BIAS])
         self._inertial.attitude = self._inertial.turned(self._ekf.attitude, self.newest_s - self._ekf.time_s)

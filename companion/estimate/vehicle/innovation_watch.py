@@ -1,0 +1,80 @@
+"""Does the attitude still fit what the orientation pre-filter says? Normalised innovations over a window.
+
+A single innovation is judged by its gate, at a noise that is wide since it stays alike for seconds: an
+attitude that has run away by 30 deg passes it every time. The innovations of a filter that fits are white, so
+their mean over a window falls with the root of their number; that of one that has run away does not. Whitened
+by their own covariance, the mean's square is chi-square distributed.
+
+When it does not fit, the attitude is doubted: its covariance grows by as much as the two are apart, and what
+is measured next decides. When it still does not fit after that, the filter starts from the pre-filter.
+Immutable, so that a snapshot may hold it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
+from companion.estimate.gating import CHI_SQUARE_999
+from companion.estimate.vehicle.fix_watch import FixWatch
+
+WINDOW_S: Final = 3.0
+AGAIN_S: Final = 3.0 * WINDOW_S  # a misfit so soon after a doubt: the doubt has not cured it
+
+
+class InnovationWatch(NamedTuple):
+    """The fading mean of the whitened innovations, and when the attitude was doubted or started again."""
+
+    mean: Vector3 = ZERO3
+    variance: float = 0.0  # of an axis of the mean, when all is well
+    innovations: int = 0
+    since_s: float = math.inf
+    last_s: float = -math.inf
+    doubted_s: float = -math.inf
+    restarted_s: float = -math.inf
+
+    def after(self, time_s: float, whitened: Vector3) -> InnovationWatch:
+        """With one innovation more."""
+        number = self.innovations + 1
+        share = max(1.0 / number, min((time_s - self.last_s) / WINDOW_S, 1.0))
+        return self._replace(
+            mean=add(self.mean, scale(subtract(whitened, self.mean), share)),
+            variance=(1.0 - share) ** 2 * self.variance + share**2,
+            innovations=number,
+            since_s=min(self.since_s, time_s),
+            last_s=time_s,
+        )
+
+    @property
+    def misfits(self) -> bool:
+        """Whether a whole window keeps to one side by more than chance explains."""
+        full = self.last_s - self.since_s >= WINDOW_S
+        return full and dot(self.mean, self.mean) > CHI_SQUARE_999[3] * self.variance
+
+    @property
+    def doubted_lately(self) -> bool:
+        """Whether the last doubt should have cured it by now."""
+        return self.last_s - self.doubted_s < AGAIN_S
+
+    def renewed(self) -> InnovationWatch:
+        """With an empty window."""
+        return InnovationWatch(doubted_s=self.doubted_s, restarted_s=self.restarted_s)
+
+
+class TroubleReport:
+    """Puts what the filter has done about its own misfit in words, each time once."""
+
+    def __init__(self) -> None:
+        self._told_s = {"doubted": -math.inf, "fixes": -math.inf, "restarted": -math.inf}
+
+    def news(self, watch: InnovationWatch, fixes: FixWatch) -> tuple[str, ...]:
+        """What was not said before."""
+        happened = {
+            "doubted": (watch.doubted_s, "attitude doubted: the orientation filter keeps to one side of it"),
+            "fixes": (fixes.suspected_s, "attitude doubted: GPS keeps to one side of the velocity"),
+            "restarted": (watch.restarted_s, "attitude started again from the orientation filter"),
+        }
+        fresh = {kind: what for kind, what in happened.items() if what[0] > self._told_s[kind]}
+        self._told_s |= {kind: when_s for kind, (when_s, _) in fresh.items()}
+        return tuple(words for _, words in fresh.values())
