@@ -12,7 +12,7 @@ from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.geometry import quat_rotate, vector3
 from companion.base.magnetic_field import field_ned_ut
 from companion.base.messages import MagSample
-from companion.config import ConfigError, ImuConfig, validate
+from companion.config import CONFIG_FOLDER, ConfigError, ImuConfig, validate
 from companion.sense.imu.mpu9250 import Mpu9250
 from companion.sim.external import External
 from companion.sim.settings import sitl_settings
@@ -20,7 +20,6 @@ from companion.sim.trial import Trial
 from sitl.run.in_process import carried
 from sitl.scenario.home import HomeSettings, magnetic_field_ned_ut, read_home
 from sitl.scenario.scenario import Scenario
-from tests.unit.sitl.scenario.test_scenario import CONFIG_FOLDER
 
 CMAC = (-35.363262, 149.165237, 584.0)
 ELSEWHERE = {"latitude_deg": 60.0, "longitude_deg": -150.0, "altitude_m": 20.0}
