@@ -6,45 +6,31 @@ mend, told in one line on standard error, 130 interrupted.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NoReturn
 
 import typer
-from typer.exceptions import TyperException
 
-from companion.config import ConfigError
+from companion.base.command_line import INTERRUPTED, USER_ERROR, Ending, run_program
 
 REFUSED: Final = 1
-USER_ERROR: Final = 2
-INTERRUPTED: Final = 130
+__all__ = ["INTERRUPTED", "REFUSED", "USER_ERROR", "RefusedError", "run"]
 
 
 class RefusedError(Exception):
     """A calibration that is not good enough to fly by; the text is the one line to show."""
 
 
-def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> None:
+def run(app: typer.Typer, name: str, words: Sequence[str] | None = None) -> NoReturn:
     """Run a program to its end: whatever the user got wrong ends in one line on standard error.
 
     Raises:
         SystemExit: always, with the exit code.
     """
-    try:
-        code = app(args=words, standalone_mode=False) or 0
-        if code == INTERRUPTED:  # typer's own answer to Ctrl-C
-            raise KeyboardInterrupt
-    except TyperException as error:
-        code = _fail(name, f"{error.format_message().rstrip('.')}; see {name} --help", USER_ERROR)
-    except ConfigError as error:
-        code = _fail(name, str(error), USER_ERROR)
-    except RefusedError as error:
-        code = _fail(name, f"refused: {error}", REFUSED)
-    except (KeyboardInterrupt, typer.Abort):
-        code = _fail(name, "interrupted; nothing was written", INTERRUPTED)
-    sys.exit(code)
-
-
-def _fail(name: str, text: str, code: int) -> int:
-    print(f"{name}: {text}", file=sys.stderr)
-    return code
+    run_program(
+        app,
+        name,
+        words,
+        endings={RefusedError: Ending(REFUSED, "refused: ")},
+        interrupted=Ending(INTERRUPTED, "interrupted; nothing was written"),
+    )

@@ -1,7 +1,7 @@
 """`companion`: flies on the vehicle, or against the bundled simulator.
 
 Exit codes: 0 landed within the bounds (on the vehicle: landed and disarmed), 1 the simulator failed,
-2 something the user can correct, 3 missed, 4 aborted, 5 timeout, 6 crashed.
+2 something the user can correct, 3 missed, 4 aborted, 5 timeout, 6 crashed, 130 interrupted before a flight.
 
 Only the options are here. What flies is imported once they are right, since OpenCV, OSQP, MAVSDK and the
 rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
@@ -9,31 +9,32 @@ rest take seconds to import on a Raspberry Pi (`companion.base.command_line`).
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from typer.exceptions import TyperException
 
-from companion.base.command_line import Command, VersionOption, lazy_app, print_error
+from companion.base.command_line import Command, VersionOption, lazy_app, run_program
 from companion.base.errors import ConfigError
 from companion.base.files import CONFIG_FOLDER, find_file, must_be_readable
 from sitl.firmware.options import FirmwareOption, FirmwareParamOption, FirmwarePathOption
 
 PROGRAM: Final = "companion"
-USER_ERROR: Final = 2
-INTERRUPTED: Final = 4
 COMMANDS: Final = {
     "replay": Command(
         "companion.flightlog.replay.command:replay_command", "Run the estimators again over a log."
     ),
     "identify": Command(
-        "companion.tools.identify:identify_command", "Identify the vehicle's response from a flight."
+        "companion.tools.identify.command:identify_command",
+        "Identify the vehicle's response from a flight.",
     ),
     "check": Command(
-        "companion.tools.check.command:check_command", "Check sensors and axes by hand before a first flight."
+        "companion.tools.check.command:check_command",
+        "Check everything before a flight; --pad: sensors and axes, by hand.",
+    ),
+    "detect": Command(
+        "companion.tools.detect.command:detect_command", "Find the pad in your own photos and videos."
     ),
     "fuzzy": Command(
         "companion.tools.fuzzy.command:fuzzy_command", "Show the fuzzy speed controller, its rules and table."
@@ -41,8 +42,19 @@ COMMANDS: Final = {
     "pad": Command(
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
-    "logs": Command("companion.flightlog.logs:logs_command", "Repair a flight log that was cut short."),
-    "permit": Command("companion.app.permit:permit_command", "Let the next start of the app fly."),
+    "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
+    "status": Command(
+        "companion.app.service.commands:status_command", "Show what the running service does.", "STATUS_HELP"
+    ),
+    "order": Command(
+        "companion.app.service.commands:order_command",
+        "Order the service to land, fly, stop.",
+        "ORDER_HELP",
+    ),
+    "permit": Command("companion.app.service.permit:permit_command", "Let the next start of the app fly."),
+    "report": Command(
+        "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
+    ),
     "flights": Command(
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True
     ),
@@ -55,6 +67,9 @@ def companion(
     context: typer.Context,
     *,
     sitl: Annotated[bool, typer.Option("--sitl", help="Fly against the bundled simulator.")] = False,
+    flies: Annotated[
+        bool, typer.Option("--fly", help="Fly once, now: arm, take off, land. Else stand by for orders.")
+    ] = False,
     config: Annotated[
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
     ] = CONFIG_FOLDER / "companion.yaml",
@@ -105,6 +120,8 @@ def companion(
         alone(context)
         return
     theirs = {"--autopilot": autopilot, "--connect": connect, "--connect-world": connect_world}
+    if sitl and flies:
+        raise ConfigError("--fly: is for the vehicle; expected it without --sitl, which flies at once")
     if sitl:
         find_file("scenarios", scenario or "line")
     else:
@@ -119,11 +136,11 @@ def companion(
         }
         refuse({**ours, **theirs})
     must_be_readable(config)
-    from companion.app.command import Output, fly_the_vehicle  # noqa: PLC0415 - see above
+    from companion.app.command import Output, fly_the_vehicle, stand_by  # noqa: PLC0415 - see above
 
     output = Output.of(record, json_file, live=not no_ui)
     if not sitl:
-        raise typer.Exit(fly_the_vehicle(config, output))
+        raise typer.Exit((fly_the_vehicle if flies else stand_by)(config, output))
     from companion.sim.command import fly_in_sitl, load_trial  # noqa: PLC0415 - see above
 
     flown = (firmware, firmware_path, firmware_param)
@@ -157,15 +174,7 @@ def refuse(options: Mapping[str, object]) -> None:
 
 def main() -> None:
     """Entry point: whatever the user got wrong ends in one line on standard error."""
-    try:
-        code = cli(standalone_mode=False)
-    except TyperException as error:
-        code = print_error(PROGRAM, f"{error.format_message().rstrip('.')}; see companion --help", USER_ERROR)
-    except ConfigError as error:
-        code = print_error(PROGRAM, str(error), USER_ERROR)
-    except typer.Abort:
-        code = print_error(PROGRAM, "aborted: interrupted outside a flight", INTERRUPTED)
-    sys.exit(code)
+    run_program(cli, PROGRAM)
 
 
 if __name__ == "__main__":

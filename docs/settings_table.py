@@ -35,7 +35,8 @@ from companion.config import (
     read_yaml,
 )
 from companion.pad import Marker, Pad
-from sitl.faults.faults import Fault, FaultTimes
+from sitl.faults.faults import Fault
+from sitl.faults.times import FaultTimes
 from sitl.pad.motion import PadMotionSettings
 from sitl.scenario.scenario import Scenario
 
@@ -61,6 +62,7 @@ UNITS: Final = {
     "deg": "°",
     "hz": "Hz",
     "px": "px",
+    "mb": "MB",
     "ut": "µT",
     "grey": "grey values",
     "lux": "lx",

@@ -5,16 +5,14 @@ Exit codes: 0 success, 1 a run failed, 2 a user error.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from typer.exceptions import TyperException
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.command_line import Command, VersionOption, lazy_app, print_error
+from companion.base.command_line import INTERRUPTED, Command, Ending, VersionOption, lazy_app, run_program
 from companion.base.errors import ConfigError
 from companion.base.files import find_file
 from sitl.firmware.errors import FirmwareError
@@ -31,7 +29,6 @@ from sitl.run.port_options import (
 
 PROGRAM: Final = "companion-sitl"
 FIRMWARE_FAILED: Final = 1
-USER_ERROR: Final = 2
 WITH_CHILD: Final = (
     "scenario", "seed", "autopilot", "folder", "child", "firmware", "firmware_path", "firmware_param",
 )  # fmt: skip
@@ -49,7 +46,7 @@ COMMANDS: Final = {
         "sitl.scenario.commands:schema_command", "Print the JSON schema of scenario files.", "SCHEMA_HELP"
     ),
     "campaign": Command("sitl.campaign.command:campaign_command", "Fly scenarios under many seeds."),
-    "view": Command("sitl.run.view:view_command", "Show or record the frames that a socket serves."),
+    "view": Command("sitl.run.view_command:view_command", "Show or record the frames that a socket serves."),
     "hold": Command("sitl.run.hold_command:hold_command", "Serve a vehicle that is carried by hand."),
 }
 cli = lazy_app(COMMANDS)
@@ -136,20 +133,14 @@ def refuse(context: typer.Context, allowed: Collection[str], why: str) -> None:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Entry point: a user error ends in one line on standard error."""
-    try:
-        code = cli(args=words, standalone_mode=False)
-    except TyperException as error:
-        # a list of choices takes several lines
-        said = " ".join(error.format_message().split()).rstrip(".")
-        code = print_error(PROGRAM, f"{said}; see companion-sitl --help", USER_ERROR)
-    except ConfigError as error:
-        code = print_error(PROGRAM, str(error), USER_ERROR)
-    except FirmwareError as error:
-        code = print_error(PROGRAM, str(error), FIRMWARE_FAILED)
-    except (KeyboardInterrupt, typer.Abort):
-        code = 0
-    sys.exit(code)
+    """Entry point: a user error ends in one line on standard error; what Ctrl-C ends has said so."""
+    run_program(
+        cli,
+        PROGRAM,
+        words,
+        endings={FirmwareError: Ending(FIRMWARE_FAILED)},
+        interrupted=Ending(INTERRUPTED, None),
+    )
 
 
 if __name__ == "__main__":

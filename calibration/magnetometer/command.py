@@ -8,13 +8,10 @@ from typing import Annotated, Final
 import typer
 
 from calibration.command_line import run
-from calibration.magnetometer.job import (
-    PROGRAM,
-    MagnetometerCalibrationJob,
-    SampleSource,
-    calibrate_magnetometer,
-)
+from companion.base.command_line import VersionOption, new_app
+from companion.base.files import must_be_readable, must_exist
 
+PROGRAM: Final = "calibrate-magnetometer"
 HELP: Final = """Calibrate a magnetometer (hard and soft iron): live, or from a recording of a rotation.
 
 RECORDING is a text table (CSV), .npz, .tlog, ArduPilot .bin, PX4 .ulg, or a flight log of the app. Without
@@ -32,16 +29,14 @@ Exit codes: 0 calibrated, 1 refused as not good enough (the picture shows why; o
 2 user error, 130 interrupted.
 """
 
-cli = typer.Typer(
-    add_completion=False, rich_markup_mode=None, context_settings={"help_option_names": ["--help"]}
-)
+cli = new_app()
 
 
 @cli.command(help=HELP)
 def calibrate_command(
     recording: Annotated[
         Path | None,
-        typer.Argument(metavar="[RECORDING]", help="Recording to calibrate from.", show_default=False),
+        typer.Argument(metavar="RECORDING", help="Recording to calibrate from.", show_default=False),
     ] = None,
     *,
     output: Annotated[
@@ -119,6 +114,7 @@ def calibrate_command(
     force: Annotated[
         bool, typer.Option("--force", help="Write the file even if it is refused; the file says so.")
     ] = False,
+    version: VersionOption = False,
 ) -> None:
     """Read or collect, calibrate, judge, write.
 
@@ -126,6 +122,17 @@ def calibrate_command(
         ConfigError: the user can correct it.
         RefusedError: the calibration is not good enough.
     """
+    if recording is not None:
+        must_exist(recording, "expected a recording")
+    if config is not None:
+        must_be_readable(config)
+    # what computes is imported once the files are there
+    from calibration.magnetometer.job import (  # noqa: PLC0415
+        MagnetometerCalibrationJob,
+        SampleSource,
+        calibrate_magnetometer,
+    )
+
     source = SampleSource(recording, columns, unit, sensor, bus, connect, time_limit_s, serve)
     picture = None if no_plot else plot or output.with_suffix(".png")
     calibrate_magnetometer(

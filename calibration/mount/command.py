@@ -49,6 +49,7 @@ from calibration.mount.shared import (
 )
 from calibration.mount.solve.solve import NoSolutionError, solve
 from calibration.mount.solve.verdict import reasons
+from companion.base.command_line import VersionOption, new_app
 from companion.base.formats.mjpeg import MjpegServer
 from companion.config import CameraConfig, CompanionConfig, ConfigError, find_file, load_config, load_model
 
@@ -85,7 +86,14 @@ calibrate-mount camera swayed -o mount.yaml
 calibrate-mount camera flights/hover -o mount.yaml --plots pictures
 calibrate-mount camera swayed -o mount.yaml --camera my_camera.yaml
 """
-cli = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None, help=HELP)
+cli = new_app()
+
+
+@cli.callback(help=HELP)
+def calibrate_mount(*, version: VersionOption = False) -> None:
+    """What all subcommands have in common."""
+
+
 cli.command(
     "accelerometer",
     help=ACCELEROMETER_HELP,

@@ -23,7 +23,8 @@ from companion.config import (
     StrictModel,
     load_model,
 )
-from companion.flightlog.record import LOG_NAMES, FlightLog
+from companion.flightlog.log_file import LOG_NAMES
+from companion.flightlog.record import FlightLog
 
 NAME: Final = "calibrate-mount"
 ConfigOption = Annotated[Path, typer.Option("--config", help="The app's settings.", metavar="FILE")]

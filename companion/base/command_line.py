@@ -1,19 +1,37 @@
-"""Command lines that start fast: a command's module is imported when that command runs, not before.
+"""What all command lines here have in common: they start fast, and they all end alike.
 
-`companion --help` on a Raspberry Pi must not wait for OpenCV, OSQP and MAVSDK. Typer needs the options of a
-command only when it parses them, so the group knows each command by its name and one line of help.
+A command's module is imported when that command runs, not before: `companion --help` on a Raspberry Pi must
+not wait for OpenCV, OSQP and MAVSDK. Typer needs the options of a command only when it parses them, so the
+group knows each command by its name and one line of help. A command's own module holds its options, sees
+whether the files are there, and only then imports what does the work.
+
+Whatever the user can correct ends in one line on standard error that points to the help of the very command,
+with exit code 2. A reader that goes away (`| head`) ends it quietly, as SIGPIPE would; output that cannot be
+written is said.
 """
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module, metadata
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, NoReturn, TextIO
 
 import typer
 from typer.core import TyperGroup
+from typer.exceptions import TyperException
+
+from companion.base.errors import ConfigError
+
+USER_ERROR: Final = 2
+INTERRUPTED: Final = 130
+# of what we print, which has no file name: a full disk or quota, the device's end, a closed output
+NOT_WRITTEN: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
+PIPE_CLOSED: Final = 141  # as a shell reports a program that SIGPIPE has ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,23 +47,27 @@ class Command:
         """Import the module and build the command that Typer runs."""
         module_name, _, function_name = self.function.partition(":")
         module = import_module(module_name)
-        app = new_app()
+        app = new_app(add_completion=False)
         app.command(name, help=getattr(module, self.help_name))(getattr(module, function_name))
         return typer.main.get_command(app)
 
 
 def new_app(**options: Any) -> typer.Typer:
     """A Typer application with what all command lines here have in common: errors are one line, by us."""
-    return typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None, **options)
+    settings = {"help_option_names": ["-h", "--help"], **options.pop("context_settings", {})}
+    return typer.Typer(
+        pretty_exceptions_enable=False, rich_markup_mode=None, context_settings=settings, **options
+    )
 
 
 def lazy_app(commands: Mapping[str, Command], **options: Any) -> typer.Typer:
-    """A Typer application whose `commands` are imported only when they run."""
+    """A Typer application whose `commands` are imported only when they run; others may be added to it."""
 
     class LazyGroup(TyperGroup):
         def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
             name, stub, rest = super().resolve_command(ctx, args)
-            return name, stub if name is None else commands[name].load(name), rest
+            lazy = None if name is None else commands.get(name)
+            return name, stub if lazy is None else lazy.load(str(name)), rest
 
     app = new_app(cls=LazyGroup, **options)
     for name, command in commands.items():
@@ -71,6 +93,86 @@ def print_version(asked: bool) -> None:
 VersionOption = Annotated[
     bool, typer.Option("--version", help="Show the version and exit.", is_eager=True, callback=print_version)
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How errors of one kind end: the exit code, and what the line begins with; None: no line."""
+
+    code: int
+    lead: str | None = ""
+
+
+def run_program(
+    app: typer.Typer,
+    program: str,
+    words: Sequence[str] | None = None,
+    *,
+    endings: Mapping[type[Exception], Ending] | None = None,
+    interrupted: Ending = Ending(INTERRUPTED, "interrupted"),
+) -> NoReturn:
+    """Run a program to its end; `endings` are those of its own kinds of errors.
+
+    Raises:
+        SystemExit: always, with the exit code.
+    """
+    own = dict(endings or {})
+    try:
+        code = _run(app, program, words, own, interrupted)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        code = PIPE_CLOSED
+        _let_go_of(sys.stdout)
+    except OSError as error:
+        if error.filename is None and error.errno not in NOT_WRITTEN:
+            raise
+        where = error.filename or "the output cannot be written"
+        code = print_error(program, f"{where}: {error.strerror or error}", USER_ERROR)
+        _let_go_of(sys.stdout)
+    sys.exit(code)
+
+
+def _run(
+    app: typer.Typer,
+    program: str,
+    words: Sequence[str] | None,
+    endings: Mapping[type[Exception], Ending],
+    interrupted: Ending,
+) -> int:
+    """The exit code; what went wrong has been said."""
+    try:
+        code = typer.main.get_command(app)(args=words, prog_name=program, standalone_mode=False) or 0
+        # typer's own answer to Ctrl-C
+        return _end(program, interrupted, "") if code == INTERRUPTED else int(code)
+    except (KeyboardInterrupt, typer.Abort):
+        return _end(program, interrupted, "")
+    except TyperException as error:
+        # a list of choices takes several lines
+        said = " ".join(error.format_message().split()).rstrip(".")
+        context = getattr(error, "ctx", None)
+        asked = program if context is None else context.command_path
+        return print_error(program, f"{said}; see {asked} --help", USER_ERROR)
+    except ConfigError as error:
+        return print_error(program, str(error), USER_ERROR)
+    except RecursionError:
+        return print_error(program, "a file that it read is nested too deeply", USER_ERROR)
+    except tuple(endings) as error:
+        ending = next(end for kind, end in endings.items() if isinstance(error, kind))
+        return _end(program, ending, str(error))
+
+
+def _end(program: str, ending: Ending, text: str) -> int:
+    if ending.lead is None:
+        return ending.code
+    return print_error(program, f"{ending.lead}{text}", ending.code)
+
+
+def _let_go_of(stream: TextIO) -> None:
+    """Nothing more is written to a stream that takes nothing: at its end Python would fail once more."""
+    with suppress(OSError, ValueError):
+        target = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(target, stream.fileno())
+        os.close(target)
 
 
 def print_error(program: str, text: str, code: int) -> int:

@@ -8,7 +8,10 @@ from typing import Final
 from companion.base.errors import ConfigError
 
 YAML_SUFFIXES: Final = (".yaml", ".yml")
-CONFIG_FOLDER: Final = Path(__file__).resolve().parents[2] / "configs"
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+# an installed package has them within it, a checkout beside it
+_INSTALLED: Final = _PACKAGE / "configs"
+CONFIG_FOLDER: Final = _INSTALLED if _INSTALLED.is_dir() else _PACKAGE.parent / "configs"
 
 
 def find_file(folder: str, name: str | Path) -> Path:
@@ -29,9 +32,25 @@ def find_file(folder: str, name: str | Path) -> Path:
     raise ConfigError(f"{folder}: no '{name}'; expected the path of a .yaml file or one of: {names}")
 
 
-def cannot_read(path: Path, error: OSError, key: str | None = None) -> ConfigError:
+def cannot_read(
+    path: Path, error: OSError, key: str | None = None, expected: str | None = None
+) -> ConfigError:
     """The error for a file that cannot be read; `key` is the setting or option that names it."""
-    return ConfigError(f"{'' if key is None else f'{key}: '}{path}: cannot be read: {error.strerror}")
+    lead = "" if key is None else f"{key}: "
+    if isinstance(error, IsADirectoryError):
+        return ConfigError(f"{lead}{path}: a folder; expected {expected or 'a file'}")
+    tail = "" if expected is None else f"; expected {expected}"
+    return ConfigError(f"{lead}{path}: cannot be read: {error.strerror}{tail}")
+
+
+def must_exist(path: Path, expected: str) -> None:
+    """See that a file or folder is there, before what takes long to import would open it.
+
+    Raises:
+        ConfigError: it is not; the line ends in what was `expected`.
+    """
+    if not path.exists():
+        raise ConfigError(f"{path}: cannot be read: No such file or directory; {expected}")
 
 
 def must_be_readable(path: Path) -> None:

@@ -50,6 +50,7 @@ class BatteryConfig(StrictModel):
 class MissionConfig(StrictModel):
     """The flight: where to look for the pad, when to ask again, when to give up."""
 
+    may_arm: bool = False  # the whole flight, arming and taking off, may be ordered; --sitl sets it
     take_off_height_m: float = Field(default=7.0, ge=1.0, le=50.0)
     waypoint_ned_m: tuple[Place, Place] = (10.0, 0.0)
     waypoints_ned_m: tuple[Waypoint, ...] = ()
@@ -61,6 +62,7 @@ class MissionConfig(StrictModel):
     pad_speed_m_s: float = Field(default=5.0, gt=0.0, le=30.0)  # horizontally; a faster pad is not followed
     pad_acceleration_m_s2: float = Field(default=5.0, gt=0.0, le=30.0)
     largest_speed_std_m_s: float = Field(default=1.0, gt=0.0, le=10.0)  # of our velocity, away from the pad
+    largest_round_trip_s: float = Field(default=0.3, gt=0.0, le=2.0)
     total_timeout_s: float = Field(default=180.0, ge=10.0, le=3600.0)
     action_retry_s: float = Field(default=2.0, ge=0.2, le=30.0)
     action_answer_s: float = Field(default=6.0, ge=0.5, le=60.0)

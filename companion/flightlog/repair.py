@@ -11,7 +11,7 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from companion.config import ConfigError
-from companion.flightlog.replay.mcap_log import records
+from companion.flightlog.log_file import records
 
 
 @dataclass(frozen=True, slots=True)

@@ -247,11 +247,7 @@ def _rms(rows: FloatArray) -> float | None:
 
 def latency(setpoints: Sequence[Setpoint], reports: Sequence[ControlReport] = ()) -> Latency:
     """Milliseconds from a frame's exposure to the first setpoint that used it, and of the cycles' delay."""
-    first: dict[float, float] = {}
-    for setpoint in setpoints:
-        if setpoint.exposure_time_s is not None:
-            first.setdefault(setpoint.exposure_time_s, setpoint.time_s)
-    exposure_p50, exposure_p99 = _percentiles_ms([sent - exposed for exposed, sent in first.items()])
+    exposure_p50, exposure_p99 = _percentiles_ms(setpoint_delays_s(setpoints))
     late_p50, late_p99 = _percentiles_ms([report.cycle_late_s for report in reports])
     return Latency(
         exposure_to_setpoint_p50=exposure_p50,
@@ -259,6 +255,15 @@ def latency(setpoints: Sequence[Setpoint], reports: Sequence[ControlReport] = ()
         cycle_late_p50=late_p50,
         cycle_late_p99=late_p99,
     )
+
+
+def setpoint_delays_s(setpoints: Sequence[Setpoint]) -> list[float]:
+    """Seconds from each frame's exposure to the first setpoint that used it."""
+    first: dict[float, float] = {}
+    for setpoint in setpoints:
+        if setpoint.exposure_time_s is not None:
+            first.setdefault(setpoint.exposure_time_s, setpoint.time_s)
+    return [sent - exposed for exposed, sent in first.items()]
 
 
 def _percentiles_ms(delays_s: Sequence[float]) -> tuple[float, float] | tuple[None, None]:

@@ -1,21 +1,39 @@
 """Reading and setting the autopilot's parameters: asked, answered, repeated, given up. Pure (sans I/O).
 
 PARAM_REQUEST_READ and PARAM_SET are both answered by PARAM_VALUE of the same name, and not at all for a name
-that the autopilot does not have. Values go as ArduPilot sends them: integers as numbers, not as bytes in a
-float's place (as PX4 does, whose parameters are not needed here).
+that the autopilot does not have. ArduPilot sends integers as numbers; PX4 sends their bytes in a float's
+place, which is read here and never written: only ArduPilot's parameters are ever set.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 from typing import Final
 
+from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import AUTOPILOT_COMPONENT, Message, mavlink
 from companion.link.commands import NO_ANSWER, WITHDRAWN
 
 GUIDED_OPTIONS: Final = "GUID_OPTIONS"
 THRUST_IS_THRUST: Final = 8  # GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET's thrust is no climb rate
+# of MAV_PARAM_TYPE: how the integers' bytes are read
+_INTEGERS: Final = {
+    mavlink.MAV_PARAM_TYPE_UINT8: "<B3x",
+    mavlink.MAV_PARAM_TYPE_INT8: "<b3x",
+    mavlink.MAV_PARAM_TYPE_UINT16: "<H2x",
+    mavlink.MAV_PARAM_TYPE_INT16: "<h2x",
+    mavlink.MAV_PARAM_TYPE_UINT32: "<I",
+    mavlink.MAV_PARAM_TYPE_INT32: "<i",
+}
+
+
+def told_value(message: Message, autopilot_kind: AutopilotKind | None) -> float:
+    """The value in a PARAM_VALUE, whichever way its autopilot sends integers."""
+    value: float = message.param_value
+    form = _INTEGERS.get(message.param_type) if autopilot_kind == "px4" else None
+    return value if form is None else float(struct.unpack(form, struct.pack("<f", value))[0])
 
 
 @dataclass(slots=True, eq=False)
@@ -63,13 +81,14 @@ class ParameterRequests:
         if request.outcome is None:
             request.outcome = WITHDRAWN
 
-    def heard(self, message: Message) -> None:
+    def heard(self, message: Message, autopilot_kind: AutopilotKind | None) -> None:
         """Take a PARAM_VALUE of our autopilot's."""
-        if not math.isfinite(message.param_value):
+        value = told_value(message, autopilot_kind)
+        if not math.isfinite(value):
             return
         for request in self._waiting:
             if request.outcome is None and request.tries and request.name == message.param_id:
-                request.answered(message.param_value)
+                request.answered(value)
 
     def to_send(self, now_s: float, target_system: int) -> list[Message]:
         """The messages due now: first tries, and repeats of what was not answered in time."""

@@ -14,14 +14,16 @@ from companion.base.command_line import print_error
 from companion.base.errors import ConfigError
 from companion.base.files import write_atomically
 from companion.base.messages import Outcome
-from companion.flightlog.report import result_table, write_plots
+from companion.flightlog.report.command import write_report
+from companion.flightlog.report.plots import write_plots
+from companion.flightlog.report.tables import result_table, title_of
 from companion.flightlog.result import Result, from_start
 from companion.sense.vision.opencv import prepare_opencv
 from companion.sim.external import External
 from companion.sim.process import SimulatorError
 from companion.sim.runner import SitlFlight, fly
 from companion.sim.scoring import reason, score
-from companion.sim.settings import calibrations_left_out, sitl_settings
+from companion.sim.settings import calibrations_left_out, sitl_settings, vehicle_differs
 from companion.sim.trial import Trial
 from sitl.firmware.spec import FirmwareSpec
 
@@ -62,6 +64,8 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     settings = sitl_settings(config_path, trial, fast=fast)
     if left_out := calibrations_left_out(config_path, settings):
         output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
+    if (differs := vehicle_differs(settings, trial)) is not None:
+        output.console.print(differs, style="yellow", highlight=False, markup=False, soft_wrap=True)
     writable(output.json_file)
     log = new_log(output.record, virtual=fast)
     title = f"{trial.scenario.name}, seed {trial.seed}"
@@ -81,9 +85,18 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     publish(trial, result, flight, output)
     if output.record is not None:
         kept, truth = from_start(log.kept, flight.report.truth)
-        write_plots(output.record, kept, truth, trial.scenario.obstacles)
+        write_plots(output.record, kept, truth, trial.scenario.obstacles, title_of(result))
+        _write_page(trial, output.record)
         output.console.print(f"logs and plots in {output.record}", highlight=False, soft_wrap=True)
     return EXIT_CODES[result.outcome]
+
+
+def _write_page(trial: Trial, folder: Path) -> None:
+    """The page beside the plots, where the library that draws it is installed."""
+    try:
+        write_report(folder, bounds=trial.scenario.pass_bounds.model_dump())
+    except ConfigError as error:
+        print(f"companion: no page: {error}", file=sys.stderr)
 
 
 def publish(trial: Trial, result: Result, flight: SitlFlight, output: Output) -> None:

@@ -51,6 +51,8 @@ EXAMPLE_FILE = re.compile(r"into `(\w+\.yaml)`[^`]*```yaml\n(.*?)^```$", re.MULT
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"`([^`\n]+)`")
 COMMAND_TIMEOUT_S = 300.0
+# what each program has, as the README says
+EVERYWHERE = {"-h", "--help", "--version", "--install-completion", "--show-completion"}
 PROGRAMS = {
     "companion": cli,
     "companion-sitl": sitl_cli,
@@ -164,14 +166,17 @@ def assert_flight_is_as_documented(folder: Path) -> None:
     """The flight of the README left the files and topics that the pages list, and the pictures."""
     page = TEXTS["flight-log.md"]
     left = {path.name for path in (folder / "flights" / "circle").iterdir()}
-    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|png))` \|", page, re.MULTILINE))
+    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|yaml|png|html))` \|", page, re.MULTILINE))
     with (folder / "flights" / "circle" / "flight.mcap").open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     logged = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
-    assert logged == dict(re.findall(r"^\| `(/\w+)` \| ([\w.]+) \|", page, re.MULTILINE))
+    told = re.findall(r"^\| (`/[^|]+`) \| ([\w.]+) \|", page, re.MULTILINE)
+    assert logged == {topic: kind for topics, kind in told for topic in re.findall(r"`([\w/]+)`", topics)}
     pictures = {path.name for path in (folder / "pictures").iterdir()}
-    assert pictures | {"margins.png"} == {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    assert pictures | {"margins.png", "wiring.svg"} == {
+        path.name for path in (ROOT / "docs" / "images").iterdir()
+    }
 
 
 # ---------------------------------------------------------------- what the pages name
@@ -217,25 +222,33 @@ def test_the_exit_codes_are_in_the_readme() -> None:
 
 def test_the_options_are_in_the_readme() -> None:
     options = {option for parameter in typer.main.get_command(cli).params for option in parameter.opts}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
+    told = set(re.findall(r"^\| `(--[\w-]+)", TEXTS["README.md"], re.MULTILINE))
+    assert options - {"-h", "--help"} == told
+    assert "`-h`" in TEXTS["README.md"]
 
 
 def test_the_simulator_s_options_are_in_its_page() -> None:
     shown = [p for p in typer.main.get_command(sitl_cli).params if not getattr(p, "hidden", False)]
     options = {option for parameter in shown for option in parameter.opts}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["simulator.md"], re.MULTILINE))
 
 
 def test_the_fuzzy_command_s_options_are_in_its_page() -> None:
     fuzzy = command_of(cli, "fuzzy")
     options = {option for parameter in fuzzy.params for option in parameter.opts if option.startswith("--")}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["fuzzy.md"], re.MULTILINE))
 
 
 def test_the_pad_command_s_options_are_in_its_page() -> None:
     pad = command_of(cli, "pad")
     options = {option for parameter in pad.params for option in parameter.opts if option.startswith("--")}
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["pads.md"], re.MULTILINE))
+
+
+def test_the_detect_command_s_options_are_in_its_page() -> None:
+    detect = command_of(cli, "detect")
+    options = {option for parameter in detect.params for option in parameter.opts if option.startswith("--")}
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", TEXTS["detect.md"], re.MULTILINE))
 
 
 def test_every_experiment_is_in_its_page() -> None:
@@ -248,7 +261,7 @@ def test_the_magnetometer_tools_options_are_in_its_page() -> None:
         o for p in typer.main.get_command(magnetometer_cli).params for o in p.opts if o.startswith("--")
     }
     page = TEXTS["calibrate-magnetometer.md"]
-    assert options - {"--help"} == set(re.findall(r"^\| `(--[\w-]+)", page, re.MULTILINE))
+    assert options - EVERYWHERE == set(re.findall(r"^\| `(--[\w-]+)", page, re.MULTILINE))
 
 
 def result_keys(model: type[BaseModel], prefix: str = "") -> list[str]:
@@ -289,7 +302,8 @@ def yaml_examples() -> list[tuple[str, dict[str, Any]]]:
 
 @pytest.mark.parametrize(("name", "example"), yaml_examples())
 def test_every_example_in_yaml_is_valid(name: str, example: dict[str, Any]) -> None:
-    validate(Scenario if "description" in example else CompanionConfig, example, name)
+    model: type[BaseModel] = Scenario if "description" in example else CompanionConfig
+    assert validate(model, example, name).model_fields_set == example.keys() != set()
 
 
 def test_the_shipped_settings_file_sets_nothing_but_defaults() -> None:

@@ -173,7 +173,7 @@ class AutopilotCompass:
                 self._telemetry.take(message)
                 self._rates.heard(message.get_msgId())
                 if message.get_msgId() == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
-                    self._parameters.heard(message)
+                    self._parameters.heard(message, self._telemetry.autopilot_kind)
 
     def _speak(self, now_s: float) -> None:
         """Heartbeats, the rates that are wanted, and the compass's parameters."""

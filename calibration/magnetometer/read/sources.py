@@ -18,10 +18,11 @@ from calibration.magnetometer.read.logs import (
 from calibration.magnetometer.read.recording import MagnetometerRecording
 from calibration.magnetometer.read.tables import SampleTable, read_numpy_table, read_text_table
 from calibration.magnetometer.read.units import COUNTS, UT_PER, unit_called, worked_out
+from companion.base.files import cannot_read
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 from companion.config.magnetometer import Sensor
-from companion.flightlog.replay.reading import log_file
+from companion.flightlog.log_file import log_file
 
 _LOGS: Final[dict[bytes, Callable[[Path], MagnetometerRecording]]] = {
     b"\x89MCAP0\r\n": read_own_log,
@@ -63,7 +64,7 @@ def read_recording(
         if reader is not None:
             return reader(path).checked()
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; expected a recording") from error
+        raise cannot_read(path, error, expected="a recording") from error
     table = read_numpy_table(path) if start.startswith(_NUMPY) else read_text_table(path, columns)
     return _of_table(str(path), table, unit, sensor, field_ut, rng)
 

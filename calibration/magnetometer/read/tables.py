@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.magnetometer.read.units import unit_called
+from companion.base.files import cannot_read
 from companion.base.geometry import FloatArray
 from companion.config import ConfigError
 
@@ -59,7 +60,7 @@ def read_text_table(path: Path, columns: str | None) -> SampleTable:
     try:
         text = path.read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        raise cannot_read(path, error) from error
     lines = [line for line in text.splitlines() if line.strip()]
     rows, first = _best_split(lines)
     if rows is None or "\0" in text[:4096]:

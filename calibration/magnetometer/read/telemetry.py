@@ -8,7 +8,6 @@ is taken off again. PX4's RAW_IMU and SCALED_IMU hold the raw field in the compa
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from typing import Final
 
@@ -19,6 +18,7 @@ from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
 from companion.flightlog.replay.flight_record import RecordingPlace
 from companion.link.codec import Message, is_autopilot_heartbeat, mavlink
+from companion.link.parameters import told_value
 from companion.link.telemetry import readings
 from companion.link.telemetry.autopilot_sensors import IMU_MESSAGES
 
@@ -38,7 +38,6 @@ _ORDERS: Final = {
 }
 HEARD: Final = frozenset({_HEARTBEAT, _PARAMETER, _POSITION, _TIME, *_COMPASS})
 _SECONDS_PER_YEAR: Final = 365.2425 * 86_400.0
-_INTEGERS: Final = {mavlink.MAV_PARAM_TYPE_INT32, mavlink.MAV_PARAM_TYPE_UINT32}
 
 
 class Telemetry:
@@ -64,7 +63,7 @@ class Telemetry:
         elif self.system_id and message.get_srcSystem() != self.system_id:
             return
         elif number == _PARAMETER:
-            self.parameters[message.param_id] = parameter_value(message, self.autopilot_kind)
+            self.parameters[message.param_id] = told_value(message, self.autopilot_kind)
         elif number == _POSITION:
             if message.lat or message.lon:
                 self._place = (message.lat * 1e-7, message.lon * 1e-7, message.alt * 1e-3)
@@ -116,13 +115,6 @@ class Telemetry:
         elif self.autopilot_kind is not None:
             _undo(recording, self.autopilot_kind, self.parameters)
         return recording
-
-
-def parameter_value(message: Message, autopilot_kind: AutopilotKind | None) -> float:
-    """A PARAM_VALUE's value: PX4 sends an integer's bytes in the float's place."""
-    if autopilot_kind == "px4" and message.param_type in _INTEGERS:
-        return float(struct.unpack("<i", struct.pack("<f", message.param_value))[0])
-    return float(message.param_value)
 
 
 def _undo(

@@ -58,7 +58,7 @@ from companion.config import (
     load_config,
     load_model,
 )
-from companion.flightlog.record import LOG_NAMES
+from companion.flightlog.log_file import LOG_NAMES
 from companion.pad import load_pad
 
 ACCELEROMETER_HELP: Final = """Calibrate accelerometer offset, scale and skew on six faces, and the gyro bias.

@@ -33,9 +33,9 @@ from companion.config import (
     VehicleConfig,
     validate,
 )
-from companion.flightlog.record import LOG_NAMES, SETTINGS_RECORD
+from companion.flightlog.log_file import LOG_NAMES, SETTINGS_RECORD, records
 from companion.flightlog.replay.flight_record import FlightRecord, ReplaySetup
-from companion.flightlog.replay.mcap_log import read_mcap, records
+from companion.flightlog.replay.mcap_log import read_mcap
 from companion.pad import Pad
 from companion.sense.vision.pipeline import body_from_camera, turn_covariance
 

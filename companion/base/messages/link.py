@@ -40,7 +40,9 @@ class AutopilotState:
     and STABILIZE needs no position: `ekf_ready` is whether its filter knows enough for GUIDED; None where
     nothing of the kind is reported (PX4). `battery_share` is the remaining charge, 0 to 1; None: not known.
     `motors_cut`: by the pilot's kill switch, the emergency stop, or the flight's termination.
-    `refused_frames`: what came without a right signature, where the link demands one.
+    `round_trip_s`: how long a question and its answer take on the link, the quickest of the last three, at
+    `round_trip_time_s`; None: not known. `refused_frames`: what came without a right signature, where the
+    link demands one.
     """
 
     time_s: float
@@ -63,6 +65,8 @@ class AutopilotState:
     battery_share: float | None = None
     motors_cut: bool = False
     refused_frames: int = 0
+    round_trip_s: float | None = None
+    round_trip_time_s: float = float("-inf")
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,10 @@ from __future__ import annotations
 
 import json
 import math
-import struct
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any, Final, TypeVar
+from typing import Any, Final, TypeVar
 
-import zstandard
-from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, DataEnd, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Message, Metadata
 
 from companion.base.geometry import subtract
 from companion.base.message_json import decode
@@ -33,7 +28,7 @@ from companion.base.messages import (
     VehicleState,
 )
 from companion.config import CameraConfig, CompanionConfig, ConfigError, VehicleConfig, validate
-from companion.flightlog.record import SETTINGS_RECORD, VERSIONS_RECORD
+from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, records
 from companion.flightlog.replay.flight_record import (
     Ask,
     FlightRecord,
@@ -70,22 +65,6 @@ def read_mcap(path: Path) -> FlightRecord:
         for record in records(stream, reading.end_early):
             reading.take(record)
     return reading.finish()
-
-
-def records(stream: IO[bytes], end_early: Callable[[], None]) -> Iterator[Any]:
-    """The records up to the end of the data; `end_early` is called when the file stops before that."""
-    try:
-        for record in StreamReader(stream, emit_chunks=True).records:
-            if isinstance(record, DataEnd):
-                return
-            if isinstance(record, Chunk):
-                yield from breakup_chunk(record, validate_crc=True)
-            else:
-                yield record
-    # what a cut or damaged chunk raises, depending on where it is cut
-    except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError):
-        pass
-    end_early()
 
 
 class _Reading:

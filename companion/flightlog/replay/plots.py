@@ -20,7 +20,7 @@ from companion.base.geometry import FloatArray, euler_from_quat
 from companion.flightlog.replay.compare import Comparison, Repetition, ReplayResult, tracks_of
 from companion.flightlog.replay.flight_record import FlightRecord, RecordedTrack, Source, TrackName
 from companion.flightlog.replay.run import Replayed
-from companion.flightlog.report import ESTIMATE_COLOUR, VEHICLE_COLOUR
+from companion.flightlog.report.plots import ESTIMATE_COLOUR, VEHICLE_COLOUR
 
 RECORDED_COLOUR: Final = "black"
 COLOURS: Final[dict[Source, str]] = {"recorded": RECORDED_COLOUR, "truth": VEHICLE_COLOUR}

@@ -8,7 +8,7 @@ from typing import Final
 
 from companion.base.messages import ImuSample, MagSample
 from companion.config import ConfigError
-from companion.flightlog.record import LOG_NAMES
+from companion.flightlog.log_file import log_file
 from companion.flightlog.replay.dataflash import read_dataflash
 from companion.flightlog.replay.flight_record import FlightRecord
 from companion.flightlog.replay.mcap_log import read_mcap
@@ -43,8 +43,3 @@ def read_log(path: Path) -> FlightRecord:
         if not any(isinstance(event.item, kind) for event in record.events):
             raise ConfigError(f"{path}: no {name} samples in the log{cut}; the estimators need both")
     return record
-
-
-def log_file(path: Path) -> Path:
-    """The log itself, of a path that may be a flight's folder."""
-    return path / LOG_NAMES[0] if path.is_dir() else path

@@ -13,7 +13,9 @@ from typing import Final
 from companion.link.timing.clock_line import ClockFilter, ClockLine, Trip
 
 _SETTLED: Final = 5
-_KEPT: Final = 10
+_KEPT: Final = 50  # questions whose answer may still come: of 5 s and more
+_RECENT: Final = 3  # answers, of which the quickest tells how late the link is
+_RECENT_S: Final = 3.0
 _RESTART_S: Final = 2.0  # a clock that is off by more is another one
 _BACK_S: Final = 0.1  # and so is one that has gone back by more
 _NS: Final = 1e9
@@ -26,6 +28,7 @@ class TimeSync:
         self._asked_ns: deque[int] = deque(maxlen=_KEPT)
         self._filter: ClockFilter | None = None
         self._newest: Trip | None = None
+        self._recent: deque[Trip] = deque(maxlen=_RECENT)
         self._answers = 0
 
     @property
@@ -42,6 +45,15 @@ class TimeSync:
     def settled(self) -> bool:
         """Whether there have been enough answers to choose from since the start, or a restart over there."""
         return self._answers >= _SETTLED
+
+    @property
+    def round_trip_s(self) -> float | None:
+        """The quickest of the last three answers, at the newest one; None while there are not three in 3 s.
+
+        One slow answer says nothing: a radio that repeats what was lost gives such.
+        """
+        trips = [trip for trip in self._recent if self._recent[-1].received_s - trip.received_s <= _RECENT_S]
+        return min(trip.length_s for trip in trips) if len(trips) == _RECENT else None
 
     def ask(self, now_s: float) -> int:
         """ts1 (ns) of a request sent now."""
@@ -62,6 +74,7 @@ class TimeSync:
         else:
             self._filter.add(trip)
         self._newest = trip
+        self._recent.append(trip)
         self._answers += 1
         return True
 
@@ -69,6 +82,7 @@ class TimeSync:
         """The autopilot was lost: its clock may restart."""
         self._filter = self._newest = None
         self._asked_ns.clear()
+        self._recent.clear()
         self._answers = 0
 
     def _is_another_clock(self, trip: Trip) -> bool:

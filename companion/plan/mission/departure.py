@@ -100,6 +100,8 @@ class Departure:
 
     def _needs(self, vehicle: VehicleState | None, autopilot: AutopilotState) -> tuple[tuple[str, bool], ...]:
         low, share = self._config.battery.low, autopilot.battery_share
+        late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
+        late = "" if late_s is None else f": answers after {late_s:.2f} s, at most {most_s:g} are flown by"
         charged = share is None or share > low
         charge = "" if share is None else f": {100.0 * share:.0f} % left, low at {100.0 * low:.0f} %"
         return (
@@ -110,6 +112,7 @@ class Departure:
             ("our own alignment", vehicle is not None and vehicle.aligned),
             ("GPS", vehicle is not None and vehicle.has_gps and vehicle.origin is not None),
             (f"a charged battery{charge}", charged),
+            (f"a quicker link{late}", late_s is None or late_s <= most_s),
         )
 
     def _take_off(

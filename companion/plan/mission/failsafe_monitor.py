@@ -19,6 +19,7 @@ from companion.plan.mission.states import DetectedEvent, MissionEvent
 from companion.plan.mission.table import FINAL, ON_GROUND
 
 _STALE_ESTIMATE_S = 0.5
+_OLDEST_ROUND_TRIP_S = 3.0
 
 
 class FailsafeMonitor:
@@ -60,9 +61,10 @@ class FailsafeMonitor:
             state,
             self._machine.authority,
             autopilot,
-            requested=taking_off,
+            requested=control_granted if self._machine.ordered_in_air else taking_off,
             over_home_m=over_home_m,
             now_s=now_s,
+            ordered_in_air=self._machine.ordered_in_air,
         )
         signs = (
             (
@@ -89,11 +91,19 @@ class FailsafeMonitor:
             ),
         )
         found = [(event, reason) for holds, event, reason in signs if holds]
-        found += [*self._estimate(inputs.vehicle, now_s), *self._battery(autopilot)]
+        found += [*self._late(autopilot, now_s), *self._estimate(inputs.vehicle, now_s)]
+        found += self._battery(autopilot)
         found += [*self._bounds.detect(inputs.vehicle, inputs.pad, autopilot, now_s), *self._time(now_s)]
         if heard:
             found.append((MissionEvent.LINK_UP, "heartbeat again"))
         return tuple(found)
+
+    def _late(self, autopilot: AutopilotState, now_s: float) -> Iterator[DetectedEvent]:
+        """Whether answers take too long; without any there is no telling, and LINK_LOST may follow."""
+        late_s, most_s = autopilot.round_trip_s, self._config.largest_round_trip_s
+        known = autopilot.connected and now_s - autopilot.round_trip_time_s <= _OLDEST_ROUND_TRIP_S
+        if known and late_s is not None and late_s > most_s:
+            yield MissionEvent.LINK_LATE, f"answers after {late_s:.2f} s, at most {most_s:g} are flown by"
 
     def _battery(self, autopilot: AutopilotState) -> Iterator[DetectedEvent]:
         if autopilot.battery_share is not None and autopilot.battery_share <= self._config.battery.critical:

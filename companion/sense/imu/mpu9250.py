@@ -42,7 +42,7 @@ _ACCEL_RANGE: Final = {2: 0, 4: 1, 8: 2, 16: 3}
 _SMPLRT_DIV: Final = 0x19  # CONFIG, GYRO_CONFIG, ACCEL_CONFIG and ACCEL_CONFIG2 follow
 _FIFO_EN, _I2C_MST_CTRL, _INT_PIN_CFG = 0x23, 0x24, 0x37
 _USER_CTRL, _PWR_MGMT_1, _PWR_MGMT_2 = 0x6A, 0x6B, 0x6C
-_WHO_AM_I = 0x75
+WHO_AM_I: Final = 0x75
 
 _RESET: Final = 0x80
 _CLOCK_PLL: Final = 0x01
@@ -189,7 +189,7 @@ class Mpu9250:
             self._last_sample_s = now_s
 
     def _check_identity(self) -> None:
-        identity = self._read(_WHO_AM_I, 1)[0]
+        identity = self._read(WHO_AM_I, 1)[0]
         if identity not in IDENTITIES:
             raise SensorError(f"identity 0x{identity:02x}, expected 0x71 (MPU9250) or 0x73 (MPU9255)")
 

@@ -41,13 +41,14 @@ from companion.sense.vision.search import SearchPlanner
 class VisionResult:
     """What one frame gave: the sighting if the pad was recognised, and what a frame's report needs.
 
-    `used` are the markers that the pose is made of.
+    `used` are the markers that the pose is made of, `read` all that the last look has read.
     """
 
     sighting: PadSighting | None
     marker_count: dict[MarkerGroup, int]
     searched_whole_frame: bool
     used: tuple[Detection, ...] = ()
+    read: tuple[Detection, ...] = ()
 
 
 class Vision:
@@ -92,8 +93,10 @@ class Vision:
             pose = self._pose(frame, found, down, climb_m_s, rate) if found else None
             if pose is not None:
                 sighting = sighting_of(frame, pose, self._camera, self._rotation, self._mount)
-                return VisionResult(sighting, count_groups(pose.used), number >= len(looks), pose.used)
-        return VisionResult(None, count_groups(tuple(found)), bool(wide))
+                return VisionResult(
+                    sighting, count_groups(pose.used), number >= len(looks), pose.used, tuple(found)
+                )
+        return VisionResult(None, count_groups(tuple(found)), bool(wide), read=tuple(found))
 
     def pixels(self, points_body_m: FloatArray) -> FloatArray:
         """Where points (n, 3) in body axes are in the image: (n, 2), NaN where the lens cannot see."""

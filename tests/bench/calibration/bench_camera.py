@@ -27,9 +27,9 @@ from calibration.camera.board.board import CalibrationBoard, read_dictionary
 from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import Assessment, assess
 from calibration.camera.views.detection import BoardFinder, BoardView
-from calibration.camera.views.images import photo_paths, read_photos
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
+from companion.sense.camera.photos import photo_paths, read_photos
 from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses
 
 VIEWS: Final = 25

@@ -5,6 +5,7 @@ Under each seed a fault begins at another moment of its phase.
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
@@ -19,6 +20,7 @@ TO_THE_END: Final[tuple[PhaseName, ...]] = (*IN_AIR, "on_pad")
 LOW: Final[tuple[PhaseName, ...]] = ("last_metre", "on_pad")
 # whatever happens, the app has given up by then
 TIME_LIMIT_S: Final = 220.0
+SAMPLE_SEED: Final = 1
 
 _DELAYS_S: Final = (0.3, 0.8, 1.3, 2.0, 0.0)
 _HEIGHTS_M: Final = (0.6, 0.3, 0.15, 0.95, 0.05)
@@ -142,6 +144,13 @@ def all_runs(
                 for phase in CASES[name].phases:
                     if phase in phases:
                         yield Run(name, phase, scenario, seed)
+
+
+def sampled(runs: Sequence[Run], count: int) -> list[Run]:
+    """So many of the runs, drawn by `SAMPLE_SEED`; a larger sample holds the smaller ones."""
+    drawn = list(runs)
+    random.Random(SAMPLE_SEED).shuffle(drawn)
+    return drawn[:count]
 
 
 def beginning(phase: PhaseName, seed: int) -> dict[str, Any]:

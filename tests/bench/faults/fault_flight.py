@@ -45,7 +45,8 @@ def fly_run(run: Run) -> tuple[Verdict, FlightRecord]:
     scenario = scenario_of(run)
     on_disk = any(fault["kind"].startswith("disk") for fault in CASES[run.fault].faults)
     record, config = fly(scenario, run.seed, on_disk=on_disk)
-    record.pilot_took_over = run.fault.startswith("pilot")
+    # where the flight was over before it, the end is not the pilot's
+    record.pilot_took_over = run.fault.startswith("pilot") and record.fault_began
     return judge(record, bounds_of(config)), record
 
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Final, cast
 
+from companion.config import CONFIG_FOLDER
+from sitl.campaign.manifest import code_digest
 from tests.bench.faults.cases import PhaseName, Run
 from tests.bench.faults.judge import Outcome
 
@@ -15,8 +18,8 @@ from tests.bench.faults.judge import Outcome
 class Row:
     """One flight: what was flown by which state of the code, and how it ended.
 
-    `began` is 0 when the flight was over before the fault. `said` is the app's last text, `ended_s` when the
-    app ended.
+    `code` is `flights_key`. `began` is 0 when the flight was over before the fault. `said` is the app's last
+    text, `ended_s` when the app ended.
     """
 
     fault: str
@@ -42,6 +45,20 @@ class Row:
 
 
 WORDS: Final = ("fault", "phase", "scenario", "code", "outcome", "unsafe", "said")
+
+
+_BENCH: Final = Path(__file__).resolve().parent
+_KEY_LENGTH: Final = 12
+
+
+def flights_key(code: str | None = None, *, bench: Path = _BENCH, configs: Path = CONFIG_FOLDER) -> str:
+    """Digest of all that decides a row: the program, the settings and scenarios, the cases and the judge."""
+    total = hashlib.sha256((code or code_digest()).encode())
+    for folder, pattern in ((bench, "*.py"), (configs, "*")):
+        for path in sorted(path for path in folder.rglob(pattern) if path.is_file()):
+            for part in (str(path.relative_to(folder)).encode(), path.read_bytes()):
+                total.update(hashlib.sha256(part).digest())
+    return total.hexdigest()[:_KEY_LENGTH]
 
 
 class RunsFile:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
-from companion.base.geometry import Vector3, tilt_from_quat
+from companion.base.geometry import Vector3, horizontal_acceleration, tilt_from_quat, yaw_from_quat
 from sitl.autopilot import SimulatedAutopilot
 from sitl.mavlink.app_words import AppText
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect
@@ -53,13 +53,18 @@ class Disarming(NamedTuple):
 
 
 class SentSetpoint(NamedTuple):
-    """A setpoint as it left the app; NaN or None where the message says that it holds no such thing."""
+    """A setpoint as it left the app; None where the message says that it holds no such thing.
+
+    `lean_ned_m_s2` is the level acceleration that an attitude gives without a vertical one.
+    """
 
     time_s: float
     velocity_ned_m_s: Vector3 | None = None
     acceleration_ned_m_s2: Vector3 | None = None
+    yaw_rad: float = 0.0
     yaw_rate_rad_s: float = 0.0
     tilt_rad: float = 0.0
+    lean_ned_m_s2: Vector3 | None = None
     thrust: float | None = None
     finite: bool = True
 
@@ -143,7 +148,7 @@ def local_setpoint(m: Any, now_s: float) -> SentSetpoint:
     yaw = 0.0 if m.type_mask & _YAW_IGNORED else m.yaw
     numbers = (*(velocity or ()), *(acceleration or ()), yaw, yaw_rate)
     finite = all(map(math.isfinite, numbers))
-    return SentSetpoint(now_s, velocity, acceleration, yaw_rate, finite=finite)
+    return SentSetpoint(now_s, velocity, acceleration, yaw, yaw_rate, finite=finite)
 
 
 def _given(mask: int, first_bit: int, x: float, y: float, z: float) -> Vector3 | None:
@@ -162,6 +167,12 @@ def attitude_setpoint(m: Any, now_s: float) -> SentSetpoint:
     numbers = (w, x, y, z, m.thrust, m.body_yaw_rate)
     if not all(map(math.isfinite, numbers)):
         return SentSetpoint(now_s, finite=False)
+    q = (w, x, y, z)
     return SentSetpoint(
-        now_s, yaw_rate_rad_s=m.body_yaw_rate, tilt_rad=tilt_from_quat((w, x, y, z)), thrust=m.thrust
+        now_s,
+        yaw_rad=yaw_from_quat(q),
+        yaw_rate_rad_s=m.body_yaw_rate,
+        tilt_rad=tilt_from_quat(q),
+        lean_ned_m_s2=(*horizontal_acceleration(q), 0.0),
+        thrust=m.thrust,
     )

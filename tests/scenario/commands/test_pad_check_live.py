@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -14,32 +12,9 @@ import yaml
 from pymavlink import mavutil
 
 from companion.cli import main
-from companion.config import CONFIG_FOLDER
+from tests.scenario.commands.holding import PATIENCE_S, ROOT, held
 
-ROOT = CONFIG_FOLDER.parent
-PATIENCE_S = 40.0
 FORCE = 21196
-
-
-@contextmanager
-def held(folder: Path) -> Iterator[Path]:
-    """A vehicle that stands on its pad, as a process; yields the settings file that it has written."""
-    settings = folder / "mine.yaml"
-    ports = ("--port", "0", "--gcs-port", "0", "--tcp-port", "0")
-    words = ("-m", "sitl.cli", "hold", "--motion", "still", "--folder", str(folder), *ports)
-    with subprocess.Popen(
-        (sys.executable, *words, "--settings", str(settings)), cwd=ROOT, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        try:
-            for line in process.stdout:
-                if str(settings) in line:
-                    break
-            yield settings
-        finally:
-            process.terminate()
-            process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0
 
 
 def arm(connection: str) -> None:
@@ -93,7 +68,6 @@ def test_it_checks_by_the_devices_and_ends_when_the_vehicle_is_armed(tmp_path: P
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), "check: expected --pad"),
         (("--pad", "--json", "/nowhere/check.json"), "--json /nowhere/check.json: cannot be written"),
         (("--pad", "--config", "missing.yaml"), "missing.yaml: cannot be read"),
         (("--pad", "--no-link", "--config", "telemetry.yaml"), "--no-link: sense.source is autopilot"),

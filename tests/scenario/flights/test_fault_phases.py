@@ -14,6 +14,7 @@ from tests.bench.faults.judge import Verdict
     [
         ("link lost 1 s", "descend", "landed", "landed: "),
         ("IMU NaN", "approach", "held", "estimate lost"),
+        ("link 0.5 s late", "approach", "held", "link late: answers after 1.0"),
         ("pilot: Position", "last_metre", "pilot", "pilot took over"),
     ],
 )

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from companion.base.motion import Motion
+from companion.config import CompanionConfig
 from companion.control.tracking import Target, TrackingSolution
 from sitl.faults.computer import ComputerFaults
+from tests.bench.faults import fault_flight
 from tests.bench.faults.bench_faults import bars, cell, main
-from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, scenario_of
+from tests.bench.faults.cases import CASES, PHASES, Run, all_runs, sampled, scenario_of
 from tests.bench.faults.computer import FaultyTracker
-from tests.bench.faults.runs_file import Row, RunsFile
+from tests.bench.faults.runs_file import Row, RunsFile, flights_key
+from tests.bench.faults.witness import FlightRecord, Sample
 
 # ---------------------------------------------------------------- the solver's faults
 
@@ -120,3 +123,79 @@ def test_flights_that_are_there_are_not_flown_again(
     assert [run.seed for run in flown[4:]] == [1] * 4
     said = capsys.readouterr().out
     assert "bars: unsafe ends 0 of 8 holds, landed where possible 100.0 % holds" in said
+    assert "flown: 8 of the whole 8" in said
+
+
+def test_a_flight_that_the_bench_could_not_fly_is_flown_again_and_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tries: list[Run] = []
+
+    def fly(run: Run, code: str) -> Row:
+        tries.append(run)
+        if run.scenario == "circle" or len(tries) == 1:
+            raise MemoryError("no room")
+        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
+
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
+    asked = ["bench", "--jobs", "1", "--faults", "GPS lost", "--phases", "descend", "--seeds", "1"]
+    monkeypatch.setattr("sys.argv", [*asked, "--out", str(tmp_path)])
+    assert main() == 1
+    assert [run.scenario for run in tries] == ["line", "circle"] * 2
+    assert "unsafe ends 0 of 1 holds" in capsys.readouterr().out
+    assert [row.scenario for row in RunsFile(tmp_path / "runs.csv").read(flights_key())] == ["line"]
+
+
+def test_a_sample_is_a_fixed_part_of_the_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = list(all_runs(list(CASES), PHASES, ["line", "circle"], 5))
+    small, large = sampled(whole, 20), sampled(whole, 60)
+    assert small == sampled(whole, 20) == large[:20]
+    assert len(set(large)) == 60
+    assert set(large) <= set(whole)
+    assert len({run.fault for run in large}) > 20
+
+    def fly(run: Run, code: str) -> Row:
+        return Row(*run, code, 1, "landed", "", 30.0, "landed: disarmed")
+
+    monkeypatch.setattr("tests.bench.faults.bench_faults.fly_row", fly)
+    monkeypatch.setattr("sys.argv", ["bench", "--jobs", "1", "--sample", "20", "--out", str(tmp_path)])
+    assert main() == 0
+    assert f"flown: 20 of the whole {len(whole)}" in capsys.readouterr().out
+
+
+def test_the_key_of_the_results_covers_the_judge_the_cases_and_the_settings(tmp_path: Path) -> None:
+    bench, configs = tmp_path / "bench", tmp_path / "configs"
+    for folder in (bench, configs / "scenarios"):
+        folder.mkdir(parents=True)
+    (bench / "judge.py").write_text("a")
+    (configs / "scenarios" / "line.yaml").write_text("b")
+
+    def key(code: str = "abc") -> str:
+        return flights_key(code, bench=bench, configs=configs)
+
+    keys = {key(), key("abd")}
+    (bench / "judge.py").write_text("c")
+    keys.add(key())
+    (configs / "scenarios" / "line.yaml").write_text("d")
+    keys.add(key())
+    assert len(keys) == 4
+    assert key() == key()
+
+
+@pytest.mark.parametrize(
+    ("fault", "began", "expected"),
+    [
+        ("pilot: Hold", True, True),
+        ("pilot: Hold", False, False),
+        ("GPS lost", True, False),
+    ],
+)
+def test_a_pilots_end_needs_a_pilots_fault_that_began(
+    monkeypatch: pytest.MonkeyPatch, fault: str, began: bool, expected: bool
+) -> None:
+    sample = Sample(1.0, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0), 5.0, False, True, "AUTO_LOITER")
+    record = FlightRecord(samples=[sample], fault_began=began)
+    monkeypatch.setattr(fault_flight, "fly", lambda *_, **__: (record, CompanionConfig()))
+    assert fault_flight.fly_run(Run(fault, "descend", "line", 0))[1].pilot_took_over == expected

@@ -24,7 +24,8 @@ from companion.base.messages import (
 )
 from companion.config import Box, Cylinder
 from companion.flightlog.errors import TruthTrack
-from companion.flightlog.report import outline_m, result_table, write_plots
+from companion.flightlog.report.plots import outline_m, write_plots
+from companion.flightlog.report.tables import result_table
 from companion.flightlog.result import Result, build_result, control_result, from_start, latency, phase_times
 
 STEP_S = 0.02

@@ -28,7 +28,7 @@ def read(autopilot_kind: AutopilotKind, told: dict[str, float]) -> AutopilotSetu
             if name in told:
                 answer = mavlink.MAVLink_param_value_message(name.encode(), told[name], 9, 1, 0)
                 answer.param_id = name
-                requests.heard(answer)
+                requests.heard(answer, autopilot_kind)
     return reader.setup
 
 

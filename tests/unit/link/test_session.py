@@ -1,4 +1,4 @@
-"""The session: what it sends when, whom it believes, and how it keeps time."""
+"""The session: what it sends when, whom it believes, and what it takes for the autopilot's state."""
 
 from __future__ import annotations
 
@@ -10,54 +10,14 @@ from pydantic import ValidationError
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import PadBeacon, Setpoint
 from companion.config import LinkConfig
-from companion.link.codec import Codec, Message, heartbeat, mavlink, status_texts, timesync
-from companion.link.commands import NO_ANSWER, VehicleCommand
+from companion.link.codec import Codec, heartbeat, mavlink, status_texts
 from companion.link.session import Session
 from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
+from tests.unit.link.session_flight import Flight
 
-DELAY_S = 0.004
 PX4_RATES_HZ = TELEMETRY_RATES_HZ | OWN_RATES_HZ["px4"]
-
-
-class Flight:
-    """A session and an autopilot with a line of constant delay between them, in steps of 2 ms."""
-
-    def __init__(self, config: LinkConfig | None = None, autopilot: FakeAutopilot | None = None) -> None:
-        self.session = Session(config or LinkConfig())
-        self.autopilot = autopilot or FakeAutopilot()
-        self.now_s = 100.0
-        self.heard = Codec(9)
-        self.sent: list[tuple[float, Message]] = []
-        self.cut = False
-        self._to_autopilot: list[tuple[float, bytes]] = []
-        self._to_session: list[tuple[float, bytes]] = []
-
-    def run(self, duration_s: float) -> None:
-        for _ in range(round(duration_s / 0.002)):
-            self.now_s += 0.002
-            while self._to_session and self._to_session[0][0] <= self.now_s:
-                self.session.receive(self._to_session.pop(0)[1], self.now_s)
-            self.send(self.session.tick(self.now_s))
-            while self._to_autopilot and self._to_autopilot[0][0] <= self.now_s:
-                self._answer(self.autopilot.receive(self._to_autopilot.pop(0)[1], self.now_s))
-            self._answer(self.autopilot.tick(self.now_s))
-
-    def is_connected(self) -> bool:
-        return self.session.state.connected
-
-    def send(self, data: bytes) -> None:
-        self.sent += [(self.now_s, message) for message in self.heard.decode(data)]
-        if data and not self.cut:
-            self._to_autopilot.append((self.now_s + DELAY_S, data))
-
-    def _answer(self, data: bytes) -> None:
-        if data and not self.cut:
-            self._to_session.append((self.now_s + DELAY_S, data))
-
-    def sent_of(self, kind: str) -> list[tuple[float, Message]]:
-        return [(time_s, m) for time_s, m in self.sent if m.get_type() == kind]
 
 
 def test_heartbeats_go_out_at_1_hz_though_nobody_answers() -> None:
@@ -142,72 +102,6 @@ def test_silence_is_a_lost_connection_and_everything_is_asked_for_again_afterwar
     flight.run(2.0)
     assert flight.is_connected()
     assert set(flight.autopilot.rates_hz) == set(PX4_RATES_HZ)
-
-
-@pytest.mark.parametrize("offset_s", [-99.9, 0.0, 4321.0])
-def test_telemetry_is_stamped_with_our_time_of_measurement(offset_s: float) -> None:
-    flight = Flight(autopilot=FakeAutopilot(clock_offset_s=offset_s))
-    flight.run(2.0)
-    assert flight.session.timesync.offset_s == pytest.approx(offset_s, abs=0.0021)
-    arrived_s = flight.now_s + 0.5
-    attitude = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, arrived_s - 0.08)
-    flight.session.receive(flight.autopilot.codec.encode(attitude), arrived_s)
-    assert flight.session.state.attitude_time_s == pytest.approx(arrived_s - 0.08, abs=0.003)
-
-
-def test_without_synchronisation_the_time_of_arrival_counts() -> None:
-    session, autopilot = Session(LinkConfig()), FakeAutopilot(clock_offset_s=50.0)
-    session.receive(autopilot.tick(7.0), 7.0)
-    attitude = autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, 7.0)
-    session.receive(autopilot.codec.encode(attitude), 7.02)
-    assert session.state.attitude_time_s == 7.02
-
-
-def test_a_message_of_an_impossible_time_is_not_taken_for_a_fresh_one() -> None:
-    flight = Flight()
-    flight.run(2.0)
-    before = flight.session.state.attitude_time_s
-    old = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, flight.now_s - 5.0)
-    flight.session.receive(flight.autopilot.codec.encode(old), flight.now_s)
-    assert flight.session.state.attitude_time_s == before
-    future = flight.autopilot.message(mavlink.MAVLINK_MSG_ID_ATTITUDE, flight.now_s + 5.0)
-    flight.session.receive(flight.autopilot.codec.encode(future), flight.now_s + 0.1)
-    assert flight.session.state.attitude_time_s == before
-
-
-def test_a_restarted_clock_is_followed() -> None:
-    flight = Flight(autopilot=FakeAutopilot(clock_offset_s=500.0))
-    flight.run(3.0)
-    flight.autopilot.clock_offset_s = -100.0
-    flight.run(2.0)
-    assert flight.session.timesync.offset_s == pytest.approx(-100.0, abs=0.003)
-
-
-def test_the_clock_offset_leans_on_the_quickest_answers() -> None:
-    session, autopilot = Session(LinkConfig()), FakeAutopilot()
-    session.receive(autopilot.tick(0.0), 0.0)
-    for i, (there_s, back_s) in enumerate([(0.05, 0.01), (0.002, 0.002), (0.01, 0.08)]):
-        asked_s = 1.0 + i
-        session.receive(
-            autopilot.receive(session.tick(asked_s), asked_s + there_s), asked_s + there_s + back_s
-        )
-    assert session.timesync.offset_s == pytest.approx(0.0, abs=2e-3)
-
-
-def test_the_autopilots_own_question_for_the_time_is_answered() -> None:
-    session, autopilot = Session(LinkConfig()), FakeAutopilot()
-    session.receive(autopilot.codec.encode(timesync(0, 123456789)), 42.0)
-    answers = [m for m in Codec(1).decode(session.tick(42.001)) if m.get_type() == "TIMESYNC"]
-    assert [(m.tc1, m.ts1) for m in answers] == [(42_000_000_000, 123456789)]
-
-
-def test_answers_to_others_questions_for_the_time_are_left_alone() -> None:
-    flight = Flight()
-    flight.run(2.0)
-    before = flight.session.timesync.offset_s
-    stranger = timesync(999_000_000_000, 77)
-    flight.session.receive(flight.autopilot.codec.encode(stranger), flight.now_s)
-    assert flight.session.timesync.offset_s == before
 
 
 def test_only_our_autopilot_is_believed() -> None:
@@ -317,203 +211,6 @@ def test_texts_of_the_autopilot_are_kept_and_counted() -> None:
         session.receive(autopilot.codec.encode(message), 1.0)
     assert session.state.texts == ("Takeoff detected",)
     assert session.texts_heard == 1
-
-
-# ---------------------------------------------------------------- commands
-
-ARM = VehicleCommand(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0))
-
-
-def test_an_accepted_command_is_sent_once() -> None:
-    flight = Flight()
-    flight.run(1.5)
-    pending = flight.session.command(ARM)
-    flight.run(1.0)
-    assert pending.accepted
-    assert flight.autopilot.armed
-    assert len(flight.autopilot.commands(ARM.number)) == 1
-
-
-def test_a_lost_command_is_repeated_and_the_repeats_are_counted() -> None:
-    flight = Flight(autopilot=FakeAutopilot(deaf_to={ARM.number: 2}))
-    flight.run(1.5)
-    pending = flight.session.command(ARM)
-    flight.run(2.0)
-    assert pending.accepted
-    assert [m.confirmation for m in flight.autopilot.commands(ARM.number)] == [0, 1, 2]
-
-
-def test_a_command_nobody_answers_is_given_up() -> None:
-    flight = Flight(LinkConfig(command_tries=3, command_patience_s=0.2))
-    flight.run(1.5)
-    flight.cut = True
-    pending = flight.session.command(ARM)
-    outcomes = []
-    for duration_s in (0.58, 0.1):
-        flight.run(duration_s)
-        outcomes.append(pending.outcome)
-    assert outcomes == [None, NO_ANSWER]
-    assert pending.tries == 3
-
-
-def test_a_denied_command_says_so() -> None:
-    flight = Flight(autopilot=FakeAutopilot(refuses={ARM.number: "Arming denied: no GPS"}))
-    flight.run(1.5)
-    pending = flight.session.command(ARM)
-    flight.run(0.5)
-    assert pending.outcome == "denied"
-    assert flight.session.state.texts[-1] == "Arming denied: no GPS"
-
-
-def ack(result: int, target: tuple[int, int], source: int = 1, component: int = 1) -> bytes:
-    return Codec(source, component).encode(
-        mavlink.MAVLink_command_ack_message(ARM.number, result, 0, 0, *target)
-    )
-
-
-@pytest.mark.parametrize(
-    ("target", "source", "taken"),
-    [((1, 191), 1, True), ((0, 0), 1, True), ((1, 0), 1, True), ((1, 192), 1, False), ((1, 191), 2, False)],
-)
-def test_only_an_answer_for_us_from_whom_we_asked_counts(
-    target: tuple[int, int], source: int, taken: bool
-) -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
-    session.receive(ack(0, target, source), 0.1)
-    assert pending.accepted is taken
-
-
-def test_another_component_does_not_answer_in_the_autopilots_place() -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
-    session.receive(ack(0, (1, 191), component=154), 0.1)
-    assert pending.outcome is None
-    session.receive(ack(0, (1, 191)), 0.2)
-    assert pending.accepted
-
-
-def test_a_px4s_mode_is_known_between_its_heartbeats() -> None:
-    flight = Flight()
-    flight.run(3.0)
-    changes = []
-    for _ in range(7):
-        flight.run(0.53)  # at no particular time between two heartbeats
-        flight.autopilot.mode = "OFFBOARD" if flight.autopilot.mode != "OFFBOARD" else "POSCTL"
-        changed_s = flight.now_s
-        while flight.session.state.mode != flight.autopilot.mode:
-            flight.run(0.002)
-        changes.append(flight.now_s - changed_s)
-        assert flight.session.state.offboard is (flight.autopilot.mode == "OFFBOARD")
-    assert max(changes) <= 0.1 + 2 * DELAY_S + 0.004
-
-
-def test_an_ardupilots_heartbeat_is_asked_for_five_times_a_second() -> None:
-    flight = Flight(autopilot=FakeAutopilot("ardupilot", mode="GUIDED"))
-    flight.run(3.0)
-    assert flight.autopilot.rates_hz[mavlink.MAVLINK_MSG_ID_HEARTBEAT] == pytest.approx(5.0)
-
-
-def test_in_progress_means_wait_and_do_not_repeat() -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
-    session.receive(ack(mavlink.MAV_RESULT_IN_PROGRESS, (1, 191)), 0.4)
-    sent = Codec(1).decode(session.tick(2.0))
-    assert "COMMAND_LONG" not in {m.get_type() for m in sent}
-    session.receive(ack(mavlink.MAV_RESULT_FAILED, (1, 191)), 2.5)
-    assert pending.outcome == "failed"
-
-
-def test_commands_of_the_same_number_go_one_after_the_other() -> None:
-    session = Session(LinkConfig())
-    first, second = session.command(ARM), session.command(VehicleCommand(ARM.number, (0.0, 0.0)))
-    sent = [m for m in Codec(1).decode(session.tick(0.0)) if m.get_type() == "COMMAND_LONG"]
-    assert [m.param1 for m in sent] == [1.0]
-    session.receive(ack(0, (1, 191)), 0.1)
-    assert first.accepted
-    assert second.outcome is None
-    sent = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "COMMAND_LONG"]
-    assert [m.param1 for m in sent] == [0.0]
-
-
-def test_a_withdrawn_command_is_not_repeated() -> None:
-    session = Session(LinkConfig())
-    pending = session.command(ARM)
-    session.tick(0.0)
-    session.withdraw(pending)
-    assert "COMMAND_LONG" not in {m.get_type() for m in Codec(1).decode(session.tick(5.0))}
-    assert pending.outcome == "withdrawn"
-
-
-def test_a_late_answer_to_a_withdrawn_command_is_not_the_next_ones() -> None:
-    session = Session(LinkConfig())
-    first = session.command(ARM)
-    session.tick(0.0)
-    session.withdraw(first)
-    second = session.command(VehicleCommand(ARM.number, (0.0, 0.0)))
-    session.tick(0.1)
-    session.receive(ack(mavlink.MAV_RESULT_DENIED, (1, 191)), 0.2)
-    assert second.outcome is None
-    session.receive(ack(0, (1, 191)), 0.3)
-    assert second.accepted
-
-
-def test_a_withdrawn_command_that_was_lost_costs_the_next_one_a_repeat_at_most() -> None:
-    session = Session(LinkConfig())
-    session.tick(0.0)
-    session.withdraw(session.command(ARM))  # never sent: no answer to wait for
-    second = session.command(ARM)
-    session.tick(0.1)
-    session.receive(ack(0, (1, 191)), 0.2)
-    assert second.accepted
-    third = session.command(ARM)
-    session.tick(1.0)
-    session.withdraw(third)
-    fourth = session.command(ARM)
-    session.tick(1.2)
-    session.receive(ack(0, (1, 191)), 1.3)
-    sent = [m.get_type() for m in Codec(1).decode(session.tick(1.75))]
-    assert "COMMAND_LONG" in sent
-    session.receive(ack(0, (1, 191)), 1.8)
-    assert fourth.accepted
-
-
-def parameter(name: bytes, value: float) -> bytes:
-    message = mavlink.MAVLink_param_value_message(name, value, mavlink.MAV_PARAM_TYPE_INT32, 9, 0)
-    return Codec(1, 1).encode(message)
-
-
-def test_a_parameter_is_read_by_its_name() -> None:
-    session = Session(LinkConfig())
-    session.receive(FakeAutopilot().tick(0.0), 0.0)
-    request = session.read_parameter("GUID_OPTIONS")
-    asked = [m for m in Codec(1).decode(session.tick(0.1)) if m.get_type() == "PARAM_REQUEST_READ"]
-    assert [(m.param_id, m.param_index, m.target_system) for m in asked] == [("GUID_OPTIONS", -1, 1)]
-    session.receive(parameter(b"GUID_TIMEOUT", 3.0), 0.2)
-    session.receive(parameter(b"GUID_OPTIONS", math.nan), 0.2)
-    outcomes = [request.outcome]
-    session.receive(parameter(b"GUID_OPTIONS", 9.0), 0.2)
-    assert [*outcomes, request.outcome] == [None, "accepted"]
-    assert request.value == 9.0
-
-
-def test_a_setting_ends_with_the_value_wanted_and_not_with_an_older_one() -> None:
-    session = Session(LinkConfig(command_tries=2, command_patience_s=0.2))
-    session.receive(FakeAutopilot().tick(0.0), 0.0)
-    request = session.set_parameter("GUID_OPTIONS", 8)
-    session.tick(0.1)
-    session.receive(parameter(b"GUID_OPTIONS", 0.0), 0.15)
-    outcomes = [request.outcome]
-    session.receive(parameter(b"GUID_OPTIONS", 8.0), 0.2)
-    assert [*outcomes, request.outcome] == [None, "accepted"]
-    refused = session.set_parameter("GUID_OPTIONS", 9)
-    for now_s in (0.3, 0.55, 0.8):
-        session.tick(now_s)
-        session.receive(parameter(b"GUID_OPTIONS", 8.0), now_s)
-    assert (refused.outcome, refused.value) == (NO_ANSWER, 8.0)
 
 
 # ---------------------------------------------------------------- settings

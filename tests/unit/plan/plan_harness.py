@@ -21,6 +21,7 @@ from companion.base.messages import (
     AutopilotState,
     LandedState,
     Notice,
+    Order,
     PadBeacon,
     PadState,
     Phase,
@@ -115,6 +116,7 @@ class FakeAutopilot:
     ekf_ready_from_s: float = 0.0
     doubts: bool = False  # never finds that it has landed
     battery_share: float | None = None
+    round_trip_s: float | None = None
 
     def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
         kind = action.kind
@@ -209,6 +211,8 @@ class World:
         self.beacon_after_s: float | None = None
         self.vehicle_known = True
         self.stop = False
+        self.order: Order | None = None  # given once
+        self.camera_problem: str | None = None
         self.flight = Flight()
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
@@ -234,7 +238,7 @@ class World:
     def cycle(self) -> PlanStep:
         self._sense()
         inputs = self.inputs()
-        self._results = []
+        self._results, self.order = [], None
         step = self.planner.step(inputs, self.now_s)
         flight = self.flight
         if not flight.phases or flight.phase is not step.phase:
@@ -262,6 +266,8 @@ class World:
             range=self._echo(),
             results=tuple(self._results),
             stop_requested=self.stop,
+            order=self.order,
+            camera_problem=self.camera_problem,
         )
 
     # ------------------------------------------------------------ what the planner is told
@@ -300,6 +306,8 @@ class World:
             global_position=geodetic_from_ned(self.position, HOME),
             home=self.home(self.now_s),
             battery_share=a.battery_share,
+            round_trip_s=a.round_trip_s,
+            round_trip_time_s=self.now_s,
         )
 
     def _sense(self) -> None:

@@ -88,6 +88,19 @@ def test_a_battery_is_critical_on_both_sides_of_its_bound(share: float | None, c
 
 
 @pytest.mark.parametrize(
+    ("round_trip_s", "age_s", "late"),
+    [(None, 0.0, False), (0.3, 0.0, False), (0.31, 0.0, True), (0.31, 3.0, True), (0.31, 3.1, False)],
+)
+def test_a_link_is_late_beyond_its_bound_while_that_is_fresh(
+    round_trip_s: float | None, age_s: float, late: bool
+) -> None:
+    slow = replace(FLYING, round_trip_s=round_trip_s, round_trip_time_s=50.0 - age_s)
+    assert (gravest(inputs(slow)) is MissionEvent.LINK_LATE) is late
+    assert gravest(inputs(slow), State.SINK) is None
+    assert gravest(inputs(replace(slow, connected=False))) is MissionEvent.LINK_LOST
+
+
+@pytest.mark.parametrize(
     ("given", "state", "event"),
     [
         (inputs(replace(FLYING, armed=False)), State.APPROACH, MissionEvent.DISARMED),

@@ -142,9 +142,15 @@ def test_what_could_never_be_flown_is_refused_at_the_start_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_waypoint_over_an_obstacle_is_not_refused() -> None:
+def test_a_waypoint_over_an_obstacle_is_flown_to() -> None:
+    low = pole(14.0, 8.0, height=6.0)
     mission = MissionConfig(waypoints_ned_m=((14.0, 8.0, 9.0),))
-    World(still(), config=PlanConfig(obstacles=(pole(14.0, 8.0, height=6.0),), mission=mission))
+    world = World(still(20.0, 6.0), config=PlanConfig(obstacles=(low,), mission=mission))
+    track = Track(world)
+    world.fly(60.0, until=lambda w: w.flight.phase is Phase.SEARCH)
+    assert world.flight.phase is Phase.SEARCH
+    assert track.nearest_m((14.0, 8.0, -9.0)) < 0.5
+    assert track.clearance_m(low) > 1.0
 
 
 def test_with_no_estimate_at_the_take_off_obstacles_have_no_place_and_it_lands() -> None:

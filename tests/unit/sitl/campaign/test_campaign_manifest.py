@@ -74,13 +74,16 @@ def test_the_command_repeats_a_run_from_anywhere(tmp_path: Path, monkeypatch: py
 
 
 def test_the_same_words_are_the_same_campaign(tmp_path: Path) -> None:
-    old = manifest("static", "line")
-    check_goes_on(old, manifest("static", "line"), tmp_path)
+    old, new = manifest("static", "line"), manifest("static", "line")
+    assert new == old
+    check_goes_on(old, new, tmp_path)
 
 
 def test_more_seeds_and_scenarios_go_on_with_it(tmp_path: Path) -> None:
-    old = manifest("static", runs=3, first_seed=2)
-    check_goes_on(old, manifest("static", "line", runs=6), tmp_path)
+    old, new = manifest("static", runs=3, first_seed=2), manifest("static", "line", runs=6)
+    check_goes_on(old, new, tmp_path)
+    with pytest.raises(ConfigError, match="it flies 'line' too"):
+        check_goes_on(new, old, tmp_path)
 
 
 @pytest.mark.parametrize(

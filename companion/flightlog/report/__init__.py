@@ -1,0 +1,1 @@
+"""What a person looks at after a flight: the table, the plots as pictures, and the page."""

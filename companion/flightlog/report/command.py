@@ -1,0 +1,62 @@
+"""`companion report`: a flight's folder in, one page out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Final
+
+import typer
+
+from companion.base.files import must_be_readable
+from companion.config import ConfigError
+from companion.flightlog.log_file import log_file
+
+HELP: Final = """Write a flight's report: one HTML page with verdict, events, plots to zoom and pictures.
+
+The page needs no network and no other file, so it can be sent by mail.
+
+\b
+companion report flights/circle
+companion report flights/flight-0007 -o flight.html
+"""
+NO_PLOTLY: Final = "needs plotly; expected it installed: pip install 'companion[report]'"
+
+
+def report_command(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="A flight's folder, or its flight.mcap.", show_default=False),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="The page; else report.html in the folder.", metavar="FILE"),
+    ] = None,
+) -> None:
+    """Read the flight, write the page and say where it is.
+
+    Raises:
+        ConfigError: there is no flight, plotly is missing, or the page cannot be written.
+    """
+    file = log_file(folder)
+    must_be_readable(file)
+    typer.echo(write_report(file.parent, output))
+
+
+def write_report(folder: Path, output: Path | None = None, bounds: Mapping[str, float] | None = None) -> Path:
+    """Write the page of a flight; `bounds`: what passes, by the touchdown's keys.
+
+    Raises:
+        ConfigError: there is no flight, plotly is missing, or the page cannot be written.
+    """
+    try:
+        from companion.flightlog.report.page import PAGE_NAME, write_page  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "plotly":
+            raise
+        raise ConfigError(f"the report {NO_PLOTLY}") from None
+    from companion.flightlog.report.logged_flight import read_flight  # noqa: PLC0415 - told first
+
+    path = output or folder / PAGE_NAME
+    write_page(read_flight(folder), path, bounds)
+    return path

@@ -1,0 +1,309 @@
+"""The plots of the page: made with plotly, to be zoomed, panned and read off in a browser.
+
+The truth is drawn where there is one (the simulator's); else the estimates stand alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from companion.base.geometry import FloatArray
+from companion.config import PlanConfig
+from companion.flightlog.errors import TruthTrack
+from companion.flightlog.report.logged_flight import LoggedFlight
+from companion.flightlog.report.phases import PhaseSpan, phase_spans
+from companion.flightlog.report.plots import (
+    ESTIMATE_COLOUR,
+    GROUP_COLOURS,
+    GROUP_NAMES,
+    OBSTACLE_COLOUR,
+    PAD_COLOUR,
+    VEHICLE_COLOUR,
+    outline_m,
+)
+from companion.flightlog.result import setpoint_delays_s
+
+HEIGHT_PX: Final = 300
+PATH_HEIGHT_PX: Final = 560
+# a band that is narrower than this share of the flight has its name in the hover text alone
+NAMED_SHARE: Final = 0.045
+AXES: Final = ("north", "east", "down")
+
+
+def figures(flight: LoggedFlight) -> dict[str, tuple[str, go.Figure]]:
+    """Titles and plots by the name of their place on the page; a plot without data is left out."""
+    track = TruthTrack(flight.truth) if len(flight.truth) > 1 else None
+    drawings: dict[str, tuple[str, Callable[[], go.Figure | None]]] = {
+        "path": ("Path", lambda: path_figure(flight, track)),
+        "height": ("Height over the pad", lambda: height_figure(flight, track)),
+        "lateral": ("Lateral distance", lambda: lateral_figure(flight, track)),
+        "velocity": ("Velocity", lambda: velocity_figure(flight)),
+        "stated": ("Stated errors", lambda: stated_figure(flight)),
+        "markers": ("Markers", lambda: marker_figure(flight)),
+        "latency": ("Latency", lambda: latency_figure(flight)),
+    }
+    drawn = {name: (title, draw()) for name, (title, draw) in drawings.items()}
+    return {name: (title, figure) for name, (title, figure) in drawn.items() if figure is not None}
+
+
+# ---------------------------------------------------------------- the path
+
+
+def path_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
+    """Vehicle, pad and obstacles in three dimensions, equal axes, z up."""
+    paths = _true_paths(track) if track is not None else _estimated_paths(flight)
+    if not len(paths["vehicle"]):
+        return None
+    figure = go.Figure()
+    for name, colour in (("vehicle", VEHICLE_COLOUR), ("pad", PAD_COLOUR)):
+        north, east, down = paths[name].T
+        line = {"color": colour, "width": 4}
+        figure.add_scatter3d(x=east, y=north, z=-down, mode="lines", line=line, name=name)
+    north, east, down = paths["vehicle"][-1]
+    end = {"size": 4, "color": "black"}
+    figure.add_scatter3d(x=[east], y=[north], z=[-down], mode="markers", marker=end, name="end")
+    for shape in _obstacles(flight):
+        around_north, around_east = outline_m(shape)
+        for height_m in (0.0, shape.height_m):
+            figure.add_scatter3d(
+                x=around_east,
+                y=around_north,
+                z=np.full_like(around_east, height_m),
+                mode="lines",
+                line={"color": OBSTACLE_COLOUR, "width": 3},
+                name="obstacle",
+                showlegend=False,
+            )
+    axes = {axis: {"title": f"{name} (m)"} for axis, name in zip("xyz", ("east", "north", "up"), strict=True)}
+    scene = {f"{axis}axis": spec for axis, spec in axes.items()}
+    figure.update_layout(scene={**scene, "aspectmode": "data"}, height=PATH_HEIGHT_PX)
+    return _plain(figure)
+
+
+def _true_paths(track: TruthTrack) -> dict[str, FloatArray]:
+    times = track.time_s
+    return {"vehicle": track.at("position", times), "pad": track.at("pad_position", times)}
+
+
+def _estimated_paths(flight: LoggedFlight) -> dict[str, FloatArray]:
+    """The vehicle's by the EKF once it has a place, and the pad's where it was, relative to that."""
+    placed = [vehicle for vehicle in flight.kept.get("vehicle", ()) if vehicle.origin is not None]
+    vehicle = np.array([v.position_ned_m for v in placed]).reshape(-1, 3)
+    if not len(vehicle):
+        return {"vehicle": vehicle, "pad": vehicle}
+    times = np.array([v.time_s for v in placed])
+    pads = [pad for pad in flight.kept.get("pad", ()) if times[0] <= pad.time_s <= times[-1]]
+    at = np.array([pad.time_s for pad in pads])
+    relative = np.array([pad.relative_position_ned_m for pad in pads]).reshape(-1, 3)
+    under = np.stack([np.interp(at, times, column) for column in vehicle.T], axis=1).reshape(-1, 3)
+    return {"vehicle": vehicle, "pad": under + relative}
+
+
+def _obstacles(flight: LoggedFlight) -> Sequence[Any]:
+    plan = flight.settings.get("config", {}).get("plan")
+    return () if plan is None else PlanConfig.model_validate(plan).obstacles
+
+
+# ---------------------------------------------------------------- over time
+
+
+def height_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
+    """Height over the pad, and the rate at which it decreases."""
+    pads = flight.kept.get("pad", ())
+    if track is None and not pads:
+        return None
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    if track is not None:
+        times = track.time_s
+        height = (track.at("pad_position", times) - track.at("position", times))[:, 2]
+        sink = (track.at("velocity", times) - track.at("pad_velocity", times))[:, 2]
+        _line(figure, times, height, VEHICLE_COLOUR, "truth", 1)
+        _line(figure, times, sink, VEHICLE_COLOUR, "truth", 2, legend=False)
+    _dots(figure, pads, [pad.height_m for pad in pads], ESTIMATE_COLOUR, "pad filter", 1)
+    _dots(figure, pads, [pad.sink_m_s for pad in pads], ESTIMATE_COLOUR, "pad filter", 2, legend=False)
+    _label_rows(figure, "height (m)", "sink rate (m/s)")
+    figure.update_layout(height=int(1.6 * HEIGHT_PX))
+    return _over_time(figure, flight)
+
+
+def lateral_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | None:
+    """Horizontal distance to the pad's centre, logarithmic."""
+    pads = flight.kept.get("pad", ())
+    if track is None and not pads:
+        return None
+    figure = make_subplots(rows=1, cols=1)
+    if track is not None:
+        offset = (track.at("position", track.time_s) - track.at("pad_position", track.time_s))[:, :2]
+        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-3)
+        _line(figure, track.time_s, distance, VEHICLE_COLOUR, "truth", 1)
+    distances = [max(pad.lateral_m, 1e-3) for pad in pads]
+    _dots(figure, pads, distances, ESTIMATE_COLOUR, "pad filter", 1)
+    figure.update_yaxes(type="log")
+    _label_rows(figure, "lateral (m)")
+    return _over_time(figure, flight)
+
+
+def velocity_figure(flight: LoggedFlight) -> go.Figure | None:
+    """Velocity over ground by the EKF beside what was commanded, NED."""
+    vehicles, setpoints = flight.kept.get("vehicle", ()), flight.kept.get("setpoint", ())
+    if not vehicles:
+        return None
+    figure = make_subplots(rows=3, cols=1, shared_xaxes=True, vertical_spacing=0.04)
+    times, sent = [v.time_s for v in vehicles], [s.time_s for s in setpoints]
+    for k in range(3):
+        first = k == 0
+        flown = [v.velocity_ned_m_s[k] for v in vehicles]
+        _line(figure, times, flown, VEHICLE_COLOUR, "estimate", k + 1, legend=first)
+        commanded = [s.velocity_ned_m_s[k] for s in setpoints]
+        _line(figure, sent, commanded, ESTIMATE_COLOUR, "setpoint", k + 1, legend=first)
+    _label_rows(figure, *(f"{axis} (m/s)" for axis in AXES))
+    figure.update_layout(height=int(1.8 * HEIGHT_PX))
+    return _over_time(figure, flight)
+
+
+def stated_figure(flight: LoggedFlight) -> go.Figure | None:
+    """What the filters say of their own errors: standard deviations."""
+    vehicles, pads = flight.kept.get("vehicle", ()), flight.kept.get("pad", ())
+    if not vehicles:
+        return None
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    times = [v.time_s for v in vehicles]
+    attitude = [math.degrees(v.attitude_std_rad) for v in vehicles]
+    _line(figure, times, attitude, VEHICLE_COLOUR, "attitude (°)", 1)
+    _line(figure, times, [v.velocity_std_m_s for v in vehicles], "#b9770e", "velocity (m/s)", 1)
+    _dots(figure, pads, [pad.position_std_m for pad in pads], ESTIMATE_COLOUR, "pad position (m)", 2)
+    _dots(figure, pads, [pad.velocity_std_m_s for pad in pads], "#148f77", "pad velocity (m/s)", 2)
+    figure.update_yaxes(type="log")
+    _label_rows(figure, "vehicle", "pad")
+    figure.update_layout(height=int(1.6 * HEIGHT_PX))
+    return _over_time(figure, flight)
+
+
+def marker_figure(flight: LoggedFlight) -> go.Figure | None:
+    """How many markers of each group were accepted in each frame."""
+    reports = flight.kept.get("frame_report", ())
+    if not reports:
+        return None
+    figure = make_subplots(rows=1, cols=1)
+    for group, colour in GROUP_COLOURS.items():
+        counts = [report.marker_count.get(group, 0) for report in reports]
+        _dots(figure, reports, counts, colour, f"{group} ({GROUP_NAMES[group]})", 1)
+    _label_rows(figure, "markers")
+    return _over_time(figure, flight)
+
+
+def latency_figure(flight: LoggedFlight) -> go.Figure | None:
+    """Histograms (ms): exposure to setpoint, vision, and how late control cycles began."""
+    reports, control = flight.kept.get("frame_report", ()), flight.kept.get("control_report", ())
+    delays_s = {
+        "exposure to setpoint": setpoint_delays_s(flight.kept.get("setpoint", ())),
+        "frame received to markers found": [r.done_s - r.received_s for r in reports],
+        "control cycle late": [report.cycle_late_s for report in control],
+    }
+    if not any(delays_s.values()):
+        return None
+    figure = make_subplots(rows=1, cols=3, subplot_titles=list(delays_s))
+    for column, values in enumerate(delays_s.values(), start=1):
+        milliseconds = 1e3 * np.array(values)
+        figure.add_histogram(x=milliseconds, nbinsx=60, marker_color=ESTIMATE_COLOUR, row=1, col=column)
+        if len(milliseconds):
+            p99 = float(np.percentile(milliseconds, 99))
+            figure.add_vline(x=p99, line={"color": VEHICLE_COLOUR, "dash": "dot"}, row=1, col=column)
+        figure.update_xaxes(title_text="ms; dotted: p99", row=1, col=column)
+    figure.update_layout(showlegend=False, height=HEIGHT_PX)
+    return _plain(figure)
+
+
+# ---------------------------------------------------------------- parts
+
+
+def _line(
+    figure: go.Figure, times: Any, values: Any, colour: str, name: str, row: int, *, legend: bool = True
+) -> None:
+    line = {"color": colour, "width": 1.5}
+    figure.add_scattergl(
+        x=np.asarray(times),
+        y=np.asarray(values),
+        mode="lines",
+        line=line,
+        name=name,
+        legendgroup=name,
+        showlegend=legend,
+        row=row,
+        col=1,
+    )
+
+
+def _dots(
+    figure: go.Figure,
+    messages: Sequence[Any],
+    values: Sequence[float],
+    colour: str,
+    name: str,
+    row: int,
+    *,
+    legend: bool = True,
+) -> None:
+    if not messages:
+        return
+    figure.add_scattergl(
+        x=np.array([message.time_s for message in messages]),
+        y=np.asarray(values),
+        mode="markers",
+        marker={"color": colour, "size": 3},
+        name=name,
+        legendgroup=name,
+        showlegend=legend,
+        row=row,
+        col=1,
+    )
+
+
+def _label_rows(figure: go.Figure, *labels: str) -> None:
+    for row, label in enumerate(labels, start=1):
+        figure.update_yaxes(title_text=label, row=row, col=1)
+    figure.update_xaxes(title_text="time (s)", row=len(labels), col=1)
+
+
+def _over_time(figure: go.Figure, flight: LoggedFlight) -> go.Figure:
+    """The phases behind the curves, their names over the uppermost."""
+    spans = phase_spans(flight.kept.get("plan", ()))
+    seconds = spans[-1].end_s - spans[0].start_s if spans else 0.0
+    for span in spans:
+        figure.add_vrect(
+            x0=span.start_s, x1=span.end_s, fillcolor=span.colour, opacity=0.18, line_width=0, layer="below"
+        )
+        if span.end_s - span.start_s > NAMED_SHARE * seconds:
+            figure.add_annotation(**_name_of(span))
+    figure.update_layout(hovermode="x unified")
+    return _plain(figure)
+
+
+def _name_of(span: PhaseSpan) -> dict[str, Any]:
+    return {
+        "x": 0.5 * (span.start_s + span.end_s),
+        "xref": "x",
+        "y": 1.0,
+        "yref": "paper",
+        "yanchor": "bottom",
+        "text": span.name,
+        "showarrow": False,
+        "font": {"size": 11, "color": "#566573"},
+    }
+
+
+def _plain(figure: go.Figure) -> go.Figure:
+    if figure.layout.height is None:
+        figure.update_layout(height=HEIGHT_PX)
+    figure.update_layout(
+        template="plotly_white",
+        margin={"l": 60, "r": 20, "t": 50, "b": 70},
+        legend={"orientation": "h", "yref": "container", "y": 0.0, "yanchor": "bottom"},
+    )
+    return figure

@@ -1,0 +1,224 @@
+"""What a report needs of a flight's folder: messages, pictures at key moments, how the sensors came.
+
+Times count from the app's first cycle, as in result.json.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from mcap.records import Channel, Message, Metadata
+from pydantic import ValidationError
+
+from companion.base.message_json import decode
+from companion.base.messages import (
+    ActionResult,
+    ControlReport,
+    FrameReport,
+    Notice,
+    PadSighting,
+    PadState,
+    Phase,
+    PlanStep,
+    Setpoint,
+    Truth,
+    VehicleState,
+)
+from companion.config import ConfigError
+from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, log_file, records
+from companion.flightlog.result import Result, from_start
+from companion.flightlog.summary import ending
+
+RESULT_NAME: Final = "result.json"
+KINDS: Final[dict[str, type[Any]]] = {
+    "vehicle": VehicleState,
+    "pad": PadState,
+    "sighting": PadSighting,
+    "frame_report": FrameReport,
+    "setpoint": Setpoint,
+    "plan": PlanStep,
+    "notice": Notice,
+    "control_report": ControlReport,
+    "action_result": ActionResult,
+    "truth": Truth,
+}
+SENSORS: Final = ("imu", "mag", "gps", "range", "autopilot_attitude", "frame_report", "sighting")
+# pictures where the height over the pad first is below these, besides those where a phase begins
+PICTURE_HEIGHTS_M: Final = (5.0, 2.0, 1.0, 0.5, 0.25)
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A JPEG, base64 as in the log, and the moment that it shows."""
+
+    time_s: float
+    moment: str
+    jpeg_base64: str
+
+
+@dataclass(slots=True)
+class SensorRecord:
+    """How one sensor's samples came: when they were written, and how old they were by then (s)."""
+
+    arrival_s: list[float] = field(default_factory=list)
+    age_s: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedFlight:
+    """A flight as read from its folder; `result` is None for a flight without truth."""
+
+    folder: Path
+    start_unix_s: float
+    kept: dict[str, list[Any]]
+    truth: list[Truth]
+    pictures: list[Picture]
+    sensors: dict[str, SensorRecord]
+    settings: dict[str, Any]
+    versions: dict[str, str]
+    result: Result | None
+    cut: bool
+
+    @property
+    def outcome(self) -> str:
+        """How it ended: the simulator's verdict, else by the last phase of the app's own mission."""
+        if self.result is not None:
+            return self.result.outcome.value
+        if not self.kept.get("plan"):
+            return "nothing flown"
+        return ending(self.kept["plan"][-1].phase)
+
+    @property
+    def title(self) -> str:
+        """What was flown and how it ended, in one line."""
+        if self.result is not None:
+            return f"{self.result.scenario}, seed {self.result.seed}: {self.outcome}"
+        return f"{self.folder.resolve().name}: {self.outcome}"
+
+
+def read_flight(path: Path) -> LoggedFlight:
+    """Read a flight's folder, or its flight.mcap; a log cut short as far as it goes.
+
+    Raises:
+        ConfigError: there is none, it cannot be read, or a message is not one of ours.
+    """
+    reading = _Reading(file := log_file(path))
+    try:
+        with file.open("rb") as stream:
+            for record in records(stream, reading.end_early):
+                reading.take(record)
+    except OSError as error:
+        raise ConfigError(f"{file}: cannot be read: {error.strerror}; expected a flight's folder") from error
+    return reading.finish(_result(file.parent / RESULT_NAME))
+
+
+def _result(path: Path) -> Result | None:
+    try:
+        return Result.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValidationError) as error:
+        raise ConfigError(f"{path}: is not a result of this program: {str(error).splitlines()[0]}") from error
+
+
+class _Reading:
+    """What has been read so far."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._topics: dict[int, str] = {}
+        self._kept: dict[str, list[Any]] = defaultdict(list)
+        self._sensors: dict[str, SensorRecord] = {}
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._pictures: list[Picture] = []
+        self._moments: list[str] = []
+        self._heights_m = list(PICTURE_HEIGHTS_M)
+        self._phase = ""
+        self._latest_picture: Message | None = None
+        # of UTC (s) over the app's clock, by messages that are written the moment they are made
+        self._start_unix_s = math.inf
+        self._cut = False
+
+    def end_early(self) -> None:
+        self._cut = True
+
+    def take(self, record: Any) -> None:
+        if isinstance(record, Channel):
+            self._topics[record.id] = record.topic.removeprefix("/")
+        elif isinstance(record, Metadata):
+            self._metadata[record.name] = record.metadata
+        elif isinstance(record, Message):
+            topic = self._topics[record.channel_id]
+            if topic == "camera":
+                self._take_picture(record)
+            elif topic in KINDS or topic in SENSORS:
+                self._take_message(topic, record)
+
+    def _take_message(self, topic: str, record: Message) -> None:
+        try:
+            plain = json.loads(record.data)
+            message = decode(KINDS[topic], plain) if topic in KINDS else None
+            time_s = float(plain["time_s"])
+        except (ValueError, TypeError, KeyError) as error:
+            raise ConfigError(f"{self._path}: a message of /{topic} is not one of ours: {error}") from error
+        if topic in SENSORS:
+            sensor = self._sensors.setdefault(topic, SensorRecord())
+            sensor.arrival_s.append(1e-9 * record.log_time)
+            sensor.age_s.append(1e-9 * record.log_time - time_s)
+        if message is not None:
+            self._kept[topic].append(message)
+            if topic in ("plan", "pad"):
+                self._start_unix_s = min(self._start_unix_s, 1e-9 * record.log_time - time_s)
+                self._watch_moments(message)
+
+    def _watch_moments(self, message: Any) -> None:
+        """Have the next picture shown where a phase begins, or a height is passed in the descent."""
+        if isinstance(message, PlanStep):
+            if message.phase != self._phase:
+                self._phase = message.phase
+                self._moments.append(message.phase.replace("_", " "))
+        elif self._phase in (Phase.DESCEND, Phase.TOUCHDOWN):
+            while self._heights_m and message.height_m < self._heights_m[0]:
+                self._moments.append(f"below {self._heights_m.pop(0):g} m")
+
+    def _take_picture(self, record: Message) -> None:
+        if self._moments:
+            self._keep_picture(record, ", ".join(self._moments))
+            self._moments, self._latest_picture = [], None
+        else:
+            self._latest_picture = record
+
+    def _keep_picture(self, record: Message, moment: str) -> None:
+        image = json.loads(record.data)
+        exposed_s = image["timestamp"]["sec"] + 1e-9 * image["timestamp"]["nsec"]
+        self._pictures.append(Picture(exposed_s, moment, image["data"]))
+
+    def finish(self, result: Result | None) -> LoggedFlight:
+        if self._latest_picture is not None:
+            self._keep_picture(self._latest_picture, "the last one")
+        plans = self._kept.get("plan")
+        if not plans:
+            raise ConfigError(f"{self._path}: holds no flight; expected a flight.mcap that `--record` left")
+        unix_s = self._start_unix_s + plans[0].time_s
+        kept, truth = from_start(self._kept, self._kept.pop("truth", []))
+        for sensor in self._sensors.values():
+            sensor.arrival_s = [time_s - unix_s for time_s in sensor.arrival_s]
+            sensor.age_s = [age_s - self._start_unix_s for age_s in sensor.age_s]
+        settings = self._metadata.get(SETTINGS_RECORD, {})
+        return LoggedFlight(
+            folder=self._path.parent,
+            start_unix_s=unix_s,
+            kept=kept,
+            truth=truth,
+            pictures=[Picture(p.time_s - unix_s, p.moment, p.jpeg_base64) for p in self._pictures],
+            sensors=self._sensors,
+            settings={name: json.loads(text) for name, text in settings.items()},
+            versions=self._metadata.get(VERSIONS_RECORD, {}),
+            result=result,
+            cut=self._cut,
+        )

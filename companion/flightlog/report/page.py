@@ -1,0 +1,193 @@
+"""`report.html`: a flight on one page that needs nothing but itself, neither a network nor other files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any, Final
+
+import numpy as np
+from plotly.io import to_html
+from plotly.offline import get_plotlyjs
+
+from companion.base.files import write_atomically
+from companion.base.messages import Outcome
+from companion.config import CompanionConfig
+from companion.flightlog.report.figures import figures
+from companion.flightlog.report.logged_flight import LoggedFlight, SensorRecord
+from companion.flightlog.report.tables import result_rows
+from companion.flightlog.result import latency, phase_times
+
+PAGE_NAME: Final = "report.html"
+TEMPLATE: Final = Path(__file__).with_name("page.html")
+PLOT_OPTIONS: Final = {"responsive": True, "displaylogo": False, "scrollZoom": False}
+VERDICT_COLOURS: Final = {
+    Outcome.LANDED.value: "#1e8449",
+    Outcome.CRASHED.value: "#922b21",
+}
+OTHER_COLOUR: Final = "#b9770e"
+SENSOR_NAMES: Final = {
+    "imu": "IMU",
+    "mag": "magnetometer",
+    "gps": "GPS",
+    "range": "ultrasonic",
+    "autopilot_attitude": "autopilot's attitude",
+    "frame_report": "camera frames",
+    "sighting": "frames with the pad",
+}
+
+
+def write_page(flight: LoggedFlight, path: Path, bounds: Mapping[str, float] | None = None) -> None:
+    """Write the page; `bounds`: what passes, by the touchdown's keys.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    write_atomically(path, page(flight, bounds or {}))
+
+
+def page(flight: LoggedFlight, bounds: Mapping[str, float]) -> str:
+    """The page's HTML."""
+    drawn = figures(flight)
+    sections = {
+        "result": (
+            "Result",
+            _table(("", "measured", "passes at" if bounds else ""), _verdict_rows(flight, bounds)),
+        ),
+        "events": ("Events", _events(flight)),
+        **{name: (title, _plot(figure, name)) for name, (title, figure) in drawn.items()},
+        "pictures": ("What the camera saw", _pictures(flight)),
+        "sensors": ("Sensors", _table(SENSOR_COLUMNS, sensor_rows(flight.sensors))),
+        "settings": ("Settings that differ from the defaults", _settings(flight)),
+    }
+    return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
+        title=escape(flight.title.rpartition(":")[0]),
+        outcome=escape(flight.outcome),
+        verdict_colour=VERDICT_COLOURS.get(flight.outcome, OTHER_COLOUR),
+        said=escape(_said(flight)),
+        plotly_js=get_plotlyjs(),
+        links=" ".join(f'<a href="#{name}">{title}</a>' for name, (title, _) in sections.items()),
+        sections="\n".join(
+            f'<section id="{name}"><h2>{title}</h2>{body}</section>'
+            for name, (title, body) in sections.items()
+        ),
+        footer=escape(_footer(flight)),
+    )
+
+
+def _said(flight: LoggedFlight) -> str:
+    """The mission's own last word, and when it flew."""
+    phases = [notice.text for notice in flight.kept.get("notice", ()) if notice.kind == "phase"]
+    cut = "; the log is cut short" if flight.cut else ""
+    started = datetime.fromtimestamp(flight.start_unix_s, UTC)
+    return f"{phases[-1] if phases else 'no phase began'}{cut}. {started:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _footer(flight: LoggedFlight) -> str:
+    return ", ".join(f"{name} {version}" for name, version in flight.versions.items())
+
+
+# ---------------------------------------------------------------- tables
+
+
+def _verdict_rows(flight: LoggedFlight, bounds: Mapping[str, float]) -> Sequence[Sequence[str]]:
+    if flight.result is not None:
+        return result_rows(flight.result, bounds)
+    spent = phase_times(flight.kept["plan"])
+    stages_s = (spent.search_s, spent.approach_s, spent.descent_s)
+    reports = flight.kept.get("frame_report", ())
+    delays = latency(flight.kept.get("setpoint", ()), flight.kept.get("control_report", ()))
+    rows = [
+        ("outcome", flight.outcome, ""),
+        ("search / approach / descent", " / ".join(f"{s:.1f}" for s in stages_s) + " s", ""),
+        ("whole flight", f"{spent.total_s:.1f} s", ""),
+        ("frames with the pad", f"{sum(r.seen for r in reports)} of {len(reports)}", ""),
+    ]
+    pads = flight.kept.get("pad", ())
+    if pads:
+        rows.append(("from the pad's centre at the end, as estimated", f"{pads[-1].lateral_m:.3f} m", ""))
+    if delays.exposure_to_setpoint_p50 is not None:
+        text = (
+            f"{delays.exposure_to_setpoint_p50:.0f} ms (median), {delays.exposure_to_setpoint_p99:.0f} (p99)"
+        )
+        rows.append(("exposure to setpoint", text, ""))
+    return rows
+
+
+SENSOR_COLUMNS: Final = ("", "samples", "a second", "longest gap", "age when used, median", "p99")
+
+
+def sensor_rows(sensors: Mapping[str, SensorRecord]) -> list[Sequence[str]]:
+    """A row a sensor that was logged: how many samples, how regular, how old."""
+    rows: list[Sequence[str]] = []
+    for name, label in SENSOR_NAMES.items():
+        if (sensor := sensors.get(name)) is None:
+            continue
+        arrivals = np.array(sensor.arrival_s)
+        seconds = float(arrivals[-1] - arrivals[0])
+        rate = f"{(len(arrivals) - 1) / seconds:.1f}" if seconds > 0.0 else "-"
+        gap = f"{float(np.max(np.diff(arrivals))):.2f} s" if len(arrivals) > 1 else "-"
+        p50, p99 = np.percentile(1e3 * np.array(sensor.age_s), [50, 99])
+        rows.append((label, str(len(arrivals)), rate, gap, f"{p50:.0f} ms", f"{p99:.0f} ms"))
+    return rows
+
+
+def _events(flight: LoggedFlight) -> str:
+    notices = flight.kept.get("notice", ())
+    rows = [(f"{n.time_s:.1f} s", n.kind, n.text) for n in notices]
+    return _table(("time", "kind", "text"), rows, [n.severity for n in notices])
+
+
+def _settings(flight: LoggedFlight) -> str:
+    config = flight.settings.get("config")
+    if config is None:
+        return "<p>The log holds no settings.</p>"
+    changed = differences(config, CompanionConfig().model_dump(mode="json"))
+    if not changed:
+        return "<p>None.</p>"
+    return _table(("setting", "flown with", "default"), changed)
+
+
+def differences(flown: Any, default: Any, name: str = "") -> list[Sequence[str]]:
+    """Key, value and default of each setting that differs, in the settings' order; keys are dotted."""
+    if isinstance(flown, dict) and isinstance(default, dict):
+        found: list[Sequence[str]] = []
+        for key in flown:
+            found += differences(flown[key], default.get(key), f"{name}.{key}" if name else key)
+        return found
+    return [] if flown == default else [(name, json.dumps(flown), json.dumps(default))]
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], classes: Sequence[str] = ()) -> str:
+    """A table of texts; `classes` are those of its rows."""
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    lines = []
+    for k, row in enumerate(rows):
+        kind = f' class="{escape(classes[k])}"' if classes else ""
+        lines.append(f"<tr{kind}>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>")
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+# ---------------------------------------------------------------- pictures and plots
+
+
+def _plot(figure: Any, name: str) -> str:
+    html: str = to_html(
+        figure, config=PLOT_OPTIONS, include_plotlyjs=False, full_html=False, div_id=f"plot-{name}"
+    )
+    return html
+
+
+def _pictures(flight: LoggedFlight) -> str:
+    if not flight.pictures:
+        return "<p>The log holds no pictures.</p>"
+    shown = [
+        f'<figure><img alt="{escape(p.moment)}" src="data:image/jpeg;base64,{p.jpeg_base64}">'
+        f"<figcaption>{p.time_s:.1f} s: {escape(p.moment)}</figcaption></figure>"
+        for p in flight.pictures
+    ]
+    return f'<div class="pictures">{"".join(shown)}</div>'

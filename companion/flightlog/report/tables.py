@@ -1,0 +1,82 @@
+"""The table at the end of a simulated flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from rich.table import Table
+
+from companion.flightlog.result import Result
+
+UNITS: Final = {"m_s": "m/s", "m": "m", "deg": "°"}
+# decimals that mean something: a landing is not repeated to the tenth of a millimetre or of a millisecond
+DECIMALS: Final = {"m": 3, "m/s": 2, "°": 1, "ms": 0}
+MOST_DECIMALS: Final = 6
+
+
+def title_of(result: Result) -> str:
+    """What was flown and how it ended, in one line."""
+    return f"{result.scenario}, seed {result.seed}: {result.outcome}"
+
+
+def result_table(result: Result, bounds: Mapping[str, float]) -> Table:
+    """The result as a table for the terminal; `bounds` maps the touchdown's keys to what passes."""
+    table = Table(title=title_of(result), title_justify="left")
+    table.add_column("")
+    table.add_column("measured", justify="right")
+    table.add_column("passes at", justify="right")
+    for row in result_rows(result, bounds):
+        table.add_row(*row)
+    return table
+
+
+def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, str, str]]:
+    """Name, measured value and bound ("" for none), in this order, with units."""
+    rows: list[tuple[str, str, str]] = []
+    if result.touchdown is not None:
+        for key, value in result.touchdown.model_dump().items():
+            name, unit = _name_and_unit(key)
+            bound = bounds.get(key)
+            limit = "" if bound is None else f"<= {bound:g} {unit}"
+            rows.append((f"touchdown {name}", figure(value, unit, bound), limit))
+    spent = (result.time.search_s, result.time.approach_s, result.time.descent_s)
+    texts = {
+        "pad speed": f"{result.pad.speed_m_s:.2f} m/s",
+        "search / approach / descent": " / ".join(f"{seconds:.1f}" for seconds in spent) + " s",
+        "whole flight": f"{result.time.total_s:.1f} s",
+        "frames with the pad": f"{result.vision.frames_with_pad} of {result.vision.frames}",
+        "sighting error (rms)": _optional(result.vision.relative_position_rmse_m, "m"),
+        "attitude error (rms)": _optional(result.estimate.attitude_rmse_deg, "°"),
+        "velocity error (rms)": _optional(result.estimate.velocity_rmse_m_s, "m/s"),
+        "pad velocity error (rms)": _optional(result.estimate.pad_velocity_rmse_m_s, "m/s"),
+        "exposure to setpoint": _optional(result.latency_ms.exposure_to_setpoint_p50, "ms", " (median)"),
+        "control cycles late": _optional(result.latency_ms.cycle_late_p99, "ms", " (p99)"),
+        "control cycles unsolved": f"{result.control.unsolved} of {result.control.cycles}",
+        "simulated / real time": f"{result.sim.real_time_factor:.1f}",
+    }
+    return rows + [(name, text, "") for name, text in texts.items()]
+
+
+def _name_and_unit(key: str) -> tuple[str, str]:
+    for suffix, unit in UNITS.items():
+        if key.endswith(f"_{suffix}"):
+            return key.removesuffix(f"_{suffix}").replace("_", " "), unit
+    return key, ""
+
+
+def figure(value: float, unit: str, bound: float | None = None) -> str:
+    """A value with its unit and the decimals that mean something.
+
+    It has more of them where it would otherwise seem to be on the other side of its bound.
+    """
+    decimals = DECIMALS.get(unit, 3)
+    while (
+        bound is not None and decimals < MOST_DECIMALS and (round(value, decimals) > bound) != (value > bound)
+    ):
+        decimals += 1
+    return f"{value:.{decimals}f} {unit}"
+
+
+def _optional(value: float | None, unit: str, how: str = "") -> str:
+    return "-" if value is None else f"{figure(value, unit)}{how}"

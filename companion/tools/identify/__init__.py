@@ -1,0 +1,1 @@
+"""`companion identify`: a flight in, the flight model's numbers and their lines for the settings out."""

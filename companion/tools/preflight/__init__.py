@@ -1,0 +1,1 @@
+"""`companion check` without anything held in the hand: the preflight check."""

@@ -1,0 +1,203 @@
+"""The link, looked at: heartbeat, signing, losses, telemetry, the autopilot's sensors and its parameters.
+
+The app's own session asks for what it asks for in flight (heartbeats, the time, telemetry rates), and for
+parameters to read. Nothing is set, no mode and no command is sent.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager, closing
+from dataclasses import dataclass, field
+from typing import Final
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.clock import Clock, start_unix_s
+from companion.base.messages import GpsFix, ImuSample, MagSample, RangeSample
+from companion.config import CompanionConfig, ConfigError, VehicleConfig
+from companion.link.codec import AUTOPILOT_COMPONENT, Codec
+from companion.link.parameters import ParameterRequest
+from companion.link.session import Session
+from companion.link.signing import read_signing_key
+from companion.link.transport import Transport, open_transport
+from companion.tools.preflight import telemetry
+from companion.tools.preflight.findings import Finding, Teller
+from companion.tools.preflight.losses import FrameCounter
+from companion.tools.preflight.parameters import GROUP, Wanted, judge_parameters, parameter_names
+from companion.tools.preflight.telemetry import Heard
+
+HEARTBEAT_PATIENCE_S: Final = 6.0
+# rates are asked for at the first heartbeat, and what does not come is asked for again
+SETTLING_S: Final = 3.0
+LOOK_S: Final = 5.0
+TICK_S: Final = 0.05
+WATCH_S: Final = 1.0
+_TELL: Final = Teller("link")
+_NO_HEARTBEAT: Final = "no autopilot is heard"
+
+
+async def check_link(config: CompanionConfig, vehicle: VehicleConfig | None) -> list[Finding]:
+    """All findings about the autopilot; `vehicle` is None when its file cannot be read."""
+    connection = config.link.connection
+    try:
+        async with _listening(config) as listener:
+            if not await listener.heartbeat():
+                return [_silence(listener, connection), *_without_autopilot(_NO_HEARTBEAT)]
+            heard = await listener.look()
+    except ConfigError as error:
+        hint = (
+            "see link.connection and link.signing_key; does another program, or the service, have the port?"
+        )
+        return [_TELL.fail("heartbeat", str(error), hint), *_without_autopilot("the link is not open")]
+    except OSError as error:
+        hint = "is the autopilot powered, and the line plugged in?"
+        return [
+            _TELL.fail("heartbeat", f"{connection}: {error}", hint),
+            *_without_autopilot("the link was lost"),
+        ]
+    found = telemetry.judge(heard, config)
+    kind = heard.state.autopilot_kind
+    if kind is None or vehicle is None:
+        why = (
+            "the autopilot is neither PX4 nor ArduPilot"
+            if kind is None
+            else "the vehicle's file is not usable"
+        )
+        return [*found, Teller(GROUP).skip("parameters", why)]
+    return found + judge_parameters(kind, heard.parameters, Wanted.of(config, vehicle, kind))
+
+
+def without_link(why: str) -> list[Finding]:
+    """The findings when the link is not to be opened."""
+    return [_TELL.skip("heartbeat", why), *_without_autopilot(why)]
+
+
+def _without_autopilot(why: str) -> list[Finding]:
+    return [Teller("telemetry").skip("rates", why), Teller(GROUP).skip("parameters", why)]
+
+
+def _silence(listener: _Listener, connection: str) -> Finding:
+    """What a link without the autopilot's heartbeat has instead."""
+    session, told = listener.session, f"{connection}: no heartbeat within {HEARTBEAT_PATIENCE_S:g} s"
+    counters = session.counters
+    if session.stranger is not None:
+        return _TELL.fail(
+            "heartbeat",
+            f"{told}, but system {session.stranger}'s",
+            "set link.system_id to the vehicle's, or to 0",
+        )
+    if counters.refused:
+        return _TELL.fail(
+            "heartbeat",
+            f"{told}, but {counters.refused} frames without our signature",
+            "the autopilot signs with another key, or not at all: see link.signing_key",
+        )
+    if counters.decoded + counters.passed_over:
+        return _TELL.fail(
+            "heartbeat",
+            f"{told}, but other MAVLink",
+            "is this line the autopilot's? see SERIALx_PROTOCOL, MAV_x_CONFIG",
+        )
+    if counters.skipped_bytes:
+        return _TELL.fail(
+            "heartbeat",
+            f"{told}, but {counters.skipped_bytes} bytes that are no MAVLink 2",
+            "the baud rate, in link.connection and in the autopilot; MAV_PROTO_VER, SERIALx_PROTOCOL 2",
+        )
+    return _TELL.fail(
+        "heartbeat", f"{told}, not one byte", "power, TX and RX crossed, the port's name, link.connection"
+    )
+
+
+@dataclass(eq=False)
+class _Listener:
+    """The open link, and what has been heard on it."""
+
+    session: Session
+    transport: Transport
+    clock: Clock
+    counts: Counter[int] = field(default_factory=Counter)
+    samples: Counter[type] = field(default_factory=Counter)
+    line: FrameCounter = field(default_factory=FrameCounter)
+    problem: str | None = None
+
+    def __post_init__(self) -> None:
+        self._counter = Codec(1)  # decodes all, to count what the session passes over
+
+    async def receive(self) -> None:
+        while True:
+            data, now_s = await self.transport.read(), self.clock.now_s()
+            self.session.receive(data, now_s)
+            self.line.feed(data)
+            for message in self._counter.decode(data):
+                if message.get_srcComponent() == AUTOPILOT_COMPONENT:
+                    self.counts[message.get_msgId()] += 1
+            self.samples.update(type(sample) for sample in self.session.take_samples())
+
+    async def tick(self) -> None:
+        while True:
+            if due := self.session.tick(self.clock.now_s()):
+                self.transport.write(due)
+            await asyncio.sleep(TICK_S)
+
+    async def watch(self) -> None:
+        """Keep the telemetry sensors' own judgement up to date."""
+        while self.session.onboard is not None:
+            self.problem = self.session.onboard.watch(self.clock.now_s())
+            await asyncio.sleep(WATCH_S)
+
+    async def heartbeat(self) -> bool:
+        """Whether the autopilot is heard in time."""
+        until_s = self.clock.now_s() + HEARTBEAT_PATIENCE_S
+        while not self.session.state.connected and self.clock.now_s() < until_s:  # noqa: ASYNC110
+            await asyncio.sleep(TICK_S)
+        return self.session.state.connected
+
+    async def look(self) -> Heard:
+        """Count for a while what comes, and read the parameters meanwhile."""
+        kind = self.session.state.autopilot_kind
+        asked = [] if kind is None else [self.session.read_parameter(name) for name in parameter_names(kind)]
+        await asyncio.sleep(SETTLING_S)
+        before, sampled = self.counts.copy(), self.samples.copy()
+        began_s = self.clock.now_s()
+        await asyncio.sleep(LOOK_S)
+        elapsed_s = self.clock.now_s() - began_s
+        return Heard(
+            state=self.session.state,
+            refused=self.session.counters.refused,
+            line=self.line,
+            clock_settled=self.session.timesync.settled,
+            rates_hz={number: (count - before[number]) / elapsed_s for number, count in self.counts.items()},
+            samples_hz={
+                kind: (self.samples[kind] - sampled[kind]) / elapsed_s
+                for kind in (ImuSample, MagSample, GpsFix, RangeSample)
+            },
+            sensors_problem=self.problem,
+            parameters=_values(asked, kind),
+        )
+
+
+def _values(asked: list[ParameterRequest], kind: AutopilotKind | None) -> Mapping[str, float | None]:
+    return {} if kind is None else {request.name: request.value for request in asked}
+
+
+@asynccontextmanager
+async def _listening(config: CompanionConfig) -> AsyncIterator[_Listener]:
+    """The link, open and tended; a link that is lost raises OSError at the end of what goes on with it."""
+    link = config.link
+    key = None if link.signing_key is None else read_signing_key(link.signing_key, start_unix_s(virtual=True))
+    session = Session(link, config.sense if config.sense.source == "autopilot" else None, signing_key=key)
+    with closing(await open_transport(link.connection, link.system_id)) as transport:
+        listener = _Listener(session, transport, Clock())
+        works = [asyncio.create_task(work()) for work in (listener.receive, listener.tick, listener.watch)]
+        try:
+            yield listener
+        finally:
+            for work in works:
+                work.cancel()
+            ends = await asyncio.gather(*works, return_exceptions=True)
+            for end in ends:
+                if isinstance(end, OSError):
+                    raise end

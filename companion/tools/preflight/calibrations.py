@@ -1,0 +1,175 @@
+"""The files that the settings name: whether they are there, fit one another, and are fresh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final, TypeVar
+
+from companion.app.sensing import load_used_magnetometer
+from companion.config import (
+    CONFIG_FOLDER,
+    CameraConfig,
+    CompanionConfig,
+    ConfigError,
+    VehicleConfig,
+    find_file,
+    load_inertial,
+    load_model,
+    load_mount,
+    load_vehicle,
+)
+from companion.config.calibration import Provenance
+from companion.pad import load_pad
+from companion.tools.preflight.findings import Finding, Teller
+
+OLDEST: Final = timedelta(days=365)
+OLDEST_COMPASS: Final = timedelta(days=180)  # whatever is bolted on near it changes it
+T = TypeVar("T")
+_SETTINGS, _TELL = Teller("settings"), Teller("calibration")
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """What the settings name, as far as it can be read."""
+
+    camera: CameraConfig | None
+    vehicle: VehicleConfig | None
+
+
+def check_files(config: CompanionConfig, path: Path, now: datetime) -> tuple[Files, list[Finding]]:
+    """Findings about settings and calibrations, `now` in UTC; and the files for the checks that need them."""
+    found = [_SETTINGS.ok("file", str(path))]
+    camera = _read(found, "camera", lambda: load_model(CameraConfig, find_file("cameras", config.camera)))
+    vehicle = _read(found, "vehicle", lambda: load_vehicle(config.vehicle, config.mount, config.camera))
+    _read(found, "pad", lambda: load_pad(config.pad))
+    if vehicle is not None:
+        found.append(_vehicle(config, vehicle))
+    if camera is not None:
+        found.append(_camera(config, camera, now))
+        found.append(_mount(config, camera, now))
+    if config.sense.source == "boards":
+        found.append(_inertial(config, now))
+    found.append(_magnetometer(config, now))
+    return Files(camera, vehicle), found
+
+
+def _read(found: list[Finding], name: str, load: Callable[[], T]) -> T | None:
+    """What `load` gives, or None with a finding that says why not."""
+    try:
+        return load()
+    except ConfigError as error:
+        found.append(_SETTINGS.fail(name, str(error), f"see '{name}' in the settings"))
+        return None
+
+
+def _vehicle(config: CompanionConfig, vehicle: VehicleConfig) -> Finding:
+    shipped = (CONFIG_FOLDER / "vehicles" / f"{config.vehicle}.yaml").is_file()
+    if shipped:
+        hint = "measure your own into a copy of it (configs/vehicles/), and name that in the settings"
+        return _SETTINGS.warn("vehicle", f"'{vehicle.name}', a shipped example", hint)
+    return _SETTINGS.ok("vehicle", f"'{vehicle.name}', hover thrust {vehicle.hover_thrust:g}")
+
+
+def _camera(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Finding:
+    made, size = camera.calibration, f"{camera.width_px}x{camera.height_px}"
+    if made is None:
+        hint = "calibrate-camera: heights and the touchdown are off by as much as its numbers are"
+        return _TELL.warn("camera", f"'{camera.name}' {size}: not written by calibrate-camera", hint)
+    told = f"'{camera.name}' {size}, {made.rms_px:.2f} px, {_date(made.provenance)}"
+    if made.verdict:
+        return _forced("camera", told, made.verdict, "calibrate-camera")
+    source, used = made.provenance.source, config.sense.vision.source
+    if _is_device(source) and _is_device(used) and source != used:
+        return _TELL.warn(
+            "camera", f"{told}: taken with {source}, sense.vision.source is {used}", "is it the same camera?"
+        )
+    return _aged("camera", told, made.provenance, now, OLDEST, "calibrate-camera")
+
+
+def _mount(config: CompanionConfig, camera: CameraConfig, now: datetime) -> Finding:
+    try:
+        made = load_mount(config.mount, config.camera)
+    except ConfigError as error:
+        return _TELL.fail("mount", str(error), "calibrate-mount camera, with the camera's present file")
+    if made is None:
+        hint = "calibrate-mount record and camera; till then the vehicle's file has the camera's angles"
+        return _TELL.warn("mount", "none named ('mount')", hint)
+    offset_ms = 1e3 * made.time_offset_s
+    told = f"yaw {made.camera_yaw_deg:.1f}°, stamps {offset_ms:+.0f} ms, {_date(made.provenance)}"
+    if made.forced:
+        return _forced("mount", told, made.forced, "calibrate-mount camera")
+    if camera.calibration is not None:
+        mounted, calibrated = _when(made.provenance), _when(camera.calibration.provenance)
+        if mounted is not None and calibrated is not None and mounted < calibrated:
+            hint = "calibrate-mount camera again: it was found with the camera's former numbers"
+            return _TELL.warn("mount", f"{told}: older than the camera's calibration", hint)
+    return _aged("mount", told, made.provenance, now, OLDEST, "calibrate-mount camera")
+
+
+def _inertial(config: CompanionConfig, now: datetime) -> Finding:
+    try:
+        made = load_inertial(config.sense)
+    except ConfigError as error:
+        return _TELL.fail("inertial", str(error), "calibrate-mount accelerometer")
+    if made is None:
+        hint = "calibrate-mount accelerometer, then sense.imu.inertial_calibration"
+        return _TELL.warn("inertial", "none named (sense.imu.inertial_calibration)", hint)
+    told = f"{made.provenance.source}, {_date(made.provenance)}"
+    if made.forced:
+        return _forced("inertial", told, made.forced, "calibrate-mount accelerometer")
+    return _aged("inertial", told, made.provenance, now, OLDEST, "calibrate-mount accelerometer")
+
+
+def _magnetometer(config: CompanionConfig, now: datetime) -> Finding:
+    try:
+        made = load_used_magnetometer(config.sense)
+    except ConfigError as error:
+        return _TELL.fail("magnetometer", str(error), "calibrate-magnetometer")
+    if made is None:
+        if config.sense.source == "autopilot":
+            return _TELL.ok("magnetometer", "the autopilot's own")
+        hint = "calibrate-magnetometer, then sense.imu.magnetometer_calibration; else the heading drifts"
+        return _TELL.warn("magnetometer", "none named (sense.imu.magnetometer_calibration)", hint)
+    told = f"{made.quality.verdict}, {_date(made.provenance)}"
+    if made.quality.verdict == "refused":
+        return _forced("magnetometer", told, made.quality.reasons, "calibrate-magnetometer")
+    return _aged("magnetometer", told, made.provenance, now, OLDEST_COMPASS, "calibrate-magnetometer")
+
+
+# ---------------------------------------------------------------- what they have in common
+
+
+def _forced(name: str, told: str, reasons: tuple[str, ...], tool: str) -> Finding:
+    return _TELL.warn(name, f"{told}: written by force: {'; '.join(reasons)}", f"{tool} again")
+
+
+def _aged(name: str, told: str, made: Provenance, now: datetime, oldest: timedelta, tool: str) -> Finding:
+    when = _when(made)
+    if when is None:
+        return _TELL.warn(name, f"{told}: without a date", f"{tool} again")
+    if when > now + timedelta(days=1):
+        return _TELL.warn(name, f"{told}: in the future", "the clock is wrong, now or when it was made")
+    if now - when > oldest:
+        return _TELL.warn(
+            name, f"{told}: {(now - when).days} days old", f"{tool} again, at the latest after a crash"
+        )
+    return _TELL.ok(name, told)
+
+
+def _when(made: Provenance) -> datetime | None:
+    try:
+        when = datetime.fromisoformat(made.date)
+    except ValueError:
+        return None
+    return when if when.tzinfo is not None else when.replace(tzinfo=UTC)
+
+
+def _date(made: Provenance) -> str:
+    return made.date[:10]
+
+
+def _is_device(source: str) -> bool:
+    return source.startswith(("v4l2:", "picamera2:"))

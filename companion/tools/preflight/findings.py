@@ -1,0 +1,60 @@
+"""What the preflight check says of one thing. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+NO_HINT = ""
+
+
+class State(StrEnum):
+    """How it is; only FAIL keeps a vehicle on the ground."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAIL = "fail"
+    NOT_CHECKED = "not checked"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the table: its group, its name, the state, what was found, and what to do about it.
+
+    `told` of what was not checked says why not.
+    """
+
+    group: str
+    name: str
+    state: State
+    told: str
+    hint: str = NO_HINT
+
+
+@dataclass(frozen=True, slots=True)
+class Teller:
+    """Makes the findings of one group."""
+
+    group: str
+
+    def ok(self, name: str, told: str) -> Finding:
+        """All is well."""
+        return Finding(self.group, name, State.OK, told)
+
+    def warn(self, name: str, told: str, hint: str) -> Finding:
+        """It may fly; a person should know."""
+        return Finding(self.group, name, State.WARNING, told, hint)
+
+    def fail(self, name: str, told: str, hint: str) -> Finding:
+        """It should not fly like that."""
+        return Finding(self.group, name, State.FAIL, told, hint)
+
+    def skip(self, name: str, why: str, hint: str = NO_HINT) -> Finding:
+        """It was not looked at."""
+        return Finding(self.group, name, State.NOT_CHECKED, why, hint)
+
+
+def worst(findings: list[Finding]) -> State:
+    """The state of all together; what was not checked counts for nothing."""
+    states = {finding.state for finding in findings}
+    return next((state for state in (State.FAIL, State.WARNING) if state in states), State.OK)

@@ -1,0 +1,217 @@
+"""The autopilot's parameters on which a precision landing depends: what is expected, and why. Pure.
+
+Names and meanings after PX4 1.16 (commander_params.c, multicopter_position_control_*_params.c) and
+ArduCopter 4.6 (Parameters.cpp, AP_MotorsMulticopter.cpp); docs/autopilot-parameters.md has the same table.
+Values keep the autopilot's units. Nothing here is ever written to an autopilot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.config import CompanionConfig, VehicleConfig
+from companion.control.response.fitting import HOVER_DIFFERS
+from companion.control.setpoints import resolved
+from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
+from companion.tools.preflight.findings import Finding, State, Teller
+
+GROUP: Final = "autopilot's parameters"
+_TELL: Final = Teller(GROUP)
+_CENTI: Final = 0.01
+_TERMINATE, _DISARM, _STABILIZED = 6, 7, 2  # of COM_OBL_RC_ACT
+_OVERRIDE_OFFBOARD: Final = 2  # COM_RC_OVERRIDE bit 1
+_EXCEPT_OFFBOARD: Final = 4  # COM_RCL_EXCEPT bit 2
+_CONTINUE_GUIDED: Final = 4  # FS_OPTIONS bit 2
+_FASTEST_LAND_CM_S: Final = 70.0
+SHORT_S, LONG_S, TOO_LONG_S = 0.3, 1.0, 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What the settings and the vehicle's file want of the autopilot."""
+
+    tilt_deg: float
+    descent_m_s: float
+    climb_m_s: float
+    hover_thrust: float
+    sends_attitude: bool
+    sends_velocity: bool
+    may_set: bool  # link.set_parameters
+
+    @classmethod
+    def of(cls, config: CompanionConfig, vehicle: VehicleConfig, autopilot_kind: AutopilotKind) -> Wanted:
+        """From the settings, for that autopilot."""
+        setpoint = resolved(config.control, autopilot_kind).setpoint
+        limits = config.control.limits
+        return cls(
+            limits.tilt_deg,
+            limits.descent_speed_m_s,
+            limits.climb_speed_m_s,
+            vehicle.hover_thrust,
+            setpoint == "attitude",
+            setpoint == "velocity",
+            config.link.set_parameters,
+        )
+
+
+# (state, what was expected and why it matters); None: all is well
+Verdict = tuple[State, str] | None
+_Judge = Callable[[float, Wanted], Verdict]
+
+
+def _fail(text: str) -> Verdict:
+    return State.FAIL, text
+
+
+def _warn(text: str) -> Verdict:
+    return State.WARNING, text
+
+
+def _timeout(value: float, _: Wanted) -> Verdict:
+    """How long an autopilot flies on without setpoints."""
+    if SHORT_S <= value <= LONG_S:
+        return None
+    expected = f"expected {SHORT_S:g} to {LONG_S:g} s"
+    if value < SHORT_S:
+        return _warn(f"{expected}: a link that drops a few setpoints ends the landing")
+    why = f"{expected}: so long it keeps the last lean when the app hangs"
+    return _fail(why) if value > TOO_LONG_S else _warn(why)
+
+
+def _offboard_loss(value: float, _: Wanted) -> Verdict:
+    if value in (_TERMINATE, _DISARM):
+        return _fail("expected 0 (Position), 4 (Land) or 5 (Hold): the motors stop when the app does")
+    if value == _STABILIZED:
+        return _warn("expected 0 (Position), 4 (Land) or 5 (Hold): it falls to the throttle stick's position")
+    return None
+
+
+def _bit(mask: int, *, set_: bool, text: str) -> _Judge:
+    def judge(value: float, _: Wanted) -> Verdict:
+        return None if bool(int(value) & mask) is set_ else _warn(text)
+
+    return judge
+
+
+def _positive(text: str) -> _Judge:
+    return lambda value, _: None if value > 0.0 else _warn(text)
+
+
+def _tilt(scale: float) -> _Judge:
+    def judge(value: float, wanted: Wanted) -> Verdict:
+        if scale * value >= wanted.tilt_deg:
+            return None
+        return _warn(
+            f"expected {wanted.tilt_deg / scale:g} or more (control.limits.tilt_deg): the app takes the "
+            "smaller one, and follows fast pads less well in wind"
+        )
+
+    return judge
+
+
+def _hover_thrust(value: float, wanted: Wanted) -> Verdict:
+    if abs(value / wanted.hover_thrust - 1.0) <= HOVER_DIFFERS:
+        return None
+    return _warn(
+        f"the vehicle's file says hover_thrust {wanted.hover_thrust:g}: one of the two is wrong, and "
+        "control begins by sinking or climbing; hover once and compare"
+    )
+
+
+def _thrust_is_thrust(value: float, wanted: Wanted) -> Verdict:
+    if not wanted.sends_attitude or int(value) & THRUST_IS_THRUST:
+        return None
+    needed = int(value) | THRUST_IS_THRUST
+    why = f"expected {needed} (bit 3): without it our thrust is taken for a climb rate"
+    if wanted.may_set:
+        return _warn(f"{why}; link.set_parameters lets the app set it before it arms")
+    return _fail(f"{why}, and control is refused")
+
+
+def _speed(key: str, pick: Callable[[Wanted], float]) -> _Judge:
+    def judge(value: float, wanted: Wanted) -> Verdict:
+        if value >= pick(wanted):
+            return None
+        return _warn(f"expected {pick(wanted):g} or more (control.limits.{key}): setpoints are cut to it")
+
+    return judge
+
+
+def _velocity_shaping(value: float, wanted: Wanted) -> Verdict:
+    if not wanted.sends_velocity or value > 0.0:
+        return None
+    return _warn("expected more than 0: velocity setpoints are shaped by it")
+
+
+JUDGES: Final[dict[AutopilotKind, dict[str, _Judge]]] = {
+    "px4": {
+        "COM_OF_LOSS_T": _timeout,
+        "COM_OBL_RC_ACT": _offboard_loss,
+        "COM_RC_OVERRIDE": _bit(
+            _OVERRIDE_OFFBOARD,
+            set_=True,
+            text="expected bit 1 (value 2): in Offboard only the mode switch takes over, the sticks do not",
+        ),
+        "COM_RCL_EXCEPT": _bit(
+            _EXCEPT_OFFBOARD,
+            set_=False,
+            text="expected bit 2 (value 4) off: in Offboard the loss of the remote control is ignored",
+        ),
+        "COM_DISARM_LAND": _positive(
+            "expected more than 0: on the pad it does not disarm by itself; the app has to"
+        ),
+        "MPC_TILTMAX_AIR": _tilt(1.0),
+        "MPC_THR_HOVER": _hover_thrust,
+        "MPC_USE_HTE": _positive(
+            "expected 1: the hover thrust is not learnt; height and land detector suffer as the battery sinks"
+        ),
+        "MPC_Z_VEL_MAX_DN": _speed("descent_speed_m_s", lambda wanted: wanted.descent_m_s),
+        "MPC_Z_VEL_MAX_UP": _speed("climb_speed_m_s", lambda wanted: wanted.climb_m_s),
+    },
+    "ardupilot": {
+        "GUID_TIMEOUT": _timeout,
+        GUIDED_OPTIONS: _thrust_is_thrust,
+        "ANGLE_MAX": _tilt(_CENTI),
+        "MOT_THST_HOVER": _hover_thrust,
+        "FS_THR_ENABLE": _positive(
+            "expected an action (1 RTL, 3 Land, ...): the loss of the remote control is not noticed"
+        ),
+        "FS_OPTIONS": _bit(
+            _CONTINUE_GUIDED,
+            set_=False,
+            text="expected bit 2 (value 4) off: in GUIDED the loss of the remote control is ignored",
+        ),
+        "DISARM_DELAY": _positive(
+            "expected more than 0: on the pad it does not disarm by itself; the app has to"
+        ),
+        "LAND_SPEED": lambda value, _: None
+        if value <= _FASTEST_LAND_CM_S
+        else _warn(f"expected at most {_FASTEST_LAND_CM_S:g} cm/s: LAND sets it down if the pad is lost low"),
+        "WPNAV_ACCEL": _velocity_shaping,
+        "PSC_JERK_XY": _velocity_shaping,
+    },
+}  # fmt: skip
+
+
+def parameter_names(autopilot_kind: AutopilotKind) -> tuple[str, ...]:
+    """Those to read."""
+    return tuple(JUDGES[autopilot_kind])
+
+
+def judge_parameters(
+    autopilot_kind: AutopilotKind, values: Mapping[str, float | None], wanted: Wanted
+) -> list[Finding]:
+    """A finding each; None is a parameter that the autopilot did not tell."""
+    return [_finding(name, values.get(name), judge, wanted) for name, judge in JUDGES[autopilot_kind].items()]
+
+
+def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:
+    if value is None:
+        return _TELL.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
+    verdict = judge(value, wanted)
+    if verdict is None:
+        return _TELL.ok(name, f"{value:g}")
+    return Finding(GROUP, name, verdict[0], f"{value:g}", verdict[1])

@@ -1,0 +1,171 @@
+"""What was heard of the autopilot in a few seconds, judged. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from companion.base.messages import AutopilotState, GpsFix, ImuSample, MagSample, RangeSample
+from companion.config import CompanionConfig
+from companion.link.codec import mavlink
+from companion.link.dialect import CURRENT_MODE
+from companion.link.streams import OWN_RATES_HZ, TELEMETRY_RATES_HZ
+from companion.tools.preflight.findings import Finding, Teller
+from companion.tools.preflight.losses import FrameCounter
+
+HONOURED_SHARE: Final = 0.6  # of a rate asked for
+# PX4 sends its mode when it changes and twice a second, whatever is asked for (CURRENT_MODE.hpp)
+ON_CHANGE_HZ: Final = {CURRENT_MODE: 2.0}
+LOST_SHARE: Final = 0.02
+_LINK: Final = Teller("link")
+_TELEMETRY: Final = Teller("telemetry")
+_SENSORS: Final = Teller("autopilot's sensors")
+_LOCAL: Final = ("serial:", "udp:127.", "udpin:127.", "tcp:127.", "udp:localhost", "tcp:localhost")
+_RATE_HINT: Final = (
+    "a faster baud rate, or a higher MAV_x_RATE with MAV_x_MODE Onboard (PX4), SRx_ (ArduPilot); "
+    "another program on this link may ask for another rate"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """The link after a while: rates (Hz) by message id and by kind of sample, parameters by name."""
+
+    state: AutopilotState
+    refused: int  # frames without a right signature
+    line: FrameCounter
+    clock_settled: bool
+    rates_hz: Mapping[int, float]
+    samples_hz: Mapping[type, float]
+    sensors_problem: str | None
+    parameters: Mapping[str, float | None]
+
+
+def judge(heard: Heard, config: CompanionConfig) -> list[Finding]:
+    """Everything but the parameters."""
+    found = [
+        _heartbeat(heard),
+        _disarmed(heard.state),
+        _ready(heard.state),
+        _battery(heard.state, config),
+        _signing(heard.refused, config),
+        _losses(heard.line),
+        _clock(clock_settled=heard.clock_settled),
+        *_rates(heard),
+    ]
+    if config.sense.source == "autopilot":
+        found += _sensors(heard, config)
+    return found
+
+
+def _heartbeat(heard: Heard) -> Finding:
+    kind, state = heard.state.autopilot_kind, heard.state
+    if not state.connected:
+        return _LINK.fail(
+            "heartbeat", "came, and then stayed away", "wiring; the autopilot may have restarted"
+        )
+    if kind is None:
+        return _LINK.fail("heartbeat", "of an unknown autopilot", "expected PX4 or ArduPilot")
+    rate_hz = heard.rates_hz.get(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 0.0)
+    name = {"px4": "PX4", "ardupilot": "ArduPilot"}[kind]
+    return _LINK.ok("heartbeat", f"{name}, mode {state.mode or 'unknown'}, {rate_hz:.1f} Hz")
+
+
+def _disarmed(state: AutopilotState) -> Finding:
+    if state.armed:
+        return _LINK.fail("disarmed", "the autopilot says armed", "disarm it: this is a check on the ground")
+    return _LINK.ok("disarmed", "disarmed")
+
+
+def _ready(state: AutopilotState) -> Finding:
+    if state.ready_to_arm and state.ekf_ready is not False:
+        return _LINK.ok("ready to arm", "the autopilot's own checks pass")
+    why = "its filter has no position yet" if state.ready_to_arm else "its own checks do not pass"
+    said = f": {'; '.join(state.texts[-2:])}" if state.texts else ""
+    return _LINK.warn(
+        "ready to arm", f"{why}{said}", "indoors that is GPS; else see the ground station's messages"
+    )
+
+
+def _battery(state: AutopilotState, config: CompanionConfig) -> Finding:
+    share, bounds = state.battery_share, config.plan.mission.battery
+    if share is None:
+        hint = "without it the app cannot refuse a flight on a low battery (BAT1_SOURCE, BATT_MONITOR)"
+        return _LINK.skip("battery", "the autopilot reports none", hint)
+    if share < bounds.low:
+        hint = f"charge it: below {bounds.low:.0%} (plan.mission.battery.low) the app does not take off"
+        return _LINK.fail("battery", f"{share:.0%}", hint)
+    return _LINK.ok("battery", f"{share:.0%}")
+
+
+def _signing(refused: int, config: CompanionConfig) -> Finding:
+    if config.link.signing_key is not None:
+        if refused:
+            return _LINK.warn(
+                "signing",
+                f"on; {refused} frames without a right signature refused",
+                "somebody on the link does not sign, or with another key",
+            )
+        return _LINK.ok("signing", f"on, by {config.link.signing_key}")
+    if config.link.connection.startswith(_LOCAL):
+        return _LINK.ok("signing", "off, on a line of this vehicle's own")
+    return _LINK.warn(
+        "signing",
+        f"off on {config.link.connection}",
+        "whoever reaches this network can command the vehicle: link.signing_key",
+    )
+
+
+def _losses(line: FrameCounter) -> Finding:
+    sent = line.lost + line.frames
+    share = line.lost / max(1, sent)
+    told = f"{line.lost} of {sent} messages lost, {line.stray_bytes} bytes of none"
+    if share > LOST_SHARE:
+        return _LINK.warn(
+            "losses", told, "ground wire, cable length, baud rate; flow control on telemetry ports"
+        )
+    return _LINK.ok("losses", told)
+
+
+def _clock(*, clock_settled: bool) -> Finding:
+    if clock_settled:
+        return _LINK.ok("clock", "answers TIMESYNC")
+    return _LINK.warn(
+        "clock", "no answers to TIMESYNC", "its samples are stamped on arrival; a busy or one-way line"
+    )
+
+
+def _rates(heard: Heard) -> list[Finding]:
+    """One line when all is well, else one for each message that comes too seldom."""
+    wanted = {**TELEMETRY_RATES_HZ, **OWN_RATES_HZ.get(heard.state.autopilot_kind, {})}
+    slow, well = list[Finding](), list[str]()
+    for number, asked_hz in wanted.items():
+        name, rate_hz = mavlink.mavlink_map[number].msgname, heard.rates_hz.get(number, 0.0)
+        if rate_hz >= HONOURED_SHARE * ON_CHANGE_HZ.get(number, asked_hz):
+            well.append(f"{name} {rate_hz:.0f}")
+        elif rate_hz == 0.0:
+            slow.append(_TELEMETRY.fail(name, f"does not come; asked for {asked_hz:g} Hz", _RATE_HINT))
+        else:
+            told = f"{rate_hz:.1f} Hz; asked for {asked_hz:g}"
+            slow.append(_TELEMETRY.warn(name, told, _RATE_HINT))
+    return [*slow, _TELEMETRY.ok("rates", f"{', '.join(well)} Hz")] if well else slow
+
+
+def _sensors(heard: Heard, config: CompanionConfig) -> list[Finding]:
+    hint = "docs/telemetry-sensors.md: stream rates and baud rate"
+    if heard.sensors_problem is not None:
+        return [_SENSORS.fail("telemetry", heard.sensors_problem.partition(": ")[2], hint)]
+    imu_hz, field_hz = heard.samples_hz[ImuSample], heard.samples_hz[MagSample]
+    found = [_SENSORS.ok("IMU and compass", f"IMU {imu_hz:.0f} Hz, compass {field_hz:.0f} Hz")]
+    fixes_hz = heard.samples_hz[GpsFix]
+    if fixes_hz > 0.0:
+        found.append(_SENSORS.ok("GPS", f"{fixes_hz:.1f} fixes/s"))
+    else:
+        found.append(_SENSORS.warn("GPS", "no fix that can be used", "sky view; the start waits for it"))
+    if config.sense.range_by_telemetry:
+        echoes_hz = heard.samples_hz[RangeSample]
+        told = f"{echoes_hz:.0f} distances/s"
+        hint = "it must look down, and the ground be within sense.range.minimum_m and maximum_m"
+        found.append(_SENSORS.ok("range", told) if echoes_hz else _SENSORS.warn("range", "none to use", hint))
+    return found

@@ -1,0 +1,34 @@
+"""The systemd unit: systemd itself finds nothing wrong with it."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[4] / "systemd"
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed here")
+def test_the_unit_is_verified_by_systemd(tmp_path: Path) -> None:
+    # the program is not installed here: put one in its place that is
+    unit = (FOLDER / "companion.service").read_text()
+    path = tmp_path / "companion.service"
+    path.write_text(unit.replace("/opt/companion/.venv/bin/companion", "/bin/true"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", str(path)], capture_output=True, text=True, timeout=60, check=False
+    )
+    about_ours = [line for line in done.stderr.splitlines() if "companion.service" in line]
+    assert (done.returncode, about_ours) == (0, []), done.stderr
+
+
+def test_the_unit_starts_the_command_that_is_installed() -> None:
+    unit = (FOLDER / "companion.service").read_text()
+    assert "ExecStart=/opt/companion/.venv/bin/companion " in unit
+    assert "KillSignal=SIGINT" in unit
+
+
+def test_the_install_script_is_sound_bash() -> None:
+    command = ["bash", "-n", str(FOLDER / "install.sh")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

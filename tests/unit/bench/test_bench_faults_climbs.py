@@ -1,0 +1,97 @@
+"""The judge of `bench_faults` on climbs: which count, where one begins, and what announces it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from sitl.mavlink.app_words import AppText
+from tests.bench.faults.climbs import unannounced_climbs
+from tests.bench.faults.witness import SAMPLE_S, Sample
+
+
+def flown(speed_up_m_s: Callable[[float], float], until_s: float = 20.0) -> list[Sample]:
+    """Samples of a flight whose climb speed is given over time."""
+    samples, up_m = [], 5.0
+    for k in range(round(until_s / SAMPLE_S)):
+        time_s = k * SAMPLE_S
+        speed = speed_up_m_s(time_s)
+        up_m += speed * SAMPLE_S
+        place = (0.0, 0.0, -up_m)
+        samples.append(Sample(time_s, place, (0.0, 0.0, -speed), up_m, False, True, "OFFBOARD"))
+    return samples
+
+
+def found(samples: list[Sample], *said: tuple[float, str]) -> list[str]:
+    return list(unannounced_climbs(samples, [AppText(t, 4, text) for t, text in said]))
+
+
+def one_climb(time_s: float) -> float:
+    """Down at 0.5 m/s until 8 s, level at 0.05 m/s up until 10 s, then up at 1 m/s for 4 s."""
+    return -0.5 if time_s < 8.0 else 0.05 if time_s < 10.0 else 1.0 if time_s < 14.0 else 0.0
+
+
+@pytest.mark.parametrize("said_s", [7.1, 9.0, 10.9])
+def test_a_text_from_3_s_before_to_1_s_after_the_beginning_announces_a_climb(said_s: float) -> None:
+    assert found(flown(one_climb), (said_s, "climbing 4.0 m to look for the pad")) == []
+
+
+@pytest.mark.parametrize("said_s", [6.9, 11.1])
+def test_any_other_time_is_too_early_or_too_late(said_s: float) -> None:
+    wrong = found(flown(one_climb), (said_s, "climbing 4.0 m to look for the pad"))
+    assert wrong == ["climbed from 10.0 s, unannounced"]
+
+
+@pytest.mark.parametrize(
+    ("text", "announces"),
+    [
+        ("climbing 3.9 m to look for the pad", True),
+        ("climbing 1.0 m: too near to the ground", True),
+        ("back to 0.9 m over the pad to try again", True),
+        ("misaligned: waiting again over the pad", True),
+        ("take off: armed: motors on", True),
+        ("search: pad lost: unseen", False),
+        ("approach: pad seen: 0.3 m aside", False),
+        ("approach: misaligned: 0.3 m aside", False),
+        ("hold: misaligned: too often", False),
+        ("abort: timeout: 60 s", False),
+        ("touchdown: low: 42 cm over the pad", False),
+        ("0.9 m off the reference: replanned", False),
+    ],
+)
+def test_only_words_of_climbing_announce_it(text: str, announces: bool) -> None:
+    assert (found(flown(one_climb), (9.5, text)) == []) == announces
+
+
+def test_one_announcement_covers_the_whole_climb_and_no_second_one() -> None:
+    def twice(pause_s: float) -> list[Sample]:
+        def speed(time_s: float) -> float:
+            up = 5.0 <= time_s < 9.0 or 9.0 + pause_s <= time_s < 13.0
+            return 1.0 if up else 0.0
+
+        return flown(speed)
+
+    said = (5.0, "climbing 8.0 m to look for the pad")
+    assert found(twice(0.4), said) == []
+    assert found(twice(1.0), said) == ["climbed from 10.0 s, unannounced"]
+
+
+def test_a_slow_rise_that_shakes_is_one_climb() -> None:
+    def shaking(time_s: float) -> float:
+        return 0.0 if time_s < 5.0 else 0.05 if time_s % 1.0 < 0.1 else 0.15
+
+    samples = flown(shaking)
+    assert found(samples, (4.5, "climbing 2.0 m to look for the pad")) == []
+    assert len(found(samples)) == 1
+
+
+def test_a_creeping_rise_has_to_be_announced_as_well() -> None:
+    assert len(found(flown(lambda _: 0.08))) == 1
+
+
+def test_what_the_autopilot_flew_meanwhile_is_not_the_apps() -> None:
+    samples = flown(one_climb)
+    own = [sample for sample in samples if not 9.9 <= sample.time_s < 14.0]
+    assert found(own) == []
+    assert len(found([sample for sample in samples if not 9.9 <= sample.time_s < 11.0])) == 1

@@ -1,0 +1,207 @@
+"""All programs end alike: one line, the right help, no traceback, whatever becomes of the output."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+import typer
+
+from companion.base.command_line import PIPE_CLOSED, Ending, new_app, run_program
+from companion.config import CONFIG_FOLDER, ConfigError
+
+PROGRAMS = {
+    "companion": "companion.cli",
+    "companion-sitl": "sitl.cli",
+    "companion-experiments": "companion.research.command",
+    "calibrate-camera": "calibration.camera.command",
+    "calibrate-magnetometer": "calibration.magnetometer.command",
+    "calibrate-mount": "calibration.mount.command",
+}
+
+
+def run(program: str, *words: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    """The exit code of a program in this process."""
+    monkeypatch.setattr(sys, "argv", [program, *words])
+    with pytest.raises(SystemExit) as ended:
+        importlib.import_module(PROGRAMS[program]).main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_every_program_has_version_help_and_completion(
+    program: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(program, "--version", monkeypatch=monkeypatch) == 0
+    assert capsys.readouterr().out == f"{metadata.version('companion')}\n"
+    assert run(program, "-h", monkeypatch=monkeypatch) == 0
+    short = capsys.readouterr().out
+    assert run(program, "--help", monkeypatch=monkeypatch) == 0
+    assert capsys.readouterr().out == short
+    for option in ("-h, --help", "--version", "--install-completion", "--show-completion"):
+        assert option in short
+    assert short.startswith(f"Usage: {program} ")
+    prose = [line for line in short.splitlines() if not line.strip().startswith((program, "companion"))]
+    assert max(map(len, prose)) <= 80
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "asked"),
+    [
+        ("companion", ["--wings"], "companion"),
+        ("companion", ["pad", "--wings"], "companion pad"),
+        ("companion", ["pad", "moving_1300", "--tilt", "x"], "companion pad"),
+        ("companion-sitl", ["campaign", "--wings"], "companion-sitl campaign"),
+        ("companion-sitl", ["hold"], "companion-sitl hold"),
+        ("companion-experiments", ["fig13", "--wings"], "companion-experiments fig13"),
+        ("companion-experiments", ["fig99"], "companion-experiments"),
+        ("calibrate-camera", ["--wings"], "calibrate-camera"),
+        ("calibrate-mount", ["camera"], "calibrate-mount camera"),
+        ("calibrate-magnetometer", ["--time-limit", "x"], "calibrate-magnetometer"),
+    ],
+)
+def test_a_wrong_option_points_to_the_help_of_its_own_command(
+    program: str,
+    words: list[str],
+    asked: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(program, *words, monkeypatch=monkeypatch) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"{program}: ")
+    assert said.err.endswith(f"; see {asked} --help\n")
+    assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("companion", ["--config", "FOLDER"]),
+        ("companion", ["detect", "PHOTO", "--config", "FOLDER"]),
+        ("companion-sitl", ["campaign", "--config", "FOLDER", "--runs", "1"]),
+        ("calibrate-mount", ["accelerometer", "--config", "FOLDER"]),
+        ("calibrate-magnetometer", ["--config", "FOLDER"]),
+    ],
+)
+def test_a_folder_where_a_file_is_wanted_is_said(
+    program: str,
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("photo.png").touch()
+    here = {"FOLDER": ".", "PHOTO": "photo.png"}
+    assert run(program, *(here.get(word, word) for word in words), monkeypatch=monkeypatch) == 2
+    said = capsys.readouterr().err
+    assert "a folder; expected a" in said
+    assert said.count("\n") == 1
+
+
+def test_a_file_that_is_nested_too_deeply_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "deep.yaml"
+    path.write_text("[" * 5000)
+    assert run("companion", "--config", str(path), monkeypatch=monkeypatch) == 2
+    assert capsys.readouterr().err == f"companion: {path}: nested too deeply; expected settings\n"
+
+
+def shell(command: str) -> subprocess.CompletedProcess[str]:
+    """A command line of a shell, in which PROGRAM is `companion`."""
+    program = f"'{sys.executable}' -m companion.cli"
+    return subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command.replace('PROGRAM', program)}"],
+        env={**os.environ, "PYTHONPATH": str(CONFIG_FOLDER.parent)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("words", ["--help", "--version", "pad", "pad --help"])
+def test_a_full_disk_is_said_without_a_traceback(words: str) -> None:
+    done = shell(f"PROGRAM {words} >/dev/full")
+    assert done.returncode == 2
+    assert done.stderr == "companion: the output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize("words", ["--help", "--version", "pad"])
+def test_a_reader_that_goes_away_ends_it_quietly(words: str) -> None:
+    done = shell(f"PROGRAM {words} | true")
+    assert done.stderr == ""
+    assert done.returncode in {0, 1, PIPE_CLOSED}
+
+
+class OwnError(Exception):
+    """An error of one program's own."""
+
+
+def ending(problem: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
+    """How a program ends whose command raises this: exit code and what it says."""
+    app = new_app()
+
+    @app.command()
+    def command() -> None:
+        raise problem
+
+    with pytest.raises(SystemExit) as ended:
+        run_program(app, "prog", [], endings={OwnError: Ending(7, "own: ")})
+    return ended.value.code, capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("problem", "code", "said"),
+    [
+        (ConfigError("x.yaml: wrong"), 2, "prog: x.yaml: wrong\n"),
+        (OwnError("no luck"), 7, "prog: own: no luck\n"),
+        (KeyboardInterrupt(), 130, "prog: interrupted\n"),
+        (typer.Abort(), 130, "prog: interrupted\n"),
+        (RecursionError(), 2, "prog: a file that it read is nested too deeply\n"),
+        (FileNotFoundError(2, "No such file", "a.bin"), 2, "prog: a.bin: No such file\n"),
+        (typer.Exit(5), 5, ""),
+    ],
+)
+def test_each_kind_of_end(
+    problem: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert ending(problem, capsys) == (code, said)
+
+
+@pytest.mark.parametrize("fault", [ZeroDivisionError(), ConnectionRefusedError(111, "Connection refused")])
+def test_a_fault_of_ours_keeps_its_traceback(fault: Exception, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(type(fault)):
+        ending(fault, capsys)
+
+
+def test_completion_completes_commands_and_their_options() -> None:
+    for words, expected in (("companion pa", ["pad"]), ("companion pad --pa", ["--paper"])):
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-c",
+                "import sys; sys.argv = ['companion']; from companion.cli import main; main()",
+            ],
+            env={
+                **os.environ,
+                "PYTHONPATH": str(CONFIG_FOLDER.parent),
+                "_COMPANION_COMPLETE": "complete_bash",
+                "COMP_WORDS": words,
+                "COMP_CWORD": str(len(words.split()) - 1),
+            },
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=True,
+        )
+        assert done.stdout.split() == expected

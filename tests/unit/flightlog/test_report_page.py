@@ -1,0 +1,188 @@
+"""`companion report`: one page that needs nothing else, from a flight with truth, without, and cut short."""
+
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+from companion.base.messages import ControlReport, Frame, Notice, Outcome
+from companion.cli import cli
+from companion.config import ConfigError
+from companion.flightlog.record import FlightLog
+from companion.flightlog.report.command import write_report
+from companion.flightlog.report.logged_flight import SensorRecord, read_flight
+from companion.flightlog.report.page import differences, sensor_rows
+from companion.flightlog.result import build_result
+from tests.unit.flightlog.replay.log_files import own_rig
+from tests.unit.flightlog.test_result import made_up_flight
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+def write_flight(folder: Path, *, truth: bool = True, close: bool = True) -> FlightLog:
+    """The made-up flight as the app would log it, with a picture five times a second."""
+    kept, records = made_up_flight()
+    log, rig = FlightLog(folder, 1.7e9), own_rig()
+    log.write_settings(config=rig.config, vehicle=rig.vehicle, pad=rig.pad)
+    messages = [(m.time_s, topic, m) for topic, ms in kept.items() if topic != "sighting" for m in ms]
+    messages += [(0.5, "notice", Notice(0.5, "phase", "search: <b>looking</b>", "warning"))]
+    messages += [(0.02 * k, "control_report", ControlReport(0.02 * k, True, 9, 0.001)) for k in range(500)]
+    for time_s, topic, message in sorted(messages, key=lambda item: item[0]):
+        log.write(topic, message, time_s)
+        if topic == "plan":
+            picture = np.full((24, 32), int(20 * time_s), dtype=np.uint8)
+            log.write_frame(Frame(time_s, time_s, 0, picture), time_s)
+    for record in records if truth else ():
+        log.write("truth", record, record.time_s)
+    if close:
+        log.close()
+    return log
+
+
+class Links(HTMLParser):
+    """What a page loads, and its rows."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.pictures = 0
+        self.plots: set[str] = set()
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        source = found.get("src") or (found.get("href") if tag == "link" else None)
+        self.pictures += tag == "img"
+        if source is not None and not source.startswith("data:"):
+            self.loaded.append(source)
+        if (found.get("id") or "").startswith("plot-"):
+            self.plots.add(str(found["id"]))
+
+
+def test_the_page_of_a_simulated_flight_holds_everything_and_loads_nothing(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    kept, truth = made_up_flight()
+    result = build_result(
+        scenario="made_up",
+        seed=3,
+        outcome=Outcome.LANDED,
+        touchdown={
+            "lateral_error_m": 0.031,
+            "vertical_speed_m_s": 0.21,
+            "horizontal_speed_m_s": 0.05,
+            "tilt_deg": 1.2,
+            "yaw_error_deg": -2.0,
+        },
+        pad_speed_m_s=1.0,
+        kept=kept,
+        truth=truth,
+        real_time_factor=1.0,
+    )
+    (tmp_path / "result.json").write_text(result.model_dump_json())
+    path = write_report(tmp_path, bounds={"lateral_error_m": 0.15})
+    html = path.read_text(encoding="utf-8")
+    links = Links(html)
+    assert links.loaded == []
+    assert links.plots == {f"plot-{name}" for name in PLOTS}
+    assert links.pictures >= 4
+    text = html[html.index("</header>") :]
+    assert "made_up, seed 3" in html
+    for told in ("0.031 m", "&lt;= 0.15 m", "search: &lt;b&gt;looking&lt;/b&gt;", "antenna_position_body_m"):
+        assert told in text
+
+
+PLOTS = ("path", "height", "lateral", "velocity", "stated", "markers", "latency")
+
+
+def test_a_real_flight_without_truth_and_result_is_judged_by_its_last_phase(tmp_path: Path) -> None:
+    write_flight(tmp_path, truth=False)
+    flight = read_flight(tmp_path)
+    assert flight.outcome == "ended in touchdown"
+    assert flight.start_unix_s == pytest.approx(1.7e9, abs=1e-3)
+    assert {"height", "lateral", "latency"} <= {
+        plot.removeprefix("plot-") for plot in Links(write_report(tmp_path).read_text()).plots
+    }
+
+
+def test_a_log_cut_short_gives_a_page_as_far_as_it_goes(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    log = tmp_path / "flight.mcap"
+    log.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
+    assert "the log is cut short" in write_report(tmp_path).read_text()
+
+
+def test_pictures_are_of_key_moments(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    pictures = read_flight(tmp_path).pictures
+    moments = [picture.moment for picture in pictures]
+    # phases begin at 0, 2, 5 and 9 s; the descent goes from 3 m at 5 s to 1.02 m at 10 s
+    assert moments == ["search", "approach", "descend, below 5 m", "below 2 m", "touchdown", "the last one"]
+    assert [p.time_s for p in pictures[:2]] == pytest.approx([0.0, 2.0], abs=0.21)
+    assert pictures[3].time_s == pytest.approx(7.5, abs=0.25)
+
+
+def test_a_sensor_is_told_by_rate_longest_gap_and_age() -> None:
+    record = SensorRecord([0.0, 0.1, 0.2, 0.7, 0.8], [0.02, 0.02, 0.02, 0.02, 0.5])
+    (row,) = sensor_rows({"gps": record})
+    assert row[:5] == ("GPS", "5", "5.0", "0.50 s", "20 ms")
+
+
+def test_settings_that_differ_are_named_by_their_dotted_keys() -> None:
+    flown = {"a": {"b": 1, "c": [1, 2]}, "d": None}
+    assert differences(flown, {"a": {"b": 1, "c": [1, 3]}, "d": None}) == [("a.c", "[1, 2]", "[1, 3]")]
+    assert differences(flown, flown) == []
+
+
+def test_what_is_no_flight_is_told_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"flight\.mcap: cannot be read"):
+        run("report", str(tmp_path))
+    FlightLog(tmp_path / "empty", 0.0).close()
+    with pytest.raises(ConfigError, match="holds no flight"):
+        run("report", str(tmp_path / "empty"))
+    write_flight(tmp_path / "flown")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        run("report", str(tmp_path / "flown"), "-o", str(tmp_path / "nowhere" / "page.html"))
+
+
+def run(*words: str) -> Any:
+    command = typer.main.get_command(cli)
+    return command.main(args=list(words), prog_name="companion", standalone_mode=False)
+
+
+def test_without_plotly_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_flight(tmp_path)
+    for name in [name for name in sys.modules if name.startswith("companion.flightlog.report.")]:
+        if name.endswith((".page", ".figures")):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    monkeypatch.setitem(sys.modules, "plotly.io", None)
+    with pytest.raises(ConfigError, match=r"companion\[report\]"):
+        write_report(tmp_path)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here; Debian: apt install chromium")
+def test_a_browser_draws_every_plot(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    page = write_report(tmp_path)
+    shown = subprocess.run(
+        [
+            *(str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader"),
+            *("--enable-unsafe-swiftshader", f"--user-data-dir={tmp_path / 'browser'}"),
+            *("--virtual-time-budget=5000", "--dump-dom", page.as_uri()),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=180,
+        check=True,
+    ).stdout
+    body = shown[shown.index("<main>") :]
+    assert body.count('class="main-svg"') >= len(PLOTS)
+    for name in PLOTS:
+        start = body.index(f'id="plot-{name}"')
+        assert "plot-container" in body[start : start + 1000], name

@@ -1,0 +1,109 @@
+"""What is expected of the autopilot's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.config import (
+    CONFIG_FOLDER,
+    CompanionConfig,
+    VehicleConfig,
+    find_file,
+    load_model,
+    validate,
+)
+from companion.tools.preflight.findings import State
+from companion.tools.preflight.parameters import Wanted, judge_parameters, parameter_names
+
+VEHICLE = load_model(VehicleConfig, find_file("vehicles", "x500"))
+GOOD: dict[AutopilotKind, dict[str, float | None]] = {
+    "px4": {
+        "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 4, "COM_RC_OVERRIDE": 3, "COM_RCL_EXCEPT": 0,
+        "COM_DISARM_LAND": 2.0, "MPC_TILTMAX_AIR": 45.0, "MPC_THR_HOVER": 0.5, "MPC_USE_HTE": 1,
+        "MPC_Z_VEL_MAX_DN": 1.5, "MPC_Z_VEL_MAX_UP": 3.0,
+    },
+    "ardupilot": {
+        "GUID_TIMEOUT": 1.0, "GUID_OPTIONS": 8, "ANGLE_MAX": 3000, "MOT_THST_HOVER": 0.5, "FS_THR_ENABLE": 1,
+        "FS_OPTIONS": 16, "DISARM_DELAY": 10, "LAND_SPEED": 50, "WPNAV_ACCEL": 250.0, "PSC_JERK_XY": 5.0,
+    },
+}  # fmt: skip
+
+
+def states(
+    kind: AutopilotKind, changed: Mapping[str, float | None], settings: dict[str, Any] | None = None
+) -> dict[str, State]:
+    """The states of all that are not well."""
+    config = validate(CompanionConfig, settings or {}, "test")
+    found = judge_parameters(kind, {**GOOD[kind], **changed}, Wanted.of(config, VEHICLE, kind))
+    return {finding.name: finding.state for finding in found if finding.state is not State.OK}
+
+
+@pytest.mark.parametrize("kind", ["px4", "ardupilot"])
+def test_good_values_are_well_and_all_are_asked_for(kind: AutopilotKind) -> None:
+    assert states(kind, {}) == {}
+    assert set(parameter_names(kind)) == set(GOOD[kind])
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value", "state"),
+    [
+        ("px4", "COM_OF_LOSS_T", 5.0, State.FAIL),
+        ("px4", "COM_OF_LOSS_T", 0.1, State.WARNING),
+        ("px4", "COM_OF_LOSS_T", 1.5, State.WARNING),
+        ("px4", "COM_OBL_RC_ACT", 6, State.FAIL),
+        ("px4", "COM_OBL_RC_ACT", 7, State.FAIL),
+        ("px4", "COM_OBL_RC_ACT", 2, State.WARNING),
+        ("px4", "COM_RC_OVERRIDE", 1, State.WARNING),
+        ("px4", "COM_RCL_EXCEPT", 4, State.WARNING),
+        ("px4", "COM_DISARM_LAND", -1.0, State.WARNING),
+        ("px4", "MPC_TILTMAX_AIR", 20.0, State.WARNING),
+        ("px4", "MPC_THR_HOVER", 0.3, State.WARNING),
+        ("px4", "MPC_USE_HTE", 0, State.WARNING),
+        ("px4", "MPC_Z_VEL_MAX_DN", 0.5, State.WARNING),
+        ("px4", "MPC_Z_VEL_MAX_UP", 0.5, State.WARNING),
+        ("ardupilot", "GUID_TIMEOUT", 5.0, State.FAIL),
+        ("ardupilot", "GUID_TIMEOUT", 3.0, State.WARNING),
+        ("ardupilot", "GUID_OPTIONS", 0, State.FAIL),
+        ("ardupilot", "GUID_OPTIONS", 7, State.FAIL),
+        ("ardupilot", "ANGLE_MAX", 2000, State.WARNING),
+        ("ardupilot", "MOT_THST_HOVER", 0.3, State.WARNING),
+        ("ardupilot", "FS_THR_ENABLE", 0, State.WARNING),
+        ("ardupilot", "FS_OPTIONS", 4, State.WARNING),
+        ("ardupilot", "DISARM_DELAY", 0, State.WARNING),
+        ("ardupilot", "LAND_SPEED", 150, State.WARNING),
+        ("px4", "COM_OBL_RC_ACT", None, State.NOT_CHECKED),
+    ],
+)
+def test_a_value_that_differs_is_found_alone(
+    kind: AutopilotKind, name: str, value: float | None, state: State
+) -> None:
+    assert states(kind, {name: value}) == {name: state}
+
+
+def test_what_is_expected_follows_the_settings() -> None:
+    steep = {"control": {"limits": {"tilt_deg": 45.0}}}
+    assert states("ardupilot", {}, steep) == {"ANGLE_MAX": State.WARNING}
+    velocity = {"control": {"setpoint": "velocity"}}
+    assert states("ardupilot", {"GUID_OPTIONS": 0}, velocity) == {}
+    assert states("ardupilot", {"PSC_JERK_XY": 0.0}, velocity) == {"PSC_JERK_XY": State.WARNING}
+    may_set = {"link": {"set_parameters": True}}
+    assert states("ardupilot", {"GUID_OPTIONS": 0}, may_set) == {"GUID_OPTIONS": State.WARNING}
+
+
+def test_every_hint_says_what_was_expected() -> None:
+    bad: dict[str, float | None] = dict.fromkeys(GOOD["px4"], -1.0)
+    config = CompanionConfig()
+    for finding in judge_parameters("px4", bad, Wanted.of(config, VEHICLE, "px4")):
+        assert finding.state in (State.OK, State.NOT_CHECKED) or finding.hint.startswith(
+            ("expected", "the vehicle")
+        )
+
+
+def test_each_is_in_its_page() -> None:
+    page = (CONFIG_FOLDER.parent / "docs" / "autopilot-parameters.md").read_text()
+    names = {name for kind in GOOD for name in parameter_names(kind)}
+    assert [name for name in names if f"| `{name}` |" not in page] == []
