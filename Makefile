@@ -1,5 +1,6 @@
 # make sitl    fly the bundled simulator from a fresh checkout
 # make test    lint, types, architecture, unit, property and scenario tests
+# make test-deploy DEPLOY=DIR  the service in a container that boots systemd, the app on arm64 by qemu; needs root
 # make bench   where the time goes, the estimators' bars and the landing campaign's; or one alone:
 # make bench-state           the estimators in flight: errors, consistency, faults, costs
 # make bench-pad             the pad filter over made-up tracks
@@ -13,6 +14,7 @@
 # make bench-landing RUNS=200  random landings, and the cases of the autopilots' own precision landing
 # make bench-firmware PX4=BIN ARDUCOPTER=BIN  landings on the real firmwares, in lockstep
 # make bench-faults          every fault in every phase of a flight: how it ends, and whether it is safe
+# make bench-mutations       a million spoilt inputs to drivers, link, settings and scenario files
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
@@ -27,13 +29,15 @@ SEEDS  ?= 10
 CAMPAIGN_RUNS ?= 100
 # random landings
 RUNS ?= 200
+# spoilt inputs
+MUTATIONS ?= 1000000
 # the estimators' consistency is judged over twice as many
 STATE_SEEDS ?= 20
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-mutations bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -58,6 +62,11 @@ lint: $(VENV)/.dev
 
 test: lint
 	$(BIN)/python -m pytest
+
+# fetches Debian roots into DEPLOY and keeps them there; what this machine cannot do is skipped, with the reason
+.PHONY: test-deploy
+test-deploy: $(VENV)/.dev
+	COMPANION_DEPLOY=$(or $(DEPLOY),/var/tmp/companion-deploy) $(BIN)/python -m pytest -n 0 -rs tests/deploy
 
 # each prints its table beside the bars and ends in a line that says which hold; all of them run
 bench: $(VENV)/.dev
@@ -115,6 +124,9 @@ bench-response: $(VENV)/.dev
 # hours on two cores; give it again after an interruption, and it goes on
 bench-faults: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.faults.bench_faults --jobs 2
+
+bench-mutations: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.mutations.bench_mutations --count $(MUTATIONS)
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.mavlink.bench_fuzz

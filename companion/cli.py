@@ -42,11 +42,19 @@ COMMANDS: Final = {
     "pad": Command(
         "companion.tools.pads.command:pad_command", "Check and print a pad; show how a camera sees it."
     ),
-    "logs": Command("companion.flightlog.logs:logs_command", "Repair a flight log that was cut short."),
+    "logs": Command("companion.flightlog.logs:logs_command", "List, export, convert, repair flight logs."),
+    "status": Command(
+        "companion.app.service.commands:status_command", "Show what the running service does.", "STATUS_HELP"
+    ),
+    "order": Command(
+        "companion.app.service.commands:order_command",
+        "Order the service to land, fly, stop.",
+        "ORDER_HELP",
+    ),
+    "permit": Command("companion.app.service.permit:permit_command", "Let the next start of the app fly."),
     "report": Command(
         "companion.flightlog.report.command:report_command", "Write a flight's report as one page."
     ),
-    "permit": Command("companion.app.permit:permit_command", "Let the next start of the app fly."),
     "flights": Command(
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True
     ),
@@ -59,6 +67,9 @@ def companion(
     context: typer.Context,
     *,
     sitl: Annotated[bool, typer.Option("--sitl", help="Fly against the bundled simulator.")] = False,
+    flies: Annotated[
+        bool, typer.Option("--fly", help="Fly once, now: arm, take off, land. Else stand by for orders.")
+    ] = False,
     config: Annotated[
         Path, typer.Option("--config", help="The app's settings.", metavar="FILE")
     ] = CONFIG_FOLDER / "companion.yaml",
@@ -109,6 +120,8 @@ def companion(
         alone(context)
         return
     theirs = {"--autopilot": autopilot, "--connect": connect, "--connect-world": connect_world}
+    if sitl and flies:
+        raise ConfigError("--fly: is for the vehicle; expected it without --sitl, which flies at once")
     if sitl:
         find_file("scenarios", scenario or "line")
     else:
@@ -123,11 +136,11 @@ def companion(
         }
         refuse({**ours, **theirs})
     must_be_readable(config)
-    from companion.app.command import Output, fly_the_vehicle  # noqa: PLC0415 - see above
+    from companion.app.command import Output, fly_the_vehicle, stand_by  # noqa: PLC0415 - see above
 
     output = Output.of(record, json_file, live=not no_ui)
     if not sitl:
-        raise typer.Exit(fly_the_vehicle(config, output))
+        raise typer.Exit((fly_the_vehicle if flies else stand_by)(config, output))
     from companion.sim.command import fly_in_sitl, load_trial  # noqa: PLC0415 - see above
 
     flown = (firmware, firmware_path, firmware_param)

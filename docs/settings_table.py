@@ -62,6 +62,7 @@ UNITS: Final = {
     "deg": "°",
     "hz": "Hz",
     "px": "px",
+    "mb": "MB",
     "ut": "µT",
     "grey": "grey values",
     "lux": "lx",

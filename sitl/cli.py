@@ -46,7 +46,7 @@ COMMANDS: Final = {
         "sitl.scenario.commands:schema_command", "Print the JSON schema of scenario files.", "SCHEMA_HELP"
     ),
     "campaign": Command("sitl.campaign.command:campaign_command", "Fly scenarios under many seeds."),
-    "view": Command("sitl.run.view:view_command", "Show or record the frames that a socket serves."),
+    "view": Command("sitl.run.view_command:view_command", "Show or record the frames that a socket serves."),
     "hold": Command("sitl.run.hold_command:hold_command", "Serve a vehicle that is carried by hand."),
 }
 cli = lazy_app(COMMANDS)

@@ -47,6 +47,8 @@ for folder in companion sitl calibration configs; do
     cp -r "$SOURCE/$folder" "$PREFIX/"
 done
 cp "$SOURCE/pyproject.toml" "$SOURCE/constraints.txt" "$SOURCE/README.md" "$SOURCE/LICENSE" "$PREFIX/"
+# which stands in each flight's log
+git -C "$SOURCE" describe --always --dirty --abbrev=12 --exclude='*' >"$PREFIX/REVISION" 2>/dev/null || true
 # system site packages: picamera2 and lgpio come from the distribution
 python3 -m venv --system-site-packages "$PREFIX/.venv"
 "$PREFIX/.venv/bin/python" -m pip install --quiet -c "$PREFIX/constraints.txt" -e "$PREFIX"
@@ -59,5 +61,5 @@ done
 
 install -m 0644 "$SOURCE/systemd/companion.service" "$UNIT"
 systemctl daemon-reload
-echo "installed; look through $SETTINGS/companion.yaml, then, props off the first time: systemctl start companion"
-echo "one start is one flight, and needs your permission: sudo -u companion companion permit --record /var/lib/companion"
+echo "installed; look through $SETTINGS/companion.yaml, then: systemctl enable --now companion"
+echo "it stands by and flies nothing unasked: companion status, companion order land; see docs/service.md"

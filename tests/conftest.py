@@ -24,9 +24,11 @@ for _library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_
 SLOW_S: Final = {
     "scenario/flights/test_landings.py": 300,
     "scenario/flights/test_autopilot_sensors.py": 143,
+    "scenario/flights/test_link_first.py": 90,
     "scenario/flights/test_no_landing.py": 77,
     "scenario/commands/test_campaign.py": 60,
-    "unit/tools/check/test_pad_check.py": 60,
+    "unit/tools/check/test_pad_check.py": 30,
+    "unit/tools/check/test_pad_check_samples.py": 30,
     "scenario/flights/test_real_time.py": 60,
     "unit/test_docs.py": 60,
     "scenario/commands/test_records.py": 47,

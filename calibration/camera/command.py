@@ -8,23 +8,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-import cv2
 import typer
 
-from calibration.camera.board.board import Pattern
-from calibration.camera.collect.gathering import DEFAULT_BOARD
-from calibration.camera.job import (
-    NAME,
-    BoardOptions,
-    CameraCalibrationJob,
-    CameraOptions,
-    calibrate_camera,
-    print_board,
-)
-from calibration.camera.solve.adjustment import Model
+from calibration.camera.kinds import DEFAULT_BOARD, Model, Pattern
 from calibration.command_line import run
 from companion.base.command_line import VersionOption, new_app
+from companion.base.files import must_exist
 
+NAME: Final = "calibrate-camera"
 HELP: Final = """Calibrate a camera with a printed board: focal length, principal point, distortion.
 
 SOURCE is a camera (v4l2:0, picamera2:0, socket:/run/companion/frames), or photos and videos: folders
@@ -149,9 +140,21 @@ def command(
         ConfigError: the user can correct it.
         RefusedError: the calibration is not good enough.
     """
-    cv2.setNumThreads(1)
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     given = sources or []
+    for source in given:
+        if ":" not in source:  # which cameras have
+            must_exist(Path(source), "expected a camera, a folder of photos, a photo or a video")
+    # OpenCV is imported once the photos are there
+    from calibration.camera.job import (  # noqa: PLC0415
+        BoardOptions,
+        CameraCalibrationJob,
+        CameraOptions,
+        calibrate_camera,
+        print_board,
+    )
+    from companion.sense.vision.opencv import prepare_opencv  # noqa: PLC0415
+
+    prepare_opencv()
     shown = BoardOptions(board, pattern, square_mm, marker_mm, gap_mm, dictionary, legacy_pattern)
     if make_board is not None:
         print_board(shown, given, make_board, paper)

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import typer
 
-from calibration.camera.board.board import CalibrationBoard, Pattern, read_dictionary
+from calibration.camera.board.board import CalibrationBoard, read_dictionary
 from calibration.camera.board.printing import board_yaml, write_board
 from calibration.camera.collect.gathering import (
     BOARD_FILE,
@@ -22,8 +22,9 @@ from calibration.camera.collect.gathering import (
     views_of_photos,
 )
 from calibration.camera.collect.live import LiveOptions, capture_live
+from calibration.camera.kinds import Model, Pattern
 from calibration.camera.report.result import Origin, camera_config, camera_yaml, summary_lines
-from calibration.camera.solve.adjustment import Model, UnsolvableError
+from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import Assessment, assess
 from calibration.command_line import RefusedError
 from companion.base.clock import start_unix_s

@@ -8,14 +8,10 @@ from typing import Annotated, Final
 import typer
 
 from calibration.command_line import run
-from calibration.magnetometer.job import (
-    PROGRAM,
-    MagnetometerCalibrationJob,
-    SampleSource,
-    calibrate_magnetometer,
-)
 from companion.base.command_line import VersionOption, new_app
+from companion.base.files import must_be_readable, must_exist
 
+PROGRAM: Final = "calibrate-magnetometer"
 HELP: Final = """Calibrate a magnetometer (hard and soft iron): live, or from a recording of a rotation.
 
 RECORDING is a text table (CSV), .npz, .tlog, ArduPilot .bin, PX4 .ulg, or a flight log of the app. Without
@@ -126,6 +122,17 @@ def calibrate_command(
         ConfigError: the user can correct it.
         RefusedError: the calibration is not good enough.
     """
+    if recording is not None:
+        must_exist(recording, "expected a recording")
+    if config is not None:
+        must_be_readable(config)
+    # what computes is imported once the files are there
+    from calibration.magnetometer.job import (  # noqa: PLC0415
+        MagnetometerCalibrationJob,
+        SampleSource,
+        calibrate_magnetometer,
+    )
+
     source = SampleSource(recording, columns, unit, sensor, bus, connect, time_limit_s, serve)
     picture = None if no_plot else plot or output.with_suffix(".png")
     calibrate_magnetometer(

@@ -7,6 +7,7 @@
 
 Samples go into the estimator when they arrive. Each control cycle reads the newest estimates; nothing queues.
 Only the control task sends setpoints: when it stops, they stop, and the autopilot's failsafe acts.
+A mission is one planner's; an app that stays goes back to standby after it, with a new one.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ from dataclasses import replace
 from typing import Final
 
 from companion.app.action_queue import ActionQueue
+from companion.app.announcer import Announcer
 from companion.app.calibration_warnings import forced_calibrations
 from companion.app.hardware import ActionsFactory, Hardware
 from companion.app.loop_monitor import LoopMonitor
+from companion.app.missions import END_PHASES, Missions
+from companion.app.service.systemd import ServiceNotifier
 from companion.app.stages import build_stages
 from companion.app.status import STATUS_PERIOD_S, FrameRate, Status
 from companion.app.supervision import supervised
-from companion.app.systemd import ServiceNotifier
 from companion.base.clock import Clock
 from companion.base.collecting import collecting_little
 from companion.base.messages import (
@@ -45,26 +48,17 @@ from companion.control.controller import Controller
 from companion.control.response.fitting import misfits
 from companion.control.setpoints import resolved
 from companion.flightlog.record import FlightLog
-from companion.link.codec import Severity
 from companion.plan.planner import PlanInputs
 
 LINK_TICK_S: Final = 0.05
-# how long the app goes on recording after the flight has ended, so that the log holds the standstill
-LINGER_S: Final = 1.0
-# the last requests (hold, land, disarm) are repeated after it for this long
-LAST_REQUESTS_S: Final = 12.0
 LAST_HOLD_S: Final = 2.0
-END_PHASES: Final = (Phase.LANDED, Phase.ABORT)
 NO_MORE_ACTIONS: Final = (*END_PHASES, Phase.HOLD)  # entering one of these clears the action queue
-ON_THE_GROUND: Final = (
-    Phase.STANDBY,
-    Phase.CONNECT,
-    Phase.ARM,
-)  # there an error in the settings ends the app
+# there an error in the settings ends the app
+ON_THE_GROUND: Final = (Phase.STANDBY, Phase.CONNECT, Phase.ARM)
 
 
 class App:
-    """One flight, from connecting to disarmed, or to control returned. Make it inside the running loop."""
+    """One flight, or a companion that stands by for orders. Make it inside the running loop."""
 
     def __init__(
         self,
@@ -75,34 +69,45 @@ class App:
         on_status: Callable[[Status], None] | None = None,
         *,
         standby: str | None = None,
+        stays: bool = False,
     ) -> None:
-        """Make the stages; with a reason for `standby` it watches, and asks for no flight.
+        """Make the stages; with a reason for `standby` it watches, and follows no order.
+
+        Else it flies at once, unless it `stays`: then it stands by, before its first order and after each.
 
         Raises:
             ConfigError: a settings file named in the configuration is missing or wrong.
         """
         self._config, self._hardware, self._log, self._on_status = config, hardware, log, on_status
         self._clock = Clock()
-        stages = build_stages(config, hardware, log, self._clock, self._notice, standby)
-        self._vehicle, self.session, self._planner = stages.vehicle, stages.session, stages.planner
-        self._estimator, self._sensing = stages.estimator, stages.sensing
+        self.announcer = Announcer(self._clock, log, self._deliver)
+        stages = build_stages(config, hardware, log, self._clock, self.announcer.notify)
+        self._vehicle, self.session = stages.vehicle, stages.session
+        self.estimator, self.sensing = stages.estimator, stages.sensing
+        self.missions = Missions(
+            stages.make_planner,
+            self.session,
+            log,
+            self.announcer,
+            self._clock,
+            standby=standby,
+            stays=stays,
+        )
         self.loop_monitor = LoopMonitor(self.session, self._clock)
         self._controller: Controller | None = None  # made when it is known whose autopilot obeys
         self._actions = make_actions(self.session, self._send, self._clock, config)
         self._action_queue = ActionQueue(self._actions, self._take_result)
         self._action_results: list[ActionResult] = []
         self._service = ServiceNotifier()
-        self._phase = self._planner.phase
-        self._new_notices: list[Notice] = []
         self._latency_ms: float | None = None
         self._last_exposure_s: float | None = None
-        self._stop_requested = self._on_pad = self._log_problem_told = False
+        self._stop_requested = self._on_pad = False
         self._start_s = self._clock.now_s()
 
     @property
     def phase(self) -> Phase:
         """Where the mission is."""
-        return self._phase
+        return self.missions.phase
 
     def request_stop(self) -> None:
         """Hold, hand the vehicle back to the autopilot and end (Ctrl-C, or the service's stop)."""
@@ -130,17 +135,18 @@ class App:
     async def _run_tasks(self) -> Phase:
         """Run every task until the control task ends; a failure of one ends them all."""
         works = {
-            **self._sensing.tasks(),
+            **self.sensing.tasks(),
             "autopilot link": self._receive_task,
             "heartbeat": self._link_task,
             "actions": self._action_queue.run,
             "status": self._status_task,
         }
+        self.missions.tell()
         for warning in forced_calibrations(self._config):
-            self._notice("calibration", warning, "warning")
+            self.announcer.notify("calibration", warning, "warning")
         async with asyncio.TaskGroup() as group:
             workers = [
-                group.create_task(supervised(name, work, self._notice, self._on_ground), name=name)
+                group.create_task(supervised(name, work, self.announcer.notify, self._on_ground), name=name)
                 for name, work in works.items()
             ]
             phase = await group.create_task(self._controlled(), name="control")
@@ -149,10 +155,7 @@ class App:
         return phase
 
     def _on_ground(self) -> bool:
-        return self._phase in ON_THE_GROUND
-
-    def _notice(self, kind: str, text: str, severity: Severity) -> None:
-        self._publish(Notice(self._clock.now_s(), kind, text, severity))
+        return self.phase in ON_THE_GROUND and not self.session.state.armed
 
     # ------------------------------------------------------------ plan and control
 
@@ -173,8 +176,7 @@ class App:
         """Plan, control and send at a fixed rate until the mission has ended."""
         period_s = 1.0 / self._config.plan.rate_hz
         due_s = self._clock.now_s()
-        ended_s: float | None = None
-        while not self._finished(ended_s):
+        while not self._over():
             late_s = self._clock.now_s() - due_s
             if late_s > period_s:
                 await self._catch_up(late_s)
@@ -182,35 +184,40 @@ class App:
             self.loop_monitor.turn(late_s, period_s)
             await self._control_step(self._clock.now_s(), late_s)
             self._service.alive()
-            if ended_s is None and self._phase in END_PHASES:
-                ended_s = self._clock.now_s()
             due_s += period_s
             await self._clock.sleep_until(due_s)
-        return self._phase
+        return self.phase
 
     async def _catch_up(self, late_s: float) -> None:
         """Whoever was held up believes nothing from before, and does not go on with what was under way."""
         if self.loop_monitor.silent:
             self._action_queue.clear()
         if await self.loop_monitor.catch_up(late_s, self._service.alive):
-            self._notice("stalled", f"stood still for {late_s:.1f} s: read the autopilot anew", "warning")
+            self.announcer.notify(
+                "stalled", f"stood still for {late_s:.1f} s: read the autopilot anew", "warning"
+            )
 
-    def _finished(self, ended_s: float | None) -> bool:
-        """Whether the flight is over and nothing asked of the autopilot is open, or has been for too long."""
-        if ended_s is None:
+    def _over(self) -> bool:
+        """Whether the app ends. One that stays goes back to standby when a mission has ended."""
+        if not self.missions.finished(busy=self._action_queue.busy):
             return False
-        since_s = self._clock.now_s() - ended_s
-        open_requests = self._action_queue.busy or self._planner.waiting
-        return since_s >= (LAST_REQUESTS_S if open_requests else LINGER_S)
+        if self._stop_requested or not self.missions.stays:
+            return True
+        self.missions.stand_by()
+        self._controller = self._latency_ms = None
+        self._action_queue.clear()
+        self._action_results.clear()
+        self._on_pad = False
+        return False
 
     async def _control_step(self, now_s: float, late_s: float) -> None:
         """One cycle: newest estimates to a setpoint."""
-        self._sensing.take_attitude(self.session.state)
-        for words in self._estimator.take_corrections():
-            self._notice("attitude", words, "warning")
+        self.sensing.take_attitude(self.session.state)
+        for kind, words in self.estimator.take_notices():
+            self.announcer.notify(kind, words, "warning")
         if self.session.setup is not None:
             self._control()  # takes a while to make, which is to pass on the ground
-        vehicle, pad = self._estimator.vehicle(now_s), self._estimator.pad(now_s)
+        vehicle, pad = self.estimator.vehicle(now_s), self.estimator.pad(now_s)
         plan = self._plan(vehicle, pad, now_s)
         if vehicle is None:
             return
@@ -239,7 +246,7 @@ class App:
             )
             flown = resolved(self._config.control, autopilot_kind)
             for misfit in misfits(flown, self._vehicle, setup, autopilot_kind):
-                self._notice("setup", misfit, "warning")
+                self.announcer.notify("setup", misfit, "warning")
         return self._controller
 
     def _plan(self, vehicle: VehicleState | None, pad: PadState | None, now_s: float) -> PlanStep:
@@ -249,19 +256,19 @@ class App:
             pad=pad,
             autopilot=self.session.state,
             beacon=self.session.beacon,
-            range=self._sensing.last_range,
+            range=self.sensing.last_range,
             results=results,
             stop_requested=self._stop_requested,
+            camera_problem=self.sensing.camera_problem,
         )
-        plan = self._planner.step(inputs, now_s)
+        before, plan = self.phase, self.missions.step(inputs, now_s)
         # a disarming that was asked for on the pad is none for a vehicle that has left it
         left_pad, self._on_pad = self._on_pad and not plan.on_ground, plan.on_ground
-        if left_pad or (plan.phase in NO_MORE_ACTIONS and plan.phase is not self._phase):
+        if left_pad or (plan.phase in NO_MORE_ACTIONS and plan.phase is not before):
             self._action_queue.clear()
-        self._phase = plan.phase
         self._log.write("plan", plan, now_s)
         for notice in plan.notices:
-            self._publish(notice)
+            self.announcer.publish(notice)
         for action in plan.actions:
             self._log.write("action", action, now_s)
             self._action_queue.add(action)
@@ -288,7 +295,7 @@ class App:
             self.loop_monitor.heard += 1
             self._log.write_mavlink(data, now_s, "in")
             self.session.receive(data, now_s)
-            self._sensing.take_samples(self.session.take_samples())
+            self.sensing.take_samples(self.session.take_samples())
             self._actions.receive(data)
             self._send(self.session.tick(now_s))
 
@@ -309,19 +316,10 @@ class App:
 
     # ------------------------------------------------------------ telling people
 
-    def _publish(self, notice: Notice) -> None:
-        """Tell the log, the terminal and the ground station."""
-        self._log.write("notice", notice, notice.time_s)
-        self._new_notices.append(notice)
-        self._service.status(f"{self._phase}: {notice.text}")
+    def _deliver(self, notice: Notice) -> None:
+        """Tell the service manager and the ground station."""
+        self._service.status(f"{self.phase}: {notice.text}")
         self._send(self.session.send_notice(notice.text, notice.severity))
-
-    def _watch_log(self) -> None:
-        """Tell once that the log on disk has a gap or has ended; the flight goes on."""
-        problem = self._log.problem
-        if problem is not None and not self._log_problem_told:
-            self._log_problem_told = True
-            self._notice("record", problem, "warning")
 
     async def _status_task(self) -> None:
         """Hand the newest state to the terminal a few times a second."""
@@ -329,22 +327,22 @@ class App:
         frame_rate = FrameRate()
         while True:
             await asyncio.sleep(STATUS_PERIOD_S)
-            self._watch_log()
-            frame_rate_hz = frame_rate.add(self._sensing.frame_count)
-            notices, self._new_notices = self._new_notices, []
+            self.announcer.watch_log()
+            frame_rate_hz = frame_rate.add(self.sensing.frame_count)
+            notices = self.announcer.take()
             if self._on_status is None:
                 continue
             now_s = self._clock.now_s()
             status = Status(
                 time_s=now_s - self._start_s,
-                phase=self._phase,
+                phase=self.phase,
                 mode=self.session.state.mode,
-                vehicle=self._estimator.vehicle(now_s),
-                pad=self._estimator.pad(now_s),
-                last_frame=self._sensing.last_frame,
+                vehicle=self.estimator.vehicle(now_s),
+                pad=self.estimator.pad(now_s),
+                last_frame=self.sensing.last_frame,
                 frame_rate_hz=frame_rate_hz,
                 latency_ms=self._latency_ms,
                 notices=tuple(replace(n, time_s=n.time_s - self._start_s) for n in notices),
-                camera_problem=self._sensing.camera_problem,
+                camera_problem=self.sensing.camera_problem,
             )
             self._on_status(status)

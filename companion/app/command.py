@@ -1,10 +1,11 @@
-"""`companion` on the vehicle: the flight from the settings file to the exit code."""
+"""`companion` on the vehicle: standing by for orders, or one flight, from the settings to the exit code."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -12,13 +13,18 @@ from rich.console import Console
 
 from companion.app.app import App
 from companion.app.hardware import make_actions, open_hardware
-from companion.app.latch import FlightLatch, state_folder, unattended
+from companion.app.service.latch import FlightLatch, state_folder, unattended
+from companion.app.service.local_socket import served, socket_path
+from companion.app.service.machine_state import MachineWatch, throttled
+from companion.app.service.state_report import state_report
 from companion.app.signals import stopping_on_signals
 from companion.app.terminal import StatusView
-from companion.base.clock import start_unix_s
+from companion.base.clock import Clock, start_unix_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Outcome, Phase
 from companion.config import CompanionConfig, load_config
+from companion.flightlog.flights import make_room, next_flight_folder
+from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
 from companion.sense.vision.opencv import prepare_opencv
 
@@ -47,20 +53,26 @@ class Output:
 
 
 def fly_the_vehicle(config_path: Path, output: Output) -> int:
-    """Fly the real vehicle and return the exit code.
+    """Fly the real vehicle once, at once, and return the exit code.
 
     Raises:
         ConfigError: something the user can correct.
     """
     prepare_opencv()
     config = load_config(config_path)
+    if not config.plan.mission.may_arm:
+        raise ConfigError(
+            f"--fly: {config_path}: plan.mission.may_arm is false; "
+            "expected true, which allows the app to arm and take off"
+        )
     latch = FlightLatch(output.record or state_folder())
     standby = latch.begin(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
+    _make_room(output.record, config)
     log = new_log(folder, virtual=False)
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
-            phase = asyncio.run(_vehicle_flight(config, log, view, standby))
+            phase, idle = asyncio.run(_vehicle_flight(config, log, view, standby))
     except ConfigError:
         log.discard()
         if standby is None:
@@ -70,22 +82,62 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
         log.close()
     if standby is None:
         latch.end(phase.value)
-    return 0 if phase is Phase.LANDED else EXIT_CODES[Outcome.ABORTED]
+    return 0 if phase is Phase.LANDED or idle else EXIT_CODES[Outcome.ABORTED]
 
 
 async def _vehicle_flight(
     config: CompanionConfig, log: FlightLog, view: StatusView, standby: str | None
-) -> Phase:
-    async with open_hardware(config) as hardware:
+) -> tuple[Phase, bool]:
+    async with open_hardware(config, waits=True) as hardware:
         app = App(config, hardware, log, make_actions, view, standby=standby)
         with stopping_on_signals(app.request_stop):
-            return await app.run()
+            return await app.run(), standby is not None and app.missions.stopped_idle
 
 
-def next_flight_folder(folder: Path) -> Path:
-    """A new folder for this flight: numbered, since a Raspberry Pi may not know the date."""
-    names = [path.name.removeprefix("flight-") for path in folder.glob("flight-*")]
-    return folder / f"flight-{max((int(n) for n in names if n.isdecimal()), default=0) + 1:04d}"
+def stand_by(config_path: Path, output: Output) -> int:
+    """Stand by on the real vehicle until stopped, following orders; returns the exit code.
+
+    Raises:
+        ConfigError: something the user can correct.
+    """
+    prepare_opencv()
+    config = load_config(config_path)
+    clear = partial(_make_room, output.record, config)
+    clear()
+    with StatusView(output.console, config.vehicle, live=output.live) as view:
+        log = FlightsRecorder(output.record, start_unix_s(virtual=False), clear)
+        try:
+            return asyncio.run(_service(config, log, view, output.record))
+        finally:
+            log.close()
+
+
+async def _service(
+    config: CompanionConfig, log: FlightsRecorder, view: StatusView, record: Path | None
+) -> int:
+    clock = Clock()
+    start_s = clock.now_s()
+    machine = MachineWatch(start_s)
+    async with open_hardware(config, waits=True) as hardware:
+        app = App(config, hardware, log, make_actions, view, stays=True)
+
+        async def report() -> str:
+            held_back = await asyncio.to_thread(throttled)
+            now_s = clock.now_s()
+            recording = None if log.flight_folder is None else str(log.flight_folder)
+            state = machine.state(now_s, record, held_back)
+            return state_report(app, log.meter, state, recording, now_s, start_s).model_dump_json()
+
+        async with served(socket_path(), report, app.missions.give, clock):
+            with stopping_on_signals(app.request_stop):
+                await app.run()
+    return 0 if app.missions.stopped_idle else EXIT_CODES[Outcome.ABORTED]
+
+
+def _make_room(record: Path | None, config: CompanionConfig) -> None:
+    """Room for the next flight, by the settings."""
+    if record is not None and record.is_dir():
+        make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
 
 
 def new_log(folder: Path | None, *, virtual: bool) -> FlightLog:

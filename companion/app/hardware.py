@@ -5,10 +5,20 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager, closing
 from dataclasses import dataclass
-from typing import Protocol
+from functools import partial
+from typing import cast
 
+from companion.app.devices import (
+    AwaitedBus,
+    AwaitedPort,
+    AwaitedTransport,
+    ClosableBus,
+    SerialLine,
+    opened_if_there,
+)
 from companion.base.clock import Clock
-from companion.config import CameraConfig, CompanionConfig, RangeConfig, find_file, load_model
+from companion.base.errors import DeviceMissing
+from companion.config import CameraConfig, CompanionConfig, LinkConfig, RangeConfig, find_file, load_model
 from companion.control.setpoints import resolved
 from companion.link.actions.actions import PymavlinkActions, VehicleActions
 from companion.link.actions.mavsdk_link import MavsdkActions
@@ -18,22 +28,9 @@ from companion.link.transport import Transport, open_transport
 from companion.sense.camera.source import FrameSource, keep_camera
 from companion.sense.imu.i2c import RegisterBus, open_bus
 from companion.sense.range.echo_pins import EchoPins
-from companion.sense.range.range_finder import BytePort
 from companion.sense.serial_port import SerialPort
 
 ActionsFactory = Callable[[Session, Callable[[bytes], None], Clock, CompanionConfig], VehicleActions]
-
-
-class BaudRatePort(BytePort, Protocol):
-    """A serial line whose rate can be changed."""
-
-    def set_baud(self, baud: int) -> None:
-        """Change the rate. OSError when the line is gone."""
-        ...
-
-    def close(self) -> None:
-        """Give the line back."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +43,21 @@ class Hardware:
     transport: Transport
     frames: FrameSource
     imu_bus: RegisterBus | None = None
-    gps_port: BaudRatePort | None = None
-    range_port: BaudRatePort | EchoPins | None = None
+    gps_port: SerialLine | None = None
+    range_port: SerialLine | EchoPins | None = None
 
 
 @asynccontextmanager
-async def open_hardware(config: CompanionConfig, *, linked: bool = True) -> AsyncIterator[Hardware]:
+async def open_hardware(
+    config: CompanionConfig, *, linked: bool = True, waits: bool = False
+) -> AsyncIterator[Hardware]:
     """Open what the settings name, and close it again at the end.
 
-    Not `linked`, the line to the autopilot stays closed, and nothing ever comes over it.
+    Not `linked`, the line to the autopilot stays closed, and nothing ever comes over it. With `waits` a
+    device that is missing is opened as soon as it is there.
 
     Raises:
-        ConfigError: a port, bus or camera is missing, taken or misspelt; one line says which.
+        ConfigError: a port, bus or camera is taken or misspelt, or missing; one line says which.
     """
     camera = load_model(CameraConfig, find_file("cameras", config.camera))
     sense = config.sense
@@ -65,26 +65,48 @@ async def open_hardware(config: CompanionConfig, *, linked: bool = True) -> Asyn
         link = config.link
         transport: Transport = memory_pair()[0]
         if linked:
-            transport = opened.enter_context(closing(await open_transport(link.connection, link.system_id)))
+            transport = opened.enter_context(closing(await _open_line(link, waits=waits)))
         imu_bus: RegisterBus | None = None
-        gps_port: BaudRatePort | None = None
-        range_port: BaudRatePort | EchoPins | None = None
+        gps_port: SerialLine | None = None
+        range_port: SerialLine | EchoPins | None = None
         if sense.source == "boards":
-            imu_bus = opened.enter_context(closing(open_bus(sense.imu.bus)))
-            gps_port = opened.enter_context(closing(SerialPort(sense.gps.port, sense.gps.baud)))
+            imu_bus = opened.enter_context(closing(_open_bus(sense.imu.bus, waits=waits)))
+            gps_port = opened.enter_context(closing(_open_port(sense.gps.port, sense.gps.baud, waits=waits)))
         if not sense.range_by_telemetry:
-            range_port = opened.enter_context(closing(_open_range_port(sense.range)))
+            range_port = opened.enter_context(closing(_open_range_port(sense.range, waits=waits)))
         vision = sense.vision
         frames = opened.enter_context(
-            closing(await keep_camera(vision.source, camera, vision.unstamped_latency_s))
+            closing(await keep_camera(vision.source, camera, vision.unstamped_latency_s, waits=waits))
         )
         yield Hardware(transport, frames, imu_bus, gps_port, range_port)
 
 
-def _open_range_port(config: RangeConfig) -> SerialPort | EchoPins:
+async def _open_line(config: LinkConfig, *, waits: bool) -> Transport:
+    open_line = partial(open_transport, config.connection, config.system_id)
+    try:
+        line = await open_line()
+    except DeviceMissing:
+        if not waits:
+            raise
+        line = None
+    return AwaitedTransport(line, open_line) if waits else cast(Transport, line)
+
+
+def _open_bus(spec: str, *, waits: bool) -> ClosableBus:
+    bus = opened_if_there(partial(open_bus, spec), waits=waits)
+    return AwaitedBus(bus, partial(open_bus, spec)) if waits else cast(ClosableBus, bus)
+
+
+def _open_port(path: str, baud: int, *, waits: bool) -> SerialLine:
+    open_port = partial(SerialPort, path, baud)
+    port = opened_if_there(open_port, waits=waits)
+    return AwaitedPort(port, open_port) if waits else cast(SerialLine, port)
+
+
+def _open_range_port(config: RangeConfig, *, waits: bool) -> SerialLine | EchoPins:
     if config.kind == "gpio":
         return EchoPins(config.trigger_pin, config.echo_pin, Clock())
-    return SerialPort(config.port, config.baud)
+    return _open_port(config.port, config.baud, waits=waits)
 
 
 def make_actions(

@@ -21,7 +21,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from companion.app.hardware import BaudRatePort, Hardware
+from companion.app.devices import SerialLine
+from companion.app.hardware import Hardware
 from companion.base.clock import Clock
 from companion.base.geometry import vector3
 from companion.base.messages import (
@@ -231,7 +232,7 @@ class Sensing:
 
     # ------------------------------------------------------------ serial lines
 
-    async def _gps_task(self, port: BaudRatePort) -> None:
+    async def _gps_task(self, port: SerialLine) -> None:
         """Turn the receiver's bytes into fixes."""
         while True:
             data = await port.read()
@@ -242,7 +243,7 @@ class Sensing:
         self._estimator.add_gps(fix)
         self._log.write("gps", fix, self._clock.now_s())
 
-    async def _gps_configuration_task(self, port: BaudRatePort) -> None:
+    async def _gps_configuration_task(self, port: SerialLine) -> None:
         """Find the receiver's rate; send what it has not acknowledged yet, and all again when it forgets."""
         # a port that is gone is told by the task that reads it
         with contextlib.suppress(OSError):

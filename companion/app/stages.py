@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from companion.app.hardware import Hardware
@@ -34,7 +35,7 @@ class Stages:
     session: Session
     estimator: StateEstimator
     sensing: Sensing
-    planner: Planner
+    make_planner: Callable[[str | None], Planner]  # of a mission; given why it stands by, if it does
 
 
 def build_stages(
@@ -43,9 +44,8 @@ def build_stages(
     log: FlightLog,
     clock: Clock,
     notify: Notify,
-    standby: str | None = None,
 ) -> Stages:
-    """Make the stages and write the settings that they use into the log; `standby`: why not to fly.
+    """Make the stages and write the settings that they use into the log.
 
     Raises:
         ConfigError: a settings file named in the configuration is missing or wrong.
@@ -60,7 +60,7 @@ def build_stages(
     if config.link.signing_key is not None:
         key = read_signing_key(config.link.signing_key, wall_clock_s())
     sense = config.sense if by_telemetry else None
-    session = Session(config.link, sense, reads_setup=True, signing_key=key)
+    session = Session(config.link, sense, reads_setup=True, signing_key=key, orders=config.orders)
     estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))
     sensing = Sensing(
         config,
@@ -81,12 +81,10 @@ def build_stages(
         **sensing.calibrations,
         **({} if mount is None else {"mount": mount}),
     )
-    planner = Planner(
-        config.plan,
-        vehicle,
-        horizon_steps=config.control.horizon_steps,
-        step_s=config.control.step_s,
-        law=load_speed_law(config.plan),
-        standby=standby,
-    )
-    return Stages(vehicle, session, estimator, sensing, planner)
+    law = load_speed_law(config.plan)
+
+    def make_planner(standby: str | None) -> Planner:
+        control = config.control
+        return Planner(config.plan, vehicle, control.horizon_steps, control.step_s, law, standby=standby)
+
+    return Stages(vehicle, session, estimator, sensing, make_planner)

@@ -11,6 +11,8 @@ from companion.base.errors import ConfigError
 
 # long enough that a task which fails at once costs nothing, short beside what a flight survives without it
 RESTART_PAUSE_S: Final = 1.0
+# what has failed is back once it has run for this long
+BACK_AFTER_S: Final = 2.0
 
 
 async def supervised(
@@ -19,13 +21,20 @@ async def supervised(
     """Run a task; each time it fails, report that and start it again after `RESTART_PAUSE_S`.
 
     Meanwhile the planner knows what a flight without that device may still do. An internal fault is treated
-    alike: better no GPS than no control. The same failure in a row is reported once.
+    alike: better no GPS than no control. The same failure in a row is reported once, and so is its end.
 
     Raises:
         ConfigError: something the user can correct, while the vehicle is still on the ground.
     """
     failures, reported = 0, ""
+
+    def say_back() -> None:
+        nonlocal reported
+        reported = ""
+        notify("device_back", f"{name} is back", "info")
+
     while True:
+        back = asyncio.get_running_loop().call_later(BACK_AFTER_S, say_back) if reported else None
         try:
             return await work()
         except ConfigError as error:
@@ -35,6 +44,9 @@ async def supervised(
         except Exception as error:
             kind = "" if isinstance(error, OSError) else f"{type(error).__name__}: "
             text = f"{kind}{error}"
+        finally:
+            if back is not None:
+                back.cancel()
         failures += 1
         if text != reported:
             again = "" if failures == 1 else f" (failure {failures})"

@@ -61,12 +61,13 @@ def new_app(**options: Any) -> typer.Typer:
 
 
 def lazy_app(commands: Mapping[str, Command], **options: Any) -> typer.Typer:
-    """A Typer application whose `commands` are imported only when they run."""
+    """A Typer application whose `commands` are imported only when they run; others may be added to it."""
 
     class LazyGroup(TyperGroup):
         def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
             name, stub, rest = super().resolve_command(ctx, args)
-            return name, stub if name is None else commands[name].load(name), rest
+            lazy = None if name is None else commands.get(name)
+            return name, stub if lazy is None else lazy.load(str(name)), rest
 
     app = new_app(cls=LazyGroup, **options)
     for name, command in commands.items():

@@ -8,7 +8,10 @@ from typing import Final
 from companion.base.errors import ConfigError
 
 YAML_SUFFIXES: Final = (".yaml", ".yml")
-CONFIG_FOLDER: Final = Path(__file__).resolve().parents[2] / "configs"
+_PACKAGE: Final = Path(__file__).resolve().parents[1]
+# an installed package has them within it, a checkout beside it
+_INSTALLED: Final = _PACKAGE / "configs"
+CONFIG_FOLDER: Final = _INSTALLED if _INSTALLED.is_dir() else _PACKAGE.parent / "configs"
 
 
 def find_file(folder: str, name: str | Path) -> Path:
@@ -47,7 +50,7 @@ def must_exist(path: Path, expected: str) -> None:
         ConfigError: it is not; the line ends in what was `expected`.
     """
     if not path.exists():
-        raise ConfigError(f"{path}: not there; {expected}")
+        raise ConfigError(f"{path}: cannot be read: No such file or directory; {expected}")
 
 
 def must_be_readable(path: Path) -> None:

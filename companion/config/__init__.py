@@ -33,6 +33,7 @@ from companion.config.mounting import (
     load_vehicle,
 )
 from companion.config.obstacles import MOST_OBSTACLES, Box, Cylinder, Shape
+from companion.config.orders import OrdersConfig
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -51,6 +52,7 @@ from companion.config.reading import (
     read_yaml,
     validate,
 )
+from companion.config.record import RecordConfig
 from companion.config.response import (
     ARDUPILOT,
     PX4,
@@ -106,6 +108,7 @@ __all__ = [
     "ModelConfig",
     "MountCalibration",
     "MountStd",
+    "OrdersConfig",
     "OrientationConfig",
     "PadFilterConfig",
     "PhaseTimesConfig",
@@ -167,7 +170,9 @@ class CompanionConfig(StrictModel):
     plan: PlanConfig = PlanConfig()
     control: ControlConfig = ControlConfig()
     link: LinkConfig = LinkConfig()
+    orders: OrdersConfig = OrdersConfig()
     compute: ComputeConfig = ComputeConfig()
+    record: RecordConfig = RecordConfig()
 
     @model_validator(mode="after")
     def _one_rate(self) -> CompanionConfig:

@@ -58,9 +58,6 @@ class EkfConfig(StrictModel):
     shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)  # of the force from sample to sample
     shaking_share: float = Field(default=0.5, ge=0.0, le=5.0)  # of what is more: so far may its mean be off
     unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)  # before the first fix; each reading
-    angular_acceleration_rad_s2_rthz: float = Field(default=5.0, gt=0.0, le=50.0)
-    acceleration_time_constant_s: float = Field(default=1.0, ge=0.05, le=100.0)
-    jerk_m_s3_rthz: float = Field(default=40.0, gt=0.0, le=100.0)
     accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
     accel_bias_walk_m_s2_rts: float = Field(default=0.002, ge=0.0, le=1.0)
     gyro_bias_walk_rad_s_rts: float = Field(default=2e-5, ge=0.0, le=0.1)

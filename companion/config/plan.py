@@ -50,6 +50,7 @@ class BatteryConfig(StrictModel):
 class MissionConfig(StrictModel):
     """The flight: where to look for the pad, when to ask again, when to give up."""
 
+    may_arm: bool = False  # the whole flight, arming and taking off, may be ordered; --sitl sets it
     take_off_height_m: float = Field(default=7.0, ge=1.0, le=50.0)
     waypoint_ned_m: tuple[Place, Place] = (10.0, 0.0)
     waypoints_ned_m: tuple[Waypoint, ...] = ()

@@ -13,6 +13,7 @@ from companion.base.errors import ConfigError
 from companion.base.files import cannot_read
 from companion.config.near_names import near_name
 
+_LONGEST_FOUND = 80
 # pydantic's words for these name its own types
 _EXPECTED = {
     "missing": "expected a value, found none",
@@ -34,6 +35,8 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         met = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue  # a list is no key at all, which the plain loader says
             if key.value in met:
                 raise yaml.constructor.ConstructorError(
                     problem=f"'{key.value}' stands here twice", problem_mark=key.start_mark
@@ -125,9 +128,15 @@ def _one_line(error: ValidationError, source: str, data: Any, model: type[BaseMo
     found = (
         ""
         if first["type"] in {"missing", "value_error", "too_long", "too_short"}
-        else f", found {first['input']!r}"
+        else f", found {_short(first['input'])}"
     )
     return f"{where}: {text}{found}{tail}"
+
+
+def _short(found: Any) -> str:
+    """What was found instead, or its beginning: a whole section is no line to read."""
+    text = repr(found)
+    return text if len(text) <= _LONGEST_FOUND else f"{text[:_LONGEST_FOUND]}..."
 
 
 def _expected(error: ErrorDetails) -> str:

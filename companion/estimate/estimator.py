@@ -26,6 +26,7 @@ from companion.base.geometry import (
     quat_rotate_inverse,
     tilt_from_quat,
     vector3,
+    wrap_angle,
     yaw_from_quat,
 )
 from companion.base.messages import (
@@ -43,6 +44,7 @@ from companion.config import EstimateConfig, VehicleConfig
 from companion.estimate.gating import Timeline
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import CameraDelay
+from companion.estimate.pad.mount_check import MountCheck
 from companion.estimate.pad.pad_filter import (
     CombinedEstimate,
     HeightMeasurement,
@@ -79,6 +81,8 @@ class StateEstimator:
         self._pad = PadFilter(config.pad, self._motion, board_half_width_m)
         self._timeline: Timeline[PadSnapshot, PadInput] = Timeline(self._pad, config.pad.remember_s)
         self._camera_delay = CameraDelay(self._motion, config.pad.camera_delay_std_s)
+        self._mount_check = MountCheck(self._motion, vehicle.camera_position_body_m)
+        self._camera_yaw_deg, self._mount_told = vehicle.camera_yaw_deg, False
         self._early: list[PadSighting] = []  # of what the IMU has not come up to
         self._unusable: dict[str, int] = {}
 
@@ -121,10 +125,23 @@ class StateEstimator:
         usable = self._usable(sample.time_s, sample.attitude)
         return self._count("attitude", usable and self._vehicle.add_autopilot_attitude(sample))
 
-    def take_corrections(self) -> tuple[str, ...]:
-        """How the attitude has been corrected since the last call, in words."""
+    def take_notices(self) -> tuple[tuple[str, str], ...]:
+        """What was found since the last call, kind and words: a correction of the attitude, a wrong mount."""
         corrections, self._vehicle.corrections = self._vehicle.corrections, ()
-        return corrections
+        notices = tuple(("attitude", words) for words in corrections)
+        error_rad = self._mount_check.yaw_error_rad
+        if self._mount_told or error_rad is None:
+            return notices
+        self._mount_told = True
+        return (*notices, ("camera", self._mount_words(math.degrees(error_rad))))
+
+    def _mount_words(self, error_deg: float) -> str:
+        turned_deg = round(math.degrees(wrap_angle(math.radians(self._camera_yaw_deg + error_deg))))
+        return (
+            f"the pad moves as if the camera were turned by {error_deg:.0f} deg against the vehicle's file; "
+            f"expected camera_yaw_deg near {turned_deg} instead of {self._camera_yaw_deg:g}: "
+            "see companion check --pad"
+        )
 
     def add_range(self, sample: RangeSample) -> bool:
         """Take one echo; it counts when the pad filter knows that the sensor is over the board and low."""
@@ -170,6 +187,7 @@ class StateEstimator:
         if taken:
             variance_m2 = float(np.trace(measurement.covariance_ned_m2)) / 3.0
             self._camera_delay.take(time_s, sighting.pad_position_body_m, variance_m2)
+            self._mount_check.take(time_s, sighting.pad_position_body_m, variance_m2)
         return self._count("sighting", taken)
 
     # ------------------------------------------------------------ outputs

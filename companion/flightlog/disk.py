@@ -58,9 +58,14 @@ class DiskWriter:
             return
         self._count(size_bytes)
 
-    def finish(self) -> None:
-        """Write what is left, and end."""
+    def finish(self, *, wait: bool = True) -> None:
+        """Write what is left, and end; without `wait` call `join` before the process ends."""
         self._queue.put(None)
+        if wait:
+            self._thread.join()
+
+    def join(self) -> None:
+        """Wait until all is written, after `finish`."""
         self._thread.join()
 
     def _count(self, size_bytes: int) -> None:

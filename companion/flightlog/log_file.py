@@ -17,6 +17,7 @@ from mcap.records import Chunk, DataEnd
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 LOG_NAMES: Final = ("flight.mcap", "flight.tlog")
+SETTINGS_NAME: Final = "settings.yaml"
 # the MCAP metadata that a replay needs
 SETTINGS_RECORD: Final = "settings"
 VERSIONS_RECORD: Final = "versions"

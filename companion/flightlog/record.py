@@ -1,44 +1,52 @@
 """The flight log: every message that crossed a border, as MCAP for people and as lists for the score.
 
 `FlightLog` keeps the topics that scoring needs in memory; with a folder it also streams every message to
-`flight.mcap` (JSON with a JSON schema for each topic: Foxglove opens it) and the MAVLink traffic to
-`flight.tlog` (the format of MAVProxy and pymavlink: 8 bytes of microseconds since 1970, then the packet).
+`flight.mcap` (JSON with a JSON schema for each topic, and beside ours the messages that Foxglove knows by
+itself) and the MAVLink traffic to `flight.tlog` (the format of MAVProxy and pymavlink: 8 bytes of
+microseconds since 1970, then the packet).
 A log cut short by a crash or a flat battery still reads up to its last finished chunk: in flight one is
 finished, and written through to the card, every half second.
 """
 
 from __future__ import annotations
 
-import base64
-import contextlib
 import dataclasses
 import json
 import math
 import os
 import struct
 from collections import defaultdict
-from collections.abc import Mapping
-from importlib import metadata
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Final, Literal
 
-import cv2
+import yaml
 from mcap.writer import CompressionType, Writer
 from pydantic import BaseModel
+from pydantic_core import to_json
 
-from companion.base.message_json import encode, schema_of
+from companion.base.message_json import encode
+from companion.base.message_schema import schema_of
 from companion.base.messages import Frame
 from companion.config import ConfigError
 from companion.flightlog.disk import DiskWriter
-from companion.flightlog.log_file import LOG_NAMES, LOSSES_RECORD, SETTINGS_RECORD, VERSIONS_RECORD
+from companion.flightlog.foxglove.parts import WellKnown
+from companion.flightlog.foxglove.schemas import SCHEMAS
+from companion.flightlog.foxglove.translator import Translator
+from companion.flightlog.log_file import (
+    LOG_NAMES,
+    LOSSES_RECORD,
+    SETTINGS_NAME,
+    SETTINGS_RECORD,
+    VERSIONS_RECORD,
+)
+from companion.flightlog.version import versions
 
 # What the score and the plots read again; the rest (IMU samples, frames) would only fill the memory.
 KEPT_TOPICS: Final = frozenset(
     {"vehicle", "pad", "sighting", "frame_report", "setpoint", "plan", "notice", "control_report", "truth"}
     | {"action_result"}
 )
-# what computes the estimates is what their last digits hang on
-VERSIONED: Final = ("companion", "numpy", "scipy", "filterpy", "pymap3d")
 # What is lost last when the disk does not keep up: it explains the flight.
 EXPLAINING: Final = frozenset(
     {"notice", "plan", "action", "action_result", "vehicle", "pad", "control_report"}
@@ -46,7 +54,6 @@ EXPLAINING: Final = frozenset(
 # a process that is killed, or a Raspberry Pi without power, loses no more than this
 FLUSHED_S: Final = 0.5
 MCAP_CHUNK_BYTES: Final = 64 * 1024
-FRAME_JPEG_QUALITY: Final = 85
 MAVLINK2_MAGIC: Final = 0xFD
 MAVLINK1_MAGIC: Final = 0xFE
 
@@ -55,7 +62,13 @@ class FlightLog:
     """Takes every message with the time it was written; hands back the kept ones by topic."""
 
     def __init__(
-        self, folder: Path | None, start_unix_s: float, frame_rate_hz: float = 5.0, *, virtual: bool = False
+        self,
+        folder: Path | None,
+        start_unix_s: float,
+        frame_rate_hz: float = 5.0,
+        *,
+        virtual: bool = False,
+        keeps: bool = True,
     ) -> None:
         """Open the log.
 
@@ -64,18 +77,20 @@ class FlightLog:
             start_unix_s: seconds since 1970 at loop time 0.
             frame_rate_hz: how many of the camera's frames go to disk a second.
             virtual: in virtual time; the flight waits for the disk, and nothing is written through.
+            keeps: whether `kept` collects what the score reads.
 
         Raises:
             ConfigError: the folder cannot be made or written.
         """
         self.kept: defaultdict[str, list[Any]] = defaultdict(list)
-        self._start_unix_s = start_unix_s
+        self._start_unix_s, self._keeps = start_unix_s, keeps
         self._frame_period_s = 1.0 / frame_rate_hz
         self._next_frame_s = float("-inf")
         self._folder = folder
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._ended_with: str | None = None
+        self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -84,7 +99,12 @@ class FlightLog:
                 tlog = _TlogFile(folder / LOG_NAMES[1], flushed_s)
             except OSError as error:
                 raise ConfigError(f"--record {folder}: cannot be written: {error.strerror}") from error
-            self._files = _Files(DiskWriter(waits=virtual), mcap, tlog)
+            self._files = _Files(DiskWriter(waits=virtual), mcap, tlog, folder)
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the files are."""
+        return self._folder
 
     @property
     def problem(self) -> str | None:
@@ -93,18 +113,24 @@ class FlightLog:
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.base.messages) under a topic."""
-        if topic in KEPT_TOPICS:
+        if self._keeps and topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
             bulky = topic not in EXPLAINING
             files.disk.put(files.mcap.write, topic, message, self._unix_ns(time_s), bulky=bulky)
 
     def write_settings(self, **settings: BaseModel) -> None:
-        """Log the settings that the app flies with, and our versions: with them a flight can be replayed."""
+        """Log the settings that the app flies with, and our versions: with them a flight can be replayed.
+
+        They also stand in a file of their own, `settings.yaml`.
+        """
         if (files := self._files) is not None:
+            files.disk.put(files.mcap.know, settings)
             models = {name: model.model_dump_json() for name, model in settings.items()}
             files.disk.put(files.mcap.write_metadata, SETTINGS_RECORD, models)
             files.disk.put(files.mcap.write_metadata, VERSIONS_RECORD, versions())
+            plain = {"versions": versions(), **{name: json.loads(text) for name, text in models.items()}}
+            files.disk.put(files.write_settings, plain)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
@@ -126,22 +152,43 @@ class FlightLog:
         if (files := self._files) is not None:
             files.disk.put(files.tlog.write, data, self._unix_ns(time_s) // 1000, direction, bulky=True)
 
-    def close(self) -> None:
-        """Finish the files; the log takes nothing after that."""
+    def write_before(self, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        """Log what happened before the log began: names of the methods here, with their arguments.
+
+        The log's thread does all of it: a minute of messages takes a second of computing.
+        """
+        if (files := self._files) is not None:
+            files.disk.put(self._write_all, files, calls)
+
+    def _write_all(self, files: _Files, calls: Sequence[tuple[str, tuple[Any, ...]]]) -> None:
+        for method, arguments in calls:
+            if method == "write":
+                topic, message, time_s = arguments
+                files.mcap.write(topic, message, self._unix_ns(time_s))
+            elif method == "write_frame":
+                frame, time_s = arguments
+                files.mcap.write_image(frame, self._unix_ns(frame.time_s), self._unix_ns(time_s))
+            else:
+                data, time_s, direction = arguments
+                files.tlog.write(data, self._unix_ns(time_s) // 1000, direction)
+
+    def close(self, *, wait: bool = True) -> None:
+        """Finish the files, without waiting for the disk if so wished; the log takes nothing after that."""
         if (files := self._files) is not None:
             self._files = None
             if files.disk.lost:
                 files.disk.put(files.mcap.write_metadata, LOSSES_RECORD, {"messages": str(files.disk.lost)})
             files.disk.put(files.mcap.close)
             files.disk.put(files.tlog.close)
-            files.disk.finish()
+            files.disk.finish(wait=wait)
             self._ended_with = files.disk.problem
+            self.join = files.disk.join
 
     def discard(self) -> None:
         """Close the log and remove its files: nothing was flown, and the folder is free for the next try."""
         self.close()
         if self._folder is not None:
-            for name in LOG_NAMES:
+            for name in (*LOG_NAMES, SETTINGS_NAME):
                 (self._folder / name).unlink(missing_ok=True)
             if self._made_folder:
                 self._folder.rmdir()
@@ -165,20 +212,27 @@ class _FlushDue:
 
 
 class _McapFile:
-    """One MCAP file with a channel for each topic."""
+    """One MCAP file, a channel for each topic: our messages and Foxglove's well-known ones."""
 
     def __init__(self, path: Path, flushed_s: float) -> None:
-        self._stream = path.open("wb")
+        self._stream = path.open("xb")
         self._flush_due = _FlushDue(flushed_s)
         self._writer = Writer(self._stream, chunk_size=MCAP_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="companion")
         self._channels: dict[str, int] = {}
+        self._translator = Translator()
+
+    def know(self, settings: Mapping[str, BaseModel]) -> None:
+        """What the flight is flown with, for the messages that need it."""
+        self._translator.know(settings)
 
     def write(self, topic: str, message: Any, unix_ns: int) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._register(topic, type(message).__name__, schema_of(type(message)))
         self._writer.add_message(channel, log_time=unix_ns, publish_time=unix_ns, data=encode(message))
+        for known in self._translator.message(message, unix_ns):
+            self._write_known(known, unix_ns, unix_ns)
         if self._flush_due.at(1e-9 * unix_ns):
             self._writer.flush()  # type: ignore[no-untyped-call]
             os.fsync(self._stream.fileno())
@@ -187,23 +241,19 @@ class _McapFile:
         self._writer.add_metadata(name, dict(values))
 
     def write_image(self, frame: Frame, exposure_unix_ns: int, unix_ns: int) -> None:
-        channel = self._channels.get("camera")
-        if channel is None:
-            channel = self._register("camera", "foxglove.CompressedImage", _IMAGE_SCHEMA)
-        _, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, FRAME_JPEG_QUALITY])
-        seconds, nanoseconds = divmod(exposure_unix_ns, 1_000_000_000)
-        image = {
-            "timestamp": {"sec": seconds, "nsec": nanoseconds},
-            "frame_id": "camera",
-            "data": base64.b64encode(jpeg.tobytes()).decode("ascii"),
-            "format": "jpeg",
-        }
-        data = json.dumps(image).encode()
-        self._writer.add_message(channel, log_time=unix_ns, publish_time=exposure_unix_ns, data=data)
+        for known in self._translator.frame(frame, exposure_unix_ns):
+            self._write_known(known, exposure_unix_ns, unix_ns)
 
     def close(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
+
+    def _write_known(self, known: WellKnown, publish_unix_ns: int, unix_ns: int) -> None:
+        channel = self._channels.get(known.topic)
+        if channel is None:
+            channel = self._register(known.topic, known.schema, SCHEMAS[known.schema])
+        data = to_json(known.message)
+        self._writer.add_message(channel, log_time=unix_ns, publish_time=publish_unix_ns, data=data)
 
     def _register(self, topic: str, name: str, schema: dict[str, Any]) -> int:
         schema_id = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
@@ -215,7 +265,7 @@ class _TlogFile:
     """One .tlog file; each direction is cut into packets by itself."""
 
     def __init__(self, path: Path, flushed_s: float) -> None:
-        self._stream: IO[bytes] = path.open("wb")
+        self._stream: IO[bytes] = path.open("xb")
         self._flush_due = _FlushDue(flushed_s)
         self._rest = {"in": b"", "out": b""}
 
@@ -239,6 +289,12 @@ class _Files:
     disk: DiskWriter
     mcap: _McapFile
     tlog: _TlogFile
+    folder: Path
+
+    def write_settings(self, settings: Mapping[str, Any]) -> None:
+        """The same as in the log's metadata, for people."""
+        text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, width=110)
+        (self.folder / SETTINGS_NAME).write_text(text, encoding="utf-8")
 
 
 def split_packets(data: bytes) -> tuple[list[bytes], bytes]:
@@ -265,28 +321,3 @@ def _packet_length(data: bytes, at: int) -> int | None:
     if data[at] == MAVLINK1_MAGIC:
         return payload + 8
     return payload + 12 + (13 if data[at + 2] & 1 else 0)
-
-
-def versions() -> dict[str, str]:
-    """The versions of this program and of the libraries it computes with; what is not installed has none."""
-    found = {}
-    for name in VERSIONED:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
-
-
-_IMAGE_SCHEMA: Final = {
-    "type": "object",
-    "title": "foxglove.CompressedImage",
-    "properties": {
-        "timestamp": {
-            "type": "object",
-            "title": "time",
-            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-        },
-        "frame_id": {"type": "string"},
-        "data": {"type": "string", "contentEncoding": "base64"},
-        "format": {"type": "string"},
-    },
-}

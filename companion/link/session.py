@@ -14,7 +14,7 @@ from typing import Final
 
 from companion.base.geometry import Quaternion
 from companion.base.messages import AutopilotSetup, AutopilotState, LandedState, PadBeacon, Setpoint
-from companion.config import LinkConfig, SenseConfig
+from companion.config import LinkConfig, OrdersConfig, SenseConfig
 from companion.link import codec
 from companion.link.autopilot_setup import SetupReader
 from companion.link.beacon import pad_beacon
@@ -26,35 +26,16 @@ from companion.link.commands import (
     request_message,
     set_message_interval,
 )
-from companion.link.dialect import CURRENT_MODE
+from companion.link.orders import ORDER_MESSAGES, OrderListener
 from companion.link.parameters import ParameterRequest, ParameterRequests
 from companion.link.signing import SigningKey
-from companion.link.streams import OWN_RATES_HZ, TelemetryRates
+from companion.link.streams import HEARD, OWN_RATES_HZ, TelemetryRates
 from companion.link.telemetry.alignment import HeadingAlignment
 from companion.link.telemetry.autopilot_sensors import SENSOR_MESSAGES, Sample, TelemetrySensors
 from companion.link.telemetry.telemetry import StatusTexts, add_text, update_state
 from companion.link.timing.boot_clock import BootClock
 from companion.link.timing.timesync import TimeSync, clock_ns
 
-HEARD: Final = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
-        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
-        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
-        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
-        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
-        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
-        mavlink.MAVLINK_MSG_ID_TIMESYNC,
-        mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET,
-        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
-        CURRENT_MODE,
-    }
-)
 _STAMPED: Final = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_ATTITUDE,
@@ -84,6 +65,7 @@ class Session:
         *,
         reads_setup: bool = False,
         signing_key: SigningKey | None = None,
+        orders: OrdersConfig | None = None,
     ) -> None:
         """`reads_setup`: the parameters on which our loop depends are asked for as soon as it is received.
 
@@ -101,7 +83,8 @@ class Session:
         self.beacon_stranger: int | None = None
         self._config = config
         self._system_id = config.system_id
-        heard = HEARD if sense is None else HEARD | SENSOR_MESSAGES
+        self.orders = OrderListener(orders or OrdersConfig(), config.component_id, config.ground_system_id)
+        heard = HEARD | self.orders.messages | (frozenset() if sense is None else SENSOR_MESSAGES)
         self._codec = Codec(config.system_id or 1, config.component_id, wanted=heard)
         if signing_key is not None:
             self._codec.sign(signing_key)
@@ -154,6 +137,8 @@ class Session:
                     continue
                 us = (self._codec.system_id, self._codec.component_id)
                 self._commands.acknowledged(message, us, now_s)
+            elif message_id in ORDER_MESSAGES:
+                self.orders.hear_command(message, self._codec.system_id, now_s)
             elif self._is_our_autopilot(message):
                 self._hear_autopilot(message, message_id, now_s)
         if self.counters.refused != refused:
@@ -191,6 +176,8 @@ class Session:
             self._hear_timesync(message, now_s)
         elif message_id == mavlink.MAVLINK_MSG_ID_PARAM_VALUE:
             self._parameters.heard(message, self.state.autopilot_kind)
+        elif self.orders.hear_autopilot(message, message_id, now_s):
+            return
         elif message_id in SENSOR_MESSAGES:
             if self.onboard is not None:
                 self.onboard.hear(message, now_s)
@@ -203,6 +190,7 @@ class Session:
         if measured_s is None:
             return
         self.state = update_state(self.state, message, measured_s)
+        self.orders.hear_mode(self.state, now_s)
         if message_id == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and self.onboard is not None:
             self.onboard.hear_climb(message)
         if self.state.armed and not was_armed:
@@ -212,7 +200,7 @@ class Session:
             self.heartbeats += 1
             if self._reads_setup:
                 self._setup.begin(self.state.autopilot_kind)
-            self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}))
+            self._rates.want(OWN_RATES_HZ.get(self.state.autopilot_kind, {}) | self.orders.rates_hz)
             if self.onboard is not None:
                 self.onboard.heartbeat(self.state.autopilot_kind, now_s)
                 self._rates.want(self.onboard.rates_hz())
@@ -248,7 +236,7 @@ class Session:
         """What is due to be sent now, as bytes; often empty."""
         self._watch_connection(now_s)
         self._watch_landed(now_s)
-        messages, self._replies = self._replies, []
+        messages, self._replies = [*self._replies, *self.orders.answers()], []
         if now_s >= self._heartbeat_due_s:
             self._heartbeat_due_s = now_s + _HEARTBEAT_S
             messages.append(codec.heartbeat())

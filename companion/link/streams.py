@@ -13,6 +13,26 @@ from companion.base.autopilot_kind import AutopilotKind
 from companion.link.codec import mavlink
 from companion.link.dialect import CURRENT_MODE
 
+# what is decoded; the rest is checked and passed over
+HEARD: Final = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_HOME_POSITION,
+        mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_TIMESYNC,
+        mavlink.MAVLINK_MSG_ID_FOLLOW_TARGET,
+        mavlink.MAVLINK_MSG_ID_PARAM_VALUE,
+        CURRENT_MODE,
+    }
+)
 TELEMETRY_RATES_HZ: Final[dict[int, float]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: 50.0,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,

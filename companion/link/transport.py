@@ -7,22 +7,29 @@ is worse than none. `read` gives what came, one byte or more, and raises OSError
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import math
 import os
+import socket
 from collections.abc import Callable
 from typing import Final, Protocol
 
 import serial
 
 from companion.base.clock import Clock
-from companion.config import CONNECTION_FORM, ConfigError
+from companion.base.errors import ConfigError, DeviceMissing
+from companion.config import CONNECTION_FORM
 from companion.link.codec import autopilot_heard
 from companion.link.inbox import Inbox
 from companion.link.serial_transport import READ_BYTES, WRITE_QUEUE_BYTES, SerialTransport
 
 _PEER_SILENCE_S: Final = 3.0
 _QUIET_TURNS: Final = 3
+_ABSENT: Final = frozenset(
+    {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY, errno.EAGAIN}
+    | {errno.ECONNREFUSED, errno.ETIMEDOUT, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EADDRNOTAVAIL}
+)
 _TURNS_TO_READ: Final = 500
 _log = logging.getLogger(__name__)
 
@@ -202,8 +209,14 @@ async def open_transport(spec: str, system_id: int = 0) -> Transport:
         transport = UdpTransport(system_id)
         await transport.open(form["host"], int(form["port"]), listen=form["kind"] == "udpin")
     except (OSError, ValueError, OverflowError) as error:
-        raise ConfigError(f"link.connection: {spec}: {_reason(error)}") from error
+        kind = DeviceMissing if _may_come(error) else ConfigError
+        raise kind(f"link.connection: {spec}: {_reason(error)}") from error
     return transport
+
+
+def _may_come(error: Exception) -> bool:
+    """Whether it may open later: a port to be plugged in, a network or a peer that is still starting."""
+    return isinstance(error, socket.gaierror) or (isinstance(error, OSError) and error.errno in _ABSENT)
 
 
 def _reason(error: Exception) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from companion.base.geometry import ned_from_geodetic
-from companion.base.messages import ActionKind, LandedState, Notice, Phase, PlanStep
+from companion.base.messages import ActionKind, LandedState, Notice, Phase, PlanStep, Refusal
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.ground_contact import Ground
 from companion.plan.landing.relative_state import PadKnowledge
@@ -42,7 +42,7 @@ class Planner:
         *,
         standby: str | None = None,
     ) -> None:
-        """Ready to connect; with a reason for `standby`, there for good, asking for nothing.
+        """Ready to connect; with `standby`, in STANDBY: for good if that is a reason, else for an order.
 
         Raises:
             ConfigError: the take-off or a waypoint is too near to an obstacle.
@@ -75,6 +75,11 @@ class Planner:
     def phase(self) -> Phase:
         """The mission's phase."""
         return self._machine.phase
+
+    @property
+    def refused(self) -> Refusal | None:
+        """Why this cycle's order is not followed; None when it is, and without one."""
+        return self._steering.refused
 
     @property
     def waiting(self) -> bool:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Final
 
 from companion.base.geometry import yaw_from_quat
-from companion.base.messages import Action, ActionKind, DescentCone, LevelOff, Phase
+from companion.base.messages import Action, ActionKind, DescentCone, LevelOff, Phase, Refusal
 from companion.base.motion import Motion
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.landing.approach import Landing, Unseen
@@ -22,6 +22,7 @@ from companion.plan.landing.touchdown import TouchdownSequence
 from companion.plan.mission.departure import Departure
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.orders import ORDER_EVENTS, refusal
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Authority, Branch, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import BY_THE_PAD, COMMITTED, ON_PAD, OVER_PAD
@@ -53,6 +54,7 @@ class PhaseSteering:
         standby: str | None = None,
     ) -> None:
         self._standby = standby
+        self.refused: Refusal | None = None  # this cycle's order
         self._config, self._leg_m = config, vehicle.leg_height_m
         self._machine, self._generator, self._pad, self._ground = machine, generator, pad, ground
         self._requests, self._say = requests, say
@@ -96,6 +98,7 @@ class PhaseSteering:
 
     def steer(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         """Steer the reference for this cycle; returns what is detected."""
+        self.refused = None
         event = self._steered_by[self._machine.phase](inputs, now_s)
         self.obstacle_monitor.tell(now_s)
         return event
@@ -222,8 +225,16 @@ class PhaseSteering:
     # ------------------------------------------------------------ the phases
 
     def _stand_by(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
-        self.departure.remind("standby", f"standby: {self._standby}", now_s)
-        return None
+        """Wait for an order; standby with a reason follows none, and says so again and again."""
+        if self._standby:
+            self.departure.remind("standby", f"standby: {self._standby}", now_s)
+        if inputs.order is None:
+            return None
+        locked = Refusal(self._standby, lasting=True) if self._standby else None
+        self.refused = locked or refusal(inputs.order, inputs, self._config, now_s)
+        if self.refused is not None:
+            return None
+        return ORDER_EVENTS[inputs.order.kind], f"by {inputs.order.source}"
 
     def _depart(self, inputs: PlanInputs, now_s: float) -> DetectedEvent | None:
         return self.departure.step(self._machine.state, inputs, now_s)

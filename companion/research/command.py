@@ -1,23 +1,32 @@
-"""`companion-experiments`: the paper's figures from its own settings."""
+"""`companion-experiments`: the paper's figures from its own settings.
+
+Only the options are here. What flies and draws is imported once they are right.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
-from rich.console import Console
-from rich.progress import track
 
-from companion.base.command_line import VersionOption, new_app, run_program
-from companion.research import fig13, pad_recall, profiles, tune_flight_pid
-from companion.research.fig14.command import fig14
-from companion.research.flown import fly_scenario
+from companion.base.command_line import Command, VersionOption, lazy_app, run_program
+from companion.base.files import find_file
+from companion.research import PROFILED
 from companion.research.output import writable
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 PROGRAM: Final = "companion-experiments"
-app = new_app(no_args_is_help=True)
+COMMANDS: Final = {
+    "fig14": Command(
+        "companion.research.fig14.command:fig14",
+        "MPC, the paper's recursion and PID on one minimum-jerk reference (Fig. 14).",
+    )
+}
+app = lazy_app(COMMANDS, no_args_is_help=True)
 
 
 @app.callback()
@@ -37,7 +46,13 @@ def fig13_command(
     output: Picture = Path("fig13.png"),
 ) -> None:
     """Fig. 13: the EKF's position beside the GPS's and the truth, in a simulated flight."""
+    find_file("scenarios", scenario)
     writable(output, ".png", "--output")
+    from rich.console import Console  # noqa: PLC0415
+
+    from companion.research import fig13  # noqa: PLC0415
+    from companion.research.flown import fly_scenario  # noqa: PLC0415
+
     observed = fig13.observe(fly_scenario(scenario, seed))
     fig13.draw(observed, output)
     console = Console()
@@ -45,22 +60,26 @@ def fig13_command(
     finish(console, {"EKF's path and noise": observed.holds()}, output)
 
 
-app.command("fig14")(fig14)
-
-
 @app.command("profiles")
 def profiles_command(
     *,
     scenarios: Annotated[
         list[str], typer.Option("--scenario", help="A name in configs/scenarios, or a file; again for more.")
-    ] = list(profiles.SCENARIOS),  # noqa: B006 - typer's way to give a list a default
+    ] = list(PROFILED),  # noqa: B006 - typer's way to give a list a default
     seed: Seed = 0,
     flights: Annotated[int, typer.Option(min=1, help="Of each law in each scenario.")] = 3,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that fly.")] = 1,
     output: Picture = Path("profiles.png"),
 ) -> None:
     """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
+    for scenario in scenarios:
+        find_file("scenarios", scenario)
     writable(output, ".png", "--output")
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import track  # noqa: PLC0415
+
+    from companion.research import profiles  # noqa: PLC0415
+
     console, count = Console(), len(profiles.LAWS) * len(scenarios) * flights
     flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs)
     descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
@@ -79,7 +98,13 @@ def pad_recall_command(
     output: Picture = Path("pad-recall.png"),
 ) -> None:
     """Fit how surely vision reads a marker: what `companion pad --coverage` goes by."""
+    for name in (camera, other):
+        find_file("cameras", name)
     writable(output, ".png", "--output")
+    from rich.console import Console  # noqa: PLC0415
+
+    from companion.research import pad_recall  # noqa: PLC0415
+
     console = Console()
     looks = pad_recall.look(camera, frames, seed)
     model = pad_recall.fit(looks)
@@ -101,6 +126,10 @@ def tune_command(
     seed: Seed = 0,
 ) -> None:
     """Tune the gains of control.pid (a few minutes), and fly them on seeds that tuned nothing."""
+    from rich.console import Console  # noqa: PLC0415
+
+    from companion.research import tune_flight_pid  # noqa: PLC0415
+
     console = Console()
     pid = tune_flight_pid.tune(draws, seed, lambda line: console.print(line, highlight=False))
     tune_flight_pid.show(pid, console)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from companion.config import ConfigError
+from companion.base.errors import ConfigError
 
 
 def writable(path: Path, suffix: str, option: str) -> None:

@@ -34,7 +34,6 @@ mpl.use("Agg")
 
 LAWS: Final = ("fuzzy", "fixed", "log_polynomial")
 COLOURS: Final = {"fuzzy": "#c0392b", "fixed": "#2471a3", "log_polynomial": "#27ae60"}
-SCENARIOS: Final = ("static", "line", "circle")
 TRUTH_PERIOD_S: Final = 0.04
 SMOOTHED_OVER: Final = 13  # records of truth: half a second
 CENTRED_M: Final = 0.15

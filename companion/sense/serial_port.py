@@ -13,8 +13,10 @@ from typing import Final
 
 import serial
 
-from companion.config import ConfigError
+from companion.base.errors import ConfigError, DeviceMissing
 
+# what opening a device that is not there ends in; what has just been plugged in may be nobody's yet
+ABSENT: Final = frozenset({errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.EACCES, errno.EBUSY})
 _CHUNK_BYTES: Final = 4096
 _BACKLOG_BYTES: Final = 65536
 
@@ -33,7 +35,8 @@ class SerialPort:
         except (OSError, ValueError) as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error)
-            raise ConfigError(f"serial port {path}: cannot be opened at {baud} baud: {reason}") from error
+            kind = DeviceMissing if number in ABSENT else ConfigError
+            raise kind(f"serial port {path}: cannot be opened at {baud} baud: {reason}") from error
         self._fd = self._serial.fileno()
         os.set_blocking(self._fd, False)
         self._loop = asyncio.get_running_loop()

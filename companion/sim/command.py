@@ -23,7 +23,7 @@ from companion.sim.external import External
 from companion.sim.process import SimulatorError
 from companion.sim.runner import SitlFlight, fly
 from companion.sim.scoring import reason, score
-from companion.sim.settings import calibrations_left_out, sitl_settings
+from companion.sim.settings import calibrations_left_out, sitl_settings, vehicle_differs
 from companion.sim.trial import Trial
 from sitl.firmware.spec import FirmwareSpec
 
@@ -64,6 +64,8 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
     settings = sitl_settings(config_path, trial, fast=fast)
     if left_out := calibrations_left_out(config_path, settings):
         output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
+    if (differs := vehicle_differs(settings, trial)) is not None:
+        output.console.print(differs, style="yellow", highlight=False, markup=False, soft_wrap=True)
     writable(output.json_file)
     log = new_log(output.record, virtual=fast)
     title = f"{trial.scenario.name}, seed {trial.seed}"

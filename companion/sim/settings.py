@@ -12,6 +12,7 @@ from companion.config import (
     CompanionConfig,
     GpsConfig,
     ImuConfig,
+    VehicleConfig,
     load_config,
     load_model,
     merge,
@@ -38,12 +39,17 @@ SIMULATED_HARDWARE: Final[dict[str, Any]] = {
     },
 }
 
+# of what two vehicles differ in
+MOST_NAMED: Final = 4
+
 # what the app is to be told when its IMU, compass and GPS are those of the user's own autopilot
 _BY_TELEMETRY: Final[dict[str, Any]] = {
     "sense": {"source": "autopilot", "autopilot": {"range_source": "boards"}},
     # it is a simulator's: nobody is surprised by what is set there
     "link": {"set_parameters": True},
 }
+
+_MAY_ARM: Final[dict[str, Any]] = {"plan": {"mission": {"may_arm": True}}}
 
 
 def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionConfig:
@@ -60,7 +66,8 @@ def sitl_settings(config_path: Path, trial: Trial, *, fast: bool) -> CompanionCo
     hardware = merge(merge(SIMULATED_HARDWARE, link), _wiring(trial.scenario))
     # where somebody else's vehicle stands is not the scenario's to say
     scenario = trial.scenario
-    overrides = merge(hardware, scenario.companion if trial.external else scenario.operator_settings)
+    told = scenario.companion if trial.external else scenario.operator_settings
+    overrides = merge(merge(hardware, _MAY_ARM), told)
     if fast:
         # MAVSDK has threads and a clock of its own; the same actions by our own messages in virtual time
         overrides = merge(overrides, {"link": {"actions": "pymavlink"}})
@@ -78,6 +85,29 @@ def calibrations_left_out(config_path: Path, flown: CompanionConfig) -> list[str
     """Which calibration files the settings name for a real vehicle that the simulated one does not fly by."""
     named, used = (_files(config) for config in (load_config(config_path), flown))
     return [key for key, file in named.items() if file is not None and used[key] != file]
+
+
+def vehicle_differs(config: CompanionConfig, trial: Trial) -> str | None:
+    """What the app's vehicle says otherwise than the simulated one, in one line; None where they agree.
+
+    Errors of the file may be what a flight is to show, so this is told and not refused.
+
+    Raises:
+        ConfigError: one of the files is wrong.
+    """
+    ours = load_model(VehicleConfig, find_file("vehicles", config.vehicle)).model_dump()
+    theirs = load_model(VehicleConfig, find_file("vehicles", trial.scenario.airframe)).model_dump()
+    other = [key for key in ours if key != "name" and ours[key] != theirs[key]]
+    if not other:
+        return None
+    named = [f"{key} {_short(ours[key])} (simulated {_short(theirs[key])})" for key in other[:MOST_NAMED]]
+    named += [f"{len(other) - MOST_NAMED} more"] if len(other) > MOST_NAMED else []
+    airframe = trial.scenario.airframe
+    return f"vehicle '{config.vehicle}' is not the scenario's airframe '{airframe}': {', '.join(named)}"
+
+
+def _short(value: Any) -> str:
+    return "..." if isinstance(value, dict) else str(value)
 
 
 def _files(config: CompanionConfig) -> dict[str, str | None]:

@@ -8,6 +8,7 @@ from typing import Annotated, Final
 
 import typer
 
+from companion.base.files import find_file
 from sitl.run.port_options import (
     COMPANION_PORT,
     GROUND_PORT,
@@ -16,10 +17,7 @@ from sitl.run.port_options import (
     PortOption,
     TcpPortOption,
 )
-from sitl.run.process_control import socket_folder, terminated_as_interrupted
-from sitl.run.server import Service, serve, serve_child
-from sitl.scenario.scenario import load_scenario
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 
 SETTINGS_NAME: Final = "companion.yaml"
 HELP: Final = """Serve a vehicle that is carried by hand over its scenario's pad: the same sensors, camera and
@@ -63,6 +61,12 @@ def hold_command(
     Raises:
         ConfigError: the scenario is wrong, a port is taken, or the folder is none.
     """
+    find_file("scenarios", scenario)
+    # what simulates is imported once the scenario is there
+    from sitl.run.process_control import socket_folder, terminated_as_interrupted  # noqa: PLC0415
+    from sitl.run.server import Service, serve, serve_child  # noqa: PLC0415
+    from sitl.scenario.scenario import load_scenario  # noqa: PLC0415
+
     loaded = load_scenario(scenario)
     with terminated_as_interrupted(), socket_folder(folder) as place:
         if child:

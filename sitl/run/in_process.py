@@ -29,7 +29,7 @@ from sitl.run.latest_value import LatestValue
 from sitl.run.mavlink_line import ByteLink
 from sitl.run.simulation import Simulation
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 
 GPS_BAUD: Final = 38400
 RANGE_BAUD: Final = 9600

@@ -46,7 +46,7 @@ from sitl.scenario.scenario import Scenario
 from sitl.sensors.autopilot_sensors import SimulatedAutopilotSensors
 from sitl.sensors.calibration_errors import BoardTruth
 from sitl.sensors.sensors import RangeErrors
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 from sitl.world.hand_held import HandHeldWorld
 from sitl.world.score import judge
 from sitl.world.world import World
@@ -129,13 +129,8 @@ class Simulation:
         self._frame_line = FrameLine(fault_rng, scenario.camera.lost_share, scenario.camera.lost_burst_frames)
         signing = Signing(scenario.autopilot, signing_key)
         station = GroundStation.of(scenario.beacon, beacon_rng, home, signing)
-        self._flight_controller: SimulatedAutopilot | FirmwareVehicle
-        if firmware is None:
-            self._flight_controller = autopilot = self._bundled_autopilot(autopilot_rng)
-            truth = TruthMessages(autopilot, world, home) if serve_truth else None
-            line.network = Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
-        else:
-            self._flight_controller, line.network = self._start_firmware(firmware, station, autopilot_rng)
+        self._flight_controller = self._autopilot(firmware, station, autopilot_rng)
+        line.network = self._network(station, signing, unix_at_start_s, serve_truth=serve_truth)
         self.app_words = AppWords()
         line.listeners.append(self.app_words.hear)
         self.on_step: Callable[[], None] | None = None  # after each step of the physics: for benches
@@ -220,27 +215,34 @@ class Simulation:
 
     # ------------------------------------------------------------ building it
 
-    def _bundled_autopilot(self, rng: np.random.Generator) -> SimulatedAutopilot:
+    def _autopilot(
+        self, firmware: FirmwareSpec | None, station: GroundStation, rng: np.random.Generator
+    ) -> SimulatedAutopilot | FirmwareVehicle:
         scenario, airframe = self._scenario, self._world.airframe
-        estimator = ESTIMATORS[scenario.estimator]
-        home, kind = scenario.place, scenario.autopilot
-        return SimulatedAutopilot(kind, airframe.body, rng, home, estimator, airframe.rates)
-
-    def _start_firmware(
-        self, firmware: FirmwareSpec, station: GroundStation, rng: np.random.Generator
-    ) -> tuple[FirmwareVehicle, VehicleNetwork]:
+        if firmware is None:
+            estimator = ESTIMATORS[scenario.estimator]
+            home, kind = scenario.place, scenario.autopilot
+            return SimulatedAutopilot(kind, airframe.body, rng, home, estimator, airframe.rates)
         with interrupted_at_once():
-            vehicle = FirmwareVehicle(
+            return FirmwareVehicle(
                 firmware,
                 self._world,
                 self._autopilot_sensors,
                 station,
                 rng,
-                home=self._scenario.place,
-                gps_delay_s=self._scenario.sensors.gps_delay_s,
+                home=scenario.place,
+                gps_delay_s=scenario.sensors.gps_delay_s,
                 step_s=PHYSICS_STEP_S,
             )
-        return vehicle, vehicle.network
+
+    def _network(
+        self, station: GroundStation, signing: Signing, unix_at_start_s: float, *, serve_truth: bool
+    ) -> VehicleNetwork:
+        autopilot, sensors = self._flight_controller, self._autopilot_sensors
+        if isinstance(autopilot, FirmwareVehicle):
+            return autopilot.network
+        truth = TruthMessages(autopilot, self._world, self._scenario.place) if serve_truth else None
+        return Network(autopilot, sensors, station, signing, unix_at_start_s, truth)
 
     def _fault_schedule(
         self, sensors: SimulatedAutopilotSensors, computer: ComputerFaults | None

@@ -13,11 +13,10 @@ from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Annotated, Final, Protocol
+from typing import Final, Protocol
 
 import cv2
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 from companion.base.clock import Clock
@@ -27,7 +26,6 @@ from companion.base.formats.mjpeg import MjpegServer
 from companion.config import ConfigError
 from sitl.run.process_control import terminated_as_interrupted
 
-HELP: Final = "Show (in a browser) or record the frames that a socket serves."
 STATUS_PERIOD_S: Final = 1.0
 _WINDOW: Final = 30
 _VIDEO_SUFFIX: Final = ".mp4"
@@ -268,21 +266,12 @@ def _print_status(statistics: Statistics) -> None:
     print(f"\r{statistics}  " if live else statistics, end="" if live else "\n", flush=True)
 
 
-def view_command(
-    socket: Annotated[str, typer.Argument(help="A socket's path, or tcp:HOST:PORT.")],
-    *,
-    record: Annotated[
-        Path | None, typer.Option(help="Record to FILE.mp4, or to a folder of PNG files.", metavar="PATH")
-    ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Take every N-th frame only.", metavar="N")] = 1,
-    frames: Annotated[int, typer.Option(min=0, help="End after N frames taken.", metavar="N")] = 0,
-    serve: Annotated[
-        int | None,
-        typer.Option(min=0, max=65535, help="Show them in a browser, on this port; 0 takes a free one."),
-    ] = None,
-) -> None:
-    """Show or record frames."""
-    address = socket if socket.startswith(("socket:", "tcp:")) else f"socket:{socket}"
+def run_view(address: str, options: ViewOptions) -> None:
+    """Show or record frames until Ctrl-C, then say how they came.
+
+    Raises:
+        ConfigError: nobody serves frames there, or they cannot be recorded.
+    """
     with terminated_as_interrupted():
-        statistics = asyncio.run(_view_until_stopped(address, ViewOptions(record, every, frames, serve)))
+        statistics = asyncio.run(_view_until_stopped(address, options))
     print(f"\n{statistics}" if sys.stdout.isatty() else statistics)

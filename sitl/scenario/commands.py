@@ -1,21 +1,15 @@
-"""`companion-sitl scenarios` and `companion-sitl schema`: what is shipped, and what a scenario may hold."""
+"""`companion-sitl scenarios` and `companion-sitl schema`: their options and help."""
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Final
 
 import typer
-import yaml
 
-from companion.config import CONFIG_FOLDER
-from sitl.pad.motion import PadMotionSettings
-from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.world.wind import WindSettings
+from companion.base.files import find_file
 
 SCENARIOS_HELP: Final = "List the shipped scenarios; with a name or a file, print all its settings."
 SCHEMA_HELP: Final = "Print the JSON schema of scenario files, for editors."
-COLUMNS: Final = ("name", "pad", "wind", "faults")
 
 
 def scenarios_command(
@@ -28,70 +22,16 @@ def scenarios_command(
     Raises:
         ConfigError: there is no such scenario, or it breaks a rule.
     """
+    if name is not None:
+        find_file("scenarios", name)
+    from sitl.scenario.listing import listing, settings_text  # noqa: PLC0415 - not for what is not there
+    from sitl.scenario.scenario import load_scenario  # noqa: PLC0415
+
     typer.echo(listing() if name is None else settings_text(load_scenario(name)), nl=False)
 
 
 def schema_command() -> None:
     """Print the schema."""
+    from sitl.scenario.listing import schema_text  # noqa: PLC0415 - as above
+
     typer.echo(schema_text(), nl=False)
-
-
-def shipped() -> list[str]:
-    """The names of the shipped scenarios."""
-    return sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
-
-
-def listing() -> str:
-    """A line for each shipped scenario: name, pad, wind, faults, description."""
-    scenarios = [load_scenario(name) for name in shipped()]
-    rows = [COLUMNS, *((s.name, pad_words(s), wind_words(s.wind), fault_words(s)) for s in scenarios)]
-    descriptions = ["description", *(s.description for s in scenarios)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
-    return "".join(
-        "  ".join(f"{word:<{width}}" for word, width in zip(row, widths, strict=True)) + f"  {description}\n"
-        for row, description in zip(rows, descriptions, strict=True)
-    )
-
-
-def settings_text(scenario: Scenario) -> str:
-    """Everything a scenario sets, defaults included, as YAML that can be read again."""
-    return yaml.safe_dump(
-        scenario.model_dump(mode="json", by_alias=True), sort_keys=False, allow_unicode=True
-    )
-
-
-def schema_text() -> str:
-    """The JSON schema (draft 2020-12) of a scenario file."""
-    schema = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Scenario.model_json_schema(by_alias=True),
-    }
-    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
-
-
-# ---------------------------------------------------------------- in a few words
-
-
-def pad_words(scenario: Scenario) -> str:
-    """How the pad moves."""
-    return _way_words(scenario.pad.motion) + ("" if scenario.pad.deck is None else ", at sea")
-
-
-def _way_words(motion: PadMotionSettings) -> str:
-    speed = getattr(motion, "speed_m_s", None)
-    return motion.kind if speed is None else f"{motion.kind} {speed:g} m/s"
-
-
-def wind_words(wind: WindSettings) -> str:
-    """How it blows."""
-    words = [] if wind.mean_m_s == 0.0 else [f"{wind.mean_m_s:g} m/s"]
-    if wind.turbulence != "none":
-        words.append(wind.turbulence)
-    if wind.gusts is not None or wind.gust is not None:
-        words.append("gusts")
-    return ", ".join(words) or "calm"
-
-
-def fault_words(scenario: Scenario) -> str:
-    """What fails."""
-    return ", ".join(sorted({fault.kind for fault in scenario.faults})) or "-"

@@ -15,11 +15,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-HandMotion = Literal["still", "tumble", "faces", "sway", "over-pad"]
+from sitl.vehicle.hand_motion import HandMotion
 
 Six = tuple[float, float, float, float, float, float]
 # a coordinate's waves: amplitude (m or rad), frequency (rad/s), phase (rad)

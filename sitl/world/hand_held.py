@@ -15,7 +15,8 @@ import numpy as np
 
 from companion.base.geometry import Vector3, add, quat_from_euler, rotate_yaw
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.hand_paths import CarriedMotion, HandMotion, PoseAndRate, added, carrying
+from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle.hand_paths import CarriedMotion, PoseAndRate, added, carrying
 from sitl.vehicle.quadrotor import Four, QuadrotorState, packed
 from sitl.world.world import World
 

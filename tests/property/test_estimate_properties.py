@@ -108,5 +108,5 @@ def test_transition_keeps_the_quaternions_length(q: Quaternion, rate: list[float
     x = np.zeros(model.STATES)
     x[model.QUATERNION] = q
     u = model.InertialInput(vector3(rate), (0.3, -0.2, -9.8))
-    after, _ = model.transition(x, u, dt_s, 1.0)
+    after, _ = model.transition(x, u, dt_s)
     assert np.linalg.norm(after[model.QUATERNION]) == pytest.approx(1.0, abs=1e-12)

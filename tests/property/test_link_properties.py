@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from companion.config import LinkConfig
 from companion.link.codec import Codec, heartbeat, mavlink
-from companion.link.session import HEARD, Session
+from companion.link.session import Session
+from companion.link.streams import HEARD
 
 GOOD = Codec(1, 1).encode(
     mavlink.MAVLink_heartbeat_message(

@@ -82,12 +82,14 @@ def scenario_file(folder: Path, base: str, changes: dict[str, Any]) -> Path:
 
 
 @contextmanager
-def started(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
+def started(
+    *arguments: str | Path, variables: dict[str, str] | None = None
+) -> Iterator[subprocess.Popen[str]]:
     """A running `companion`; killed at the end if it has not ended by then."""
     process = subprocess.Popen(
         (*COMMAND, *(str(argument) for argument in arguments)),
         cwd=ROOT,
-        env=environment() | {"PYTHONUNBUFFERED": "1"},
+        env=environment() | {"PYTHONUNBUFFERED": "1"} | (variables or {}),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

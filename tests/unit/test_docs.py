@@ -166,14 +166,17 @@ def assert_flight_is_as_documented(folder: Path) -> None:
     """The flight of the README left the files and topics that the pages list, and the pictures."""
     page = TEXTS["flight-log.md"]
     left = {path.name for path in (folder / "flights" / "circle").iterdir()}
-    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|png|html))` \|", page, re.MULTILINE))
+    assert left == set(re.findall(r"^\| `([\w.]+\.(?:mcap|tlog|json|yaml|png|html))` \|", page, re.MULTILINE))
     with (folder / "flights" / "circle" / "flight.mcap").open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     logged = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
-    assert logged == dict(re.findall(r"^\| `(/\w+)` \| ([\w.]+) \|", page, re.MULTILINE))
+    told = re.findall(r"^\| (`/[^|]+`) \| ([\w.]+) \|", page, re.MULTILINE)
+    assert logged == {topic: kind for topics, kind in told for topic in re.findall(r"`([\w/]+)`", topics)}
     pictures = {path.name for path in (folder / "pictures").iterdir()}
-    assert pictures | {"margins.png"} == {path.name for path in (ROOT / "docs" / "images").iterdir()}
+    assert pictures | {"margins.png", "wiring.svg"} == {
+        path.name for path in (ROOT / "docs" / "images").iterdir()
+    }
 
 
 # ---------------------------------------------------------------- what the pages name

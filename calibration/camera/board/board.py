@@ -11,18 +11,18 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
 from calibration.camera.board.surface import Surface
+from calibration.camera.kinds import Pattern
 from companion.base.geometry import FloatArray
 from companion.base.printing.page import Rectangle, code_rectangles
 from companion.config import ConfigError, StrictModel
 
-Pattern = Literal["charuco", "grid", "chessboard"]
 # OpenCV has some names twice, in capitals and not
 DICTIONARIES: Final = {
     name.removeprefix("DICT_").lower(): int(getattr(cv2.aruco, name))

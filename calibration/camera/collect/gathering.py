@@ -16,13 +16,13 @@ from calibration.camera.board.board import CalibrationBoard
 from calibration.camera.board.printing import board_yaml
 from calibration.camera.collect.capture import CaptureSession
 from calibration.camera.collect.live import write_image
+from calibration.camera.kinds import DEFAULT_BOARD
 from calibration.camera.views.detection import BoardFinder, BoardView
 from calibration.camera.views.mismatch import hint, what_is_seen
 from companion.base.files import write_atomically
 from companion.config import ConfigError, find_file, load_model, validate
 from companion.sense.camera.photos import Photo, photo_paths, read_photos
 
-DEFAULT_BOARD: Final = "charuco_a4"
 # what a folder of kept frames holds beside them
 BOARD_FILE: Final = "board.yaml"
 # more cost time and tell nothing new

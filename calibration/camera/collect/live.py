@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from calibration.camera.board.board import CalibrationBoard
 from calibration.camera.collect.capture import CaptureSession
 from calibration.camera.collect.overlay import draw
-from calibration.camera.solve.adjustment import Model, UnsolvableError
+from calibration.camera.kinds import Model
+from calibration.camera.solve.adjustment import UnsolvableError
 from calibration.camera.solve.quality import assess
 from calibration.camera.views.detection import BoardFinder, BoardView
 from companion.base.formats.mjpeg import MjpegServer

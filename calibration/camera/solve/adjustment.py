@@ -8,16 +8,16 @@ vector of a camera's parameters is fx fy cx cy, then the distortion.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import cv2
 import numpy as np
 
 from calibration.camera.board.surface import Surface
+from calibration.camera.kinds import Model
 from calibration.camera.views.detection import BoardView
 from companion.base.geometry import FloatArray
 
-Model = Literal["brown", "rational"]
 STEPS: Final = 12
 SMALLEST_STEP: Final = 1e-7  # as a share of a parameter's own uncertainty
 HALVINGS: Final = 6

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from calibration.camera.board.surface import Surface
-from calibration.camera.solve.adjustment import CameraSolution, Intrinsics, Model, UnsolvableError, rms
+from calibration.camera.kinds import Model
+from calibration.camera.solve.adjustment import CameraSolution, Intrinsics, UnsolvableError, rms
 from calibration.camera.solve.solving import held_out_rms_px, rms_of_all, solve
 from calibration.camera.solve.uncertainty import Uncertainty, projection_std_px, uncertainty
 from calibration.camera.views.coverage import CORNERS, ImageCoverage

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from calibration.camera.board.surface import Surface
+from calibration.camera.kinds import Model
 from calibration.camera.solve.adjustment import (
     CameraSolution,
     Intrinsics,
-    Model,
     PosedView,
     UnsolvableError,
     refine,

@@ -23,7 +23,7 @@ from companion.base.geometry import (
 )
 from companion.config import MountCalibration, MountStd
 from companion.config.calibration import Provenance
-from companion.flightlog.record import versions
+from companion.flightlog.version import versions
 from companion.sense.vision.pipeline import body_from_camera
 
 

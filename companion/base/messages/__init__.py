@@ -22,6 +22,13 @@ from companion.base.messages.link import (
     LandedState,
     PadBeacon,
 )
+from companion.base.messages.order import (
+    Order,
+    OrderKind,
+    OrderOutcome,
+    OrderReply,
+    Refusal,
+)
 from companion.base.messages.plan import (
     Action,
     ActionKind,
@@ -68,6 +75,10 @@ __all__ = [
     "MagSample",
     "MarkerGroup",
     "Notice",
+    "Order",
+    "OrderKind",
+    "OrderOutcome",
+    "OrderReply",
     "Outcome",
     "PadBeacon",
     "PadPrior",
@@ -77,6 +88,7 @@ __all__ = [
     "PlanStep",
     "RangeSample",
     "Reference",
+    "Refusal",
     "Setpoint",
     "Truth",
     "VehicleState",

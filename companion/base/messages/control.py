@@ -45,7 +45,9 @@ class ControlReport:
     solve_s: float
     limited: tuple[str, ...] = ()
     disturbance_ned_m_s2: Vector3 = ZERO3
-    predicted_position_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    predicted_position_m: FloatArray = field(
+        default_factory=lambda: np.zeros((0, 3)), metadata={"columns": 3}
+    )
     late: bool = False
     stopped: bool = False
     hover_thrust: float | None = None

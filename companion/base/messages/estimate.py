@@ -54,7 +54,7 @@ class PadState:
     position_std_m: float
     velocity_std_m_s: float
     seen_time_s: float
-    covariance: tuple[tuple[float, ...], ...] = ()
+    covariance: tuple[tuple[float, ...], ...] = field(default=(), metadata={"columns": 6})
     turn_rate_rad_s: float = 0.0
     models: dict[str, float] = field(default_factory=dict)
 

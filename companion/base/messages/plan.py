@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
@@ -107,9 +107,9 @@ class Reference:
     time_s: float
     origin: Literal["pad", "local"]
     step_s: float
-    position_m: FloatArray
-    velocity_m_s: FloatArray
-    acceleration_m_s2: FloatArray
+    position_m: FloatArray = field(metadata={"columns": 3})
+    velocity_m_s: FloatArray = field(metadata={"columns": 3})
+    acceleration_m_s2: FloatArray = field(metadata={"columns": 3})
     heading_rad: float
     minimum_height_m: float | None = None
     cone: DescentCone | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -117,7 +117,7 @@ class PadSighting:
     sequence: int
     pad_position_body_m: Vector3
     body_from_pad: Quaternion
-    covariance: FloatArray
+    covariance: FloatArray = field(metadata={"columns": 6})
     group: MarkerGroup
     marker_ids: tuple[int, ...]
     marker_count: dict[MarkerGroup, int]

@@ -89,10 +89,10 @@ class CameraDelay:
         moved_b, _ = self._motion.moved(a.time_s, b.time_s)
         moved_c, _ = self._motion.moved(a.time_s, c.time_s)
         left = add(
-            _second_difference(a.position_ned_m, b.position_ned_m, c.position_ned_m, share),
+            second_difference(a.position_ned_m, b.position_ned_m, c.position_ned_m, share),
             subtract(moved_b, scale(moved_c, share)),
         )
-        sweep = _second_difference(a.sweep_m_s, b.sweep_m_s, c.sweep_m_s, share)
+        sweep = second_difference(a.sweep_m_s, b.sweep_m_s, c.sweep_m_s, share)
         variance = b.variance_m2 + (1.0 - share) ** 2 * a.variance_m2 + share**2 * c.variance_m2
         variance += (0.5 * PAD_ACCELERATION_M_S2 * (b.time_s - a.time_s) * (c.time_s - b.time_s)) ** 2
         size = norm(sweep)
@@ -114,5 +114,6 @@ class CameraDelay:
         self.delay_s += max(-reach_s, min(reach_s, wanted_s - self.delay_s))
 
 
-def _second_difference(a: Vector3, b: Vector3, c: Vector3, share: float) -> Vector3:
+def second_difference(a: Vector3, b: Vector3, c: Vector3, share: float) -> Vector3:
+    """How far b is from the line from a to c, of which it is at this share."""
     return subtract(b, add(scale(a, 1.0 - share), scale(c, share)))

@@ -31,7 +31,7 @@ from companion.base.geometry import (
     vector3,
 )
 from companion.config import EkfConfig
-from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
+from companion.estimate.gating import Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
 from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, GpsStep, ImuStep
 from companion.estimate.vehicle.ekf_start import InitialState
@@ -53,7 +53,6 @@ class VehicleEkf(EkfState):
     def __init__(self, config: EkfConfig, antenna_body_m: Vector3, start: InitialState) -> None:
         super().__init__(config, start)
         self._antenna_body_m = antenna_body_m
-        self._imu_noise = np.diag([config.gyro_noise_rad_s**2] * 3 + [config.accel_noise_m_s2**2] * 3)
         self._mag_gate_noise = config.mag_noise_ut**2 * EYE3
         self._still_noise = np.diag([0.002**2] * 3)
         self._unaided_noise = np.diag([config.unaided_speed_m_s**2] * 3)
@@ -73,7 +72,7 @@ class VehicleEkf(EkfState):
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
         self.predict(time_s, u, item.samples, item.force_error_m_s2, item.span_s)
-        self._take_imu(item)
+        self._take_measured(item)
 
     def carried(
         self, base: EkfSnapshot, later: Sequence[EkfSnapshot], time_s: float, item: EkfInput
@@ -121,15 +120,9 @@ class VehicleEkf(EkfState):
 
     # ------------------------------------------------------------ measurements
 
-    def _take_imu(self, step: ImuStep) -> None:
-        expected, C = model.imu_model(self.x)
-        innovation = np.array(step.rate_body_rad_s + step.specific_force_body_m_s2) - expected
-        PCt = self.P @ C.T
-        S = C @ PCt + self._imu_noise / step.samples
-        if step.force_error_m_s2 > 0.0:
-            S[3:, 3:] += step.force_error_m_s2**2 * EYE3
-        self._limit_outliers(innovation, S)
-        self._correct(innovation, C, PCt, S)
+    def _take_measured(self, step: ImuStep) -> None:
+        """What is known at the step's end. The samples themselves have driven the state: they are no
+        measurement of it."""
         if step.field_body_ut is not None:
             self._take_field(step.field_body_ut)
         if step.attitude is not None:
@@ -140,17 +133,6 @@ class VehicleEkf(EkfState):
             self._take_zero(model.RATE, self._still_noise)
         if step.at_rest:
             self._take_zero(model.VELOCITY, self._rest_noise)
-
-    @staticmethod
-    def _limit_outliers(innovation: FloatArray, S: FloatArray) -> None:
-        """Enlarge S for a specific force that does not fit: an impact, or a sensor that clips.
-
-        The innovation then counts as if it lay on the bound of its test (Huber's method): an impact cannot
-        upset the attitude, and a force that stays still counts in the end.
-        """
-        excess = normalised_innovation_squared(innovation[3:], S[3:, 3:]) / CHI_SQUARE_999[3]
-        if excess > 1.0:
-            S[3:, 3:] *= excess
 
     def _take_attitude(self, attitude: Quaternion, tilt_noise_rad: float, heading_noise_rad: float) -> None:
         expected, C = model.attitude_model(self.x)

@@ -5,8 +5,8 @@ quaternion 0:4, Euler angles 4:7 (rad), angular velocity 7:10 (body, rad/s), pos
 velocity 13:16, acceleration 16:19, accelerometer bias 19:22 (m/s²), gyroscope bias 22:25 (rad/s),
 geomagnetic field 25:28 (NED, µT), magnetometer bias 28:31 (body, µT). (The table counts from 1.)
 
-The IMU does two things: as the input u it drives attitude, velocity and position, and as a
-measurement it shows angular velocity and acceleration, a random walk and a first-order Markov process.
+The IMU is the input u and nothing else: less its biases it drives attitude, velocity and position, and is
+the angular velocity and the acceleration. Its noise enters where its biases do.
 The Euler angles are a function of the quaternion: in the transition their rows are the quaternion's rows
 times d(Euler)/d(quaternion), so that state and covariance stay consistent.
 Every function returns plain values and Jacobians; none changes its arguments.
@@ -45,15 +45,15 @@ VELOCITY: Final = slice(13, 16)
 ACCELERATION: Final = slice(16, 19)
 ACCEL_BIAS: Final = slice(19, 22)
 GYRO_BIAS: Final = slice(22, 25)
+IMU_BIASES: Final = slice(19, 25)  # the accelerometer's and the gyroscope's
 FIELD: Final = slice(25, 28)
 MAG_BIAS: Final = slice(28, 31)
 ATTITUDE: Final = slice(0, 7)  # the quaternion and its Euler angles
 
 _EYE3: Final = np.eye(3)
 _A_CONSTANT: Final = np.eye(MOVING, COUPLED)
-_A_CONSTANT[EULER, EULER] = 0.0
-_C_IMU: Final = np.zeros((6, STATES))
-_C_IMU[0:3, RATE] = _C_IMU[0:3, GYRO_BIAS] = _C_IMU[3:6, ACCEL_BIAS] = _EYE3
+_A_CONSTANT[EULER, EULER] = _A_CONSTANT[RATE, RATE] = _A_CONSTANT[ACCELERATION, ACCELERATION] = 0.0
+_A_CONSTANT[RATE, GYRO_BIAS] = -_EYE3
 
 
 def quaternion_of(x: FloatArray) -> Quaternion:
@@ -164,14 +164,12 @@ class InertialInput:
     specific_force_body_m_s2: Vector3
 
 
-def transition(
-    x: FloatArray, u: InertialInput, dt_s: float, accel_tau_s: float
-) -> tuple[FloatArray, FloatArray]:
+def transition(x: FloatArray, u: InertialInput, dt_s: float) -> tuple[FloatArray, FloatArray]:
     """State (31,) after dt_s, and A (19, 25): the Jacobian of its first 19 rows by its first 25 (eq. 17).
 
-    The other rows stay. Attitude, velocity and position are driven by the IMU less its biases
-    (strapdown): no model of how fast a rate may change stands between the gyroscope and the attitude. The
-    states of rate and acceleration, which the IMU measures, are a random walk and a Markov process.
+    The other rows stay. The IMU less its biases drives attitude, velocity and position (strapdown), and is
+    the mean rate and acceleration over the step: no model of how fast these may change stands between.
+    The columns of the IMU's biases are also the G of its noise, with the other sign.
     """
     state = x.tolist()
     qw, qx, qy, qz = state[QUATERNION]
@@ -182,38 +180,26 @@ def transition(
     q_mid, turning_half = _turned((qw, qx, qy, qz), (0.5 * rx, 0.5 * ry, 0.5 * rz), -0.5 * dt_s)
     q_after = quat_normalise(q_after)
     an, ae, ad = quat_rotate(q_mid, force)
-    gained = np.array((an * dt_s, ae * dt_s, (ad + GRAVITY_M_S2) * dt_s))
-    fade = math.exp(-dt_s / accel_tau_s)
+    acceleration = np.array((an, ae, ad + GRAVITY_M_S2))
+    gained = acceleration * dt_s
     after = x.copy()
     after[ATTITUDE] = (*q_after, *euler_from_quat(q_after))
     after[POSITION] += dt_s * (x[VELOCITY] + 0.5 * gained)
     after[VELOCITY] += gained
-    after[ACCELERATION] *= fade
+    after[RATE] = (rx / dt_s, ry / dt_s, rz / dt_s)
+    after[ACCELERATION] = acceleration
     A = _A_CONSTANT.copy()
     accelerating = rotation_jacobian(q_mid, force) @ (dt_s * turning_half)
     showing = euler_jacobian(q_after) @ turning
     for rows, jacobian in ((QUATERNION, turning), (EULER, showing), (VELOCITY, accelerating)):
         A[rows, QUATERNION], A[rows, GYRO_BIAS] = jacobian[:, :4], jacobian[:, 4:]
     A[VELOCITY, ACCEL_BIAS] = _inverse_rotation(q_mid).T * -dt_s
+    A[ACCELERATION] = A[VELOCITY] / dt_s
+    A[ACCELERATION, VELOCITY] = 0.0
     A[POSITION] = (0.5 * dt_s) * A[VELOCITY]
     A[POSITION, POSITION] = _EYE3
     A[POSITION, VELOCITY] = dt_s * _EYE3
-    A[ACCELERATION, ACCELERATION] = fade * _EYE3
     return after, A
-
-
-def imu_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gyroscope ω + b_g and accelerometer Rᵀ(a - g) + b_a: values (6,) and Jacobian (6, 31)."""
-    q = quaternion_of(x)
-    an, ae, ad = x[ACCELERATION].tolist()
-    force_ned = (an, ae, ad - GRAVITY_M_S2)
-    C = _C_IMU.copy()
-    C[3:6, QUATERNION] = inverse_rotation_jacobian(q, force_ned)
-    C[3:6, ACCELERATION] = _inverse_rotation(q)
-    expected = np.empty(6)
-    expected[0:3] = x[RATE] + x[GYRO_BIAS]
-    expected[3:6] = x[ACCEL_BIAS] + quat_rotate_inverse(q, force_ned)
-    return expected, C
 
 
 def mag_model(x: FloatArray) -> tuple[FloatArray, FloatArray]:

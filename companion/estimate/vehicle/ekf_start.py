@@ -53,10 +53,8 @@ def start_state(time_s: float, found: InitialAlignment, config: EstimateConfig) 
 
 
 def noise_density(config: EkfConfig) -> FloatArray:
-    """Diagonal (31,) of the white process noise per second."""
+    """Diagonal (31,) of the white process noise per second, without the IMU's."""
     density = np.zeros(model.STATES)
-    density[model.RATE] = config.angular_acceleration_rad_s2_rthz**2
-    density[model.ACCELERATION] = config.jerk_m_s3_rthz**2
     density[model.ACCEL_BIAS] = config.accel_bias_walk_m_s2_rts**2
     density[model.GYRO_BIAS] = config.gyro_bias_walk_rad_s_rts**2
     density[model.FIELD] = config.field_walk_ut_rts**2

@@ -2,8 +2,8 @@
 
 `x` and `P` are replaced and never changed in place, so that a snapshot costs nothing. NED and FRD, SI, µT.
 
-The IMU drives attitude, velocity and position; its noise enters there. White noise also drives the rate,
-the acceleration, the biases and the field.
+The IMU drives the motion, and its noise enters where its biases do. White noise also drives the biases and
+the field.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class EkfState:
         force_error_m_s2: float = 0.0,
         span_s: float | None = None,
     ) -> None:
-        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + Q up to time_s; earlier or equal times change nothing.
+        """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + G Q Gᵀ up to time_s; earlier or equal times change nothing.
 
         What moves meanwhile moves for `span_s`, when it is given.
         """
@@ -119,15 +119,17 @@ class EkfState:
         dt_s = time_s - self.time_s if span_s is None else span_s
         n, m = model.MOVING, model.COUPLED
         P = self.P.copy()
-        turn_variance, velocity_variance = self._inertial_noise(u, dt_s, samples)
-        q = self.x[model.QUATERNION]
-        P[model.QUATERNION, model.QUATERNION] += 0.25 * turn_variance * (EYE4 - np.outer(q, q))
         diagonal = P.reshape(-1)[:: model.STATES + 1]
-        diagonal[model.VELOCITY] += velocity_variance + force_error_m_s2**2 * FORCE_ERROR_S * dt_s
         diagonal += self._noise * dt_s
-        self.x, A = model.transition(self.x, u, dt_s, self._config.acceleration_time_constant_s)
+        self.x, A = model.transition(self.x, u, dt_s)
         P[:n] = A @ P[:m]
         P[:, :n] = P[:, :m] @ A.T
+        turn_variance, velocity_variance = self._inertial_noise(u, dt_s, samples)
+        velocity_variance += force_error_m_s2**2 * FORCE_ERROR_S * dt_s
+        G = A[:, model.IMU_BIASES] / dt_s
+        G[:, :3] *= math.sqrt(velocity_variance)
+        G[:, 3:] *= math.sqrt(turn_variance)
+        P[:n, :n] += G @ G.T
         diagonal[:7] += TINY_VARIANCE
         self.P = P
         self._moved = EYE.copy()

@@ -1,27 +1,14 @@
-"""`companion replay`: a log in, a table, `replay.json` and plots out."""
+"""`companion replay`: its options and help. The estimators are imported once the log is there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
-from companion.config import ConfigError
-from companion.flightlog.log_file import LOG_NAMES, log_file
-from companion.flightlog.record import versions
-from companion.flightlog.replay.compare import ReplayResult, build_result
-from companion.flightlog.replay.flight_record import FlightRecord
-from companion.flightlog.replay.plots import replay_lines, replay_table, write_plots
-from companion.flightlog.replay.reading import read_log
-from companion.flightlog.replay.run import Replayed, replay
-from companion.flightlog.replay.settings import Choice, choose
+from companion.base.files import must_be_readable, must_exist
 
-RESULT_NAME: Final = "replay.json"
 HELP: Final = """Run the estimators again over a recorded log, and hold them against what was recorded.
 
 LOG is a flight's folder or its flight.mcap, an ArduPilot .bin, or a PX4 .ulg.
@@ -31,6 +18,7 @@ companion replay flights/circle
 companion replay flights/circle --config mine.yaml -o compared
 companion replay 00000042.BIN
 """
+EXPECTED: Final = "expected a flight's folder, a flight.mcap, an ArduPilot .bin or a PX4 .ulg"
 
 
 def replay_command(
@@ -52,69 +40,9 @@ def replay_command(
     Raises:
         ConfigError: something the user can correct.
     """
-    console = Console()
-    record = read_log(log)
-    choice = choose(record, config)
-    folder = _new_folder(output or Path("replay") / log_name(log))
-    with _progress(console, str(log)) as told:
-        replayed = replay(record.events, choice.rig, told)
-    result = _result(log, record, replayed, choice)
-    try:
-        _write(folder / RESULT_NAME, result.model_dump_json(indent=2) + "\n")
-        write_plots(folder, record, replayed)
-    except OSError as error:
-        raise ConfigError(f"--output {folder}: cannot be written: {error.strerror}") from error
-    console.print(replay_table(result))
-    for line in replay_lines(result):
-        console.print(line, highlight=False, soft_wrap=True, markup=False)
-    console.print(f"{RESULT_NAME} and plots in {folder}", highlight=False, soft_wrap=True, markup=False)
+    must_exist(log, EXPECTED)
+    if config is not None:
+        must_be_readable(config)
+    from companion.flightlog.replay.job import replay_and_show  # noqa: PLC0415 - see above
 
-
-def _result(log: Path, record: FlightRecord, replayed: Replayed, choice: Choice) -> ReplayResult:
-    if not replayed.vehicles:
-        seconds = record.events[-1].arrival_s - record.events[0].arrival_s
-        alignment = choice.rig.config.estimate.alignment
-        raise ConfigError(
-            f"{log}: the estimators never aligned in its {seconds:.1f} s; expected {alignment.still_s:g} s "
-            f"at rest, or more than {alignment.timeout_s + alignment.still_s:g} s in motion, with IMU and "
-            "magnetometer"
-        )
-    if record.kind == "companion" and record.rig is None:
-        record.notes.append(f"the log holds no settings (an older version's): replayed under {choice.name}")
-    result = build_result(
-        record, replayed, log=str(log), settings=choice.name, field=choice.field, repeats=choice.repeats
-    )
-    if result.repetition is not None and not result.repetition.identical:
-        other = {name: old for name, old in record.versions.items() if versions().get(name) != old}
-        if other:
-            flown = ", ".join(f"{name} {version}" for name, version in other.items())
-            return result.model_copy(update={"notes": (*result.notes, f"it was flown with {flown}")})
-    return result
-
-
-def log_name(log: Path) -> str:
-    """What to call a log: its file's name, or its folder's where all files are called alike."""
-    file = log_file(log.resolve())
-    return file.parent.name if file.name == LOG_NAMES[0] else file.stem
-
-
-def _new_folder(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--output {folder}: cannot be made: {error.strerror}") from error
-    return folder
-
-
-def _write(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
-
-
-@contextmanager
-def _progress(console: Console, title: str) -> Iterator[Callable[[float], None]]:
-    """A bar on a terminal, nothing elsewhere; yields what takes the share that is done."""
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(title, total=1.0)
-        yield lambda share: bar.update(task, completed=share)
+    replay_and_show(log, output, config)

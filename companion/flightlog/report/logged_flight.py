@@ -21,7 +21,6 @@ from companion.base.messages import (
     ControlReport,
     FrameReport,
     Notice,
-    Outcome,
     PadSighting,
     PadState,
     Phase,
@@ -33,6 +32,7 @@ from companion.base.messages import (
 from companion.config import ConfigError
 from companion.flightlog.log_file import SETTINGS_RECORD, VERSIONS_RECORD, log_file, records
 from companion.flightlog.result import Result, from_start
+from companion.flightlog.summary import ending
 
 RESULT_NAME: Final = "result.json"
 KINDS: Final[dict[str, type[Any]]] = {
@@ -48,7 +48,6 @@ KINDS: Final[dict[str, type[Any]]] = {
     "truth": Truth,
 }
 SENSORS: Final = ("imu", "mag", "gps", "range", "autopilot_attitude", "frame_report", "sighting")
-ENDINGS: Final = {Phase.LANDED: Outcome.LANDED.value, Phase.ABORT: Outcome.ABORTED.value}
 # pictures where the height over the pad first is below these, besides those where a phase begins
 PICTURE_HEIGHTS_M: Final = (5.0, 2.0, 1.0, 0.5, 0.25)
 
@@ -92,8 +91,7 @@ class LoggedFlight:
             return self.result.outcome.value
         if not self.kept.get("plan"):
             return "nothing flown"
-        last = Phase(self.kept["plan"][-1].phase)
-        return ENDINGS.get(last, f"ended in {last.value.replace('_', ' ')}")
+        return ending(self.kept["plan"][-1].phase)
 
     @property
     def title(self) -> str:

@@ -10,6 +10,9 @@ from rich.table import Table
 from companion.flightlog.result import Result
 
 UNITS: Final = {"m_s": "m/s", "m": "m", "deg": "°"}
+# decimals that mean something: a landing is not repeated to the tenth of a millimetre or of a millisecond
+DECIMALS: Final = {"m": 3, "m/s": 2, "°": 1, "ms": 0}
+MOST_DECIMALS: Final = 6
 
 
 def title_of(result: Result) -> str:
@@ -34,8 +37,9 @@ def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, 
     if result.touchdown is not None:
         for key, value in result.touchdown.model_dump().items():
             name, unit = _name_and_unit(key)
-            limit = f"<= {bounds[key]:g} {unit}" if key in bounds else ""
-            rows.append((f"touchdown {name}", f"{value:.3f} {unit}", limit))
+            bound = bounds.get(key)
+            limit = "" if bound is None else f"<= {bound:g} {unit}"
+            rows.append((f"touchdown {name}", figure(value, unit, bound), limit))
     spent = (result.time.search_s, result.time.approach_s, result.time.descent_s)
     texts = {
         "pad speed": f"{result.pad.speed_m_s:.2f} m/s",
@@ -46,8 +50,8 @@ def result_rows(result: Result, bounds: Mapping[str, float]) -> list[tuple[str, 
         "attitude error (rms)": _optional(result.estimate.attitude_rmse_deg, "°"),
         "velocity error (rms)": _optional(result.estimate.velocity_rmse_m_s, "m/s"),
         "pad velocity error (rms)": _optional(result.estimate.pad_velocity_rmse_m_s, "m/s"),
-        "exposure to setpoint": _optional(result.latency_ms.exposure_to_setpoint_p50, "ms (median)"),
-        "control cycles late": _optional(result.latency_ms.cycle_late_p99, "ms (p99)"),
+        "exposure to setpoint": _optional(result.latency_ms.exposure_to_setpoint_p50, "ms", " (median)"),
+        "control cycles late": _optional(result.latency_ms.cycle_late_p99, "ms", " (p99)"),
         "control cycles unsolved": f"{result.control.unsolved} of {result.control.cycles}",
         "simulated / real time": f"{result.sim.real_time_factor:.1f}",
     }
@@ -61,5 +65,18 @@ def _name_and_unit(key: str) -> tuple[str, str]:
     return key, ""
 
 
-def _optional(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.3f} {unit}"
+def figure(value: float, unit: str, bound: float | None = None) -> str:
+    """A value with its unit and the decimals that mean something.
+
+    It has more of them where it would otherwise seem to be on the other side of its bound.
+    """
+    decimals = DECIMALS.get(unit, 3)
+    while (
+        bound is not None and decimals < MOST_DECIMALS and (round(value, decimals) > bound) != (value > bound)
+    ):
+        decimals += 1
+    return f"{value:.{decimals}f} {unit}"
+
+
+def _optional(value: float | None, unit: str, how: str = "") -> str:
+    return "-" if value is None else f"{figure(value, unit)}{how}"

@@ -61,9 +61,10 @@ class FailsafeMonitor:
             state,
             self._machine.authority,
             autopilot,
-            requested=taking_off,
+            requested=control_granted if self._machine.ordered_in_air else taking_off,
             over_home_m=over_home_m,
             now_s=now_s,
+            ordered_in_air=self._machine.ordered_in_air,
         )
         signs = (
             (

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from companion.base.messages import (
     ActionResult,
     AutopilotState,
+    Order,
     PadBeacon,
     PadState,
     RangeSample,
@@ -16,7 +17,7 @@ from companion.base.messages import (
 
 @dataclass(frozen=True, slots=True)
 class PlanInputs:
-    """The newest of everything the planner goes by; `results` holds each answer once."""
+    """The newest of everything the planner goes by; `results` holds each answer once, `order` comes once."""
 
     vehicle: VehicleState | None
     pad: PadState | None
@@ -25,3 +26,5 @@ class PlanInputs:
     range: RangeSample | None = None
     results: tuple[ActionResult, ...] = ()
     stop_requested: bool = False
+    order: Order | None = None
+    camera_problem: str | None = None

@@ -13,12 +13,13 @@ class StateMachine:
     """Asks the table what follows, and takes it."""
 
     def __init__(self, retries: int, *, may_fly: bool = True) -> None:
-        """Ready to connect; in standby for good, if it may not fly."""
+        """Ready to connect; in standby, if it may not fly until it is ordered to."""
         self._retries = retries
         self._tries = 0
         self.no_new_try = False  # whatever is left of the tries: the battery is low
         self.state = State.CONNECT if may_fly else State.STANDBY
         self.authority = Authority.NONE
+        self.ordered_in_air = False  # somebody else flies it until control is ours
 
     @property
     def phase(self) -> Phase:
@@ -37,11 +38,18 @@ class StateMachine:
 
     def follows(self, event: MissionEvent, circumstances: Circumstances) -> Branch | None:
         """What follows an event now; None: it means nothing. Authority and tries are the machine's own."""
-        ours = replace(circumstances, authority=self.authority, tries_left=not self.last_try)
+        ours = replace(
+            circumstances,
+            authority=self.authority,
+            tries_left=not self.last_try,
+            not_taken=self.ordered_in_air and self.authority is Authority.NONE,
+        )
         return follows(self.state, event, ours)
 
     def take(self, branch: Branch) -> None:
         """Go where a branch leads."""
+        if self.state is State.STANDBY and branch.to is State.SEARCH:
+            self.ordered_in_air = True
         self.state = branch.to or self.state
         self.authority = branch.authority or self.authority
         if Effect.COUNT_TRY in branch.effects:

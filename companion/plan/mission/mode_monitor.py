@@ -2,8 +2,9 @@
 
 Before control is ours the autopilot flies what we requested, and may be in the modes that this leads to. The
 mode in which it was found is left alone on the ground; after our first request was accepted, the autopilot
-has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. With
-control ours, only the mode that obeys setpoints is ours.
+has `TAKES_S` to change into the mode that was requested. Once it has, the old mode is a pilot's too. The
+same holds for a vehicle that a pilot flew when the landing was ordered. With control ours, only the mode
+that obeys setpoints is ours.
 """
 
 from __future__ import annotations
@@ -52,10 +53,12 @@ class ModeMonitor:
         requested: bool,
         over_home_m: float | None,
         now_s: float,
+        ordered_in_air: bool = False,
     ) -> bool:
         """Whether the mode is one that we did not request.
 
-        `requested`: the take-off was accepted. `over_home_m`: the height.
+        `requested`: the take-off, or in the air control, was granted. `over_home_m`: the height.
+        `ordered_in_air`: a pilot flew the vehicle when the landing was ordered.
         """
         kind = autopilot.autopilot_kind
         if kind is None or not autopilot.mode:
@@ -66,11 +69,14 @@ class ModeMonitor:
         if state in _BEFORE_ANY_REQUEST:
             return False
         self._climbed = self._climbed or over_home_m is None or over_home_m >= self._done_m
-        if mode in self._ours(state, authority, kind):
+        theirs = ordered_in_air and authority is Authority.NONE
+        if mode in (frozenset({_CONTROL[kind]}) if theirs else self._ours(state, authority, kind)):
             self._left_found = self._left_found or mode != self._found
             return False
         on_the_way_up = authority is Authority.NONE and state in {State.ARM, State.TAKE_OFF}
-        return not (on_the_way_up and self._still_as_found(mode, requested=requested, now_s=now_s))
+        return not (
+            (on_the_way_up or theirs) and self._still_as_found(mode, requested=requested, now_s=now_s)
+        )
 
     def _ours(self, state: State, authority: Authority, kind: AutopilotKind) -> frozenset[str]:
         """The modes that what we requested leads to."""
@@ -89,7 +95,7 @@ class ModeMonitor:
         return _PX4_FLIES | control
 
     def _still_as_found(self, mode: str, *, requested: bool, now_s: float) -> bool:
-        """Whether the autopilot has not changed the mode yet in which it was found on the ground."""
+        """Whether the autopilot has not changed the mode yet in which it was found."""
         if self._left_found or mode != self._found:
             return False
         if not requested or self._obeyed_s is None:

@@ -17,7 +17,7 @@ from companion.base.messages import Action, Phase
 class State(StrEnum):
     """Where the mission is; `phase` is what the log, the terminal and the time limits call it."""
 
-    STANDBY = "standby"  # not to fly: watches, asks for nothing
+    STANDBY = "standby"  # watches, asks for nothing, waits for an order
     CONNECT = "connect"
     ARM = "arm"
     TAKE_OFF = "take_off"
@@ -54,6 +54,8 @@ _PART_OF: Final = {
 class MissionEvent(StrEnum):
     """What can happen to a mission."""
 
+    LAND_ORDERED = "land_ordered"  # in standby, and nothing stands against it
+    FLY_ORDERED = "fly_ordered"
     READY = "ready"  # autopilot connected and ready to arm, our estimate aligned
     ALREADY_ARMED = "already_armed"  # and not by us
     ALIGNMENT_LOST = "alignment_lost"  # our estimate's, before the autopilot would arm
@@ -112,6 +114,7 @@ class Guard(StrEnum):
     """What else has to hold for a branch to be taken."""
 
     ALWAYS = "always"
+    NOT_TAKEN = "it flew by its pilot when ordered, and control was never ours"
     CONTROL_NONE = "control not granted yet"
     CONTROL_OURS = "control is ours"
     STILL_FLIES = "it flies, and control not granted yet"  # by the autopilot's word
@@ -137,6 +140,7 @@ class Circumstances:
 
     authority: Authority = Authority.NONE
     tries_left: bool = True
+    not_taken: bool = False
     on_surface: bool = False
     disarm_asked: bool = False
     land_granted: bool = False
@@ -147,6 +151,7 @@ class Circumstances:
         """Whether a guard holds."""
         return {
             Guard.ALWAYS: True,
+            Guard.NOT_TAKEN: self.not_taken,
             Guard.CONTROL_NONE: self.authority is Authority.NONE,
             Guard.CONTROL_OURS: self.authority is Authority.OURS,
             Guard.STILL_FLIES: self.airborne and self.authority is Authority.NONE,

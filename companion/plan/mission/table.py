@@ -3,10 +3,11 @@
 Its rules:
   every pair of a state and an event has one row, or means nothing there, or is impossible;
   an impossible pair ends in a hold by the autopilot itself, and is announced;
-  every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for the operator, and
+  every state ends by time but the two last (LANDED, ABORT), STANDBY, which waits for an order, and
   AUTO_LAND, which presses down and asks on: a mission that ended there would leave the motors running;
   released for good is released: whatever happens then, nothing more is asked of the autopilot;
-  STOP, a lost estimate and overtime return control to the autopilot, which holds its position.
+  STOP, a lost estimate and overtime return control to the autopilot, which holds its position; a vehicle
+  that a pilot flew when the landing was ordered, and that was never ours, stays in the pilot's mode.
 No clock, no I/O: the failsafe monitor and the phases detect events, and here stands what follows.
 """
 
@@ -77,7 +78,8 @@ def _all(states: Iterable[State], reason: str) -> dict[State, str]:
 _GIVE_UP: Final = _end()
 _CONTROL_LOST: Final = Branch(S.ABORT, (), Authority.RELEASED, (Effect.STOP_SETPOINTS,))
 # Control returns to the autopilot. A vehicle that stands would lift off to hold a position: it lands.
-_RETURN_CONTROL: Final = (_end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
+_NEVER_OURS: Final = _end(guard=Guard.NOT_TAKEN)
+_RETURN_CONTROL: Final = (_NEVER_OURS, _end(_LAND, guard=Guard.ON_SURFACE), _end(_HOLD))
 _SEARCH_AGAIN: Final = Branch(S.SEARCH, effects=(Effect.ASK_PAD_POSITION,))
 _NEXT_TRY: Final = (
     Branch(S.APPROACH, effects=(Effect.COUNT_TRY,), guard=Guard.TRIES_LEFT),
@@ -86,6 +88,7 @@ _NEXT_TRY: Final = (
 # Without the pad or our own estimate: LAND holds the vehicle level, and goes on down.
 _SET_DOWN: Final = Branch(S.SET_DOWN, (_LAND,))
 IMPOSSIBLE: Final = (
+    _NEVER_OURS,
     Branch(S.HOLD, (_LAND,), Authority.RELEASED, guard=Guard.ON_SURFACE),
     Branch(S.HOLD, (_HOLD,), Authority.RELEASED),
 )
@@ -95,10 +98,13 @@ _FLIES_ITSELF = "the autopilot navigates"
 _FINISHES = "committed: finishing is gentler than breaking off"
 _STANDS = "it stands on the pad"
 _NOTHING_ASKED = "nothing is requested yet; an armed vehicle ends the mission in any mode"
-_WAITS_FOR_OPERATOR = "it waits for the operator, and asks for nothing"
+_WAITS_FOR_OPERATOR = "it waits for an order, and asks for nothing"
 _LANDS = "the autopilot lands already"
 
 ROWS: Final = (
+    # ---- ordered
+    _row(E.LAND_ORDERED, S.STANDBY, Branch(S.SEARCH)),
+    _row(E.FLY_ORDERED, S.STANDBY, Branch(S.CONNECT)),
     # ---- to the waypoint; a refused arming is no event, it is asked for again until the time is up
     _row(E.READY, S.CONNECT, Branch(S.ARM, (_ARM,))),
     # also after a restart in the air: somebody else flies the vehicle
@@ -231,6 +237,7 @@ ROWS: Final = (
     _row(
         E.LINK_LOST,
         IN_AIR,
+        _NEVER_OURS,
         Branch(S.AWAIT_LINK),
         except_={
             **_all(ON_GROUND, _NOT_YET),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 from rich.console import Console
@@ -25,6 +24,8 @@ from companion.research.fig14.pilots import PILOTS
 from companion.research.fig14.reference import draw_scene
 from companion.research.fig14.report import NOTES, picture, step_line, table
 
+HELP: Final = "MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."
+
 
 def fig14(
     seed: Annotated[int, typer.Option(min=0, help="The first seed, and the one in the picture.")] = 0,
@@ -36,13 +37,8 @@ def fig14(
     jobs: Annotated[int, typer.Option(min=1, max=64, help="Processes that fly.")] = 1,
 ) -> None:
     """MPC, the paper's recursion and PID on one minimum-jerk reference to a moving pad (Fig. 14)."""
-    try:
-        _check(case, output)
-        holds = _run(range(seed, seed + seeds), output, case, jobs)
-    except ConfigError as problem:
-        sys.stderr.write(f"companion-experiments: {problem}\n")
-        raise typer.Exit(2) from problem
-    if not holds:
+    _check(case, output)
+    if not _run(range(seed, seed + seeds), output, case, jobs):
         raise typer.Exit(1)
 
 

@@ -6,6 +6,7 @@ import asyncio
 from typing import Final
 
 from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
 from companion.base.formats.frame_format import FrameHeader
 from companion.base.formats.frame_stream import FrameStream
 from companion.base.messages import Frame
@@ -41,7 +42,9 @@ class SocketCamera:
         """
         try:
             stream = await FrameStream.open(address)
-        except (OSError, ValueError) as error:
+        except OSError as error:
+            raise DeviceMissing(f"sense.vision.source: {error}") from error
+        except ValueError as error:
             raise ConfigError(f"sense.vision.source: {error}") from error
         return cls(stream, camera, unstamped_latency_s, Clock())
 

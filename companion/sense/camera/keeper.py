@@ -69,9 +69,14 @@ class KeptCamera:
     """A `FrameSource` that never ends. Make it inside the running loop, with the camera opened once."""
 
     def __init__(
-        self, first: LiveSource, reopen: Callable[[], Awaitable[LiveSource]], patience: Patience
+        self,
+        first: LiveSource | None,
+        reopen: Callable[[], Awaitable[LiveSource]],
+        patience: Patience,
+        *,
+        missing: str = "",
     ) -> None:
-        """Keep `first`; `reopen` opens the same camera anew."""
+        """Keep `first`; `reopen` opens the same camera anew. Without one yet, `missing` says why."""
         self._source, self._reopen, self._patience = first, reopen, patience
         self._clock = Clock()
         self._newest = Newest()
@@ -84,6 +89,8 @@ class KeptCamera:
         self._pause_s = FIRST_PAUSE_S
         self._last_sequence = -1
         self._content_patience_s = patience.content_s
+        if first is None:
+            self._set_trouble(missing)
         self._task = asyncio.create_task(self._keep(), name="camera's keeper")
         self._task.add_done_callback(self._tell_failure)
 
@@ -95,7 +102,7 @@ class KeptCamera:
     @property
     def read_back(self) -> ReadBack:
         """What the driver says of its settings."""
-        return self._source.read_back
+        return ReadBack() if self._source is None else self._source.read_back
 
     async def next(self) -> Frame:
         """See `camera.FrameSource`; waits for as long as there is no camera."""
@@ -108,7 +115,8 @@ class KeptCamera:
     def close(self) -> None:
         """See `camera.FrameSource`."""
         self._task.cancel()
-        self._source.close()
+        if self._source is not None:
+            self._source.close()
 
     def _tell_failure(self, task: asyncio.Task[None]) -> None:
         """A fault of ours must not look like a camera that is silent."""
@@ -118,12 +126,14 @@ class KeptCamera:
     # ------------------------------------------------------------ one life after another
 
     async def _keep(self) -> None:
+        source = self._source or await self._open_anew()
         while True:
-            lasted = await self._watch(self._source)
+            self._source = source
+            lasted = await self._watch(source)
             if not lasted:
                 return
-            await self._let_go(self._source)
-            self._source = await self._open_anew()
+            await self._let_go(source)
+            source = await self._open_anew()
 
     async def _watch(self, source: LiveSource) -> bool:
         """Hand on what is of use until the camera is lost; whether another life makes sense."""

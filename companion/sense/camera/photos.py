@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from companion.base.files import must_exist
 from companion.config import ConfigError
 
 PHOTOS: Final = {
@@ -68,9 +69,7 @@ def photo_paths(sources: Sequence[Path]) -> list[Path]:
         elif source.is_file():
             found.append(source)
         else:
-            raise ConfigError(
-                f"{source}: not there; expected a camera, a folder of photos, a photo or a video"
-            )
+            must_exist(source, "expected a camera, a folder of photos, a photo or a video")
     # what is named twice, alone and in its folder, is one view all the same
     return list(dict.fromkeys(found))
 

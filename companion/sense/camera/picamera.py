@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 
 from companion.base.clock import Clock, boot_clock_ahead_s
+from companion.base.errors import DeviceMissing
 from companion.config import CaptureConfig, ConfigError
 from companion.sense.camera.reader import ReadBack, Shot, check_size
 from companion.sense.camera.stamps import StampPoint, StampReader
@@ -59,7 +60,7 @@ class Picamera2Device:
         try:
             self._camera = make(number)
         except (RuntimeError, IndexError) as error:
-            raise ConfigError(
+            raise DeviceMissing(
                 f"{source}: {error}; expected a camera that is free and that "
                 "'rpicam-hello --list-cameras' shows"
             ) from error

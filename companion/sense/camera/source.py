@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from companion.base.clock import Clock
+from companion.base.errors import DeviceMissing
 from companion.base.formats.frame_stream import ADDRESS_FORM
 from companion.base.messages import Frame
 from companion.config import CaptureConfig, ConfigError
@@ -31,7 +32,7 @@ from companion.sense.camera.frame_socket import SocketCamera
 from companion.sense.camera.health import patience_with
 from companion.sense.camera.keeper import KeptCamera, LiveSource
 from companion.sense.camera.picamera import Picamera2Device
-from companion.sense.camera.reader import MakeDevice, ThreadedCamera
+from companion.sense.camera.reader import MakeDevice, OpeningHangs, ThreadedCamera
 from companion.sense.camera.v4l2 import V4l2Device
 
 DEVICE_FORM: Final = re.compile(
@@ -75,8 +76,12 @@ async def open_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: flo
     return await ThreadedCamera.open(_maker(spec, camera))
 
 
-async def keep_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: float = 0.0) -> KeptCamera:
+async def keep_camera(
+    spec: str, camera: CaptureConfig, unstamped_latency_s: float = 0.0, *, waits: bool = False
+) -> KeptCamera:
     """Open the source named by `spec` for a flight: whatever goes wrong later is told, and it is reopened.
+
+    With `waits` one that is missing now is opened as soon as it is there.
 
     Raises:
         ConfigError: it cannot be opened now.
@@ -88,7 +93,12 @@ async def keep_camera(spec: str, camera: CaptureConfig, unstamped_latency_s: flo
         form = DEVICE_FORM.fullmatch(spec)
         recording = form is not None and form["recording"] is not None
         patience = patience_with(camera, "recording" if recording else "device")
-    return KeptCamera(await open_it(), open_it, patience)
+    try:
+        return KeptCamera(await open_it(), open_it, patience)
+    except (DeviceMissing, OpeningHangs) as error:
+        if not waits:
+            raise
+        return KeptCamera(None, open_it, patience, missing=str(error))
 
 
 def _maker(spec: str, camera: CaptureConfig) -> MakeDevice:

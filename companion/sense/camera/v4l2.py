@@ -21,7 +21,8 @@ from typing import Any, Final, Protocol
 import cv2
 
 from companion.base.clock import Clock
-from companion.config import CaptureConfig, ConfigError
+from companion.base.errors import DeviceMissing
+from companion.config import CaptureConfig
 from companion.sense.camera.reader import ReadBack, Shot, check_size, grey
 from companion.sense.camera.stamps import StampPoint, StampReader
 
@@ -62,7 +63,7 @@ class V4l2Device:
         os.environ.setdefault(WAIT_VARIABLE, WAIT_S)
         self._capture: Capture = cv2.VideoCapture(number, cv2.CAP_V4L2)
         if not self._capture.isOpened():
-            raise ConfigError(
+            raise DeviceMissing(
                 f"sense.vision.source: v4l2:{number}: no camera at /dev/video{number}; "
                 "expected one that is connected and free"
             )

@@ -293,8 +293,10 @@ def _parse_nmea(data: bytes) -> Any | None:
         sentence = NMEAReader.parse(data)
     except (NMEAMessageError, NMEAParseError, NMEATypeError, ValueError):
         return None
+    if sentence is None or sentence.msgID not in _FIELDS:
+        return None  # the parser does not know it, or takes its first letters for a maker's
     # a short sentence with a right check sum is parsed without the fields that it lacks
-    if not all(hasattr(sentence, name) for name in _FIELDS.get(sentence.msgID, ())):
+    if not all(hasattr(sentence, name) for name in _FIELDS[sentence.msgID]):
         return None
     return sentence if sentence.msgID == "GSA" or isinstance(sentence.time, datetime.time) else None
 

@@ -15,6 +15,7 @@ from typing import Final, Protocol
 
 import smbus2
 
+from companion.base.errors import ConfigError, DeviceMissing
 from companion.base.formats.bus_format import (
     REPLY_HEADER_BYTES,
     BusFormatError,
@@ -23,7 +24,6 @@ from companion.base.formats.bus_format import (
     decode_reply_header,
     encode_request,
 )
-from companion.config import ConfigError
 from companion.sense.imu.spi import SpiBus
 
 SMBUS_BLOCK_BYTES: Final = 32
@@ -149,4 +149,4 @@ def open_bus(spec: str) -> SmbusBus | SpiBus | SocketBus:
         return SmbusBus(int(rest))
     except OSError as error:
         reason = error.strerror or str(error)
-        raise ConfigError(f"bus '{spec}': /dev/i2c-{rest} cannot be opened: {reason}") from error
+        raise DeviceMissing(f"bus '{spec}': /dev/i2c-{rest} cannot be opened: {reason}") from error

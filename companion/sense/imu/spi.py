@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 from typing import Any, Final
 
-from companion.config import ConfigError
+from companion.base.errors import ConfigError, DeviceMissing
 
 READ_BIT: Final = 0x80
 REGISTER_HZ: Final = 1_000_000
@@ -39,7 +39,7 @@ class SpiBus:
             self._spi.open(bus, select)
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ConfigError(f"bus 'spi:{bus}.{select}': {path} cannot be opened: {reason}") from error
+            raise DeviceMissing(f"bus 'spi:{bus}.{select}': {path} cannot be opened: {reason}") from error
         self._spi.mode = _MODE
         self._spi.max_speed_hz = REGISTER_HZ
 

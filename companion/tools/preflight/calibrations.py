@@ -27,7 +27,6 @@ from companion.tools.preflight.findings import Finding, Teller
 
 OLDEST: Final = timedelta(days=365)
 OLDEST_COMPASS: Final = timedelta(days=180)  # whatever is bolted on near it changes it
-SIMULATED: Final = ("sitl", "sih", "x500")  # shipped files of no vehicle of anybody's
 T = TypeVar("T")
 _SETTINGS, _TELL = Teller("settings"), Teller("calibration")
 
@@ -68,9 +67,9 @@ def _read(found: list[Finding], name: str, load: Callable[[], T]) -> T | None:
 
 def _vehicle(config: CompanionConfig, vehicle: VehicleConfig) -> Finding:
     shipped = (CONFIG_FOLDER / "vehicles" / f"{config.vehicle}.yaml").is_file()
-    if shipped and any(word in config.vehicle for word in SIMULATED):
-        hint = "measure your own into a file like configs/vehicles/x500.yaml, and name it in 'vehicle'"
-        return _SETTINGS.warn("vehicle", f"'{vehicle.name}', a simulated one", hint)
+    if shipped:
+        hint = "measure your own into a copy of it (configs/vehicles/), and name that in the settings"
+        return _SETTINGS.warn("vehicle", f"'{vehicle.name}', a shipped example", hint)
     return _SETTINGS.ok("vehicle", f"'{vehicle.name}', hover thrust {vehicle.hover_thrust:g}")
 
 

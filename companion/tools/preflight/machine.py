@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from companion.app.latch import state_folder
 from companion.tools.preflight.findings import Finding, Teller
 
 SERVICE: Final = "companion.service"
@@ -64,8 +63,8 @@ def check_machine(record: Path | None, state: ServiceState | None, now: datetime
 
 
 def flights_folder() -> Path:
-    """Where flights are kept: the service's folder if there is one, else the user's."""
-    return SERVICE_FOLDER if SERVICE_FOLDER.is_dir() else state_folder()
+    """Where flights are kept: the service's folder if there is one, else where we are."""
+    return SERVICE_FOLDER if SERVICE_FOLDER.is_dir() else Path.cwd()
 
 
 def _clock(now: datetime) -> Finding:

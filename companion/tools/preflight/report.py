@@ -21,19 +21,17 @@ STYLES: Final = {
 
 
 def findings_table(findings: list[Finding]) -> Table:
-    """A line each, grouped; what to do about it stands under what was found."""
+    """A line each under its group's name; what to do about it stands under what was found."""
     table = Table(title="preflight check", title_justify="left", show_lines=False)
-    for heading in ("", "", "", "found"):
-        table.add_column(heading, no_wrap=heading == "")
+    for heading in ("", "", "found"):
+        table.add_column(heading, no_wrap=heading == "", overflow="fold")
     last = ""
     for finding in findings:
-        table.add_row(
-            Text(finding.state, STYLES[finding.state]),
-            Text("" if finding.group == last else finding.group, "bold"),
-            finding.name,
-            _words(finding),
-        )
-        last = finding.group
+        if finding.group != last:
+            table.add_section()
+            table.add_row("", "", Text(finding.group, "bold"))
+            last = finding.group
+        table.add_row(Text(finding.state, STYLES[finding.state]), finding.name, _words(finding))
     return table
 
 

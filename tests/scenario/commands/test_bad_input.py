@@ -16,7 +16,7 @@ import yaml
 
 from companion.cli import main
 from companion.config import CONFIG_FOLDER
-from tests.scenario.flying import Flown, run, scenario_file
+from tests.scenario.flying import Flown, run, scenario_file, started
 
 DESK = ("--sitl", "--fast", "--no-ui")
 Companion = Callable[..., Flown]
@@ -93,7 +93,8 @@ def test_a_folder_that_holds_a_flight_is_not_overwritten(tmp_path: Path, compani
 
 def test_the_command_itself_ends_so(tmp_path: Path) -> None:
     assert "No such option" in refused(run("--wings"))
-    assert "no camera at /dev/video99" in refused(run("--no-ui", "--config", vehicle(tmp_path, "/dev/ptmx")))
+    impossible = vehicle(tmp_path, "/dev/ptmx", vision={"source": "film"})
+    assert "sense.vision.source: 'film'" in refused(run("--no-ui", "--config", impossible))
 
 
 # ---------------------------------------------------------------- settings
@@ -211,17 +212,18 @@ def test_a_udp_port_in_use_is_said(tmp_path: Path, pty: str, companion: Companio
 @pytest.mark.parametrize(
     ("part", "change", "expected"),
     [
-        ("link", {"connection": "serial:/dev/ttyNOWHERE:57600"}, "/dev/ttyNOWHERE:57600: No such file"),
-        ("gps", {"port": "/dev/ttyNOWHERE"}, "serial port /dev/ttyNOWHERE: cannot be opened at 38400 baud"),
         ("range", {"port": "/dev/null"}, "serial port /dev/null: cannot be opened at 9600 baud"),
-        ("imu", {"bus": "i2c:99"}, "bus 'i2c:99': /dev/i2c-99 cannot be opened: No such file"),
+        ("link", {"connection": "serial:/dev/null:57600"}, "link.connection: serial:/dev/null:57600: "),
         ("imu", {"bus": "spi:0"}, "bus 'spi:0': expected i2c:NUMBER, spi:BUS.SELECT or socket:PATH"),
-        ("vision", {"source": "v4l2:99"}, "sense.vision.source: v4l2:99: no camera at /dev/video99"),
-        ("vision", {"source": "socket:/nowhere"}, "sense.vision.source: socket:/nowhere: No such file"),
+        (
+            "vision",
+            {"source": "video:/nowhere.mp4"},
+            "sense.vision.source: video:/nowhere.mp4: cannot be read",
+        ),
         ("vision", {"source": "film"}, "sense.vision.source: 'film'; expected v4l2:NUMBER, picamera2:NUMBER"),
     ],
 )
-def test_hardware_that_is_missing_is_named(
+def test_hardware_that_cannot_be_is_named(
     part: str, change: dict[str, Any], expected: str, tmp_path: Path, pty: str, companion: Companion
 ) -> None:
     record = tmp_path / "flights"
@@ -230,6 +232,34 @@ def test_hardware_that_is_missing_is_named(
     )
     assert expected in line
     assert not list(record.glob("flight-*"))
+
+
+def test_hardware_that_is_missing_is_waited_for_and_said(tmp_path: Path) -> None:
+    missing = {
+        "link": {"connection": "serial:/dev/ttyNOWHERE:57600"},
+        "gps": {"port": "/dev/ttyNOWHERE"},
+        "range": {"port": "/dev/ttyNOWHERE"},
+        "imu": {"bus": "i2c:99"},
+        "vision": {"source": "v4l2:99"},
+    }
+    said = {
+        "autopilot link lost: link.connection: serial:/dev/ttyNOWHERE:57600: No such file or directory",
+        "gps lost: serial port /dev/ttyNOWHERE: cannot be opened at 38400 baud: No such file or directory",
+        "ultrasonic lost: serial port /dev/ttyNOWHERE: cannot be opened at 9600 baud",
+        "bus 'i2c:99': /dev/i2c-99 cannot be opened: No such file",
+        "camera: sense.vision.source: v4l2:99: no camera at /dev/video99",
+    }
+    with started("--no-ui", "--config", vehicle(tmp_path, "/dev/ptmx", **missing)) as process:
+        for_each = set(said)
+        assert process.stdout is not None
+        for line in process.stdout:
+            for_each -= {words for words in for_each if words in line}
+            if not for_each:
+                break
+        assert process.poll() is None
+        process.terminate()
+        assert process.wait(timeout=20.0) == 0
+    assert not for_each
 
 
 def free_port() -> int:

@@ -10,7 +10,7 @@ from pymavlink import mavutil
 from tests.scenario.flying import Flown, fly, run
 
 PLOTS = {"path.png", "height.png", "lateral.png", "detections.png", "estimators.png"}
-LOGS = {"flight.mcap", "flight.tlog", "result.json", "report.html"}
+LOGS = {"flight.mcap", "flight.tlog", "result.json", "report.html", "settings.yaml"}
 TOPICS = {
     *("/imu", "/mag", "/gps", "/range", "/camera", "/sighting", "/frame_report", "/vehicle", "/pad", "/plan"),
     *("/setpoint", "/control_report", "/action", "/action_result", "/notice", "/truth"),

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -124,14 +125,15 @@ def simulated(folder: Path) -> tuple[subprocess.Popen[str], Path]:
     )
     assert simulator.stdout is not None
     settings = folder / "companion.yaml"
-    settings.write_text(yaml.safe_dump(json.loads(simulator.stdout.readline())))
+    wired = json.loads(simulator.stdout.readline())
+    settings.write_text(yaml.safe_dump(wired | {"plan": {"mission": {"may_arm": True}}}))
     return simulator, settings
 
 
 def test_killed_before_it_armed_the_next_start_arms_nothing_until_it_is_permitted(tmp_path: Path) -> None:
     simulator, settings = simulated(tmp_path)
     flights = tmp_path / "flights"
-    fly = ("--no-ui", "--config", settings, "--record", flights)
+    fly = ("--fly", "--no-ui", "--config", settings, "--record", flights)
     with simulator:
         with started(*fly) as killed:
             wait_for_line(killed, "waiting for")
@@ -149,18 +151,40 @@ def test_killed_before_it_armed_the_next_start_arms_nothing_until_it_is_permitte
         simulator.communicate("finish aborted\n", timeout=20.0)
 
 
-def test_the_vehicle_s_own_command_flies_by_a_settings_file_under_a_service_manager(tmp_path: Path) -> None:
+def test_the_service_stands_by_lands_when_it_is_ordered_to_and_stands_by_again(tmp_path: Path) -> None:
     simulator, settings = simulated(tmp_path)
+    flights, asked = tmp_path / "flights", tmp_path / "run" / "companion.sock"
     with simulator, closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as manager:
         # nobody reads it meanwhile: a service manager that hangs must not hold up a flight
         manager.bind(str(tmp_path / "notify"))
-        notify = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
-        assert run("permit", "--record", tmp_path / "flights").code == 0
-        flown = run("--no-ui", "--config", settings, "--record", tmp_path / "flights", variables=notify)
+        managed = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "RUNTIME_DIRECTORY": str(asked.parent)}
+        service = ("--no-ui", "--config", settings, "--record", flights)
+        with started(*service, variables=managed) as process:
+            wait_for_line(process, "standby: waits for an order")
+            wait_until(lambda: healthy(asked), "healthy")
+            assert run("order", "land", "--socket", asked).code == 1  # it stands on the ground
+            ordered = run("order", "fly", "--wait", "--socket", asked)
+            assert healthy(asked)
+            process.send_signal(signal.SIGTERM)
+            words, errors = process.communicate(timeout=END_TIMEOUT_S)
         said, _ = simulator.communicate("finish landed\n", timeout=20.0)
         report = read_report(Path(json.loads(said)["report"]))
         if report.latest_tick_s > LATE_S:
             pytest.skip(f"the simulator was {report.latest_tick_s:.1f} s late on this machine")
-        assert (flown.code, report.outcome) == (0, "landed"), flown
+        assert (ordered.code, report.outcome) == (0, "landed"), (ordered, words)
+        assert (process.returncode, errors) == (0, "")
         assert {manager.recv(1000) for _ in range(3)} >= {b"READY=1", b"WATCHDOG=1"}
-    assert (tmp_path / "flights" / "flight-0001" / "flight.mcap").stat().st_size > 0
+    assert (flights / "flight-0001" / "flight.mcap").stat().st_size > 0
+
+
+def healthy(asked: Path) -> bool:
+    """Whether the running service says that it is well."""
+    return run("status", "--socket", asked).code == 0
+
+
+def wait_until(holds: Callable[[], bool], what: str) -> None:
+    """Wait for something that takes a while in real time."""
+    deadline = time.monotonic() + 40.0
+    while not holds():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.3)

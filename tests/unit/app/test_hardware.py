@@ -28,7 +28,7 @@ def opened(sense: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> tuple[list
     async def transport(*_: object) -> Opened:
         return Opened("autopilot", names)
 
-    async def camera(*_: object) -> Opened:
+    async def camera(*_: object, waits: bool) -> Opened:
         return Opened("camera", names)
 
     monkeypatch.setattr(hardware, "open_transport", transport)

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from companion.app.supervision import RESTART_PAUSE_S, supervised
+from companion.app.supervision import BACK_AFTER_S, RESTART_PAUSE_S, supervised
 from companion.base.clock import Clock, run_in_virtual_time
 from companion.base.errors import ConfigError
 from companion.link.codec import Severity
@@ -27,7 +27,7 @@ class FailingTask:
             raise self._errors.pop(0)
 
     def notify(self, kind: str, text: str, severity: Severity) -> None:
-        assert (kind, severity) == ("device_lost", "error")
+        assert (kind, severity) in (("device_lost", "error"), ("device_back", "info"))
         self.notices.append(text)
 
     def run(self, *, on_ground: bool) -> None:
@@ -55,3 +55,16 @@ def test_what_the_user_can_correct_ends_the_app_on_the_ground_alone() -> None:
     task = FailingTask(ConfigError("wrong port"))
     task.run(on_ground=False)
     assert task.notices == ["GPS lost: wrong port"]
+
+
+def test_what_runs_again_is_said_to_be_back_once_and_its_next_failure_is_told() -> None:
+    notices: list[str] = []
+    runs = iter([0.0, 0.0])
+
+    async def work() -> None:
+        await asyncio.sleep(next(runs, 3.0 * BACK_AFTER_S))
+        if len(notices) < 3:
+            raise OSError("unplugged")
+
+    run_in_virtual_time(supervised("GPS", work, lambda _kind, text, _severity: notices.append(text), bool))
+    assert notices == ["GPS lost: unplugged", "GPS is back", "GPS lost: unplugged (failure 3)", "GPS is back"]

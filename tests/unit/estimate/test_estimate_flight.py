@@ -67,12 +67,14 @@ def test_velocity_within_15_cm_s(name: str) -> None:
     assert flown(name).rms("velocity_m_s") < 0.15
 
 
-@pytest.mark.parametrize("name", FLIGHTS)
-def test_claimed_uncertainty_is_honest(name: str) -> None:
-    errors = flown(name)
-    for kind, claimed in (("attitude_rad", "attitude_std_rad"), ("velocity_m_s", "velocity_std_m_s")):
-        std = getattr(errors.vehicle[-1], claimed)
-        assert 0.25 * std < errors.rms(kind) < 1.3 * std
+@pytest.mark.parametrize(
+    ("kind", "claimed"), [("attitude_rad", "attitude_std_rad"), ("velocity_m_s", "velocity_std_m_s")]
+)
+def test_claimed_uncertainty_is_honest(kind: str, claimed: str) -> None:
+    """Over all flights: one alone has some twenty independent errors, too few to judge by."""
+    ratios = [flown(name).rms(kind) / getattr(flown(name).vehicle[-1], claimed) for name in FLIGHTS]
+    assert min(ratios) > 0.25
+    assert 0.5 < math.sqrt(sum(ratio**2 for ratio in ratios) / len(ratios)) < 1.1
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,18 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import common as mavlink
 
-from companion.base.message_json import encode, schema_of
-from companion.base.messages import Frame, ImuSample, Notice, PadSighting, PlanStep, Reference, VehicleState
+from companion.base.message_json import encode
+from companion.base.message_schema import schema_of
+from companion.base.messages import (
+    Frame,
+    ImuSample,
+    Notice,
+    PadSighting,
+    Phase,
+    PlanStep,
+    Reference,
+    VehicleState,
+)
 from companion.config import ConfigError
 from companion.flightlog.record import FlightLog, split_packets
 
@@ -100,7 +110,8 @@ def test_arrays_and_numbers_that_are_none_can_be_written() -> None:
     rows = np.zeros((2, 3))
     reference = Reference(0.0, "pad", 0.1, rows, rows, rows, float("nan"))
     data = json.loads(encode(reference))
-    assert data["position_m"] == [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    assert data["position_m"] == [0.0] * 6
+    assert "minimum_height_m" not in data
     assert data["heading_rad"] is None
     with pytest.raises(Exception, match="cannot log"):
         encode(object())
@@ -114,11 +125,12 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 
 def test_schemas_name_every_field_with_its_kind() -> None:
     properties = schema_of(VehicleState)["properties"]
-    assert properties["time_s"] == {"type": "number"}
+    assert properties["time_s"] == {"type": "number", "description": "s"}
     assert properties["attitude"]["type"] == "array"
     assert properties["aligned"] == {"type": "boolean"}
-    assert schema_of(PadSighting)["properties"]["marker_count"] == {"type": "object"}
-    assert schema_of(PlanStep)["properties"]["phase"] == {"type": "string"}
+    counts = schema_of(PadSighting)["properties"]["marker_count"]["properties"]
+    assert counts == {key: {"type": "integer"} for key in "FMC"}
+    assert schema_of(PlanStep)["properties"]["phase"]["enum"] == [phase.value for phase in Phase]
 
 
 def test_a_log_of_no_flight_leaves_nothing_behind(tmp_path: Path) -> None:

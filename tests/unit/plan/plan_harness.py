@@ -21,6 +21,7 @@ from companion.base.messages import (
     AutopilotState,
     LandedState,
     Notice,
+    Order,
     PadBeacon,
     PadState,
     Phase,
@@ -210,6 +211,8 @@ class World:
         self.beacon_after_s: float | None = None
         self.vehicle_known = True
         self.stop = False
+        self.order: Order | None = None  # given once
+        self.camera_problem: str | None = None
         self.flight = Flight()
         self.rng = np.random.default_rng(0)
         self._drift = np.zeros(3)
@@ -235,7 +238,7 @@ class World:
     def cycle(self) -> PlanStep:
         self._sense()
         inputs = self.inputs()
-        self._results = []
+        self._results, self.order = [], None
         step = self.planner.step(inputs, self.now_s)
         flight = self.flight
         if not flight.phases or flight.phase is not step.phase:
@@ -263,6 +266,8 @@ class World:
             range=self._echo(),
             results=tuple(self._results),
             stop_requested=self.stop,
+            order=self.order,
+            camera_problem=self.camera_problem,
         )
 
     # ------------------------------------------------------------ what the planner is told

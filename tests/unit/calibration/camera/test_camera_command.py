@@ -212,7 +212,7 @@ async def test_live_images_of_another_size_are_told(
     ("words", "says"),
     [
         ((), "SOURCE: expected a camera"),
-        (("nowhere",), "nowhere: not there; expected a camera, a folder"),
+        (("nowhere",), "nowhere: cannot be read: No such file or directory; expected a camera, a folder"),
         (("{empty}",), "holds no photos or videos"),
         (("{text}",), "not a photo that can be read"),
         (

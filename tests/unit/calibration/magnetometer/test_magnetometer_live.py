@@ -22,7 +22,7 @@ from companion.sense.imu.mpu9250 import Mpu9250
 from sitl.run.in_process import InProcess, carried
 from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, load_scenario
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 
 FIELD = TrueField(magnetic_field_ned_ut(USUAL_HOMES["px4"]), "the simulator's")
 

@@ -23,7 +23,7 @@ from tests.unit.control.control_plants import (
     still,
 )
 from tests.unit.control.control_vehicles import AttitudeAutopilot, VelocityAutopilot
-from tests.unit.control.mpc.test_mpc import CONFIG, DT, LAGS_S, N, _batch_inputs, _curve, _hover_at
+from tests.unit.control.mpc.mpc_cases import CONFIG, DT, LAGS_S, N, batch_inputs, curve, hover_at
 
 START = Motion((0.05, -0.1, 0.02), (0.2, 0.0, -0.1), (0.1, -0.2, 0.0))
 AT_REST = Motion(ZERO3, ZERO3, ZERO3)
@@ -41,7 +41,7 @@ def _tracker(name: str) -> Tracker:
 
 
 def _nan_target() -> Target:
-    target = _hover_at((1.0, 0.0, 0.0))
+    target = hover_at((1.0, 0.0, 0.0))
     target.velocity_m_s[3, 1] = math.nan
     return target
 
@@ -57,13 +57,13 @@ def test_the_settings_choose() -> None:
 
 
 def test_the_recursion_is_the_batch_optimum_without_constraints() -> None:
-    target = _curve()
+    target = curve()
     solution = RiccatiTracker(CONFIG, LAGS_S).solve(START, target, DISTURBANCE, LAST)
     needed = needed_inputs(target, DISTURBANCE, LAGS_S, DT)
     first_change = (needed[1] - needed[0]) / (CONFIG.rate_hz * DT)
     rows = [target.position_m, target.velocity_m_s, target.acceleration_m_s2]
     for axis in range(3):
-        expected = _batch_inputs(
+        expected = batch_inputs(
             np.array([START.position_m[axis], START.velocity_m_s[axis], START.acceleration_m_s2[axis]]),
             np.stack([row[:, axis] for row in rows], axis=1),
             needed[:, axis],
@@ -77,15 +77,15 @@ def test_the_recursion_is_the_batch_optimum_without_constraints() -> None:
 
 def test_the_recursion_is_the_mpc_where_no_constraint_binds() -> None:
     free = CONFIG.model_copy(update={"limits": LimitsConfig(jerk_m_s3=200.0)})
-    ours = RiccatiTracker(free, LAGS_S).solve(START, _curve(), DISTURBANCE, LAST)
-    theirs = Mpc(free, LAGS_S).solve(START, _curve(), DISTURBANCE, LAST)
+    ours = RiccatiTracker(free, LAGS_S).solve(START, curve(), DISTURBANCE, LAST)
+    theirs = Mpc(free, LAGS_S).solve(START, curve(), DISTURBANCE, LAST)
     # as near as OSQP's own tolerance lets it come
     np.testing.assert_allclose(ours.inputs_m_s2, theirs.inputs_m_s2, atol=5e-3)
     np.testing.assert_allclose(ours.states, theirs.states, atol=5e-3)
 
 
 def test_the_recursion_knows_no_bounds() -> None:
-    far = RiccatiTracker(CONFIG, LAGS_S).solve(AT_REST, _hover_at((8.0, 0.0, 0.0)), ZERO3, ZERO3)
+    far = RiccatiTracker(CONFIG, LAGS_S).solve(AT_REST, hover_at((8.0, 0.0, 0.0)), ZERO3, ZERO3)
     assert far.inputs_m_s2[:, 0].max() > CONFIG.limits.horizontal_acceleration_m_s2
 
 
@@ -106,8 +106,8 @@ def test_the_pid_is_its_law() -> None:
 def _integral_after(tracker: PidTracker, error_m: float, seconds: float) -> float:
     """The input at no error, after so long at one: what has been integrated."""
     for _ in range(round(seconds * CONFIG.rate_hz)):
-        tracker.solve(AT_REST, _hover_at((error_m, 0.0, 0.0)), ZERO3, ZERO3)
-    return float(tracker.solve(AT_REST, _hover_at(ZERO3), ZERO3, ZERO3).inputs_m_s2[0, 0])
+        tracker.solve(AT_REST, hover_at((error_m, 0.0, 0.0)), ZERO3, ZERO3)
+    return float(tracker.solve(AT_REST, hover_at(ZERO3), ZERO3, ZERO3).inputs_m_s2[0, 0])
 
 
 def test_the_integral_grows_to_its_bound_and_forgets_on_reset() -> None:
@@ -130,11 +130,11 @@ def test_the_integral_waits_while_the_command_is_at_its_bound() -> None:
 def test_numbers_that_are_none_command_nothing_and_say_so(name: str) -> None:
     tracker = _tracker(name)
     bad_start = Motion((math.nan, 0.0, 0.0), ZERO3, ZERO3)
-    for start, target in ((bad_start, _hover_at(ZERO3)), (AT_REST, _nan_target())):
+    for start, target in ((bad_start, hover_at(ZERO3)), (AT_REST, _nan_target())):
         solution = tracker.solve(start, target, ZERO3, ZERO3)
         assert not solution.solved
         assert not solution.inputs_m_s2.any()
-    assert tracker.solve(AT_REST, _hover_at((0.1, 0.0, 0.0)), ZERO3, ZERO3).inputs_m_s2[0, 0] > 0.0
+    assert tracker.solve(AT_REST, hover_at((0.1, 0.0, 0.0)), ZERO3, ZERO3).inputs_m_s2[0, 0] > 0.0
 
 
 # ---------------------------------------------------------------- closed loop

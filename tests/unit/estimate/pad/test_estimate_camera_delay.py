@@ -2,75 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
-import numpy as np
 import pytest
 
-from companion.base.geometry import (
-    GRAVITY_M_S2,
-    Quaternion,
-    Vector3,
-    quat_from_euler,
-    quat_rotate,
-    quat_rotate_inverse,
-    subtract,
-)
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import LARGEST_S, CameraDelay
-
-IMU_S = 0.005
-FRAME_S = 1.0 / 30.0
-LATENCY_S = 0.1
-
-
-@dataclass(frozen=True)
-class Sway:
-    """A vehicle that rolls and pitches under its own thrust over a pad that drives, seen `late_s` late."""
-
-    late_s: float
-    height_m: float = 3.0
-    roll_rad: float = 0.06
-    noise_m: float = 0.005
-    pad_speed_m_s: float = 1.0
-    pad_acceleration_m_s2: float = 0.0
-
-    def attitude(self, time_s: float) -> Quaternion:
-        return quat_from_euler(
-            self.roll_rad * math.sin(6.0 * time_s), 0.5 * self.roll_rad * math.sin(8.0 * time_s), 0.3
-        )
-
-    def acceleration(self, time_s: float) -> Vector3:
-        x, y, z = quat_rotate(self.attitude(time_s), (0.0, 0.0, -GRAVITY_M_S2))
-        return (x, y, z + GRAVITY_M_S2)
-
-    def pad(self, time_s: float) -> Vector3:
-        return (self.pad_speed_m_s * time_s + 0.5 * self.pad_acceleration_m_s2 * time_s**2, 0.0, 0.0)
+from tests.unit.estimate.pad.pad_sway import FRAME_S, Sway, sightings
 
 
 def learnt(sway: Sway, duration_s: float = 12.0, frame_s: float = FRAME_S) -> CameraDelay:
     """What is learnt of one flight."""
-    rng, motion = np.random.default_rng(7), MotionHistory(3.0)
+    motion = MotionHistory(3.0)
     delay = CameraDelay(motion, 0.01)
-    position = np.array([0.0, 0.0, -sway.height_m])
-    velocity = np.zeros(3)
-    places: list[Vector3] = []
-    exposed_s = 0.1
-    for k in range(round(duration_s / IMU_S)):
-        now_s = k * IMU_S
-        motion.add(now_s, sway.attitude(now_s), sway.acceleration(now_s))
-        places.append((float(position[0]), float(position[1]), float(position[2])))
-        acceleration = np.array(sway.acceleration(now_s))
-        position = position + velocity * IMU_S + 0.5 * acceleration * IMU_S**2
-        velocity = velocity + acceleration * IMU_S
-        if now_s >= exposed_s + LATENCY_S:
-            truly = round((exposed_s + sway.late_s) / IMU_S)
-            relative = subtract(sway.pad(truly * IMU_S), places[truly])
-            seen = np.array(quat_rotate_inverse(sway.attitude(truly * IMU_S), relative))
-            x, y, z = (seen + sway.noise_m * rng.standard_normal(3)).tolist()
-            delay.take(exposed_s + delay.delay_s, (x, y, z), sway.noise_m**2)
-            exposed_s += frame_s
+    for exposed_s, seen in sightings(sway, motion, duration_s, frame_s):
+        delay.take(exposed_s + delay.delay_s, seen, sway.noise_m**2)
     return delay
 
 

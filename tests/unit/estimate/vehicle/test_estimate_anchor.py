@@ -80,7 +80,7 @@ def fly(*, anchored: bool, gap: tuple[float, float] = GAP, theirs_off: Quaternio
 
 
 def judge(run: Run, estimator: StateEstimator, now_s: float) -> None:
-    run.told.extend(estimator.take_corrections())
+    run.told.extend(words for _, words in estimator.take_notices())
     state = estimator.vehicle(now_s)
     if state is not None and now_s > 12.0:
         turn = quat_multiply(quat_conjugate(FLIGHT.attitude(now_s)), state.attitude)

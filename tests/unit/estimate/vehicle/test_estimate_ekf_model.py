@@ -24,7 +24,6 @@ from companion.estimate.vehicle import ekf_model as model
 ANTENNA = (0.1, -0.2, -0.3)
 Measurement = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 MODELS: dict[str, Measurement] = {
-    "imu": model.imu_model,
     "mag": model.mag_model,
     "gps_position": lambda x: model.gps_position_model(x, ANTENNA),
     "gps_velocity": lambda x: model.gps_velocity_model(x, ANTENNA),
@@ -69,12 +68,12 @@ def test_transition_jacobian_matches_differences(seed: int, dt_s: float) -> None
     rng = np.random.default_rng(seed + 10)
     u = model.InertialInput(vector3(3.0 * rng.normal(size=3)), vector3(10.0 * rng.normal(size=3)))
     n, m = model.MOVING, model.COUPLED
-    numeric = differences(lambda s: model.transition(s, u, dt_s, 1.0)[0], x)
+    numeric = differences(lambda s: model.transition(s, u, dt_s)[0], x)
     # along the quaternion's length, which stays 1, there is nothing to compare
     tangent = np.zeros((m, m - 1))
     tangent[:4, :3] = left_matrix(model.quaternion_of(x))[:, 1:]
     tangent[4:, 3:] = np.eye(m - 4)
-    A = model.transition(x, u, dt_s, 1.0)[1]
+    A = model.transition(x, u, dt_s)[1]
     assert A @ tangent == pytest.approx(numeric[:n, :m] @ tangent, abs=2e-6)
     # what A leaves out: nothing depends on field and magnetometer bias, which with the biases stay
     assert np.array_equal(numeric[:n, m:], np.zeros((n, model.STATES - m)))
@@ -84,18 +83,20 @@ def test_transition_jacobian_matches_differences(seed: int, dt_s: float) -> None
 def test_transition_keeps_the_euler_angles_those_of_the_quaternion() -> None:
     x = some_state(2)
     u = model.InertialInput((0.5, -1.0, 2.0), (0.3, -0.2, -9.8))
-    after, _ = model.transition(x, u, 0.1, 1.0)
+    after, _ = model.transition(x, u, 0.1)
     expected = quat_from_euler(*after[model.EULER])
     assert abs(np.dot(expected, after[model.QUATERNION])) == pytest.approx(1.0)
 
 
-def test_level_at_rest_the_imu_shows_gravity_upwards_and_the_biases() -> None:
-    x = np.zeros(model.STATES)
-    x[0] = 1.0
+def test_rate_and_acceleration_are_what_the_imu_shows_less_its_biases_and_gravity() -> None:
+    x = some_state(5)
+    x[model.QUATERNION] = quat_from_euler(0.0, 0.0, math.pi / 2)
     x[model.GYRO_BIAS] = (0.1, 0.2, 0.3)
     x[model.ACCEL_BIAS] = (0.01, 0.02, 0.03)
-    expected, _ = model.imu_model(x)
-    assert expected == pytest.approx([0.1, 0.2, 0.3, 0.01, 0.02, 0.03 - GRAVITY_M_S2])
+    u = model.InertialInput((0.1, 0.2, 0.5), (2.01, 0.02, 0.03 - GRAVITY_M_S2))
+    after, _ = model.transition(x, u, 1e-6)
+    assert after[model.RATE] == pytest.approx([0.0, 0.0, 0.2])
+    assert after[model.ACCELERATION] == pytest.approx([0.0, 2.0, 0.0], abs=1e-6)
 
 
 @pytest.mark.parametrize("yaw_deg", [0, 90, 180, 270])

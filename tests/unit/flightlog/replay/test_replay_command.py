@@ -9,7 +9,7 @@ import pytest
 
 from companion import cli
 from companion.flightlog.record import FlightLog
-from companion.flightlog.replay.command import log_name
+from companion.flightlog.replay.job import log_name
 from tests.unit.estimate.estimate_flight import Flight, hover, pad_at_rest, sprint
 from tests.unit.flightlog.replay.log_files import FLIGHT, write_dataflash, write_own, write_ulog
 
@@ -141,7 +141,7 @@ def test_settings_and_folders_that_are_wrong_are_refused(
     assert "--config: belongs to a flight" in refused(
         monkeypatch, capsys, "--config", tmp_path / "bad.yaml", "replay", log
     )
-    assert "companion --help" in refused(monkeypatch, capsys, "replay")
+    assert "companion replay --help" in refused(monkeypatch, capsys, "replay")
     assert "companion --help" in refused(monkeypatch, capsys, "replai", log)
 
 

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
 
 import pytest
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.clock import Clock
 from companion.base.messages import Action, ActionKind, ActionResult, PadBeacon
 from companion.config import LinkConfig
 from companion.link.actions.actions import PymavlinkActions
 from companion.link.codec import Codec, mavlink
-from companion.link.inbox import memory_pair
 from companion.link.session import Session
-from companion.link.transport import Transport
+from tests.unit.link.actions.action_flight import autopilot_of, fly, perform
 from tests.unit.link.fake_autopilot import FakeAutopilot
 from tests.unit.link.ground_beacon import follow_target
 
-Answer = Callable[[bytes, float], bytes]
 MODES: dict[AutopilotKind, dict[ActionKind, str]] = {
     "px4": {
         ActionKind.TAKE_CONTROL: "OFFBOARD",
@@ -33,80 +30,6 @@ MODES: dict[AutopilotKind, dict[ActionKind, str]] = {
         ActionKind.LAND: "LAND",
     },
 }
-
-
-async def simulate(autopilot: FakeAutopilot, end: Transport, ground: Answer | None = None) -> None:
-    clock = Clock()
-
-    async def listen() -> None:
-        while True:
-            data = await end.read()
-            end.write(autopilot.receive(data, clock.now_s()))
-            if ground is not None:
-                end.write(ground(data, clock.now_s()))
-
-    async with asyncio.TaskGroup() as tasks:
-        tasks.create_task(listen())
-        while True:
-            end.write(autopilot.tick(clock.now_s()))
-            await asyncio.sleep(0.01)
-
-
-def fly(
-    autopilot: FakeAutopilot,
-    story: Callable[[PymavlinkActions, Session], Awaitable[list[ActionResult]]],
-    config: LinkConfig | None = None,
-    ground: Answer | None = None,
-    settle_s: float = 1.5,
-    attitude_setpoints: bool = False,
-) -> list[ActionResult]:
-    """Connect, let the telemetry settle, and run a story of actions."""
-
-    async def main() -> list[ActionResult]:
-        clock, settings = Clock(), config or LinkConfig()
-        ours, theirs = memory_pair()
-        session = Session(settings)
-        actions = PymavlinkActions(
-            session, ours.write, clock, settings, attitude_setpoints=attitude_setpoints
-        )
-
-        async def listen() -> None:
-            while True:
-                session.receive(await ours.read(), clock.now_s())
-                ours.write(session.tick(clock.now_s()))
-
-        tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(simulate(autopilot, theirs, ground))]
-        await asyncio.sleep(settle_s)
-        try:
-            return await story(actions, session)
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
-
-    return run_in_virtual_time(main())
-
-
-def perform(
-    autopilot: FakeAutopilot,
-    *asked: Action,
-    config: LinkConfig | None = None,
-    ground: Answer | None = None,
-    settle_s: float = 1.5,
-    attitude_setpoints: bool = False,
-) -> list[ActionResult]:
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        return [await actions.perform(action) for action in asked]
-
-    return fly(autopilot, story, config, ground, settle_s, attitude_setpoints)
-
-
-def autopilot_of(autopilot_kind: AutopilotKind) -> FakeAutopilot:
-    return FakeAutopilot(
-        autopilot_kind=autopilot_kind, mode="AUTO.LOITER" if autopilot_kind == "px4" else "STABILIZE"
-    )
-
-
 AUTOPILOT_KINDS: list[AutopilotKind] = ["px4", "ardupilot"]
 
 
@@ -292,188 +215,3 @@ def test_a_cancelled_action_is_not_repeated() -> None:
     autopilot = FakeAutopilot(deaf_to={mavlink.MAV_CMD_DO_SET_MODE: 99})
     fly(autopilot, story)
     assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
-
-
-# ---------------------------------------------------------------- withdrawn
-
-
-def cancel_after(
-    autopilot: FakeAutopilot, wait_s: float, *asked: Action, attitude_setpoints: bool = False
-) -> list[ActionResult]:
-    """Begin the first, cancel it, perform the rest at once, and wait for repeats that must not come."""
-
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        loop = asyncio.get_running_loop()
-        first = asyncio.ensure_future(actions.perform(asked[0]))
-        await asyncio.sleep(wait_s)
-        cancelled_s = loop.time()
-        actions.cancel()
-        results = [await first]
-        assert loop.time() == cancelled_s
-        results += [await actions.perform(action) for action in asked[1:]]
-        assert loop.time() - cancelled_s < 0.6
-        await asyncio.sleep(3.0)
-        return results
-
-    return fly(autopilot, story, attitude_setpoints=attitude_setpoints)
-
-
-@pytest.mark.parametrize("kind", [kind for kind in ActionKind if kind is not ActionKind.GO_TO])
-def test_cancelling_ends_any_action_at_once_and_nothing_of_it_is_repeated(kind: ActionKind) -> None:
-    numbers = (
-        mavlink.MAV_CMD_DO_SET_MODE,
-        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
-        mavlink.MAV_CMD_NAV_TAKEOFF,
-    )
-    autopilot = FakeAutopilot(deaf_to=dict.fromkeys(numbers, 99))
-    [result] = cancel_after(autopilot, 0.1, Action(kind, height_m=5.0, force=True))
-    assert (result.kind, result.accepted, result.text) == (kind, False, "withdrawn")
-    asked_of_ground = [m for m in autopilot.commands(512) if m.target_system == 255]
-    assert sum(len(autopilot.commands(number)) for number in numbers) + len(asked_of_ground) == 1
-
-
-def test_after_cancelling_holding_waits_for_nothing() -> None:
-    autopilot = FakeAutopilot(mode="POSCTL", deaf_to={mavlink.MAV_CMD_DO_SET_MODE: 1})
-    results = cancel_after(autopilot, 0.1, Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD))
-    assert [result.accepted for result in results] == [False, True]
-    assert autopilot.mode == "AUTO.LOITER"
-    modes = [(m.param2, m.param3) for m in autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)]
-    assert modes[0] == (6.0, 0.0)
-    assert set(modes[1:]) == {(4.0, 3.0)}
-
-
-def test_cancelling_while_an_accepted_mode_is_awaited_ends_that_too() -> None:
-    class Stubborn(FakeAutopilot):
-        def _mode(self, main: int, sub: int) -> str:
-            return "AUTO.MISSION"
-
-    [result] = cancel_after(Stubborn(), 0.5, Action(ActionKind.TAKE_CONTROL))
-    assert result.text == "withdrawn"
-
-
-def test_cancelling_with_nothing_under_way_changes_nothing() -> None:
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        actions.cancel()
-        return [await actions.perform(Action(ActionKind.LAND))]
-
-    [result] = fly(FakeAutopilot(), story)
-    assert result.accepted
-
-
-@pytest.mark.parametrize(("autopilot_kind", "sticks"), [("px4", "POSCTL"), ("ardupilot", "ALT_HOLD")])
-def test_control_is_not_asked_for_again_once_a_pilot_has_taken_the_sticks(
-    autopilot_kind: AutopilotKind, sticks: str
-) -> None:
-    autopilot = autopilot_of(autopilot_kind)
-    autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 1
-
-    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
-        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.TAKE_CONTROL)))
-        await asyncio.sleep(0.1)
-        autopilot.mode = sticks
-        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
-        return [await asking]
-
-    [result] = fly(autopilot, story)
-    assert (result.accepted, result.text) == (False, f"a pilot has changed to {sticks}")
-    assert autopilot.mode == sticks
-    assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
-
-
-def test_a_beacon_of_another_system_is_no_answer_but_a_hint() -> None:
-    stranger = Codec(254, 190)
-
-    def answer(data: bytes, now_s: float) -> bytes:
-        return stranger.encode(follow_target(PadBeacon(now_s, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.0)))
-
-    [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)
-    assert not result.accepted
-    assert "no answer (system 254 tells one; link.ground_system_id is another)" in result.text
-
-
-# ---------------------------------------------------------------- what thrust means to ArduPilot
-
-
-def take_control_by_attitude(
-    autopilot: FakeAutopilot, kind: ActionKind = ActionKind.TAKE_CONTROL, set_parameters: bool = False
-) -> ActionResult:
-    config = LinkConfig(set_parameters=set_parameters)
-    [result] = perform(autopilot, Action(kind), config=config, attitude_setpoints=True)
-    return result
-
-
-def sent(autopilot: FakeAutopilot, kind: str) -> list[str]:
-    return [m.param_id for m in autopilot.heard if m.get_type() == kind]
-
-
-@pytest.mark.parametrize("kind", [ActionKind.ARM, ActionKind.TAKE_CONTROL])
-@pytest.mark.parametrize("options", [0, 1, 16])
-def test_without_the_thrust_bit_attitude_setpoints_are_refused_before_anything_happens(
-    options: int, kind: ActionKind
-) -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.parameters["GUID_OPTIONS"] = options
-    result = take_control_by_attitude(autopilot, kind)
-    assert not result.accepted
-    assert result.text == (
-        f"GUID_OPTIONS is {options}: thrust is read as climb rate; expected {options + 8}, "
-        "which link.set_parameters lets us set, or control.setpoint velocity"
-    )
-    assert (autopilot.mode, autopilot.armed) == ("STABILIZE", False)
-    assert sent(autopilot, "PARAM_SET") == []
-
-
-@pytest.mark.parametrize("options", [8, 9, 255])
-def test_with_the_thrust_bit_control_is_taken(options: int) -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.parameters["GUID_OPTIONS"] = options
-    assert take_control_by_attitude(autopilot, set_parameters=True).accepted
-    assert sent(autopilot, "PARAM_SET") == []
-
-
-def test_the_thrust_bit_is_set_beside_the_others_where_allowed() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.parameters["GUID_OPTIONS"] = 1
-    assert take_control_by_attitude(autopilot, set_parameters=True).accepted
-    assert autopilot.parameters["GUID_OPTIONS"] == 9
-    assert autopilot.mode == "GUIDED"
-
-
-def test_a_parameter_that_cannot_be_set_is_a_refusal() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.keeps_parameters = True
-    result = take_control_by_attitude(autopilot, set_parameters=True)
-    assert (result.accepted, result.text[:18]) == (False, "GUID_OPTIONS is 0:")
-
-
-def test_a_lost_question_for_a_parameter_is_repeated() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.parameters["GUID_OPTIONS"] = 8
-    autopilot.deaf_to_parameters = 2
-    assert take_control_by_attitude(autopilot).accepted
-    assert len(sent(autopilot, "PARAM_REQUEST_READ")) == 3
-
-
-def test_a_parameter_that_is_not_told_is_a_refusal() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.deaf_to_parameters = 99
-    result = take_control_by_attitude(autopilot)
-    assert (result.accepted, result.text) == (False, "the autopilot does not tell its GUID_OPTIONS")
-
-
-def test_cancelling_ends_the_question_for_a_parameter() -> None:
-    autopilot = autopilot_of("ardupilot")
-    autopilot.deaf_to_parameters = 99
-    [result] = cancel_after(autopilot, 0.1, Action(ActionKind.TAKE_CONTROL), attitude_setpoints=True)
-    assert result.text == "withdrawn"
-    assert len(sent(autopilot, "PARAM_REQUEST_READ")) == 1
-
-
-@pytest.mark.parametrize(("autopilot_kind", "attitude_setpoints"), [("px4", True), ("ardupilot", False)])
-def test_where_thrust_is_thrust_or_is_not_sent_no_parameter_is_asked_for(
-    autopilot_kind: AutopilotKind, attitude_setpoints: bool
-) -> None:
-    autopilot = autopilot_of(autopilot_kind)
-    [result] = perform(autopilot, Action(ActionKind.TAKE_CONTROL), attitude_setpoints=attitude_setpoints)
-    assert result.accepted
-    assert sent(autopilot, "PARAM_REQUEST_READ") == []

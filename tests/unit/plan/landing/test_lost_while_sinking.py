@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.base.messages import ActionKind, Phase
-from tests.unit.plan.mission.test_planner import world
+from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.plan_harness import LEG_M, World, line, still
 
 

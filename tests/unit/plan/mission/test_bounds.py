@@ -10,7 +10,7 @@ from companion.base.messages import ActionKind, AutopilotState, PadState, Phase,
 from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds, stopping_m
 from companion.plan.mission.states import MissionEvent
-from tests.unit.plan.mission.test_planner import world
+from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.plan_harness import HOME, ORIGIN, ORIGIN_NED_M, World, line, still
 
 CONFIG = MissionConfig(fence_m=50.0, ceiling_m=20.0)

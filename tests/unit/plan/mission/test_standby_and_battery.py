@@ -5,7 +5,7 @@ import pytest
 from companion.base.messages import ActionKind, Phase
 from companion.config import PlanConfig
 from companion.plan.planner import Planner
-from tests.unit.plan.mission.test_planner import world
+from tests.unit.plan.mission.planner_world import world
 from tests.unit.plan.plan_harness import TABLE, VEHICLE, World, still
 
 

@@ -125,10 +125,24 @@ def test_on_the_pad_with_the_motors_on_it_stays_and_asks_again() -> None:
 
 
 def test_in_standby_nothing_is_asked_whatever_happens() -> None:
+    left = {}
     for event in MissionEvent:
         if not impossible(S.STANDBY, event):
             branch = follows(S.STANDBY, event, Circumstances())
-            assert branch is None or (branch.to is S.ABORT and branch.actions == ())
+            assert branch is None or branch.actions == ()
+            if branch is not None:
+                left[event] = branch.to
+    assert left == {E.STOP: S.ABORT, E.LAND_ORDERED: S.SEARCH, E.FLY_ORDERED: S.CONNECT}
+
+
+@pytest.mark.parametrize("event", list(MissionEvent))
+def test_a_vehicle_that_was_never_ours_stays_in_its_pilot_s_mode(event: MissionEvent) -> None:
+    machine = StateMachine(retries=3, may_fly=False)
+    machine.take(taken(S.STANDBY, E.LAND_ORDERED))
+    branch = machine.follows(event, Circumstances())
+    asked = () if branch is None else branch.actions
+    # the one thing that may be asked for is what the order is about
+    assert [action.kind for action in asked] in ([], [ActionKind.TAKE_CONTROL])
 
 
 @pytest.mark.parametrize("event", [E.ESTIMATE_LOST, E.PAD_GONE, E.TIMEOUT])

@@ -43,6 +43,12 @@ def test_a_short_sentence_with_a_right_check_sum_is_dropped(kind: str) -> None:
     assert len(fed(nmea(kind), FIX_3D, rmc(), nmea(kind), gga(), rmc("120002.00"), gga("120002.00"))) >= 9
 
 
+@pytest.mark.parametrize("identity", ["G RMC", "PxRMC", "P RMC", "ZZRMC"])
+def test_a_sentence_whose_identity_is_damaged_is_dropped(identity: str) -> None:
+    spoilt = nmea(identity + rmc().decode()[6:].partition("*")[0])
+    assert fed(spoilt, FIX_3D, rmc(), gga()) == fed(b"", FIX_3D, rmc(), gga())
+
+
 @pytest.mark.parametrize("course", ["inf", "nan", "1e400"])
 def test_a_course_that_is_no_number_is_none(course: str) -> None:
     assert all(math.isfinite(number) for number in fed(FIX_3D, rmc(course=course), gga()))

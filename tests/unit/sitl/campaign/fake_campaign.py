@@ -5,12 +5,12 @@ from __future__ import annotations
 from functools import partial
 from unittest.mock import patch
 
-from sitl.campaign import command
+from sitl.campaign import run
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.worker import Worker
 from sitl.cli import main
 from tests.unit.sitl.campaign.fake_flights import COMMAND
 
 if __name__ == "__main__":
-    with patch.object(command, "fly_locally", partial(fly_locally, make_worker=partial(Worker, COMMAND))):
+    with patch.object(run, "fly_locally", partial(fly_locally, make_worker=partial(Worker, COMMAND))):
         main()

@@ -16,13 +16,14 @@ import pytest
 from rich.console import Console
 
 from companion.config import CONFIG_FOLDER, ConfigError
-from sitl.campaign import SCENARIOS, command
-from sitl.campaign.command import INTERRUPTED, Options, run_campaign
+from sitl.campaign import SCENARIOS
+from sitl.campaign import run as running
 from sitl.campaign.manifest import CampaignRun
 from sitl.campaign.plots import write_plots
 from sitl.campaign.pool import fly_locally
 from sitl.campaign.progress import Meter
 from sitl.campaign.rows import CSV_NAME, RunsFile, read_rows
+from sitl.campaign.run import INTERRUPTED, Options, run_campaign
 from sitl.campaign.worker import RunResult, Worker
 from sitl.cli import main
 from tests.unit.sitl.campaign.campaign_parts import row, scenario_file
@@ -49,7 +50,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[CampaignRun]:
         flights.extend(wanted)
         return fly_locally(wanted, jobs, partial(Worker, COMMAND))
 
-    monkeypatch.setattr(command, "fly_locally", fly)
+    monkeypatch.setattr(running, "fly_locally", fly)
     return flights
 
 
@@ -212,7 +213,7 @@ def test_killed_it_has_lost_nothing_and_goes_on(tmp_path: Path, monkeypatch: pyt
         for each in wanted:
             yield RunResult(each, 1.0, error="not flown")
 
-    monkeypatch.setattr(command, "fly_locally", fly)
+    monkeypatch.setattr(running, "fly_locally", fly)
     monkeypatch.setattr("sitl.campaign.plots.write_plots", lambda *_: [])
     run(options(tmp_path, first_seed=HANGS - 22, runs=25))
     assert [each.seed for each in flown] == [HANGS, HANGS + 1, HANGS + 2]
@@ -326,12 +327,20 @@ def test_the_words_of_the_command_are_taken(tmp_path: Path, monkeypatch: pytest.
         taken.append(chosen)
         return 0
 
-    monkeypatch.setattr(command, "run_campaign", take)
-    for words in (["--scenarios", "a", "b", "--runs", "3", "--bars"], ["--quiet", "--first-seed", "7"]):
+    monkeypatch.setattr(running, "run_campaign", take)
+    for words in (
+        ["--scenarios", "line", "circle", "--runs", "3", "--bars"],
+        ["--quiet", "--first-seed", "7"],
+    ):
         with pytest.raises(SystemExit) as ended:
             main(["campaign", *words])
         assert not ended.value.code
-    assert (taken[0].sources, taken[0].runs, taken[0].bars, taken[0].folder) == (("a", "b"), 3, True, None)
+    assert (taken[0].sources, taken[0].runs, taken[0].bars, taken[0].folder) == (
+        ("line", "circle"),
+        3,
+        True,
+        None,
+    )
     assert taken[0].jobs == len(os.sched_getaffinity(0))
     assert (taken[1].sources, taken[1].first_seed, taken[1].quiet) == (SCENARIOS, 7, True)
 

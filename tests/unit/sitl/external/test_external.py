@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import signal
-import socket
-import subprocess
-import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, closing
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -25,7 +20,7 @@ from companion.base.formats.frame_format import FrameHeader
 from companion.base.formats.frame_stream import FrameStream
 from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import Outcome, Phase
-from companion.config import CONFIG_FOLDER, CameraConfig, RangeConfig, VehicleConfig, find_file, load_model
+from companion.config import CameraConfig, RangeConfig, VehicleConfig, find_file, load_model
 from companion.link.codec import Codec, command_long
 from companion.pad import load_pad
 from companion.sense.range.ultrasonic import Ultrasonic
@@ -33,24 +28,20 @@ from companion.sense.serial_port import SerialPort
 from sitl.camera import camera as lens
 from sitl.camera.exposure import ImagingSettings
 from sitl.camera.frame_server import FrameServer
-from sitl.cli import main
 from sitl.devices.ports import PtyPort
 from sitl.external import client as external_client
-from sitl.external.link import UdpEnd, open_link, open_relay
+from sitl.external.link import open_link, open_relay
 from sitl.external.session import ExternalConnections, ExternalSimulation
-from sitl.run.report import read_report
 from sitl.scenario.scenario import Scenario
+from tests.unit.sitl.external.external_bench import Player
 from tests.unit.sitl.external.external_vehicle import (
     ARDUPILOT,
     GROUND,
     LEVEL,
     PX4,
     Flight,
-    Sender,
     heartbeat,
-    hil_state,
     hop,
-    sim_state,
 )
 
 STANDING_M = 0.18
@@ -65,49 +56,6 @@ SCENARIO = Scenario.model_validate(
         "pass": {"vertical_speed_m_s": 1.8},
     }
 )
-
-
-class Player:
-    """Plays a flight's poses from a UDP port, as ArduPilot's or PX4's simulator would tell them."""
-
-    def __init__(self, autopilot: int, flight: Flight, disarm_s: float) -> None:
-        self.port = 0
-        self.start_s = 0.0
-        self._autopilot, self._flight, self._disarm_s = autopilot, flight, disarm_s
-        self._end, self._sender = UdpEnd(), Sender()
-
-    async def run(self, still_s: float, seconds: float) -> None:
-        """Stand for a while and then fly; poses at 100 Hz, heartbeats at 5 Hz."""
-        clock = Clock()
-        while not self._end.has_peer:  # noqa: ASYNC110 - it has no event for it
-            await asyncio.sleep(0.01)
-        self.start_s = clock.now_s() + still_s
-        for k in range(round((still_s + seconds) * 100.0)):
-            await clock.sleep_until(self.start_s - still_s + 0.01 * k)
-            time_s = clock.now_s() - self.start_s
-            armed = 0.0 <= time_s < self._disarm_s
-            position, velocity = self._flight(max(0.0, time_s))
-            message = sim_state if self._autopilot == ARDUPILOT else hil_state
-            if k % 20 == 0:
-                self._end.write(self._sender.pack(heartbeat(self._autopilot, armed=armed)))
-            self._end.write(self._sender.pack(message(position, velocity if time_s >= 0.0 else (0.0,) * 3)))
-
-    async def hear(self, kind: str) -> Any:
-        """The next message of a kind that comes for the vehicle."""
-        codec = Codec(1, 1)
-        while True:
-            for message in codec.decode(await asyncio.wait_for(self._end.read(), 5.0)):
-                if message.get_type() == kind:
-                    return message
-
-    def say(self, *messages: Any) -> None:
-        self._end.write(self._sender.pack(*messages))
-
-    async def open(self) -> None:
-        self.port = await self._end.open("127.0.0.1", 0, listen=True)
-
-    def close(self) -> None:
-        self._end.close()
 
 
 @dataclass
@@ -359,63 +307,3 @@ async def test_what_the_scenario_says_of_beacon_and_camera_applies(tmp_path: Pat
         await playing
         assert b.taken == []
     assert (answer.get_type(), answer.result) == ("COMMAND_ACK", mavlink.MAV_RESULT_UNSUPPORTED)
-
-
-# ---------------------------------------------------------------- the process
-
-
-def test_what_is_no_connection_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(("--external", "udpin:127.0.0.1:0"))
-    assert ended.value.code == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("companion-sitl: --external udpin:127.0.0.1:0: expected udp:HOST:PORT")
-
-
-def test_for_people_it_waits_until_it_is_stopped_and_judges_then(tmp_path: Path) -> None:
-    with subprocess.Popen(
-        (sys.executable, "-m", "sitl.cli", "--external", f"udpin:127.0.0.1:{free_port()}",
-         "--folder", str(tmp_path)),
-        cwd=CONFIG_FOLDER.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        text=True,
-    ) as process:  # fmt: skip
-        assert process.stderr is not None
-        assert "pad lies flush" in process.stderr.readline()
-        assert "waiting for a vehicle" in process.stderr.readline()
-        process.send_signal(signal.SIGINT)
-        said, words = process.communicate(timeout=20.0)
-    assert (process.returncode, words) == (0, "")
-    assert read_report(Path(json.loads(said)["report"])).failures == ("never touched down",)
-
-
-def free_port() -> int:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as finder:
-        finder.bind(("127.0.0.1", 0))
-        number: int = finder.getsockname()[1]
-        return number
-
-
-async def test_as_a_process_it_serves_and_judges(tmp_path: Path) -> None:
-    player = Player(PX4, lambda _: ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0)
-    await player.open()
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "sitl.cli", "--external", f"udp:127.0.0.1:{player.port}"),
-        *("--scenario", "line", "--folder", str(tmp_path), "--child"),
-        cwd=CONFIG_FOLDER.parent,
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
-    playing = asyncio.create_task(player.run(20.0, 0.0))
-    assert process.stdout is not None
-    endpoints = json.loads(await asyncio.wait_for(process.stdout.readline(), 20.0))
-    assert endpoints["sense"]["source"] == "autopilot"
-    assert endpoints["sense"]["range"]["port"].startswith("/dev/")
-    assert endpoints["sense"]["vision"]["source"] == f"socket:{tmp_path / 'camera'}"
-    said, words = await asyncio.wait_for(process.communicate(b"finish search\n"), 20.0)
-    playing.cancel()
-    await asyncio.gather(playing, return_exceptions=True)
-    player.close()
-    assert process.returncode == 0
-    assert read_report(Path(json.loads(said)["report"])).outcome is Outcome.TIMEOUT
-    lines = words.decode().splitlines()
-    assert "pad.surface_height_m 0.3 is taken as 0" in lines[0]
-    assert lines[1].endswith(f"waiting for a vehicle on udp:127.0.0.1:{player.port}")

@@ -11,7 +11,7 @@ import yaml
 
 from companion.config import CONFIG_FOLDER
 from sitl.cli import main
-from sitl.scenario.commands import schema_text, shipped
+from sitl.scenario.listing import schema_text, shipped
 from sitl.scenario.scenario import load_scenario
 
 FIRST_LINE = "# yaml-language-server: $schema=scenario.schema.json"

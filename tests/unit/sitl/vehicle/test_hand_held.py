@@ -51,7 +51,8 @@ from sitl.run.scene_camera import CameraTruth
 from sitl.scenario.home import USUAL_HOMES, magnetic_field_ned_ut
 from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.sensors.calibration_errors import ACCEL_OFFSET_M_S2, GYRO_OFFSET_RAD_S, HARD_IRON_UT
-from sitl.vehicle.hand_paths import FACES, HandMotion
+from sitl.vehicle.hand_motion import HandMotion
+from sitl.vehicle.hand_paths import FACES
 from sitl.world.hand_held import HandHeldWorld
 
 MAGNETIC_FIELD_NED_UT = magnetic_field_ned_ut(USUAL_HOMES["px4"])

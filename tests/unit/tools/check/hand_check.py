@@ -25,7 +25,7 @@ from companion.tools.check.steps import Say
 from companion.tools.check.wizard import Report
 from sitl.run.in_process import carried
 from sitl.scenario.scenario import Scenario
-from sitl.vehicle.hand_paths import HandMotion
+from sitl.vehicle.hand_motion import HandMotion
 
 SEED = 3
 # as the shipped settings have it

@@ -163,7 +163,11 @@ def test_no_pad_in_any_picture_is_told_by_the_exit_code(
         ((480, 640), (*OPTIONS, "--out", "photo.png"), "--out photo.png: a file; expected a folder"),
         ((480, 640), ("--pad", "nope"), "pads: no 'nope'; expected the path of a .yaml file or one of"),
         ((480, 640), ("--camera", "nope.yaml"), "cameras: no file 'nope.yaml'; expected"),
-        ((480, 640), ("nope.jpg",), "nope.jpg: not there; expected a photo, a video or a folder"),
+        (
+            (480, 640),
+            ("nope.jpg",),
+            "nope.jpg: cannot be read: No such file or directory; expected a photo, a video or a folder",
+        ),
     ],
 )
 def test_what_the_user_can_correct_is_one_line(

@@ -194,7 +194,10 @@ def test_what_tells_nothing_ends_in_one_line(tmp_path: Path) -> None:
     short = _record(tmp_path / "short", "velocity", seconds=3.0)
     with pytest.raises(ConfigError, match=r"short: \d windows of 1 s of flight by setpoints, expected 10"):
         identify_command(short)
-    with pytest.raises(ConfigError, match=r"nowhere: not there; expected a flight's folder or"):
+    with pytest.raises(
+        ConfigError,
+        match=r"nowhere: cannot be read: No such file or directory; expected a flight's folder or",
+    ):
         identify_command(tmp_path / "nowhere")
     bare = FlightLog(tmp_path / "bare", 0.0)
     bare.close()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from companion.app.systemd import ServiceNotifier
+from companion.app.service.systemd import ServiceNotifier
 
 
 @pytest.fixture
@@ -59,6 +59,6 @@ def test_a_manager_that_went_away_is_no_fault_of_the_flight(
 def test_without_a_manager_nothing_is_opened_or_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[object] = []
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    monkeypatch.setattr("companion.app.systemd.socket.socket", lambda *kind: opened.append(kind))
+    monkeypatch.setattr("companion.app.service.systemd.socket.socket", lambda *kind: opened.append(kind))
     ServiceNotifier().ready()
     assert opened == []

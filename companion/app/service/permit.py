@@ -7,7 +7,7 @@ from typing import Annotated, Final
 
 import typer
 
-from companion.app.latch import FlightLatch, LatchState, state_folder
+from companion.app.service.latch import FlightLatch, LatchState, state_folder
 
 HELP: Final = """Let the next start of the app fly.
 

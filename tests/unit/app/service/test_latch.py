@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from companion.app.latch import FILE_NAME, FlightLatch, LatchState, state_folder, unattended
+from companion.app.service.latch import FILE_NAME, FlightLatch, LatchState, state_folder, unattended
 from companion.base.errors import ConfigError
 from companion.cli import cli
 

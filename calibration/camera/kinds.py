@@ -1,0 +1,9 @@
+"""The kinds of boards and lens models, by name: what the command line needs before OpenCV is imported."""
+
+from __future__ import annotations
+
+from typing import Final, Literal
+
+Pattern = Literal["charuco", "grid", "chessboard"]
+Model = Literal["brown", "rational"]
+DEFAULT_BOARD: Final = "charuco_a4"

@@ -1,0 +1,47 @@
+"""What people are told: each notice goes into the log and on to whoever listens, and is kept for a while."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from companion.base.clock import Clock
+from companion.base.messages import Notice
+from companion.flightlog.record import FlightLog
+from companion.link.codec import Severity
+
+KEPT: Final = 20
+
+
+class Announcer:
+    """Takes notices; `deliver` sends each on to the ground station and the service manager."""
+
+    def __init__(self, clock: Clock, log: FlightLog, deliver: Callable[[Notice], None]) -> None:
+        self._clock, self._log, self._deliver = clock, log, deliver
+        self._new: list[Notice] = []
+        self._log_problem_told = False
+        self.recent: deque[Notice] = deque(maxlen=KEPT)
+
+    def notify(self, kind: str, text: str, severity: Severity) -> None:
+        """Tell something that happens now."""
+        self.publish(Notice(self._clock.now_s(), kind, text, severity))
+
+    def publish(self, notice: Notice) -> None:
+        """Tell the log, the terminal and the ground station."""
+        self._log.write("notice", notice, notice.time_s)
+        self._new.append(notice)
+        self.recent.append(notice)
+        self._deliver(notice)
+
+    def take(self) -> list[Notice]:
+        """The notices since the last call."""
+        new, self._new = self._new, []
+        return new
+
+    def watch_log(self) -> None:
+        """Tell once that the log on disk has a gap or has ended; the flight goes on."""
+        problem = self._log.problem
+        told, self._log_problem_told = self._log_problem_told, problem is not None
+        if problem is not None and not told:
+            self.notify("record", problem, "warning")

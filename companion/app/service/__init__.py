@@ -1,0 +1,1 @@
+"""The app as a service: orders, its state for who asks, the latch, systemd."""

@@ -1,0 +1,206 @@
+"""`companion status` and `companion order`: what a person asks of the running service."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from companion.app.service.local_socket import where_to_ask
+from companion.base.clock import sleep_s
+from companion.base.errors import ConfigError
+from companion.base.messages.order import OrderKind, OrderOutcome
+
+STATUS_HELP: Final = """Show what the service does: phase, inputs, estimate, pad, machine, last events.
+
+Exit code 0: healthy; 1: not, and the table says why; 2: no service answers.
+"""
+ORDER_HELP: Final = """Order the running service to land, to fly, or to stop.
+
+'land' takes over a vehicle that flies, finds the pad, lands and disarms; 'fly' is the whole flight, where
+plan.mission.may_arm allows it; 'stop' returns control to the autopilot. Exit code 0: taken (with --wait:
+carried out), 1: refused or failed, 2: no service answers.
+"""
+UNHEALTHY: Final = 1
+ANSWER_S: Final = 5.0
+WATCH_S: Final = 1.0
+SocketOption = Annotated[
+    Path | None, typer.Option("--socket", help="The service's local socket.", metavar="PATH")
+]
+
+
+def status_command(
+    watch: Annotated[bool, typer.Option("--watch", help="Show it anew every second.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="As one line of JSON.")] = False,
+    path: SocketOption = None,
+) -> None:
+    """`companion status`.
+
+    Raises:
+        ConfigError: no service answers.
+    """
+    console = Console()
+    with _connected(path) as ask:
+        report = ask({"request": "status"})
+        if watch and not as_json:
+            with Live(_table(report), console=console, auto_refresh=False) as live:
+                while True:
+                    sleep_s(WATCH_S)
+                    live.update(_table(ask({"request": "status"})), refresh=True)
+        while watch:
+            print(json.dumps(report), flush=True)
+            sleep_s(WATCH_S)
+            report = ask({"request": "status"})
+    if as_json:
+        print(json.dumps(report))
+    else:
+        console.print(_table(report))
+    raise typer.Exit(UNHEALTHY if report["problems"] else 0)
+
+
+def order_command(
+    kind: Annotated[OrderKind, typer.Argument(help="land, fly or stop.")],
+    wait: Annotated[bool, typer.Option("--wait", help="Until it is carried out, or failed.")] = False,
+    path: SocketOption = None,
+) -> None:
+    """`companion order`.
+
+    Raises:
+        ConfigError: no service answers.
+    """
+    with _connected(path) as ask:
+        answer = ask({"request": "order", "kind": kind.value})
+        _say(kind, answer)
+        if wait and answer["outcome"] == OrderOutcome.IN_PROGRESS:
+            answer = ask(None)
+            _say(kind, answer)
+    taken = {OrderOutcome.ACCEPTED, OrderOutcome.IN_PROGRESS}
+    raise typer.Exit(0 if answer["outcome"] in taken else 1)
+
+
+def _say(kind: OrderKind, answer: dict[str, Any]) -> None:
+    words = f": {answer['text']}" if answer["text"] else ""
+    typer.echo(f"{kind.value}: {answer['outcome'].replace('_', ' ')}{words}")
+
+
+class _Asking:
+    """A connection to the service: call it with a request, or with None for a further answer."""
+
+    def __init__(self, path: Path, connection: socket.socket) -> None:
+        self._path, self._connection = path, connection
+        self._lines = connection.makefile("rb")
+
+    def __call__(self, request: dict[str, Any] | None) -> dict[str, Any]:
+        """The answer.
+
+        Raises:
+            ConfigError: the service has gone, or does not answer.
+        """
+        try:
+            # how an order ends takes as long as the landing
+            self._connection.settimeout(None if request is None else ANSWER_S)
+            if request is not None:
+                self._connection.sendall(json.dumps(request).encode() + b"\n")
+            line = self._lines.readline()
+        except OSError as error:
+            raise ConfigError(f"{self._path}: the service does not answer: {error}") from error
+        if not line:
+            raise ConfigError(f"{self._path}: the service has ended")
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+
+@contextmanager
+def _connected(path: Path | None) -> Iterator[_Asking]:
+    where = path or where_to_ask()
+    with closing(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)) as connection:
+        try:
+            connection.settimeout(ANSWER_S)
+            connection.connect(str(where))
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ConfigError(
+                f"{where}: {reason}; expected a running companion, see 'systemctl status companion'"
+            ) from error
+        yield _Asking(where, connection)
+
+
+# ---------------------------------------------------------------- as text
+
+
+def _table(report: dict[str, Any]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim")
+    table.add_column()
+    for name, words in _rows(report):
+        table.add_row(name, words)
+    return table
+
+
+def _rows(r: dict[str, Any]) -> Iterator[tuple[str, str | Text]]:
+    problems = r["problems"]
+    yield "state", Text("; ".join(problems), style="bold red") if problems else Text("healthy", style="green")
+    order = f", {r['order']}" if r["order"] else ""
+    yield "phase", f"{r['phase'].replace('_', ' ')}{order}, up {_duration(r['up_s'])}"
+    battery = "" if r["battery_percent"] is None else f", battery {r['battery_percent']:.0f} %"
+    armed = "armed" if r["armed"] else "disarmed"
+    yield "autopilot", f"{r['autopilot']}, {r['mode']}, {armed}{battery}" if r["autopilot"] else "-"
+    for entry in r["inputs"]:
+        yield entry["name"], f"{entry['rate_hz']:.0f} Hz, {_age(entry['age_s'])}"
+    yield "estimate", _estimate(r)
+    yield "pad", _pad(r)
+    for name, latency in r["latency"].items():
+        yield (
+            f"exposure to {name}",
+            f"p50 {latency['p50_ms']:.0f} ms, p99 {latency['p99_ms']:.0f} ms",
+        )
+    yield "late cycles", f"{r['late_cycles_percent']:.1f} %"
+    yield "machine", _machine(r["machine"])
+    yield "recording", r["recording"] or "-"
+    for event in r["events"]:
+        yield f"{event['time_s']:.1f} s", event["text"]
+
+
+def _estimate(r: dict[str, Any]) -> str:
+    if not r["aligned"]:
+        return "not aligned"
+    return (
+        f"attitude ±{r['attitude_std_deg']:.1f} deg, velocity ±{r['velocity_std_m_s']:.2f} m/s, "
+        f"position ±{r['position_std_m']:.1f} m"
+    )
+
+
+def _pad(r: dict[str, Any]) -> str:
+    if r["pad_seen_s"] is None:
+        return "not seen"
+    return f"{r['pad_lateral_m']:.2f} m aside, {r['pad_height_m']:.2f} m below, {_age(r['pad_seen_s'])}"
+
+
+def _machine(m: dict[str, Any]) -> str:
+    cells = [f"{m['memory_mb']:.0f} MB"]
+    if m["cpu_percent"] is not None:
+        cells.insert(0, f"{m['cpu_percent']:.0f} % of a core")
+    if m["temperature_deg_c"] is not None:
+        cells.append(f"{m['temperature_deg_c']:.0f} °C")
+    if m["disk_free_mb"] is not None:
+        cells.append(f"{m['disk_free_mb'] / 1000.0:.1f} GB free")
+    return ", ".join(cells)
+
+
+def _age(age_s: float) -> str:
+    return "now" if age_s < 1.0 else f"{_duration(age_s)} ago"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.0f} h"

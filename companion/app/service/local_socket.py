@@ -1,0 +1,140 @@
+"""The service's local socket, for `companion status` and `order`: JSON requests and answers, one a line.
+
+    {"request": "status"}                 -> a StateReport
+    {"request": "order", "kind": "land"}  -> {"outcome": "in_progress", "text": ""}, later how it ended
+
+A socket of the file system, for the owner and the group alone: who may give orders is who may open it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from companion.base.clock import Clock
+from companion.base.errors import ConfigError
+from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
+
+FILE_NAME: Final = "companion.sock"
+MODE: Final = 0o660
+LONGEST_REQUEST: Final = 4096
+SYSTEM_FOLDER: Final = Path("/run/companion")
+
+Give = Callable[[Order, Callable[[OrderReply], None]], None]
+
+
+def socket_path() -> Path:
+    """Where a service listens: systemd's runtime directory, else the user's."""
+    directory = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    if directory:
+        return Path(directory) / FILE_NAME
+    user = os.environ.get("XDG_RUNTIME_DIR")
+    return Path(user or "/tmp") / f"companion-{os.getuid()}" / FILE_NAME
+
+
+def where_to_ask() -> Path:
+    """Where a client looks: the system's service first, then the user's own."""
+    system = SYSTEM_FOLDER / FILE_NAME
+    return system if system.exists() else socket_path()
+
+
+@asynccontextmanager
+async def served(
+    path: Path, report: Callable[[], Awaitable[str]], give: Give, clock: Clock
+) -> AsyncIterator[None]:
+    """Listen while inside; `report` gives the state as one line of JSON, `give` takes orders.
+
+    Raises:
+        ConfigError: the socket cannot be made, or another service listens there.
+    """
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError, ValueError, asyncio.IncompleteReadError):
+            await _serve(reader, writer, report, give, clock)
+        writer.close()
+
+    try:
+        await _make_room(path)
+        server = await asyncio.start_unix_server(serve, path, limit=LONGEST_REQUEST)
+        _admit(path)
+    except OSError as error:
+        raise ConfigError(f"local socket {path}: {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        server.close()
+        _remove(path)
+
+
+def _own_folder(folder: Path) -> None:
+    folder.mkdir(mode=0o750, parents=True, exist_ok=True)
+    if folder.stat().st_uid != os.getuid():
+        raise ConfigError(f"local socket: {folder} belongs to another user; expected one's own folder")
+
+
+def _admit(path: Path) -> None:
+    path.chmod(MODE)
+
+
+def _remove(path: Path) -> None:
+    path.unlink(missing_ok=True)
+
+
+async def _make_room(path: Path) -> None:
+    """Make the folder, and remove what a service that was killed left; one that answers stays.
+
+    Raises:
+        ConfigError: another service listens there, or the folder is somebody else's.
+        OSError: it cannot be made.
+    """
+    _own_folder(path.parent)
+    try:
+        _, writer = await asyncio.open_unix_connection(path)
+    except OSError:
+        _remove(path)
+        return
+    writer.close()
+    raise ConfigError(f"local socket {path}: another companion listens there; expected it to be stopped")
+
+
+async def _serve(
+    reader: asyncio.StreamReader,
+    writer: asyncio.StreamWriter,
+    report: Callable[[], Awaitable[str]],
+    give: Give,
+    clock: Clock,
+) -> None:
+    """Answer one client's requests until it goes."""
+    while line := await reader.readline():
+        try:
+            request = json.loads(line)
+            wanted = request["request"]
+            kind = OrderKind(request["kind"]) if wanted == "order" else None
+        except (ValueError, KeyError, TypeError):
+            writer.write(b'{"error": "expected a request: status, or order with its kind"}\n')
+            continue
+        if kind is not None:
+            await _order(writer, kind, give, clock)
+        elif wanted == "status":
+            writer.write((await report()).encode() + b"\n")
+        else:
+            writer.write(b'{"error": "expected a request: status or order"}\n')
+        await writer.drain()
+
+
+async def _order(writer: asyncio.StreamWriter, kind: OrderKind, give: Give, clock: Clock) -> None:
+    """Give an order and send its answers as they come; the client going away changes nothing."""
+    replies: asyncio.Queue[OrderReply] = asyncio.Queue()
+    give(Order(clock.now_s(), kind, "the local socket"), replies.put_nowait)
+    while True:
+        reply = await replies.get()
+        answer = {"outcome": reply.outcome.value, "text": reply.text}
+        writer.write(json.dumps(answer).encode() + b"\n")
+        await writer.drain()
+        if reply.outcome is not OrderOutcome.IN_PROGRESS:
+            return

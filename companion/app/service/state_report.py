@@ -1,0 +1,141 @@
+"""What the running service says of itself: `companion status` shows it, as text or as JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from pydantic import BaseModel, ConfigDict
+
+from companion.app.app import App
+from companion.app.service.machine_state import MachineState
+from companion.base.messages import Notice
+from companion.flightlog.meter import Meter, Rate
+
+# the log's topics that are inputs, and how old the newest may be before something is wrong (s)
+INPUTS: Final = {
+    "imu": ("IMU", 0.5),
+    "mag": ("magnetometer", 2.0),
+    "gps": ("GPS", 2.5),
+    "range": ("ultrasonic", math.inf),  # no echo from high up is no fault
+    "frame_report": ("camera", 1.0),
+}
+LATE_SHARE: Final = 0.05
+LEAST_DISK_MB: Final = 200.0
+SHOWN_EVENTS: Final = 8
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+
+class InputReport(_Model):
+    """One input."""
+
+    name: str
+    rate_hz: float
+    age_s: float
+
+
+class Latency(_Model):
+    """From exposure (ms)."""
+
+    p50_ms: float
+    p99_ms: float
+
+
+class Event(_Model):
+    """A notice; `time_s` counts from the app's start."""
+
+    time_s: float
+    severity: str
+    text: str
+
+
+class StateReport(_Model):
+    """The whole; `problems` is what keeps it from landing now, or will; none: healthy."""
+
+    phase: str
+    order: str | None
+    up_s: float
+    autopilot: str | None
+    mode: str
+    armed: bool
+    battery_percent: float | None
+    inputs: tuple[InputReport, ...]
+    aligned: bool
+    attitude_std_deg: float | None
+    velocity_std_m_s: float | None
+    position_std_m: float | None
+    pad_seen_s: float | None
+    pad_lateral_m: float | None
+    pad_height_m: float | None
+    latency: dict[str, Latency]
+    late_cycles_percent: float
+    machine: MachineState
+    recording: str | None
+    events: tuple[Event, ...]
+    problems: tuple[str, ...]
+
+
+def state_report(
+    app: App, meter: Meter, machine: MachineState, recording: str | None, now_s: float, start_s: float
+) -> StateReport:
+    """The app's state now; times are the loop's (s)."""
+    autopilot, vehicle, pad = app.session.state, app.estimator.vehicle(now_s), app.estimator.pad(now_s)
+    rates, order = meter.rates(now_s), app.missions.order
+    share = autopilot.battery_share
+    return StateReport(
+        phase=app.phase.value,
+        order=None if order is None else f"{order.kind} by {order.source}",
+        up_s=now_s - start_s,
+        autopilot=autopilot.autopilot_kind if autopilot.connected else None,
+        mode=autopilot.mode,
+        armed=autopilot.armed,
+        battery_percent=None if share is None else 100.0 * share,
+        inputs=tuple(
+            InputReport(name=name, rate_hz=rates[topic].rate_hz, age_s=rates[topic].age_s)
+            for topic, (name, _) in INPUTS.items()
+            if topic in rates
+        ),
+        aligned=vehicle is not None and vehicle.aligned,
+        attitude_std_deg=None if vehicle is None else math.degrees(vehicle.attitude_std_rad),
+        velocity_std_m_s=None if vehicle is None else vehicle.velocity_std_m_s,
+        position_std_m=None if vehicle is None else vehicle.position_std_m,
+        pad_seen_s=None if pad is None else now_s - pad.seen_time_s,
+        pad_lateral_m=None if pad is None else pad.lateral_m,
+        pad_height_m=None if pad is None else pad.height_m,
+        latency={name: Latency(p50_ms=p50, p99_ms=p99) for name, (p50, p99) in meter.latency_ms().items()},
+        late_cycles_percent=100.0 * app.loop_monitor.late_share,
+        machine=machine,
+        recording=recording,
+        events=tuple(_event(notice, start_s) for notice in list(app.announcer.recent)[-SHOWN_EVENTS:]),
+        problems=tuple(_problems(app, rates, machine, now_s)),
+    )
+
+
+def _event(notice: Notice, start_s: float) -> Event:
+    return Event(time_s=notice.time_s - start_s, severity=notice.severity, text=notice.text)
+
+
+def _problems(app: App, rates: dict[str, Rate], machine: MachineState, now_s: float) -> list[str]:
+    found = []
+    autopilot, vehicle = app.session.state, app.estimator.vehicle(now_s)
+    if not autopilot.connected:
+        found.append("no heartbeat from the autopilot")
+    if vehicle is None or not vehicle.aligned:
+        found.append("no estimate of the vehicle: not aligned")
+    if app.sensing.camera_problem is not None:
+        found.append(f"camera: {app.sensing.camera_problem}")
+    elif "frame_report" not in rates:
+        found.append("camera: no frame yet")
+    for topic, (name, oldest_s) in INPUTS.items():
+        if topic in rates and rates[topic].age_s > oldest_s:
+            found.append(f"{name}: silent for {rates[topic].age_s:.1f} s")
+    if app.loop_monitor.late_share > LATE_SHARE:
+        found.append(f"{100.0 * app.loop_monitor.late_share:.0f} % of the control cycles come late")
+    if machine.throttled:
+        found.append(f"processor held back: {', '.join(machine.throttled)}")
+    if machine.disk_free_mb is not None and machine.disk_free_mb < LEAST_DISK_MB:
+        found.append(f"disk: {machine.disk_free_mb:.0f} MB free")
+    return found

@@ -1,0 +1,85 @@
+"""The folders of many flights under one root, `flight-0001` and on, and room for the next.
+
+Names are numbers, not dates: they sort by time also where the clock was wrong at boot, as on a Raspberry Pi
+without a network. The newest flight always stays, so no number comes twice.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Collection
+from pathlib import Path
+from typing import Final
+
+from companion.flightlog.log_file import LOG_NAMES
+
+PREFIX: Final = "flight-"
+# what a removal that was cut short leaves behind; the next one ends it
+REMOVED_PREFIX: Final = ".removed-"
+
+
+def number_of(folder: Path) -> int | None:
+    """The number in a flight's name; None for any other name."""
+    digits = folder.name.removeprefix(PREFIX)
+    return int(digits) if folder.name.startswith(PREFIX) and digits.isdecimal() else None
+
+
+def numbered_flights(root: Path) -> list[Path]:
+    """The folders of flights, oldest first; what else is in the root is none of them."""
+    numbered = [(number_of(path), path) for path in root.glob(f"{PREFIX}*") if path.is_dir()]
+    return [path for number, path in sorted((n, p) for n, p in numbered if n is not None)]
+
+
+def next_flight_folder(root: Path) -> Path:
+    """The folder for the next flight; not made here."""
+    last = number_of(flights[-1]) if (flights := numbered_flights(root)) else 0
+    return root / f"{PREFIX}{(last or 0) + 1:04d}"
+
+
+def recorded_flights(root: Path) -> list[Path]:
+    """All folders in the root that hold a log: the numbered ones, oldest first, then others by name."""
+    others = sorted(path for path in root.iterdir() if path.is_dir() and number_of(path) is None)
+    return [path for path in (*numbered_flights(root), *others) if (path / LOG_NAMES[0]).is_file()]
+
+
+def size_bytes(folder: Path) -> int:
+    """What the files of a folder hold; one that is gone meanwhile holds nothing."""
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.stat().st_size if path.is_file() else 0
+        except FileNotFoundError:
+            continue
+    return total
+
+
+def make_room(root: Path, cap_bytes: int, free_bytes: int, keep: Collection[Path] = ()) -> list[Path]:
+    """Remove the oldest flights until they hold no more than `cap_bytes` and the disk has `free_bytes` free.
+
+    The newest flight and those in `keep` (the one being written) stay, whatever the limits say; a flight
+    that cannot be removed is passed over. Returns what was removed.
+    """
+    for rest in root.glob(f"{REMOVED_PREFIX}*"):
+        shutil.rmtree(rest, ignore_errors=True)
+    flights = numbered_flights(root)
+    kept = {path.resolve() for path in (*keep, *flights[-1:])}
+    sizes = {path: size_bytes(path) for path in flights}
+    total, removed = sum(sizes.values()), []
+    for path in flights:
+        if total <= cap_bytes and shutil.disk_usage(root).free >= free_bytes:
+            break
+        if path.resolve() not in kept and _remove(path):
+            removed.append(path)
+            total -= sizes[path]
+    return removed
+
+
+def _remove(folder: Path) -> bool:
+    """Take a flight out of the list in one step, then its files; False where that is not allowed."""
+    doomed = folder.with_name(REMOVED_PREFIX + folder.name)
+    try:
+        folder.rename(doomed)
+    except OSError:
+        return False
+    shutil.rmtree(doomed, ignore_errors=True)
+    return True

@@ -1,0 +1,134 @@
+"""The log of a service: one folder a flight, from the minute before it was ordered to its end.
+
+In standby the last minute is kept in memory, and nothing goes to the card. A flight's log begins with it,
+written by the log's own thread: the control loop hands over the whole minute at once.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import BaseModel
+
+from companion.base.messages import Frame
+from companion.config import ConfigError
+from companion.flightlog.flights import next_flight_folder
+from companion.flightlog.meter import Meter
+from companion.flightlog.record import FlightLog
+
+KEPT_S: Final = 60.0
+KEPT_FRAME_PERIOD_S: Final = 1.0  # a picture a second: a minute of them is 18 MB at 640 x 480
+MOST_KEPT: Final = 120_000  # messages, whatever their stamps say
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """What a log is to be told of later: the name of its method, and what with."""
+
+    time_s: float
+    method: Literal["write", "write_frame", "write_mavlink"]
+    arguments: tuple[Any, ...]
+
+
+class FlightsRecorder(FlightLog):
+    """A `FlightLog` of many flights: `begin` and `end` each; without a folder only the meter runs."""
+
+    def __init__(
+        self, folder: Path | None, start_unix_s: float, make_room: Callable[[], None] | None = None
+    ) -> None:
+        """`make_room` is called after each flight's log, in a thread: a card may take long to remove one."""
+        super().__init__(None, start_unix_s)
+        self._root, self._make_room = folder, make_room
+        self._flight: FlightLog | None = None
+        self._ending: FlightLog | None = None  # whose last messages are being written
+        self._minute: deque[_Kept] = deque(maxlen=MOST_KEPT)
+        self._kept_frame_s = float("-inf")
+        self._settings: dict[str, BaseModel] = {}
+        self._failed: str | None = None
+        self.meter = Meter()
+
+    @property
+    def flight_folder(self) -> Path | None:
+        """Where the flight under way is recorded."""
+        return None if self._flight is None else self._flight.folder
+
+    @property
+    def problem(self) -> str | None:
+        """See `FlightLog`; a flight without a log because none could be made counts too."""
+        return self._failed if self._flight is None else self._flight.problem
+
+    def begin(self) -> None:
+        """A flight begins; it is flown also where it cannot be recorded, and `problem` says so."""
+        self._failed = None
+        if self._root is None or self._flight is not None:
+            return
+        try:
+            if self._ending is not None:
+                self._ending.join()  # long since written
+            self._flight = FlightLog(next_flight_folder(self._root), self._start_unix_s, keeps=False)
+        except (ConfigError, OSError) as error:
+            self._failed = str(error)
+            return
+        self._flight.write_settings(**self._settings)
+        minute, self._minute = tuple(self._minute), deque(maxlen=MOST_KEPT)
+        self._flight.write_before([(kept.method, kept.arguments) for kept in minute])
+
+    def end(self) -> None:
+        """The flight under way has ended; its files are finished by the log's thread."""
+        if self._flight is not None:
+            self._flight.close(wait=False)
+            self._ending, self._flight = self._flight, None
+            if self._make_room is not None:
+                threading.Thread(target=self._make_room, name="flights", daemon=True).start()
+
+    # ------------------------------------------------------------ as a FlightLog
+
+    def write(self, topic: str, message: Any, time_s: float) -> None:
+        """See `FlightLog`."""
+        self.meter.note(topic, message, time_s)
+        self._pass_on("write", (topic, message, time_s), time_s)
+
+    def write_settings(self, **settings: BaseModel) -> None:
+        """See `FlightLog`; every flight's log gets them."""
+        self._settings |= settings
+
+    def write_frame(self, frame: Frame, time_s: float) -> None:
+        """See `FlightLog`."""
+        if self._flight is None:
+            if time_s - self._kept_frame_s < KEPT_FRAME_PERIOD_S:
+                return
+            self._kept_frame_s = time_s
+        self._pass_on("write_frame", (frame, time_s), time_s)
+
+    def write_mavlink(self, data: bytes, time_s: float, direction: Literal["in", "out"]) -> None:
+        """See `FlightLog`."""
+        self._pass_on("write_mavlink", (data, time_s, direction), time_s)
+
+    def close(self, *, wait: bool = True) -> None:
+        """See `FlightLog`."""
+        self.end()
+        if wait and self._ending is not None:
+            self._ending.join()
+
+    def discard(self) -> None:
+        """Nothing is removed: every folder here is a flight's."""
+        self.close()
+
+    def _pass_on(
+        self,
+        method: Literal["write", "write_frame", "write_mavlink"],
+        arguments: tuple[Any, ...],
+        time_s: float,
+    ) -> None:
+        if self._flight is not None:
+            getattr(self._flight, method)(*arguments)
+        elif self._root is not None:
+            minute = self._minute
+            minute.append(_Kept(time_s, method, arguments))
+            while minute and time_s - minute[0].time_s > KEPT_S:
+                minute.popleft()

@@ -1,0 +1,106 @@
+"""A flight's log as tables, one a topic: CSV for a spreadsheet, Parquet for pandas, polars and DuckDB.
+
+Columns are the fields' names, dotted within an object, `name[k]` within an array of fixed length. What has no
+fixed length (a reference's rows, a scene) stands as JSON in one column. Pictures are left out.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+from mcap.records import Channel, Message, Schema
+
+from companion.config import ConfigError
+from companion.flightlog.log_file import records
+
+TIME_COLUMN: Final = "log_time_s"
+IMAGE_SCHEMA: Final = "foxglove.CompressedImage"
+# an array that is longer stays JSON, as does one whose length changes
+LONGEST_SPREAD: Final = 16
+Row = dict[str, Any]
+
+
+class TableFormat(StrEnum):
+    """What a table is written as."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+def convert(source: Path, folder: Path, form: TableFormat) -> dict[str, int]:
+    """Write a table a topic into a folder, which is made; returns the rows by file name.
+
+    Raises:
+        ConfigError: the log cannot be read, the folder cannot be written, or Parquet has no library here.
+    """
+    tables = read_tables(source)
+    if not tables:
+        raise ConfigError(f"{source}: holds no message that can be read; expected an MCAP log")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return {_write(folder, topic, rows, form): len(rows) for topic, rows in sorted(tables.items())}
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from error
+
+
+def read_tables(source: Path) -> dict[str, list[Row]]:
+    """The rows of each topic, in the order of writing; a log that was cut short as far as it goes."""
+    schemas: dict[int, Any] = {}
+    channels: dict[int, tuple[str, Any]] = {}
+    tables: dict[str, list[Row]] = {}
+    try:
+        with source.open("rb") as stream:
+            for record in records(stream, lambda: None):
+                if isinstance(record, Schema) and record.name != IMAGE_SCHEMA:
+                    schemas[record.id] = json.loads(record.data)
+                elif isinstance(record, Channel) and record.schema_id in schemas:
+                    channels[record.id] = (record.topic, schemas[record.schema_id])
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    topic, schema = channels[record.channel_id]
+                    row = {TIME_COLUMN: 1e-9 * record.log_time}
+                    row.update(_flat(json.loads(record.data), schema, ""))
+                    tables.setdefault(topic, []).append(row)
+    except OSError as error:
+        raise ConfigError(f"{source}: cannot be read: {error.strerror}") from error
+    return tables
+
+
+def _flat(value: Any, schema: Any, name: str) -> Iterator[tuple[str, Any]]:
+    """Columns and values of what a message holds; the schema tells an array of fixed length."""
+    kind = schema.get("type") if isinstance(schema, dict) else None
+    if isinstance(value, dict):
+        properties = schema.get("properties", {}) if kind == "object" else {}
+        for key, inner in value.items():
+            yield from _flat(inner, properties.get(key, {}), f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        fixed = schema.get("minItems", -1) == schema.get("maxItems")
+        if fixed and len(value) <= LONGEST_SPREAD:
+            for k, inner in enumerate(value):
+                yield f"{name}[{k}]", inner
+        else:
+            yield name, json.dumps(value)
+    else:
+        yield name, value
+
+
+def _write(folder: Path, topic: str, rows: list[Row], form: TableFormat) -> str:
+    path = folder / f"{topic.strip('/').replace('/', '_')}.{form.value}"
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    if form is TableFormat.CSV:
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, columns)
+            writer.writeheader()
+            writer.writerows(rows)
+        return path.name
+    try:
+        import pyarrow  # noqa: PLC0415 - an extra
+        from pyarrow import parquet  # noqa: PLC0415
+    except ModuleNotFoundError:
+        raise ConfigError("--to parquet needs pyarrow: pip install 'companion[campaign]'") from None
+    parquet.write_table(pyarrow.table({name: [row.get(name) for row in rows] for name in columns}), path)
+    return path.name

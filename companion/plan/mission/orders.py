@@ -1,0 +1,77 @@
+"""Which orders a planner in standby follows: what has to hold before the vehicle is taken over.
+
+Pure. An order is followed or refused in the cycle in which it comes, never kept for later: whoever gave it
+looks at the vehicle now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from companion.base.messages import AutopilotState, LandedState, Order, OrderKind, Refusal, VehicleState
+from companion.config import MissionConfig, PlanConfig
+from companion.plan.mission.bounds import Bounds
+from companion.plan.mission.departure import refused_words
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import MissionEvent
+
+ORDER_EVENTS = {OrderKind.LAND: MissionEvent.LAND_ORDERED, OrderKind.FLY: MissionEvent.FLY_ORDERED}
+_STALE_S = 0.5
+
+
+def refusal(order: Order, inputs: PlanInputs, config: PlanConfig, now_s: float) -> Refusal | None:
+    """Why an order is not followed now; None when it is."""
+    if order.kind is OrderKind.STOP:
+        return Refusal("nothing to stop: in standby")
+    if order.kind is OrderKind.FLY:
+        return _not_flying(inputs, config)
+    missing = next(_missing_to_land(inputs, config, now_s), None)
+    return None if missing is None else Refusal(missing)
+
+
+def _not_flying(inputs: PlanInputs, config: PlanConfig) -> Refusal | None:
+    """What the flight itself waits for (`Departure`) is no reason; who may not arm, and who did, is."""
+    if not config.mission.may_arm:
+        return Refusal("not allowed: plan.mission.may_arm is false", lasting=True)
+    if inputs.autopilot.connected and inputs.autopilot.armed:
+        return Refusal("the vehicle is armed already; order a landing instead")
+    return None
+
+
+def _missing_to_land(inputs: PlanInputs, config: PlanConfig, now_s: float) -> Iterator[str]:
+    yield from _autopilot(inputs.autopilot, config.mission)
+    if inputs.camera_problem is not None:
+        yield f"no pad camera: {inputs.camera_problem}"
+    yield from _estimate(inputs.vehicle, config.mission, now_s)
+    if config.obstacles:
+        yield "plan.obstacles count from the place of a take-off, which was not ours"
+    for _, words in Bounds(config.mission).detect(inputs.vehicle, None, inputs.autopilot, now_s):
+        yield f"beyond the {words}"
+
+
+def _autopilot(autopilot: AutopilotState, mission: MissionConfig) -> Iterator[str]:
+    if not autopilot.connected:
+        yield f"no heartbeat from the autopilot{refused_words(autopilot)}"
+    if not autopilot.armed:
+        yield "the vehicle is not armed"
+    if autopilot.landed is LandedState.ON_GROUND:
+        yield "the vehicle is on the ground"
+    if autopilot.motors_cut:
+        yield "kill switch, emergency stop or flight termination"
+    if autopilot.home is None:
+        yield "the autopilot has no home position, from which the fence counts"
+    late_s, most_s = autopilot.round_trip_s, mission.largest_round_trip_s
+    if late_s is not None and late_s > most_s:
+        yield f"the link answers after {late_s:.2f} s, at most {most_s:g} are flown by"
+    share = autopilot.battery_share
+    if share is not None and share <= mission.battery.critical:
+        yield f"battery critical: {100.0 * share:.0f} % left"
+
+
+def _estimate(vehicle: VehicleState | None, mission: MissionConfig, now_s: float) -> Iterator[str]:
+    if vehicle is None or not vehicle.aligned or now_s - vehicle.time_s > _STALE_S:
+        yield "no fresh estimate of the vehicle"
+    elif vehicle.origin is None:
+        yield "our own estimate has no GPS position yet"
+    elif not vehicle.velocity_std_m_s <= mission.largest_speed_std_m_s:
+        yield f"velocity uncertain: standard deviation {vehicle.velocity_std_m_s:.1f} m/s"

@@ -1,0 +1,76 @@
+"""What is shipped, and what a scenario may hold, as text."""
+
+from __future__ import annotations
+
+import json
+from typing import Final
+
+import yaml
+
+from companion.config import CONFIG_FOLDER
+from sitl.pad.motion import PadMotionSettings
+from sitl.scenario.scenario import Scenario, load_scenario
+from sitl.world.wind import WindSettings
+
+COLUMNS: Final = ("name", "pad", "wind", "faults")
+
+
+def shipped() -> list[str]:
+    """The names of the shipped scenarios."""
+    return sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
+
+
+def listing() -> str:
+    """A line for each shipped scenario: name, pad, wind, faults, description."""
+    scenarios = [load_scenario(name) for name in shipped()]
+    rows = [COLUMNS, *((s.name, pad_words(s), wind_words(s.wind), fault_words(s)) for s in scenarios)]
+    descriptions = ["description", *(s.description for s in scenarios)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
+    return "".join(
+        "  ".join(f"{word:<{width}}" for word, width in zip(row, widths, strict=True)) + f"  {description}\n"
+        for row, description in zip(rows, descriptions, strict=True)
+    )
+
+
+def settings_text(scenario: Scenario) -> str:
+    """Everything a scenario sets, defaults included, as YAML that can be read again."""
+    return yaml.safe_dump(
+        scenario.model_dump(mode="json", by_alias=True), sort_keys=False, allow_unicode=True
+    )
+
+
+def schema_text() -> str:
+    """The JSON schema (draft 2020-12) of a scenario file."""
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Scenario.model_json_schema(by_alias=True),
+    }
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+
+
+# ---------------------------------------------------------------- in a few words
+
+
+def pad_words(scenario: Scenario) -> str:
+    """How the pad moves."""
+    return _way_words(scenario.pad.motion) + ("" if scenario.pad.deck is None else ", at sea")
+
+
+def _way_words(motion: PadMotionSettings) -> str:
+    speed = getattr(motion, "speed_m_s", None)
+    return motion.kind if speed is None else f"{motion.kind} {speed:g} m/s"
+
+
+def wind_words(wind: WindSettings) -> str:
+    """How it blows."""
+    words = [] if wind.mean_m_s == 0.0 else [f"{wind.mean_m_s:g} m/s"]
+    if wind.turbulence != "none":
+        words.append(wind.turbulence)
+    if wind.gusts is not None or wind.gust is not None:
+        words.append("gusts")
+    return ", ".join(words) or "calm"
+
+
+def fault_words(scenario: Scenario) -> str:
+    """What fails."""
+    return ", ".join(sorted({fault.kind for fault in scenario.faults})) or "-"

@@ -1,0 +1,44 @@
+"""How large a folder, a file and a function may grow: a reader takes in each at a time."""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+CODE = ("companion", "sitl", "calibration")
+MOST_MODULES_IN_A_FOLDER = 15
+MOST_LINES_IN_A_FILE = 350
+MOST_LINES_IN_A_FUNCTION = 60
+
+
+def modules(*tops: str) -> list[Path]:
+    found = [path.relative_to(ROOT) for top in tops for path in sorted((ROOT / top).rglob("*.py"))]
+    assert len(found) > 10 * len(tops)
+    return found
+
+
+def is_command(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    """A command of Typer's: its arguments are the list of its options."""
+    names = {ast.unparse(decorator).split("(")[0].rpartition(".")[2] for decorator in function.decorator_list}
+    return bool(names & {"command", "callback"})
+
+
+def test_no_folder_has_more_modules_than_a_reader_keeps_apart() -> None:
+    counts = Counter(path.parent for path in modules(*CODE) if path.name != "__init__.py")
+    assert {str(folder): n for folder, n in counts.items() if n > MOST_MODULES_IN_A_FOLDER} == {}
+
+
+def test_no_file_is_longer_than_a_reader_keeps_in_mind() -> None:
+    lengths = {str(path): len((ROOT / path).read_text().splitlines()) for path in modules(*CODE)}
+    assert {path: n for path, n in lengths.items() if n > MOST_LINES_IN_A_FILE} == {}
+
+
+def test_no_function_is_longer_than_a_screen_but_the_lists_of_options() -> None:
+    long = {}
+    for path in modules(*CODE):
+        for node in ast.walk(ast.parse((ROOT / path).read_text())):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not is_command(node):
+                lines = (node.end_lineno or 0) - node.lineno + 1
+                if lines > MOST_LINES_IN_A_FUNCTION:
+                    long[f"{path}:{node.name}"] = lines
+    assert long == {}

@@ -1,0 +1,82 @@
+#!/usr/bin/env bash
+# The app on arm64, on a machine that is none: install, import, --version, check and a flight in a Debian 12 root.
+#   sudo tests/deploy/arm64.sh [FOLDER]     FOLDER (else /var/tmp/companion-arm64) is kept, for the next time
+# qemu-user runs each program; nothing has to be registered with the kernel. PYTHON: the Python whose pip fetches
+# the wheels (else python3). Exit codes: 0 all well, 1 something is not, 77 skipped, with one line that says why.
+set -euo pipefail
+readonly SOURCE="$(cd "$(dirname "$0")/../.." && pwd)"
+readonly FOLDER="$(realpath -m "${1:-/var/tmp/companion-arm64}")"
+readonly ROOT="$FOLDER/root"
+readonly PYTHON="${PYTHON:-python3}"
+readonly MIRROR="${MIRROR:-http://deb.debian.org/debian}"
+
+skip() { echo "arm64: skipped: $*"; exit 77; }
+fail() { echo "arm64: failed: $*"; exit 1; }
+step() { echo "arm64: $* ($SECONDS s)"; }
+
+[ "$(id -u)" -eq 0 ] || skip "needs root, for debootstrap and chroot"
+for program in debootstrap qemu-aarch64-static dpkg-deb unshare; do
+    command -v "$program" >/dev/null || skip "no $program; apt install debootstrap qemu-user-static"
+done
+"$PYTHON" -m pip --version >/dev/null 2>&1 || skip "$PYTHON has no pip"
+
+# in a mount namespace of its own: /proc and /dev vanish with it
+run() {
+    unshare --mount --propagation private bash -euc '
+        mount -t proc proc "$0/proc"; mount --bind /dev "$0/dev"
+        exec chroot "$0" /usr/bin/qemu-aarch64-static -E PYTHONPATH=/opt/companion:/opt/site \
+            -E OPENBLAS_NUM_THREADS=1 -E HOME=/root /usr/bin/python3.11 "$@"' "$ROOT" "$@"
+}
+
+if [ ! -x "$ROOT/usr/bin/python3.11" ]; then
+    step "a Debian 12 root"
+    debootstrap --arch=arm64 --foreign --variant=minbase --include=python3 bookworm "$ROOT" "$MIRROR" \
+        >"$FOLDER.log" 2>&1 || skip "debootstrap from $MIRROR: $(tail -n 1 "$FOLDER.log")"
+    for package in "$ROOT"/var/cache/apt/archives/*.deb; do
+        # not in place of the links into /usr
+        dpkg-deb --fsys-tarfile "$package" | tar --extract --keep-directory-symlink --directory "$ROOT"
+    done
+fi
+install -m 0755 "$(command -v qemu-aarch64-static)" "$ROOT/usr/bin/qemu-aarch64-static"
+[ "$(run -c 'import platform; print(platform.machine())')" = aarch64 ] || fail "the root's Python does not run"
+
+step "install"
+platforms=()
+for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_aarch64"); done
+mapfile -t needed < <("$PYTHON" -c '
+import sys, tomllib
+with open(sys.argv[1], "rb") as file:
+    print(*tomllib.load(file)["project"]["dependencies"], sep="\n")' "$SOURCE/pyproject.toml")
+rm -rf "$ROOT/opt/site" "$ROOT/opt/companion" "$FOLDER/own"
+"$PYTHON" -m pip install --quiet --root-user-action ignore --target "$ROOT/opt/site" "${platforms[@]}" \
+    --platform manylinux2014_aarch64 --python-version 3.11 --only-binary=:all: -c "$SOURCE/constraints.txt" \
+    "${needed[@]}" 2>"$FOLDER.log" || fail "no wheels for arm64: $(grep -m 1 ERROR "$FOLDER.log")"
+"$PYTHON" -m pip install --quiet --root-user-action ignore --no-deps --target "$FOLDER/own" "$SOURCE" \
+    2>"$FOLDER.log" || fail "the project's own wheel: $(grep -m 1 ERROR "$FOLDER.log")"
+cp -r "$FOLDER"/own/companion-*.dist-info "$ROOT/opt/site/"
+install -d "$ROOT/opt/companion"
+for folder in companion sitl calibration configs; do cp -r "$SOURCE/$folder" "$ROOT/opt/companion/"; done
+
+step "import"
+run -c 'import cv2, mavsdk, numpy, osqp, pymavlink, scipy; import companion.app.app, sitl.run.in_process' \
+    || fail "an import"
+
+step "companion --version"
+run -m companion.cli --version || fail "companion --version"
+
+step "companion check"
+code=0
+run -m companion.cli check --json - >"$FOLDER/check.json" || code=$?
+[ "$code" -eq 1 ] || fail "companion check ends with $code, expected 1: it has no devices here"
+"$PYTHON" - "$FOLDER/check.json" <<'END' || fail "companion check"
+import json, sys
+fails = [f for f in json.load(open(sys.argv[1]))["findings"] if f["state"] == "fail"]
+for f in fails:
+    print(f"  fail  {f['group']}: {f['name']}: {f['told']}")
+absent = {"camera", "IMU", "GPS", "range", "link"}
+sys.exit({f["group"] for f in fails} != absent and "expected these alone to fail: " + ", ".join(sorted(absent)))
+END
+
+step "companion --sitl --fast"
+run -m companion.cli --sitl --fast --scenario static --seed 0 --no-ui || fail "the flight ends with $?"
+step "install, import, --version, check and flight are well"

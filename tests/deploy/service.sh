@@ -1,0 +1,167 @@
+#!/usr/bin/env bash
+# The service under a real systemd: a Debian 12 container that boots it.
+#   sudo tests/deploy/service.sh [FOLDER]   FOLDER (else /var/tmp/companion-service) is kept, for the next time
+# install.sh from this checkout, enable, boot: active beside a simulated vehicle that stands on its pad; kill -9 and
+# SIGSTOP: restarted, nothing armed; the preflight check leaves its devices alone; removed, nothing but logs and
+# settings is left. PYTHON: the Python whose pip fetches the wheels (else python3). Exit codes: 0 all well,
+# 1 something is not, 77 skipped, with one line that says why.
+set -euo pipefail
+readonly SOURCE="$(cd "$(dirname "$0")/../.." && pwd)"
+readonly FOLDER="$(realpath -m "${1:-/var/tmp/companion-service}")"
+readonly ROOT="$FOLDER/root"
+readonly PYTHON="${PYTHON:-python3}"
+readonly MIRROR="${MIRROR:-http://deb.debian.org/debian}"
+readonly PATIENCE_S=120
+container="" leader=""
+
+skip() { echo "service: skipped: $*"; exit 77; }
+fail() { echo "service: failed: $*"; exit 1; }
+step() { echo "service: $* ($SECONDS s)"; }
+
+[ "$(id -u)" -eq 0 ] || skip "needs root, for a container"
+for program in debootstrap systemd-nspawn nsenter; do
+    command -v "$program" >/dev/null || skip "no $program; apt install debootstrap systemd-container"
+done
+"$PYTHON" -m pip --version >/dev/null 2>&1 || skip "$PYTHON has no pip"
+
+inside() {
+    nsenter --target "$leader" --all -- env --ignore-environment HOME=/root PIP_NO_INDEX=1 \
+        PIP_FIND_LINKS=/wheels PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin "$@"
+}
+
+# waits for a command inside to succeed
+until_well() {
+    local until=$((SECONDS + PATIENCE_S))
+    until inside "$@" >/dev/null 2>&1; do
+        [ "$SECONDS" -lt "$until" ] || return 1
+        sleep 0.5
+    done
+}
+
+shut_down() {
+    [ -n "$container" ] || return 0
+    # SIGRTMIN+4: an orderly power-off, as systemd(1) has it
+    [ -z "$leader" ] || kill -s RTMIN+4 "$leader" 2>/dev/null || true
+    for _ in $(seq 30); do kill -0 "$container" 2>/dev/null || break; sleep 0.5; done
+    kill -KILL "$container" 2>/dev/null || true
+    wait "$container" 2>/dev/null || true
+    container="" leader=""
+}
+trap shut_down EXIT
+
+boot() {
+    # no register: there is no machined to talk to; private-network: its ports are its own
+    SYSTEMD_NSPAWN_UNIFIED_HIERARCHY=1 systemd-nspawn --quiet --boot --register=no --keep-unit \
+        --private-network --console=pipe --directory="$ROOT" </dev/null >"$FOLDER/boot.log" 2>&1 &
+    container=$!
+    for _ in $(seq 60); do
+        sleep 0.5
+        leader="$(pgrep --parent "$container" | head -n 1)" || true
+        [ -n "$leader" ] && inside systemctl is-active --quiet multi-user.target 2>/dev/null && return 0
+        kill -0 "$container" 2>/dev/null || break
+    done
+    return 1
+}
+
+main_process() { inside systemctl show companion --property=MainPID --value; }
+
+active_again() {  # another process than $1 is active
+    local until=$((SECONDS + PATIENCE_S)) now
+    while [ "$SECONDS" -lt "$until" ]; do
+        now="$(main_process)"
+        if [ "$now" != 0 ] && [ "$now" != "$1" ] && inside systemctl is-active --quiet companion; then
+            return 0
+        fi
+        sleep 0.5
+    done
+    return 1
+}
+
+install -d "$FOLDER"
+if [ ! -x "$ROOT/usr/bin/systemctl" ]; then
+    step "a Debian 12 root"
+    debootstrap --include=systemd,systemd-sysv,dbus,python3,python3-venv,procps bookworm "$ROOT" "$MIRROR" \
+        >"$FOLDER/debootstrap.log" 2>&1 \
+        || skip "debootstrap from $MIRROR: $(tail -n 1 "$FOLDER/debootstrap.log")"
+fi
+step "wheels"
+mapfile -t needed < <("$PYTHON" -c '
+import sys, tomllib
+with open(sys.argv[1], "rb") as file:
+    print(*tomllib.load(file)["project"]["dependencies"], sep="\n")' "$SOURCE/pyproject.toml")
+platforms=()
+for glibc in 17 24 27 28 31 34; do platforms+=(--platform "manylinux_2_${glibc}_$(uname -m)"); done
+"$PYTHON" -m pip download --quiet --dest "$ROOT/wheels" "${platforms[@]}" \
+    --platform "manylinux2014_$(uname -m)" --python-version 3.11 --only-binary=:all: \
+    -c "$SOURCE/constraints.txt" hatchling editables "${needed[@]}" 2>"$FOLDER/pip.log" \
+    || fail "the wheels: $(grep -m 1 ERROR "$FOLDER/pip.log")"
+rm -rf "$ROOT/src"
+install -d "$ROOT/src"
+for name in companion sitl calibration configs systemd pyproject.toml constraints.txt README.md LICENSE; do
+    cp -r "$SOURCE/$name" "$ROOT/src/"
+done
+
+step "boot"
+boot || skip "systemd does not boot in a container here: $(tail -n 1 "$FOLDER/boot.log")"
+
+step "install.sh, enable"
+inside bash /src/systemd/install.sh >"$FOLDER/install.log" 2>&1 || fail "install.sh: $(tail -n 1 "$FOLDER/install.log")"
+inside systemctl enable --quiet companion
+inside systemd-analyze verify /etc/systemd/system/companion.service || fail "systemd-analyze verify"
+exposure="$(inside systemd-analyze security companion.service --no-pager | tail -n 1 | grep -o '[0-9]\+\.[0-9]')"
+step "systemd-analyze: verify clean, security $exposure (bar: 2.0)"
+[ "$(echo "$exposure" | tr -d .)" -le 20 ] || fail "security $exposure"
+
+# a vehicle that stands on its pad, with all its devices; the settings that lead there become the service's
+cat >"$ROOT/etc/systemd/system/vehicle.service" <<'END'
+[Unit]
+Before=companion.service
+[Service]
+User=companion
+RuntimeDirectory=vehicle
+ExecStart=/opt/companion/.venv/bin/python -m sitl.cli hold --motion still --folder /run/vehicle --settings /run/vehicle/companion.yaml
+WorkingDirectory=/opt/companion
+Environment=PYTHONUNBUFFERED=1 OPENBLAS_NUM_THREADS=1
+ExecStartPost=/bin/sh -c 'until [ -s /run/vehicle/companion.yaml ]; do sleep 0.2; done'
+[Install]
+WantedBy=multi-user.target
+END
+ln -sf /run/vehicle/companion.yaml "$ROOT/etc/companion/companion.yaml"
+inside systemctl daemon-reload
+inside systemctl enable --quiet vehicle
+
+step "boot again"
+shut_down
+boot || fail "it does not boot with the service enabled: $(tail -n 1 "$FOLDER/boot.log")"
+until_well systemctl is-active companion || fail "not active: $(inside systemctl status companion | tail -n 3)"
+until_well sh -c "systemctl show companion --property=StatusText --value | grep ." || fail "no status"
+step "active: $(inside systemctl show companion --property=StatusText --value)"
+
+for signal in KILL STOP; do
+    before="$(main_process)"
+    inside kill -s "$signal" "$before"
+    active_again "$before" || fail "not active again after SIG$signal"
+    step "SIG$signal: restarted; $(inside systemctl show companion --property=StatusText --value)"
+done
+# armed or asked for, it would say so in its own words
+! inside journalctl --unit companion --no-pager | grep -E 'arming|taking off' || fail "it asked for a flight"
+
+step "companion check"
+code=0
+inside companion check --config /etc/companion/companion.yaml --json - >"$FOLDER/check.json" || code=$?
+"$PYTHON" - "$FOLDER/check.json" "$code" <<'END' || fail "companion check ends with $code"
+import json, sys
+told = {(f["group"], f["name"]): f for f in json.load(open(sys.argv[1]))["findings"]}
+service = told["computer", "service"]
+print(f"  {service['state']:8} service: {service['told']}")
+left = {group for (group, _), f in told.items() if "the service is running" in f["told"]}
+wrong = service["state"] != "ok" or not {"camera", "IMU", "GPS", "range", "link"} <= left or sys.argv[2] != "0"
+sys.exit(f"expected an enabled service whose devices are left alone, found {service}, {sorted(left)}" if wrong else 0)
+END
+
+step "install.sh --remove"
+inside bash /src/systemd/install.sh --remove >"$FOLDER/install.log" 2>&1 || fail "remove: $(tail -n 1 "$FOLDER/install.log")"
+left="$(inside sh -c 'ls -d /opt/companion /etc/systemd/system/companion.service /usr/local/bin/companion* 2>/dev/null; pgrep -u companion -f companion.cli' || true)"
+[ -z "$left" ] || fail "removed, and still there: $left"
+[ -e "$ROOT/var/lib/companion" ] && [ -L "$ROOT/etc/companion/companion.yaml" ] || fail "logs or settings are gone"
+step "install, boot, restarts, check and removal are well"

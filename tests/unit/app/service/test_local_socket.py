@@ -1,0 +1,168 @@
+"""The local socket: who may open it, what it answers, and what becomes of one that is left behind."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import stat
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from companion.app.service.commands import order_command, status_command
+from companion.app.service.local_socket import served
+from companion.base.clock import Clock
+from companion.base.errors import ConfigError
+from companion.base.messages import Order, OrderKind, OrderOutcome, OrderReply
+
+REPORT: dict[str, Any] = {
+    "phase": "standby",
+    "order": None,
+    "up_s": 7300.0,
+    "autopilot": "px4",
+    "mode": "AUTO.LOITER",
+    "armed": False,
+    "battery_percent": 80.0,
+    "inputs": [{"name": "IMU", "rate_hz": 199.7, "age_s": 0.01}],
+    "aligned": True,
+    "attitude_std_deg": 0.42,
+    "velocity_std_m_s": 0.05,
+    "position_std_m": 1.2,
+    "pad_seen_s": None,
+    "pad_lateral_m": None,
+    "pad_height_m": None,
+    "latency": {"frame": {"p50_ms": 41.0, "p99_ms": 63.0}},
+    "late_cycles_percent": 0.1,
+    "machine": {"cpu_percent": 14.0, "memory_mb": 180.0, "temperature_deg_c": 51.0, "disk_free_mb": 9000.0},
+    "recording": None,
+    "events": [{"time_s": 0.2, "severity": "info", "text": "standby: waits for an order"}],
+    "problems": [],
+}
+
+
+class Service:
+    """What answers behind the socket."""
+
+    def __init__(self, *outcomes: OrderOutcome) -> None:
+        self.outcomes, self.orders = outcomes, list[Order]()
+        self.report = dict(REPORT)
+
+    async def state(self) -> str:
+        return json.dumps(self.report)
+
+    def give(self, order: Order, on_reply: Callable[[OrderReply], None]) -> None:
+        self.orders.append(order)
+        for outcome in self.outcomes:
+            on_reply(OrderReply(1.0, order.kind, order.source, outcome, "words"))
+
+
+@asynccontextmanager
+async def running(service: Service, path: Path) -> AsyncIterator[None]:
+    async with served(path, service.state, service.give, Clock()):
+        yield
+
+
+async def ask(path: Path, line: bytes) -> list[dict[str, Any]]:
+    reader, writer = await asyncio.open_unix_connection(path)
+    writer.write(line)
+    writer.write_eof()
+    answers = [json.loads(text) for text in (await reader.read()).splitlines()]
+    writer.close()
+    return answers
+
+
+async def test_it_answers_requests_and_says_what_it_expected(tmp_path: Path) -> None:
+    service, path = Service(OrderOutcome.IN_PROGRESS, OrderOutcome.ACCEPTED), tmp_path / "run" / "socket"
+    async with running(service, path):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+        assert await ask(path, b'{"request": "status"}\n') == [REPORT]
+        assert [a["outcome"] for a in await ask(path, b'{"request": "order", "kind": "land"}\n')] == [
+            "in_progress",
+            "accepted",
+        ]
+        for wrong in (b"\n", b"{}\n", b"[]\n", b'{"request": "order", "kind": "dance"}\n', b"\xff\n"):
+            (answer,) = await ask(path, wrong)
+            assert "expected a request" in answer["error"]
+        assert await ask(path, b"x" * 100_000) == []
+        assert await ask(path, b'{"request": "status"}\n') == [REPORT]
+    assert [(o.kind, o.source) for o in service.orders] == [(OrderKind.LAND, "the local socket")]
+    assert not path.exists()
+
+
+async def test_a_second_service_is_refused_and_a_socket_left_behind_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "socket"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
+        left.bind(str(path))
+    async with running(Service(), path):
+        with pytest.raises(ConfigError, match="another companion listens there"):
+            async with running(Service(), path):
+                pass
+        assert await ask(path, b'{"request": "status"}\n') == [REPORT]
+
+
+# ---------------------------------------------------------------- the commands
+
+
+async def command(
+    service: Service, path: Path, call: Callable[[], None], capsys: pytest.CaptureFixture[str]
+) -> tuple[int, str]:
+    """Exit code and standard output of a command that asks a running service."""
+    async with running(service, path):
+        with pytest.raises(typer.Exit) as ended:
+            await asyncio.to_thread(call)
+    return ended.value.exit_code, capsys.readouterr().out
+
+
+async def test_status_shows_it_and_its_exit_code_says_healthy_or_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, service = tmp_path / "socket", Service()
+    code, words = await command(service, path, lambda: status_command(False, False, path), capsys)
+    assert code == 0
+    for expected in ("healthy", "standby, up 2 h", "200 Hz, now", "p50 41 ms, p99 63 ms", "battery 80 %"):
+        assert expected in words
+    service.report["problems"] = ["camera: no frame yet"]
+    code, words = await command(service, path, lambda: status_command(False, True, path), capsys)
+    assert (code, json.loads(words)["problems"]) == (1, ["camera: no frame yet"])
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "wait", "code", "said"),
+    [
+        ((OrderOutcome.IN_PROGRESS,), False, 0, ["land: in progress: words"]),
+        ((OrderOutcome.TEMPORARILY_REJECTED,), False, 1, ["land: temporarily rejected: words"]),
+        (
+            (OrderOutcome.IN_PROGRESS, OrderOutcome.ACCEPTED),
+            True,
+            0,
+            ["land: in progress: words", "land: accepted: words"],
+        ),
+        (
+            (OrderOutcome.IN_PROGRESS, OrderOutcome.FAILED),
+            True,
+            1,
+            ["land: in progress: words", "land: failed: words"],
+        ),
+    ],
+)
+async def test_order_says_what_became_of_it(
+    outcomes: tuple[OrderOutcome, ...],
+    wait: bool,
+    code: int,
+    said: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "socket"
+    found = await command(Service(*outcomes), path, lambda: order_command(OrderKind.LAND, wait, path), capsys)
+    assert found == (code, "".join(f"{line}\n" for line in said))
+
+
+def test_without_a_service_it_is_said_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="expected a running companion"):
+        status_command(False, False, tmp_path / "nothing")

@@ -1,0 +1,108 @@
+"""Many flights, a folder each, with the minute before; and what the meter says of the inputs."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from companion.base.messages import Frame, Notice
+from companion.config import CompanionConfig
+from companion.flightlog.flights_recorder import KEPT_S, FlightsRecorder
+from companion.flightlog.meter import WINDOW_S, Meter
+
+
+def texts(folder: Path) -> list[str]:
+    """The notices of a flight's log, in the order of their times."""
+    with (folder / "flight.mcap").open("rb") as stream:
+        found = make_reader(stream).iter_messages(topics=["/notice"])
+        return [json.loads(message.data)["text"] for _, _, message in found]
+
+
+def tell(log: FlightsRecorder, time_s: float) -> None:
+    log.write("notice", Notice(time_s, "test", f"at {time_s:g}"), time_s)
+
+
+def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    log.write_settings(config=CompanionConfig())
+    for second in range(100):
+        tell(log, float(second))
+    assert list(tmp_path.iterdir()) == []
+    log.begin()
+    assert log.flight_folder == tmp_path / "flight-0001"
+    tell(log, 100.0)
+    log.end()
+    tell(log, 150.0)
+    log.begin()
+    tell(log, 151.0)
+    log.close()
+    assert texts(tmp_path / "flight-0001") == [f"at {second}" for second in range(99 - int(KEPT_S), 101)]
+    assert texts(tmp_path / "flight-0002") == ["at 150", "at 151"]
+    for folder in tmp_path.iterdir():
+        with (folder / "flight.mcap").open("rb") as stream:
+            names = [record.name for record in make_reader(stream).iter_metadata()]
+        assert "settings" in names
+
+
+def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> None:
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    image = np.zeros((48, 64), np.uint8)
+    for number in range(100):
+        time_s = 0.1 * number
+        log.write_frame(Frame(time_s, time_s, number, image), time_s)
+        log.write_mavlink(b"\xfe\x00\x00\x01\x01\x00\x00\x00", time_s, "in")
+    log.begin()
+    log.close()
+    with (tmp_path / "flight-0001" / "flight.mcap").open("rb") as stream:
+        pictures = list(make_reader(stream).iter_messages(topics=["/camera"]))
+    assert len(pictures) == 10  # one a second
+    assert (tmp_path / "flight-0001" / "flight.tlog").stat().st_size == 100 * 16
+
+
+def test_a_card_that_cannot_be_written_is_told_and_ends_no_flight(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("no folder")
+    log = FlightsRecorder(blocked, 1.7e9)
+    log.begin()
+    tell(log, 1.0)
+    assert "cannot be written" in (log.problem or "")
+    log.end()
+
+
+def test_room_is_made_after_each_flight(tmp_path: Path) -> None:
+    made = threading.Semaphore(0)
+    log = FlightsRecorder(tmp_path, 1.7e9, made.release)
+    for _ in range(2):
+        log.begin()
+        log.end()
+        assert made.acquire(timeout=10.0)
+    log.close()
+
+
+def test_without_a_folder_nothing_is_kept(tmp_path: Path) -> None:
+    log = FlightsRecorder(None, 1.7e9)
+    for second in range(1000):
+        tell(log, float(second))
+    log.begin()
+    assert (log.flight_folder, log.problem) == (None, None)
+    assert log.kept == {}
+    log.close()
+
+
+def test_the_meter_tells_rates_ages_and_latencies() -> None:
+    meter = Meter()
+    for number in range(int(4.0 * WINDOW_S * 50)):
+        meter.note("imu", None, number / 50.0)
+    end_s = 4.0 * WINDOW_S
+    rate = meter.rates(end_s)["imu"]
+    assert rate.rate_hz == pytest.approx(50.0, rel=0.02)
+    assert rate.age_s == pytest.approx(0.02)
+    # silent since: the rate falls to nothing
+    meter.rates(end_s + 2.0 * WINDOW_S)
+    assert meter.rates(end_s + 4.0 * WINDOW_S)["imu"].rate_hz == 0.0
+    assert meter.latency_ms() == {}

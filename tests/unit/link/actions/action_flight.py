@@ -1,0 +1,111 @@
+"""Actions against a fake autopilot, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.clock import Clock, run_in_virtual_time
+from companion.base.messages import Action, ActionResult
+from companion.config import LinkConfig
+from companion.link.actions.actions import PymavlinkActions
+from companion.link.inbox import memory_pair
+from companion.link.session import Session
+from companion.link.transport import Transport
+from tests.unit.link.fake_autopilot import FakeAutopilot
+
+Answer = Callable[[bytes, float], bytes]
+
+
+async def simulate(autopilot: FakeAutopilot, end: Transport, ground: Answer | None = None) -> None:
+    clock = Clock()
+
+    async def listen() -> None:
+        while True:
+            data = await end.read()
+            end.write(autopilot.receive(data, clock.now_s()))
+            if ground is not None:
+                end.write(ground(data, clock.now_s()))
+
+    async with asyncio.TaskGroup() as tasks:
+        tasks.create_task(listen())
+        while True:
+            end.write(autopilot.tick(clock.now_s()))
+            await asyncio.sleep(0.01)
+
+
+def fly(
+    autopilot: FakeAutopilot,
+    story: Callable[[PymavlinkActions, Session], Awaitable[list[ActionResult]]],
+    config: LinkConfig | None = None,
+    ground: Answer | None = None,
+    settle_s: float = 1.5,
+    attitude_setpoints: bool = False,
+) -> list[ActionResult]:
+    """Connect, let the telemetry settle, and run a story of actions."""
+
+    async def main() -> list[ActionResult]:
+        clock, settings = Clock(), config or LinkConfig()
+        ours, theirs = memory_pair()
+        session = Session(settings)
+        actions = PymavlinkActions(
+            session, ours.write, clock, settings, attitude_setpoints=attitude_setpoints
+        )
+
+        async def listen() -> None:
+            while True:
+                session.receive(await ours.read(), clock.now_s())
+                ours.write(session.tick(clock.now_s()))
+
+        tasks = [asyncio.ensure_future(listen()), asyncio.ensure_future(simulate(autopilot, theirs, ground))]
+        await asyncio.sleep(settle_s)
+        try:
+            return await story(actions, session)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    return run_in_virtual_time(main())
+
+
+def perform(
+    autopilot: FakeAutopilot,
+    *asked: Action,
+    config: LinkConfig | None = None,
+    ground: Answer | None = None,
+    settle_s: float = 1.5,
+    attitude_setpoints: bool = False,
+) -> list[ActionResult]:
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        return [await actions.perform(action) for action in asked]
+
+    return fly(autopilot, story, config, ground, settle_s, attitude_setpoints)
+
+
+def autopilot_of(autopilot_kind: AutopilotKind) -> FakeAutopilot:
+    return FakeAutopilot(
+        autopilot_kind=autopilot_kind, mode="AUTO.LOITER" if autopilot_kind == "px4" else "STABILIZE"
+    )
+
+
+def cancel_after(
+    autopilot: FakeAutopilot, wait_s: float, *asked: Action, attitude_setpoints: bool = False
+) -> list[ActionResult]:
+    """Begin the first, cancel it, perform the rest at once, and wait for repeats that must not come."""
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        loop = asyncio.get_running_loop()
+        first = asyncio.ensure_future(actions.perform(asked[0]))
+        await asyncio.sleep(wait_s)
+        cancelled_s = loop.time()
+        actions.cancel()
+        results = [await first]
+        assert loop.time() == cancelled_s
+        results += [await actions.perform(action) for action in asked[1:]]
+        assert loop.time() - cancelled_s < 0.6
+        await asyncio.sleep(3.0)
+        return results
+
+    return fly(autopilot, story, attitude_setpoints=attitude_setpoints)

@@ -1,0 +1,90 @@
+"""Actions that are withdrawn, and control that a pilot has taken."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from companion.base.autopilot_kind import AutopilotKind
+from companion.base.clock import Clock
+from companion.base.messages import Action, ActionKind, ActionResult, PadBeacon
+from companion.link.actions.actions import PymavlinkActions
+from companion.link.codec import Codec, mavlink
+from companion.link.session import Session
+from tests.unit.link.actions.action_flight import autopilot_of, cancel_after, fly, perform
+from tests.unit.link.fake_autopilot import FakeAutopilot
+from tests.unit.link.ground_beacon import follow_target
+
+
+@pytest.mark.parametrize("kind", [kind for kind in ActionKind if kind is not ActionKind.GO_TO])
+def test_cancelling_ends_any_action_at_once_and_nothing_of_it_is_repeated(kind: ActionKind) -> None:
+    numbers = (
+        mavlink.MAV_CMD_DO_SET_MODE,
+        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+        mavlink.MAV_CMD_NAV_TAKEOFF,
+    )
+    autopilot = FakeAutopilot(deaf_to=dict.fromkeys(numbers, 99))
+    [result] = cancel_after(autopilot, 0.1, Action(kind, height_m=5.0, force=True))
+    assert (result.kind, result.accepted, result.text) == (kind, False, "withdrawn")
+    asked_of_ground = [m for m in autopilot.commands(512) if m.target_system == 255]
+    assert sum(len(autopilot.commands(number)) for number in numbers) + len(asked_of_ground) == 1
+
+
+def test_after_cancelling_holding_waits_for_nothing() -> None:
+    autopilot = FakeAutopilot(mode="POSCTL", deaf_to={mavlink.MAV_CMD_DO_SET_MODE: 1})
+    results = cancel_after(autopilot, 0.1, Action(ActionKind.TAKE_CONTROL), Action(ActionKind.HOLD))
+    assert [result.accepted for result in results] == [False, True]
+    assert autopilot.mode == "AUTO.LOITER"
+    modes = [(m.param2, m.param3) for m in autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)]
+    assert modes[0] == (6.0, 0.0)
+    assert set(modes[1:]) == {(4.0, 3.0)}
+
+
+def test_cancelling_while_an_accepted_mode_is_awaited_ends_that_too() -> None:
+    class Stubborn(FakeAutopilot):
+        def _mode(self, main: int, sub: int) -> str:
+            return "AUTO.MISSION"
+
+    [result] = cancel_after(Stubborn(), 0.5, Action(ActionKind.TAKE_CONTROL))
+    assert result.text == "withdrawn"
+
+
+def test_cancelling_with_nothing_under_way_changes_nothing() -> None:
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        actions.cancel()
+        return [await actions.perform(Action(ActionKind.LAND))]
+
+    [result] = fly(FakeAutopilot(), story)
+    assert result.accepted
+
+
+@pytest.mark.parametrize(("autopilot_kind", "sticks"), [("px4", "POSCTL"), ("ardupilot", "ALT_HOLD")])
+def test_control_is_not_asked_for_again_once_a_pilot_has_taken_the_sticks(
+    autopilot_kind: AutopilotKind, sticks: str
+) -> None:
+    autopilot = autopilot_of(autopilot_kind)
+    autopilot.deaf_to[mavlink.MAV_CMD_DO_SET_MODE] = 1
+
+    async def story(actions: PymavlinkActions, session: Session) -> list[ActionResult]:
+        asking = asyncio.ensure_future(actions.perform(Action(ActionKind.TAKE_CONTROL)))
+        await asyncio.sleep(0.1)
+        autopilot.mode = sticks
+        session.receive(autopilot.codec.encode(autopilot.message(0, 0.0)), Clock().now_s())
+        return [await asking]
+
+    [result] = fly(autopilot, story)
+    assert (result.accepted, result.text) == (False, f"a pilot has changed to {sticks}")
+    assert autopilot.mode == sticks
+    assert len(autopilot.commands(mavlink.MAV_CMD_DO_SET_MODE)) == 1
+
+
+def test_a_beacon_of_another_system_is_no_answer_but_a_hint() -> None:
+    stranger = Codec(254, 190)
+
+    def answer(data: bytes, now_s: float) -> bytes:
+        return stranger.encode(follow_target(PadBeacon(now_s, 47.0, 8.0, 400.0, (1.0, 0.0, 0.0), 1.0)))
+
+    [result] = perform(FakeAutopilot(), Action(ActionKind.REQUEST_PAD_POSITION), ground=answer)
+    assert not result.accepted
+    assert "no answer (system 254 tells one; link.ground_system_id is another)" in result.text

@@ -1,0 +1,157 @@
+"""UDP: who becomes the peer, who is heard, and a clear end."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from companion.base.clock import run_in_virtual_time
+from companion.config import ConfigError
+from companion.link.codec import Codec, mavlink
+from companion.link.transport import UdpTransport, open_transport
+from tests.unit.link.transport_ends import free_port
+
+
+def heartbeat_of(system_id: int, component_id: int = 1, autopilot: int = mavlink.MAV_AUTOPILOT_PX4) -> bytes:
+    message = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, autopilot, 0, 0, 4, 3)
+    return Codec(system_id, component_id).encode(message)
+
+
+HEARTBEAT = heartbeat_of(1)
+
+
+async def test_a_listener_answers_the_autopilot_that_spoke_to_it() -> None:
+    port = free_port()
+    listener = await open_transport(f"udpin:127.0.0.1:{port}")
+    caller = await open_transport(f"udp:127.0.0.1:{port}")
+    try:
+        listener.write(b"to nobody yet")
+        caller.write(HEARTBEAT)
+        assert await asyncio.wait_for(listener.read(), 5.0) == HEARTBEAT
+        caller.write(b"hello")
+        assert await asyncio.wait_for(listener.read(), 5.0) == b"hello"
+        listener.write(b"answer")
+        assert await asyncio.wait_for(caller.read(), 5.0) == b"answer"
+    finally:
+        listener.close()
+        caller.close()
+    with pytest.raises(OSError, match="closed"):
+        await asyncio.wait_for(listener.read(), 5.0)
+    listener.write(b"nothing happens")
+
+
+class Wire(asyncio.DatagramTransport):
+    """Takes the place of a socket, so that time can be virtual."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent_to: list[object] = []
+
+    def sendto(self, data: object, addr: object = None) -> None:
+        self.sent_to.append(addr)
+
+    def is_closing(self) -> bool:
+        return False
+
+
+AUTOPILOT, STRAY = ("127.0.0.1", 14550), ("192.0.2.7", 999)
+
+
+def answered_to(*heard: tuple[float, bytes, tuple[str, int]], system_id: int = 1) -> list[object]:
+    """Whom a listener writes to after each of these datagrams."""
+
+    async def main() -> list[object]:
+        loop, wire = asyncio.get_running_loop(), Wire()
+        transport = UdpTransport(system_id)
+        transport._socket = wire
+        peers: list[object] = []
+        for time_s, data, address in heard:
+            await asyncio.sleep(time_s - loop.time())
+            transport.datagram_received(data, address)
+            wire.sent_to.clear()
+            transport.write(b"setpoint")
+            peers += wire.sent_to or [None]
+        return peers
+
+    return run_in_virtual_time(main())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"hello",
+        HEARTBEAT[:-1],
+        heartbeat_of(255, 190, mavlink.MAV_AUTOPILOT_INVALID),
+        heartbeat_of(1, 191),
+        heartbeat_of(2),
+    ],
+    ids=["no message", "damaged", "ground station", "another component", "another vehicle"],
+)
+def test_only_our_autopilots_heartbeat_makes_a_peer(data: bytes) -> None:
+    assert answered_to((0.0, data, STRAY)) == [None]
+    assert answered_to((0.0, data, STRAY), (0.1, HEARTBEAT, AUTOPILOT)) == [None, AUTOPILOT]
+
+
+def test_with_system_id_0_any_autopilot_makes_a_peer() -> None:
+    assert answered_to((0.0, heartbeat_of(2), AUTOPILOT), system_id=0) == [AUTOPILOT]
+
+
+def test_with_system_id_0_the_first_one_stays_the_only_one() -> None:
+    peers = answered_to(
+        (0.0, heartbeat_of(2), AUTOPILOT),
+        (4.0, heartbeat_of(3), STRAY),
+        (4.1, heartbeat_of(2), STRAY),
+        system_id=0,
+    )
+    assert peers == [AUTOPILOT, AUTOPILOT, STRAY]
+
+
+def test_setpoints_go_to_the_peer_whoever_speaks_in_between() -> None:
+    peers = answered_to(
+        (0.0, HEARTBEAT, AUTOPILOT), (1.0, b"x", AUTOPILOT), (3.9, b"hello", STRAY), (3.95, HEARTBEAT, STRAY)
+    )
+    assert peers == [AUTOPILOT] * 4
+
+
+def test_a_peer_that_has_fallen_silent_is_followed_by_the_next_heartbeats() -> None:
+    peers = answered_to((0.0, HEARTBEAT, AUTOPILOT), (3.1, b"hello", STRAY), (3.2, HEARTBEAT, STRAY))
+    assert peers == [AUTOPILOT, AUTOPILOT, STRAY]
+
+
+def test_what_strangers_say_is_not_heard() -> None:
+    async def main() -> tuple[bytes, int]:
+        transport = UdpTransport(1)
+        transport.datagram_received(HEARTBEAT, AUTOPILOT)
+        transport.datagram_received(heartbeat_of(1, 1), STRAY)
+        transport.datagram_received(b"last", AUTOPILOT)
+        return await transport.read(), transport.strangers
+
+    assert run_in_virtual_time(main()) == (HEARTBEAT + b"last", 1)
+
+
+async def test_a_caller_survives_that_nobody_listens_yet() -> None:
+    port = free_port()
+    caller = await open_transport(f"udp:127.0.0.1:{port}")
+    caller.write(b"lost")
+    await asyncio.sleep(0.05)
+    listener = await open_transport(f"udpin:127.0.0.1:{port}")
+    try:
+        caller.write(HEARTBEAT)
+        assert await asyncio.wait_for(listener.read(), 5.0) == HEARTBEAT
+    finally:
+        caller.close()
+        listener.close()
+
+
+async def test_a_port_in_use_is_told_in_one_line() -> None:
+    port = free_port()
+    first = await open_transport(f"udpin:127.0.0.1:{port}")
+    try:
+        with pytest.raises(
+            ConfigError, match=rf"^link\.connection: udpin:127\.0\.0\.1:{port}: .*in use"
+        ) as caught:
+            await open_transport(f"udpin:127.0.0.1:{port}")
+        assert "\n" not in str(caught.value)
+    finally:
+        first.close()

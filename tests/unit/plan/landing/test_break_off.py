@@ -1,0 +1,182 @@
+"""When the last way down is broken off, and how it climbs then."""
+
+import math
+
+import pytest
+
+from companion.base.geometry import quat_from_euler
+from companion.base.messages import LandedState
+from companion.base.motion import Motion
+from companion.plan.mission.states import MissionEvent
+from tests.unit.plan.landing.touchdown_attempt import (
+    CONFIG,
+    CYCLE_S,
+    WAIT_M,
+    fresh,
+    sight,
+    sinking,
+    wait,
+    waited,
+)
+from tests.unit.plan.plan_harness import LEG_M
+
+
+@pytest.mark.parametrize(
+    ("height", "sink_m_s", "broken"),
+    [
+        (LEG_M + 0.2, 0.36, True),
+        (LEG_M + 0.2, 0.34, False),
+        # it needs some 13 cm to stop from that, foot and all, and 18 from half a metre a second
+        (LEG_M + 0.12, 0.36, False),
+        (LEG_M + 0.14, 0.36, True),
+        (LEG_M + 0.17, 0.5, False),
+    ],
+)
+def test_sinking_too_fast_it_breaks_off_unless_it_is_down_already(
+    height: float, sink_m_s: float, broken: bool
+) -> None:
+    touchdown = sinking()
+    fast = sight(height=height, velocity=(0.0, 0.0, sink_m_s))
+    for k in range(6):
+        assert touchdown.step(fast, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+        if not touchdown.committed:
+            break
+    assert touchdown.committed is not broken
+    if broken:
+        # and rises to where it waits, without a step, and may commit again
+        before = touchdown._generator.at(1.2)
+        for k in range(6, 80):
+            touchdown.step(sight(height=height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        after = touchdown._generator.at(3.5)
+        assert before.velocity_m_s[2] > 0.0
+        assert after.position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
+        assert wait(touchdown, sight(), 9.0)[1] is None
+
+
+def test_a_break_off_climbs_at_once() -> None:
+    touchdown = sinking()
+    now_s, low = 1.0, sight(0.1, LEG_M + 0.25, velocity=(0.0, 0.0, 0.19))
+    while touchdown.committed:
+        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+        now_s += CYCLE_S
+    begun_s = now_s - CYCLE_S
+    start = touchdown._generator.at(begun_s)
+    lowest_m = start.position_m[2]
+    while now_s < begun_s + 0.3:
+        touchdown.step(low, None, LandedState.IN_AIR, now_s)
+        lowest_m = max(lowest_m, touchdown._generator.at(now_s).position_m[2])
+        now_s += CYCLE_S
+    assert start.velocity_m_s[2] == pytest.approx(CONFIG.contact_speed_m_s, abs=0.02)
+    assert lowest_m - start.position_m[2] < 0.03
+    assert touchdown._generator.at(now_s).velocity_m_s[2] < -0.25
+    # and comes to rest where it waits, not far over it
+    highest_m = 0.0
+    while now_s < begun_s + 3.0:
+        touchdown.step(sight(0.1), None, LandedState.IN_AIR, now_s)
+        highest_m = min(highest_m, touchdown._generator.at(now_s).position_m[2])
+        now_s += CYCLE_S
+    assert -highest_m < WAIT_M + 0.1
+    assert touchdown._generator.at(now_s).position_m[2] == pytest.approx(-WAIT_M, abs=0.01)
+
+
+def test_one_fast_sample_is_no_reason_to_break_off() -> None:
+    touchdown = sinking()
+    for k in range(9):
+        speed = 0.5 if k % 3 == 0 else 0.2
+        seen = sight(height=0.4, velocity=(0.0, 0.0, speed))
+        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed
+
+
+@pytest.mark.parametrize(
+    ("aside", "height", "broken"),
+    [
+        (CONFIG.break_off_lateral_m - 0.002, LEG_M + 0.2, False),
+        (CONFIG.break_off_lateral_m + 0.002, LEG_M + 0.2, True),
+        (CONFIG.break_off_lateral_m + 0.002, LEG_M + CONFIG.break_off_above_m + 0.01, True),
+        (CONFIG.break_off_lateral_m + 0.002, LEG_M + CONFIG.break_off_above_m - 0.01, False),
+    ],
+)
+def test_aside_on_the_last_way_down_it_waits_again_over_the_pad(
+    aside: float, height: float, broken: bool
+) -> None:
+    touchdown = sinking()
+    for k in range(6):
+        assert touchdown.step(sight(aside, height), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+    assert touchdown.committed is not broken
+    assert (f"{100.0 * aside:.0f} cm aside" in touchdown.broken_off_by) is broken
+
+
+@pytest.mark.parametrize(("lean_deg", "broken"), [(0.0, True), (5.0, True), (12.0, False)])
+def test_a_break_off_keeps_room_for_the_foot_that_hangs_lower(lean_deg: float, broken: bool) -> None:
+    touchdown = sinking()
+    # GIVEN 9 cm under the feet, of which a sink of 0.2 m/s takes 5 before it ends
+    low = sight(0.1, LEG_M + 0.09, velocity=(0.0, 0.0, 0.2))
+    for k in range(6):
+        touchdown.note_lean(quat_from_euler(math.radians(lean_deg), 0.0, 0.0), 1.0 + k * CYCLE_S)
+        touchdown.step(low, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed is not broken
+
+
+@pytest.mark.parametrize(
+    ("aside", "speed_m_s", "broken"),
+    [(0.04, 0.12, False), (0.04, 0.15, True), (0.0, 0.33, True), (-0.06, 0.4, False), (-0.06, -0.06, True)],
+)
+def test_a_gust_that_will_carry_it_aside_breaks_it_off_before_it_has(
+    aside: float, speed_m_s: float, broken: bool
+) -> None:
+    touchdown = sinking()
+    drifting = sight(aside, LEG_M + 0.2, velocity=(speed_m_s, 0.0, 0.19))
+    for k in range(6):
+        assert touchdown.step(drifting, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S) is None
+    assert touchdown.committed is not broken
+    assert (f"at {abs(speed_m_s):.2f} m/s" in touchdown.broken_off_by) is broken
+
+
+def test_a_moment_aside_is_no_reason_to_break_off() -> None:
+    touchdown = sinking()
+    for k in range(9):
+        seen = sight(aside=0.12 if k % 3 == 0 else 0.05, height=LEG_M + 0.2)
+        touchdown.step(seen, None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed
+
+
+def test_each_break_off_uses_up_the_same_try() -> None:
+    touchdown, commits, found, k = fresh(), 0, None, 0
+    while found is None and k * CYCLE_S < 60.0:
+        was = touchdown.committed
+        seen = sight(0.2, LEG_M + 0.2) if was else sight()
+        found = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        found = None if found and found[0] is MissionEvent.MISALIGNED and was else found
+        commits += touchdown.committed and not was
+        k += 1
+    assert commits > 5
+    assert found is not None
+    assert found[0] is MissionEvent.MISALIGNED
+    assert k * CYCLE_S == pytest.approx(CONFIG.giving_up_s, abs=0.6)
+
+
+def test_a_gust_on_the_way_down_breaks_it_off() -> None:
+    touchdown = fresh()
+    waited(touchdown, 0.0, 0.0, 0.5)
+    before = touchdown.committed
+    waited(touchdown, 3.0, 0.5, 1.2)
+    assert (before, touchdown.committed) == (True, False)
+    assert touchdown.broken_off_by == "leaning too far"
+    assert touchdown.level_off() is None
+
+
+@pytest.mark.parametrize("lateral_m", [0.0, 0.19])
+def test_who_gives_the_last_way_down_up_climbs_at_once(lateral_m: float) -> None:
+    touchdown = sinking()
+    late_s = 1.0 if lateral_m else 20.0
+    low = sight(lateral_m, LEG_M + 0.05, velocity=(0.0, 0.0, 0.19))
+    found = touchdown.step(low, None, LandedState.IN_AIR, late_s)
+    assert found is not None
+    assert found[0] is MissionEvent.MISALIGNED
+    # WHEN the landing flies back to over the pad from the next cycle on
+    before = touchdown._generator.at(late_s)
+    touchdown._generator.fly_to(Motion((0.0, 0.0, -LEG_M - 1.5)), late_s + CYCLE_S)
+    lowest_m = max(touchdown._generator.at(late_s + 0.01 * k).position_m[2] for k in range(30))
+    assert lowest_m < before.position_m[2] + 0.03
+    assert touchdown._generator.at(late_s + 0.3).velocity_m_s[2] == pytest.approx(-0.3, abs=0.01)

@@ -1,0 +1,163 @@
+"""When it commits to the last way down: alignment, tilt, drift, and patience with all three."""
+
+import pytest
+
+from companion.base.messages import LandedState, PadState
+from companion.config import TouchdownConfig
+from companion.plan.landing.tolerance import aligned, gentle
+from companion.plan.mission.states import MissionEvent
+from tests.unit.plan.landing.touchdown_attempt import (
+    CONFIG,
+    CYCLE_S,
+    WAIT_M,
+    fresh,
+    leaning,
+    sight,
+    wait,
+    waited,
+)
+from tests.unit.plan.plan_harness import LEG_M
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"),
+    [
+        (sight(aside=0.059), sight(aside=0.061)),
+        (sight(velocity=(0.119, 0.0, 0.0)), sight(velocity=(0.121, 0.0, 0.0))),
+        (sight(height=WAIT_M + 0.099), sight(height=WAIT_M + 0.101)),
+        (sight(height=WAIT_M - 0.099), sight(height=WAIT_M - 0.101)),
+        (sight(velocity=(0.0, 0.0, 0.149)), sight(velocity=(0.0, 0.0, 0.151))),
+        (sight(age=0.3), sight(age=0.31)),
+    ],
+)
+def test_aligned_on_both_sides_of_each_bound(good: PadState, bad: PadState) -> None:
+    assert aligned(good, WAIT_M, 1.0, CONFIG)
+    assert not aligned(bad, WAIT_M, 1.0, CONFIG)
+
+
+def test_gentle_on_both_sides_of_each_bound() -> None:
+    assert gentle(sight(pad_acceleration=(0.0, 1.19, 0.19)), CONFIG)
+    assert not gentle(sight(pad_acceleration=(0.86, 0.86, 0.0)), CONFIG)
+    assert not gentle(sight(pad_acceleration=(0.0, 0.0, -0.21)), CONFIG)
+
+
+def test_it_commits_once_aligned_for_a_moment() -> None:
+    at, found = wait(fresh(), sight(), 5.0)
+    assert found is None
+    assert at == pytest.approx(CONFIG.settled_s, abs=0.04)
+
+
+def test_a_break_in_alignment_starts_the_moment_again() -> None:
+    touchdown = fresh()
+    for k in range(5):
+        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+    touchdown.step(sight(aside=0.2), None, LandedState.IN_AIR, 5 * CYCLE_S)
+    for k in range(6, 11):
+        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+    assert not touchdown.committed
+
+
+def test_a_restless_pad_is_waited_for_but_not_forever() -> None:
+    at, found = wait(fresh(), sight(pad_acceleration=(1.5, 0.0, 0.0)), 20.0)
+    assert found is None
+    assert at == pytest.approx(CONFIG.patience_s + CONFIG.settled_s, abs=0.08)
+
+
+def test_a_little_aside_is_accepted_late_and_far_aside_never() -> None:
+    at, found = wait(fresh(), sight(aside=0.085), 30.0)
+    assert found is None
+    assert at == pytest.approx(2.0 * CONFIG.patience_s + CONFIG.settled_s, abs=0.08)
+    at, found = wait(fresh(), sight(aside=0.2), 40.0)
+    assert found is MissionEvent.MISALIGNED
+    assert at == pytest.approx(6.0 * CONFIG.patience_s, abs=0.08)
+
+
+def test_the_last_try_has_more_slack() -> None:
+    assert wait(fresh(slack=1.6), sight(aside=0.085), 30.0)[0] < 1.0
+
+
+def test_a_pad_unseen_while_waiting_is_lost() -> None:
+    assert wait(fresh(), sight(age=CONFIG.blind_s + 0.01), 5.0) == (0.0, MissionEvent.PAD_LOST)
+
+
+@pytest.mark.parametrize(("share", "commits"), [(0.95, True), (1.05, False)])
+def test_it_waits_while_it_leans_further_than_it_can_level_off(share: float, commits: bool) -> None:
+    touchdown = fresh()
+    waited(touchdown, share * CONFIG.gentle_lean_m_s2, 0.0, 2.0)
+    assert touchdown.committed is commits
+
+
+def test_impatience_bears_more_lean_by_and_by() -> None:
+    touchdown = fresh()
+    # 1.35 times what is gentle: borne once a patience beyond two of them has run out
+    waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 0.0, 2.9 * CONFIG.patience_s)
+    assert not touchdown.committed
+    waited(touchdown, 1.35 * CONFIG.gentle_lean_m_s2, 2.9 * CONFIG.patience_s, 3.0 * CONFIG.patience_s + 1.0)
+    assert touchdown.committed
+
+
+def test_what_would_break_it_off_at_once_is_no_moment_to_commit() -> None:
+    touchdown, told = fresh(), 0
+    for k in range(round(29.0 / CYCLE_S)):
+        was = touchdown.committed
+        touchdown.note_lean(leaning(3.0), k * CYCLE_S)
+        touchdown.step(sight(), None, LandedState.IN_AIR, k * CYCLE_S)
+        told += touchdown.committed is not was
+        if touchdown.committed:
+            break
+    assert told == 1
+    assert k * CYCLE_S > 4.0 * CONFIG.patience_s
+
+
+def test_it_does_not_start_down_into_a_drift_that_would_break_it_off() -> None:
+    touchdown, told = fresh(slack=1.6), 0
+    drifting = sight(0.088, velocity=(0.17, 0.0, 0.0))
+    for k in range(round(15.0 / CYCLE_S)):
+        was = touchdown.committed
+        touchdown.step(drifting, None, LandedState.IN_AIR, k * CYCLE_S)
+        told += touchdown.committed is not was
+        if touchdown.committed:
+            break
+    assert told == 1
+    assert k * CYCLE_S > 2.0 * CONFIG.patience_s
+
+
+def test_drift_that_does_not_get_less_is_borne_by_and_by() -> None:
+    committed = []
+    for waited_s in (0.0, 4.0 * CONFIG.patience_s):
+        touchdown, now_s = fresh(), 0.0
+        while not touchdown.committed and now_s < waited_s + 1.0:
+            touchdown.step(sight(0.2 if now_s < waited_s else 0.0), None, LandedState.IN_AIR, now_s)
+            now_s += CYCLE_S
+        # 13 cm in 0.22 s
+        drifting = sight(0.06, LEG_M + 0.2, velocity=(0.3, 0.0, 0.19))
+        for k in range(6):
+            touchdown.step(drifting, None, LandedState.IN_AIR, now_s + k * CYCLE_S)
+        committed.append(touchdown.committed)
+    assert committed == [False, True]
+
+
+def test_the_most_patient_of_tries_goes_on_from_no_farther_aside_than_twelve_centimetres() -> None:
+    for aside, goes_on in ((0.115, True), (0.125, False)):
+        touchdown = fresh(slack=2.0)
+        wait(touchdown, sight(), 5.0)
+        for k in range(6):
+            touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+        assert touchdown.committed is goes_on
+
+
+def test_it_does_not_start_down_from_where_it_would_break_off() -> None:
+    touchdown = fresh(slack=1.6)
+    at, found = wait(touchdown, sight(0.13), 40.0)
+    assert found is MissionEvent.MISALIGNED
+    assert at == pytest.approx(CONFIG.giving_up_s, abs=0.08)
+
+
+@pytest.mark.parametrize(("aside", "goes_on"), [(0.24, True), (0.26, False)])
+def test_for_a_larger_pad_it_may_be_farther_aside(aside: float, goes_on: bool) -> None:
+    wide = TouchdownConfig(lateral_m=0.2, break_off_lateral_m=0.25, escape_lateral_m=0.5)
+    touchdown = fresh(config=wide)
+    wait(touchdown, sight(), 5.0)
+    for k in range(6):
+        touchdown.step(sight(aside, LEG_M + 0.2), None, LandedState.IN_AIR, 1.0 + k * CYCLE_S)
+    assert touchdown.committed is goes_on

@@ -1,0 +1,105 @@
+"""A try at a touchdown, from state to state as the table says."""
+
+import math
+
+from companion.base.geometry import GRAVITY_M_S2, ZERO3, Quaternion, Vector3, quat_from_euler, scale
+from companion.base.messages import AutopilotState, LandedState, PadState, RangeSample
+from companion.base.motion import Motion
+from companion.config import GuidanceConfig, TouchdownConfig
+from companion.plan.landing.touchdown import TouchdownSequence
+from companion.plan.mission.inputs import PlanInputs
+from companion.plan.mission.states import Circumstances, DetectedEvent, MissionEvent, State
+from companion.plan.mission.table import COMMITTED, ON_PAD, TOUCHDOWN, follows
+from companion.plan.trajectory.guidance import ReferenceGenerator
+from tests.unit.plan.plan_harness import LEG_M, VEHICLE
+
+CONFIG = TouchdownConfig()
+WAIT_M = LEG_M + 0.35
+CYCLE_S = 1.0 / 30.0
+
+
+def sight(
+    aside: float = 0.0,
+    height: float = WAIT_M,
+    velocity: Vector3 = ZERO3,
+    pad_acceleration: Vector3 = ZERO3,
+    age: float = 0.0,
+) -> PadState:
+    """The pad under a vehicle that is so far aside and high, and moves over it at `velocity`."""
+    relative = ((-aside, 0.0, height), scale(velocity, -1.0))
+    return PadState(0.0, *relative, ZERO3, pad_acceleration, 0.0, 0.0, 0.0, 0.0, seen_time_s=-age)
+
+
+class Attempt:
+    """A try that goes from state to state as the table says; `step` returns what ends it, and a contact."""
+
+    def __init__(self, sequence: TouchdownSequence, generator: ReferenceGenerator) -> None:
+        self._sequence, self._generator = sequence, generator
+        self.state = State.WAIT
+        self.broken_off_by = ""
+        self.contact_s = math.nan
+        self.note_lean, self.level_off = sequence.note_lean, sequence.level_off
+
+    @property
+    def committed(self) -> bool:
+        return self.state in COMMITTED
+
+    @property
+    def on_pad(self) -> bool:
+        return self.state in ON_PAD
+
+    def step(
+        self, seen: PadState | None, echo: RangeSample | None, landed: LandedState, now_s: float
+    ) -> DetectedEvent | None:
+        inputs = PlanInputs(None, None, AutopilotState(now_s, landed=landed), range=echo)
+        detected = self._sequence.step(self.state, seen, inputs, now_s)
+        if detected is None:
+            return None
+        branch = follows(self.state, detected[0], Circumstances())
+        if branch is None or branch.to not in TOUCHDOWN:
+            return detected
+        self.state = branch.to
+        self._sequence.enter(self.state, now_s)
+        if self.state is State.RISE:
+            self.broken_off_by = detected[1]
+        if self.state is State.STAND:
+            self.contact_s = now_s
+            return detected
+        return None
+
+
+def fresh(slack: float = 1.0, config: TouchdownConfig = CONFIG) -> Attempt:
+    generator = ReferenceGenerator(GuidanceConfig(), lambda _d, _v, _a: 0.4, 20, 0.1)
+    generator.start("pad", Motion((0.0, 0.0, -WAIT_M)), 0.0)
+    sequence = TouchdownSequence(config, VEHICLE, 0.35, generator)
+    sequence.begin(0.0, slack)
+    return Attempt(sequence, generator)
+
+
+def wait(touchdown: Attempt, seen: PadState, until_s: float) -> tuple[float, MissionEvent | None]:
+    """Step until it commits or finds something; the time and what."""
+    k = 0
+    while k * CYCLE_S < until_s:
+        finding = touchdown.step(seen, None, LandedState.IN_AIR, k * CYCLE_S)
+        if finding or touchdown.committed:
+            return k * CYCLE_S, finding[0] if finding else None
+        k += 1
+    return until_s, None
+
+
+def sinking() -> Attempt:
+    touchdown = fresh()
+    wait(touchdown, sight(), 5.0)
+    assert touchdown.committed
+    return touchdown
+
+
+def leaning(acceleration_m_s2: float) -> Quaternion:
+    return quat_from_euler(math.atan(acceleration_m_s2 / GRAVITY_M_S2), 0.0, 1.0)
+
+
+def waited(touchdown: Attempt, lean_m_s2: float, from_s: float, until_s: float) -> None:
+    for k in range(round((until_s - from_s) / CYCLE_S)):
+        now_s = from_s + k * CYCLE_S
+        touchdown.note_lean(leaning(lean_m_s2), now_s)
+        touchdown.step(sight(), None, LandedState.IN_AIR, now_s)
