@@ -218,6 +218,10 @@ class VehicleClient:
 
     # ------------------------------------------------------------ out
 
+    def encode(self, message: Message) -> bytes:
+        """A message from a component beside the vehicle's autopilot."""
+        return self._codec.encode(message)
+
     def transmit(self, now_s: float) -> bytes:
         """All that is due: heartbeat, clock questions, requests. Call it often: it watches silence too."""
         self._watch(now_s)

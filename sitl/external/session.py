@@ -27,6 +27,7 @@ from sitl.devices.ultrasonic import PolledUltrasonicDevice, UltrasonicDevice
 from sitl.external.client import VehicleClient
 from sitl.external.link import ExternalLink, UdpEnd, pump
 from sitl.external.pose import LONGEST_GUESS_S
+from sitl.external.rangefinder import RangefinderMessages
 from sitl.external.world import ExternalWorld
 from sitl.mavlink.ground_station import GroundStation
 from sitl.run.report import SimulationReport
@@ -74,9 +75,11 @@ class ExternalSimulation:
         self.world = ExternalWorld(scenario, seed)
         self.ready = asyncio.Event()
         self._vehicle = load_model(VehicleConfig, find_file("vehicles", scenario.airframe))
-        streams = iter(np.random.default_rng((seed, STREAM)).spawn(6))
+        *rngs, rangefinder_rng = np.random.default_rng((seed, STREAM)).spawn(7)
+        streams = iter(rngs)
         errors = sensor_errors(scenario.sensors)
         self._half_beam_rad = errors.range.half_beam_rad
+        self._rangefinder = RangefinderMessages(RangeSensor(errors.range, rangefinder_rng), errors.range)
         echo = RangeSensor(errors.range, next(streams))
         polled = scenario.sensors.ultrasonic == "polled"
         self._ultrasonic = PolledUltrasonicDevice(echo) if polled else UltrasonicDevice(echo)
@@ -202,12 +205,14 @@ class ExternalSimulation:
         port, pose = self._connections.range_port, self.world.track.newest
         assert pose is not None
         distance = self.world.range_m(self._vehicle.range_position_body_m, self._half_beam_rad)
+        height_m, tilt_rad = OUT_OF_RANGE_M if distance is None else distance, tilt_from_quat(pose.attitude)
         self._ultrasonic.receive(port.receive())
-        port.send(
-            self._ultrasonic.step(
-                now_s, OUT_OF_RANGE_M if distance is None else distance, tilt_from_quat(pose.attitude)
-            )
-        )
+        port.send(self._ultrasonic.step(now_s, height_m, tilt_rad))
+        told = self._rangefinder.due(now_s, height_m, tilt_rad)
+        if told is not None:
+            data = self.client.encode(told)
+            self._connections.link.write(data)
+            self._connections.relay.write(data)
 
     def _report_landing(self) -> None:
         """A table of each landing, for people, when the vehicle has disarmed after it."""

@@ -101,7 +101,7 @@ def lose_position(_fault: outside.AutopilotPositionLost, targets: OutsideTargets
 
 def drain_battery(fault: outside.Battery, targets: OutsideTargets) -> None:
     """Less charge."""
-    targets.bundled.battery_percent = fault.remaining_percent
+    targets.bundled.battery.false_share = 0.01 * fault.remaining_percent
 
 
 def break_samples(_fault: outside.ImuNan, targets: OutsideTargets) -> None:

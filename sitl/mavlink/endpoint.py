@@ -19,8 +19,9 @@ from sitl.autopilot import Severity, SimulatedAutopilot, StreamedAttitude, Strea
 from sitl.mavlink import pilot_inputs
 from sitl.mavlink.commands import execute, request_from_message
 from sitl.mavlink.framing import FrameReader, MavFrame, dialect, number
-from sitl.mavlink.mission_protocol import MissionProtocol
-from sitl.mavlink.parameter_protocol import ParameterProtocol
+from sitl.mavlink.protocols import file_protocols
+from sitl.mavlink.protocols.mission_protocol import MissionProtocol
+from sitl.mavlink.protocols.parameter_protocol import ParameterProtocol
 from sitl.mavlink.sensor_telemetry import SensorMessages
 from sitl.mavlink.signing import Signing
 from sitl.mavlink.streams import Streams, grouped_messages
@@ -88,6 +89,8 @@ class MavlinkEndpoint:
                 self._handlers[message_id] = partial(self._answer_by, protocol)
         for message_id, handler in pilot_inputs.HANDLERS.items():
             self._handlers[message_id] = partial(handler, autopilot)
+        for message_id, answer in file_protocols.ANSWERS.items():
+            self._handlers[message_id] = partial(self._answer_with, answer)
 
     def restart(self) -> None:
         """After a reset of the autopilot: the default streams, and nothing to send."""
@@ -268,6 +271,13 @@ class MavlinkEndpoint:
 
     def _on_setup_signing(self, message: Message, now_s: float) -> None:
         self.signing.set_up(bytes(message.secret_key), message.initial_timestamp)
+
+    def _answer_with(
+        self, answer: Callable[[Message], Message | None], message: Message, now_s: float
+    ) -> None:
+        reply = answer(message)
+        if reply is not None:
+            self.queue(reply)
 
     def _answer_by(
         self, protocol: ParameterProtocol | MissionProtocol, message: Message, now_s: float

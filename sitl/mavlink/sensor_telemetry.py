@@ -194,18 +194,21 @@ class SensorMessages:
         if echo is None or echo.time_s <= self._echo_sent_s:
             return None
         self._echo_sent_s = echo.time_s
-        bounds = RangeErrors()
-        nearest_cm, farthest_cm = round(100.0 * bounds.minimum_m), round(100.0 * bounds.maximum_m)
-        distance_m, beyond_cm = echo.distance_m, farthest_cm + _BEYOND_CM
-        distance_cm = beyond_cm if distance_m is None else round(100.0 * distance_m)
-        return mavlink.MAVLink_distance_sensor_message(
-            self._boot_us(echo.time_s) // 1000, nearest_cm, farthest_cm, distance_cm,
-            mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0,
-        )  # fmt: skip
+        return distance_sensor(self._boot_us(echo.time_s) // 1000, echo.distance_m, RangeErrors())
 
     def _boot_us(self, time_s: float) -> int:
         booted_s = self._autopilot.booted_s
         return 0 if booted_s is None else max(0, round((time_s - booted_s) * 1e6))
+
+
+def distance_sensor(boot_ms: int, distance_m: float | None, bounds: RangeErrors) -> Message:
+    """DISTANCE_SENSOR of an ultrasonic that looks down; without an echo it is beyond the farthest."""
+    nearest_cm, farthest_cm = round(100.0 * bounds.minimum_m), round(100.0 * bounds.maximum_m)
+    distance_cm = farthest_cm + _BEYOND_CM if distance_m is None else round(100.0 * distance_m)
+    return mavlink.MAVLink_distance_sensor_message(
+        boot_ms, nearest_cm, farthest_cm, distance_cm,
+        mavlink.MAV_DISTANCE_SENSOR_ULTRASOUND, 0, mavlink.MAV_SENSOR_ROTATION_PITCH_270, 0,
+    )  # fmt: skip
 
 
 def _in_thousandths(imu: ImuReading, field_ut: Vector3) -> tuple[int, ...]:

@@ -15,8 +15,9 @@ from companion.base.geometry import Vector3, euler_from_quat, norm
 from companion.base.messages import LandedState
 from companion.link.dialect import CURRENT_MODE, CurrentMode
 from sitl.autopilot import AttitudeSetpoint, SimulatedAutopilot
-from sitl.mavlink import mission_protocol
 from sitl.mavlink.framing import dialect
+from sitl.mavlink.protocols import mission_protocol
+from sitl.vehicle.battery import CELLS
 
 mavlink: Any = dialect
 Message = Any  # pymavlink's classes are generated without types
@@ -61,7 +62,9 @@ _CHANNELS: Final = 18
 _NO_CHANNEL: Final = 65535
 _RSSI_UNKNOWN: Final = 255
 _MOST_INT32: Final = 2**31 - 1
-_CELL_MV: Final = (4100, 4100, 4100, *(65535,) * 7)
+_NO_CELL: Final = 65535
+_TEMPERATURE_UNKNOWN: Final = 32767
+_LOW_PERCENT, _CRITICAL_PERCENT = 15, 7  # PX4's BAT_LOW_THR and BAT_CRIT_THR
 
 
 def milliseconds(autopilot: SimulatedAutopilot, now_s: float) -> int:
@@ -98,9 +101,13 @@ def sys_status(autopilot: SimulatedAutopilot, now_s: float, unhealthy: int = 0) 
     health = (_SENSORS | (_ESTIMATES if autopilot.aligned else 0)) & ~unhealthy
     if autopilot.ready_to_arm:
         health |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    # without a fence it is not breached: a ground station takes a missing bit for a breach
+    health |= mavlink.MAV_SYS_STATUS_GEOFENCE
+    battery = autopilot.battery
     return mavlink.MAVLink_sys_status_message(
-        present, present, health, 300, 12300, 1500, autopilot.battery_percent, 0, 0, 0, 0, 0, 0
-    )
+        present, present, health, 300, round(1e3 * battery.voltage_v), round(1e2 * battery.current_a),
+        autopilot.battery_percent, 0, 0, 0, 0, 0, 0,
+    )  # fmt: skip
 
 
 def attitude(autopilot: SimulatedAutopilot, now_s: float) -> Message:
@@ -179,10 +186,19 @@ def mission_current(autopilot: SimulatedAutopilot, now_s: float) -> Message:
 
 
 def battery_status(autopilot: SimulatedAutopilot, now_s: float) -> Message:
-    """BATTERY_STATUS of a battery that drains by a fault alone."""
+    """BATTERY_STATUS: of each cell, and what has been consumed."""
+    battery, percent = autopilot.battery, autopilot.battery_percent
+    cells = (round(1e3 * battery.voltage_v / CELLS),) * CELLS + (_NO_CELL,) * (10 - CELLS)
+    state = mavlink.MAV_BATTERY_CHARGE_STATE_OK
+    if percent <= _LOW_PERCENT:
+        critical = percent <= _CRITICAL_PERCENT
+        low = mavlink.MAV_BATTERY_CHARGE_STATE_LOW
+        state = mavlink.MAV_BATTERY_CHARGE_STATE_CRITICAL if critical else low
     return mavlink.MAVLink_battery_status_message(
-        0, 1, 1, 32767, _CELL_MV, 1500, -1, -1, autopilot.battery_percent
-    )
+        0, mavlink.MAV_BATTERY_FUNCTION_ALL, mavlink.MAV_BATTERY_TYPE_LIPO, _TEMPERATURE_UNKNOWN, cells,
+        round(1e2 * battery.current_a), round(battery.consumed_mah), round(1e-2 * battery.consumed_j),
+        percent, 0, state,
+    )  # fmt: skip
 
 
 def system_time(autopilot: SimulatedAutopilot, now_s: float) -> Message:

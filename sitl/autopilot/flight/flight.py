@@ -32,9 +32,9 @@ class FlightLoop(FlightState):
         self.estimate.update_attitude(truth)
         if now_s >= self._outer_due_s - _EARLY_S:
             self._outer(truth, now_s)
-        if not self._commander.armed:
-            return STOPPED
-        return self._cascade.step(self.estimate, dt_s)
+        armed = self._commander.armed
+        motors = self._motors = self._cascade.step(self.estimate, dt_s) if armed else STOPPED
+        return motors
 
     def _outer(self, truth: TrueMotion, now_s: float) -> None:
         if self.booted_s is None:
@@ -45,6 +45,7 @@ class FlightLoop(FlightState):
         )
         self._now_s = now_s
         estimate = self.estimate
+        self.battery.step(self._motors, self.profile.outer_period_s)
         estimate.update_position(truth, self.profile.outer_period_s)
         self._note_arming()  # by commands since the step before
         self._watch(now_s - self.booted_s, now_s - self._setpoint_s)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from math import inf
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -21,8 +21,9 @@ from companion.base.geometry import (
 from companion.base.messages import LandedState
 from sitl.autopilot.ardupilot.profile import ARDUPILOT
 from sitl.autopilot.control.airframe import Airframe, hover_thrust
-from sitl.autopilot.control.cascade import Cascade
+from sitl.autopilot.control.cascade import STOPPED, Cascade
 from sitl.autopilot.control.estimator import EstimatorErrors, SimulatedEstimator
+from sitl.autopilot.control.mixer import Motors
 from sitl.autopilot.control.rate_control import RateGains
 from sitl.autopilot.control.setpoints import AttitudeSetpoint, MotionSetpoint
 from sitl.autopilot.flight.commander import Commander, Text
@@ -35,9 +36,9 @@ from sitl.autopilot.flight.parameters import Parameters
 from sitl.autopilot.flight.profile import AutopilotProfile
 from sitl.autopilot.flight.sticks import RcInput
 from sitl.autopilot.px4.profile import PX4
+from sitl.vehicle.battery import Battery
 
 RefusedRequest = Literal["arm", "take_off", "offboard", "land", "disarm", "auto_disarm"]
-FULL_BATTERY_PERCENT: Final = 90
 PROFILES: dict[AutopilotKind, AutopilotProfile] = {"px4": PX4, "ardupilot": ARDUPILOT}
 
 
@@ -63,15 +64,17 @@ class FlightState:
         self.boots = 0
         self._airframe, self._rates = airframe, rates
         self._origin = home
+        self.battery = Battery(airframe.max_thrust_n)
+        self._motors: Motors = STOPPED
         self._setpoint: MotionSetpoint | AttitudeSetpoint | None = None
         self.clear_faults()
         self._boot()
 
     def clear_faults(self) -> None:
-        """Nothing refused, the position known, the battery as good as new."""
+        """Nothing refused, the position known, the battery's charge as it is."""
         self.refused: frozenset[RefusedRequest] = frozenset()
         self.position_lost = False
-        self.battery_percent = FULL_BATTERY_PERCENT
+        self.battery.false_share = None
 
     def _boot(self) -> None:
         """Reset everything but the parameters and the mission, as a reboot does."""
@@ -150,6 +153,11 @@ class FlightState:
             return LandedState.TAKEOFF
         landing = self._commander.flown in (Task.LAND, Task.PRECISION_LAND)
         return LandedState.LANDING if landing else LandedState.IN_AIR
+
+    @property
+    def battery_percent(self) -> int:
+        """Remaining charge as the autopilot reports it."""
+        return round(100.0 * self.battery.share)
 
     @property
     def thrust(self) -> float:

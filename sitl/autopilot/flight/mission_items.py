@@ -215,12 +215,13 @@ class MissionStore:
         return any(item.command in NAVIGATION for item in self.items[self.rules.first :])
 
     def item(self, number: int) -> MissionItem:
-        """The item of that number; item 0 is where home is now, for an autopilot that keeps it there.
+        """The item of that number; item 0 is where home is now, for an autopilot that keeps it there: it
+        can be read even without a mission.
 
         Raises:
             IndexError: there is none.
         """
-        if number == 0 and self.rules.home_first and self.items:
+        if number == 0 and self.rules.home_first:
             return self.home()
         if number < 0:
             raise IndexError(number)

@@ -53,6 +53,23 @@ def test_ardupilots_item_0_is_home_whatever_was_sent() -> None:
 
 
 @pytest.mark.parametrize(
+    ("ask", "answer"),
+    [
+        (mavlink.MAVLink_mission_request_message, "MISSION_ITEM"),
+        (mavlink.MAVLink_mission_request_int_message, "MISSION_ITEM_INT"),
+    ],
+)
+def test_ardupilots_home_can_be_read_without_a_mission(ask: Any, answer: str) -> None:
+    """DroneKit learns home by it, and waits for it."""
+    [count] = Station("ardupilot").send(mavlink.MAVLink_mission_request_list_message(1, 1, 0))
+    assert count.count == 0
+    [home] = Station("ardupilot").send(ask(1, 1, 0, 0))
+    assert (home.get_type(), home.seq, home.z) == (answer, 0, pytest.approx(400.18, abs=0.05))
+    assert results(Station("ardupilot").send(ask(1, 1, 1, 0))) == [1]
+    assert results(Station("px4").send(ask(1, 1, 0, 0))) == [1]
+
+
+@pytest.mark.parametrize(
     ("autopilot_kind", "request_type"), [("px4", "MISSION_REQUEST_INT"), ("ardupilot", "MISSION_REQUEST")]
 )
 def test_each_asks_in_its_own_way_and_takes_both_kinds_of_item(

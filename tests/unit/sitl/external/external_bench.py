@@ -6,6 +6,7 @@ import asyncio
 from typing import Any
 
 from companion.base.clock import Clock
+from companion.link.codec import Codec
 from sitl.external.link import UdpEnd
 from tests.unit.sitl.external.external_vehicle import (
     ARDUPILOT,
@@ -41,6 +42,14 @@ class Player:
             if k % 20 == 0:
                 self._end.write(self._sender.pack(heartbeat(self._autopilot, armed=armed)))
             self._end.write(self._sender.pack(message(position, velocity if time_s >= 0.0 else (0.0,) * 3)))
+
+    async def hear(self, kind: str) -> Any:
+        """The next message of a kind that comes for the vehicle."""
+        codec = Codec(1, 1)
+        while True:
+            for message in codec.decode(await asyncio.wait_for(self._end.read(), 5.0)):
+                if message.get_type() == kind:
+                    return message
 
     def say(self, *messages: Any) -> None:
         self._end.write(self._sender.pack(*messages))

@@ -196,6 +196,27 @@ async def test_the_app_shares_the_connection_and_hears_of_the_pad(tmp_path: Path
     assert place[:2] == pytest.approx(PAD, abs=1.0)  # with the noise of a receiver
 
 
+async def test_the_autopilot_and_the_app_get_a_rangefinder(tmp_path: Path) -> None:
+    """ArduPilot takes it with RNGFND1_TYPE 10, PX4 as it is."""
+    flight, _ = hop(*PAD)
+    player = Player(PX4, flight, 9.0)
+    async with bench(tmp_path, player) as b:
+        app, codec = await open_link(f"udp:127.0.0.1:{b.relay_port}", print), Codec(1, 191)
+        playing = asyncio.create_task(player.run(2.0, 3.0))
+        await b.simulation.ready.wait()
+        told = await player.hear("DISTANCE_SENSOR")
+        app.write(codec.encode(command_long(mavlink.MAV_CMD_RUN_PREARM_CHECKS, (0,) * 7, 1, 1)))
+        kinds: set[str] = set()
+        while "DISTANCE_SENSOR" not in kinds:
+            kinds |= {message.get_type() for message in codec.decode(await asyncio.wait_for(app.read(), 5.0))}
+        playing.cancel()
+        await asyncio.gather(playing, return_exceptions=True)
+        app.close()
+    assert told.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
+    sensor_m = load_model(VehicleConfig, find_file("vehicles", SCENARIO.airframe)).range_position_body_m
+    assert told.current_distance == pytest.approx(100.0 * (STANDING_M - sensor_m[2]), abs=10.0)
+
+
 async def pad_by_beacon(b: Bench) -> Any:
     """What the ground station answers an app that asks where the pad is."""
     app, codec = await open_link(f"udp:127.0.0.1:{b.relay_port}", print), Codec(1, 191)

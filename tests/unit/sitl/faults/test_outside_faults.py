@@ -239,4 +239,4 @@ def test_the_battery_is_told_in_both_messages() -> None:
     assert sys_status(flight.autopilot, 1.0).battery_remaining == 12
     assert battery_status(flight.autopilot, 1.0).battery_remaining == 12
     desk.schedule.step(2.0)
-    assert sys_status(flight.autopilot, 2.0).battery_remaining == 90
+    assert sys_status(flight.autopilot, 2.0).battery_remaining == 100

@@ -53,6 +53,15 @@ def test_health_comes_true_once_the_estimator_is_aligned(autopilot_kind: Autopil
     assert of(link.heard, "HOME_POSITION")
 
 
+@BOTH
+def test_a_fence_that_is_not_there_is_not_breached(autopilot_kind: AutopilotKind) -> None:
+    """MAVProxy takes a missing bit of health for a breach, whether there is a fence or not."""
+    status = of(Link(autopilot_kind, booted_s=0.0).run(1.0), "SYS_STATUS")[0]
+    assert not status.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_GEOFENCE
+    assert not status.onboard_control_sensors_enabled & mavlink.MAV_SYS_STATUS_GEOFENCE
+    assert status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_GEOFENCE
+
+
 def test_an_ardupilots_checks_pass_before_it_knows_where_it_is() -> None:
     link = Link("ardupilot", booted_s=0.0)
     for message in (mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, mavlink.MAVLINK_MSG_ID_HOME_POSITION):
