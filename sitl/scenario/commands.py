@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 from typing import Annotated, Final
 
 import typer
@@ -27,7 +29,8 @@ def scenarios_command(
     from sitl.scenario.listing import listing, settings_text  # noqa: PLC0415 - not for what is not there
     from sitl.scenario.scenario import load_scenario  # noqa: PLC0415
 
-    typer.echo(listing() if name is None else settings_text(load_scenario(name)), nl=False)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    typer.echo(listing(width) if name is None else settings_text(load_scenario(name)), nl=False)
 
 
 def schema_command() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from textwrap import wrap
 from typing import Final
 
 import yaml
@@ -13,6 +15,7 @@ from sitl.scenario.scenario import Scenario, load_scenario
 from sitl.world.wind import WindSettings
 
 COLUMNS: Final = ("name", "pad", "wind", "faults")
+INDENT: Final = 2 * " "
 
 
 def shipped() -> list[str]:
@@ -20,9 +23,28 @@ def shipped() -> list[str]:
     return sorted(path.stem for path in (CONFIG_FOLDER / "scenarios").glob("*.yaml"))
 
 
-def listing() -> str:
-    """A line for each shipped scenario: name, pad, wind, faults, description."""
+def listing(width: int | None = None) -> str:
+    """A line for each shipped scenario: name, pad, wind, faults, description.
+
+    On a terminal of a `width` that has no room for that, the name and below it the rest, broken to fit.
+    """
     scenarios = [load_scenario(name) for name in shipped()]
+    wide = _wide(scenarios)
+    if width is None or max(map(len, wide.splitlines())) <= width:
+        return wide
+    return "".join(_narrow(scenario, width) for scenario in scenarios)
+
+
+def _narrow(scenario: Scenario, width: int) -> str:
+    faults = fault_words(scenario)
+    told = [f"pad {pad_words(scenario)}", f"wind {wind_words(scenario.wind)}"]
+    told += [f"faults {faults}"] if faults != "-" else []
+    texts = (scenario.description, "; ".join(told))
+    lines = [wrap(text, width, initial_indent=INDENT, subsequent_indent=INDENT) for text in texts]
+    return "\n".join((scenario.name, *lines[0], *lines[1])) + "\n"
+
+
+def _wide(scenarios: Sequence[Scenario]) -> str:
     rows = [COLUMNS, *((s.name, pad_words(s), wind_words(s.wind), fault_words(s)) for s in scenarios)]
     descriptions = ["description", *(s.description for s in scenarios)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]

@@ -22,20 +22,21 @@ from companion.base.geometry import Vector3, add, norm, quat_rotate, scale, subt
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.camera_delay import second_difference
 
-APART_S: Final = 0.2  # long against the noise of a sighting, short against a pad's manoeuvres
-NEAR_S: Final = 0.05  # a sighting this near to that distance will do
+# long against a sighting's noise, short against a pad's manoeuvres; then what a glimpse of the pad allows
+APART_S: Final = (0.2, 0.1)
+NEAR: Final = 0.25  # a sighting this near to that distance, as a share of it, will do
 PAD_ACCELERATION_M_S2: Final = 1.0
 NOISE_M: Final = 0.01  # of a sighting's, at least
 # the pad's way against the vehicle is measured too: less of it than this many standard deviations is noise
 LEAST_SIGNAL: Final = 4.0
 # three tell the same; and the pad's acceleration goes on from one to the next
 SHARED: Final = 3.0
-FORGETTING_S: Final = 30.0
+FORGETTING_S: Final = 120.0  # a mount keeps; a pad that manoeuvred is to fade
 # an angle is told that is larger, known so well, of a vector of about the length 1, by so many comparisons
 LEAST_DEG: Final = 15.0
 SURE_SIGMA: Final = 5.0
 LENGTH: Final = (0.6, 1.5)
-FEWEST: Final = 8
+FEWEST: Final = 2.5  # three, the first of which may be fading
 
 
 class _Seen(NamedTuple):
@@ -72,14 +73,19 @@ class MountCheck:
                 variance_m2 + NOISE_M**2,
             )
         )
-        while self._seen[0].time_s < time_s - 2.0 * (APART_S + NEAR_S):
+        while self._seen[0].time_s < time_s - 2.0 * (1.0 + NEAR) * APART_S[0]:
             del self._seen[0]
-        first, middle = self._before(time_s, 2.0 * APART_S), self._before(time_s, APART_S)
-        if first is None or middle is None or not first.time_s < middle.time_s < time_s:
+        for apart_s in APART_S:
+            first, middle = (
+                self._before(time_s, 2.0 * apart_s, apart_s),
+                self._before(time_s, apart_s, apart_s),
+            )
+            if first is None or middle is None or not first.time_s < middle.time_s < time_s:
+                continue
+            if time_s - self._compared_s >= apart_s:
+                self._compared_s = time_s
+                self._compare(first, middle, self._seen[-1])
             return
-        if time_s - self._compared_s >= APART_S:
-            self._compared_s = time_s
-            self._compare(first, middle, self._seen[-1])
 
     @property
     def yaw_error_rad(self) -> float | None:
@@ -100,9 +106,9 @@ class MountCheck:
         least = max(math.radians(LEAST_DEG), SURE_SIGMA * math.sqrt(variance) / length)
         return angle if abs(angle) > least else None
 
-    def _before(self, time_s: float, apart_s: float) -> _Seen | None:
-        nearest = min(self._seen, key=lambda seen: abs(time_s - apart_s - seen.time_s))
-        return nearest if abs(time_s - apart_s - nearest.time_s) <= NEAR_S else None
+    def _before(self, time_s: float, before_s: float, apart_s: float) -> _Seen | None:
+        nearest = min(self._seen, key=lambda seen: abs(time_s - before_s - seen.time_s))
+        return nearest if abs(time_s - before_s - nearest.time_s) <= NEAR * apart_s else None
 
     def _compare(self, a: _Seen, b: _Seen, c: _Seen) -> None:
         share = (b.time_s - a.time_s) / (c.time_s - a.time_s)

@@ -30,6 +30,7 @@ from calibration.camera.views.detection import BoardFinder, BoardView
 from companion.base.geometry import FloatArray
 from companion.config import CameraConfig, find_file, load_model
 from companion.sense.camera.photos import photo_paths, read_photos
+from tests.bench.progress import watched
 from tests.unit.calibration.camera.board_pictures import BoardPainter, hand_held_poses
 
 VIEWS: Final = 25
@@ -163,7 +164,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     camera = load_model(CameraConfig, find_file("cameras", "hd_1280x720"))
     board = load_model(CalibrationBoard, find_file("boards", "charuco_a4"))
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)
-    rows = {bow_m: [calibrated(camera, board, bow_m, seed) for seed in seeds] for bow_m in BOWS_M}
+    rows = {
+        bow_m: [calibrated(camera, board, bow_m, seed) for seed in seeds]
+        for bow_m in watched(BOWS_M, "boards")
+    }
     Console(width=200).print(table(rows, camera))
     band = nees_band(chosen.seeds, 9)
     worst = np.abs([run.errors for runs in rows.values() for run in runs]).max(axis=0)

@@ -40,6 +40,7 @@ from calibration.mount.solve.verdict import reasons
 from companion.base.clock import run_in_virtual_time
 from companion.base.geometry import FloatArray
 from companion.config import CompanionConfig, InertialCalibration, MountCalibration, load_model, validate
+from tests.bench.progress import watched
 from tests.bench.state.consistency import band
 from tests.scenario.flying import fly, scenario_file
 from tests.unit.calibration.mount.mount_world import Held, mount_errors, record_sway, scenario_of
@@ -271,9 +272,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     console = Console(width=170)
     with tempfile.TemporaryDirectory(prefix="bench-mount-") as name:
         folder = Path(name)
-        rows = [swayed(seed, folder / f"sway{seed}") for seed in range(chosen.seeds)]
+        rows = [swayed(seed, folder / f"sway{seed}") for seed in watched(range(chosen.seeds), "swayed")]
         console.print(table(rows))
-        faces = np.array([six_faces(seed, folder) for seed in range(chosen.seeds)])
+        faces = np.array([six_faces(seed, folder) for seed in watched(range(chosen.seeds), "six faces")])
         flown = flights(folder, chosen.flights) if chosen.flights else []
         hover = hovered(folder) if chosen.flights else ""
     print(worst_line(rows))

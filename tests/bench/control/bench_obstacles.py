@@ -26,6 +26,7 @@ from companion.config import Box, Cylinder, PlanConfig, Shape
 from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m, route
 from companion.plan.trajectory.guidance import ReferenceGenerator
+from tests.bench.progress import watched
 
 CYCLE_S: Final = 1.0 / 30.0
 RADIUS_M: Final = 0.4
@@ -121,8 +122,10 @@ def main() -> int:
     rng = np.random.default_rng(options.seed)
     scenes = [scene(rng) for _ in range(options.scenes)]
     within: Callable[[tuple[Shape, ...]], Vector3] = lambda shapes: (*shapes[0].centre_ned_m, -1.0)  # noqa: E731
-    free = [fly(shapes, (11.0, 0.0, -5.0)) for shapes in scenes]
-    hopeless = [fly(shapes, within(shapes)) for shapes in scenes[: options.scenes // 2]]
+    free = [fly(shapes, (11.0, 0.0, -5.0)) for shapes in watched(scenes, "goals behind")]
+    hopeless = [
+        fly(shapes, within(shapes)) for shapes in watched(scenes[: options.scenes // 2], "goals inside")
+    ]
     table = Table(title="the reference among obstacles")
     for heading in ("goal", "scenes", "reached", "holding", "nearest, m", "slowest cycle, ms (median)"):
         table.add_column(heading, justify="right")

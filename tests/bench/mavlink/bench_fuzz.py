@@ -19,6 +19,7 @@ from rich.table import Table
 from companion.base.autopilot_kind import AutopilotKind
 from companion.base.clock import wall_clock_s
 from tests.bench.mavlink.fuzzing import Fuzz, FuzzResult
+from tests.bench.progress import watched
 
 # autopilot_kind, whether it has a key, whether most frames are orders, share of the frames
 RUNS: tuple[tuple[AutopilotKind, bool, bool, float], ...] = (
@@ -59,7 +60,7 @@ def main(words: Sequence[str] | None = None) -> int:
     options = parser.parse_args(words)
     began_s = wall_clock_s()
     results = []
-    for autopilot_kind, with_key, orders, share in RUNS:
+    for autopilot_kind, with_key, orders, share in watched(RUNS, "frames"):
         name = autopilot_kind + ", signed" * with_key + ", orders" * orders
         fuzz = Fuzz(autopilot_kind, options.seed, KEY if with_key else None, orders=orders)
         results.append((name, fuzz.run(round(options.frames * share))))

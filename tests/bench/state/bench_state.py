@@ -22,6 +22,7 @@ from typing import Final
 from rich.console import Console
 
 from companion.sim.trial import Trial
+from tests.bench.progress import watched
 from tests.bench.state import pictures
 from tests.bench.state.consistency import Consistency
 from tests.bench.state.costs import measure
@@ -109,7 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for index in range(len(CASES))
             for seed in range(chosen.fault_seeds)
         ]
-        flights, faulted = [f.result() for f in waiting], [f.result() for f in more]
+        flights = [f.result() for f in watched(waiting, "flights")]
+        faulted = [f.result() for f in watched(more, "faults")]
     by_scenario = {
         name: consistencies([flight for flight in flights if flight.scenario == name])
         for name in chosen.scenarios

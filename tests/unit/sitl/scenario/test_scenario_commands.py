@@ -11,7 +11,7 @@ import yaml
 
 from companion.config import CONFIG_FOLDER
 from sitl.cli import main
-from sitl.scenario.listing import schema_text, shipped
+from sitl.scenario.listing import listing, schema_text, shipped
 from sitl.scenario.scenario import load_scenario
 
 FIRST_LINE = "# yaml-language-server: $schema=scenario.schema.json"
@@ -101,3 +101,11 @@ def referred(known: dict[str, Any], schema: dict[str, Any], value: dict[str, Any
             if kind in (None, value.get("kind")):
                 return definition
     return None
+
+
+def test_the_list_fits_a_narrow_terminal() -> None:
+    narrow = listing(80)
+    assert max(map(len, narrow.splitlines())) <= 80
+    for scenario in map(load_scenario, shipped()):
+        assert f"{scenario.name}\n  {scenario.description[:20]}" in narrow
+    assert listing(1000) == listing()
