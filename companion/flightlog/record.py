@@ -125,12 +125,7 @@ class FlightLog:
         They also stand in a file of their own, `settings.yaml`.
         """
         if (files := self._files) is not None:
-            files.disk.put(files.mcap.know, settings)
-            models = {name: model.model_dump_json() for name, model in settings.items()}
-            files.disk.put(files.mcap.write_metadata, SETTINGS_RECORD, models)
-            files.disk.put(files.mcap.write_metadata, VERSIONS_RECORD, versions())
-            plain = {"versions": versions(), **{name: json.loads(text) for name, text in models.items()}}
-            files.disk.put(files.write_settings, plain)
+            files.disk.put(files.write_settings, settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
@@ -291,9 +286,15 @@ class _Files:
     tlog: _TlogFile
     folder: Path
 
-    def write_settings(self, settings: Mapping[str, Any]) -> None:
-        """The same as in the log's metadata, for people."""
-        text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, width=110)
+    def write_settings(self, settings: Mapping[str, BaseModel]) -> None:
+        """Into the metadata, and beside the log for people; asking git for the revision takes a moment."""
+        known = versions()
+        models = {name: model.model_dump_json() for name, model in settings.items()}
+        self.mcap.know(settings)
+        self.mcap.write_metadata(SETTINGS_RECORD, models)
+        self.mcap.write_metadata(VERSIONS_RECORD, known)
+        plain = {"versions": known, **{name: json.loads(text) for name, text in models.items()}}
+        text = yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=110)
         (self.folder / SETTINGS_NAME).write_text(text, encoding="utf-8")
 
 

@@ -93,6 +93,14 @@ class Tiling:
         """How many sheets."""
         return (len(self.along_m) - 1) * (len(self.across_m) - 1)
 
+    def together(self, one: tuple[Interval, Interval], other: tuple[Interval, Interval]) -> bool:
+        """Whether no cut runs between the middles of two things in these intervals of x and y."""
+        return not any(
+            min(sum(a), sum(b)) < 2.0 * cut < max(sum(a), sum(b))
+            for a, b, cuts in zip(one, other, (self.along_m, self.across_m), strict=True)
+            for cut in cuts
+        )
+
     def divides(self, extent: tuple[Interval, Interval]) -> bool:
         """Whether a cut runs through what lies in these intervals of x and y."""
         return any(

@@ -57,6 +57,7 @@ def fig13_command(
     fig13.draw(observed, output)
     console = Console()
     console.print(fig13.table(observed))
+    console.print(fig13.EXPLANATION, highlight=False)
     finish(console, {"EKF's path and noise": observed.holds()}, output)
 
 

@@ -38,6 +38,9 @@ OUTCOME_COLOURS: Final = {
 # from here on a picture would rather show what is inside
 FAR_PADS: Final = 1.5
 CLOSE_BOUNDS: Final = 1.15
+# how far a curve's picture reaches: past the largest bound, or past the largest size
+BOUND_SHARE: Final = 1.15
+DATA_SHARE: Final = 1.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +134,17 @@ def draw_outcomes(groups: Mapping[str, Sequence[Row]]) -> Figure:
 # ---------------------------------------------------------------- distributions
 
 
+def shown_width(sizes: Sequence[float], bounds: Sequence[float]) -> float:
+    """How far a picture of these sizes reaches: past the bounds only as far as they lie among the sizes.
+
+    Sizes far within the bounds fill the picture; those far beyond are counted instead of drawn.
+    """
+    limit = BOUND_SHARE * max(bounds)
+    largest = max((size for size in sizes if size <= limit), default=limit)
+    reach = DATA_SHARE * largest
+    return limit if largest <= 0.0 or reach >= min(bounds) else reach
+
+
 def draw_share(
     groups: Mapping[str, Sequence[Row]],
     looks: Mapping[str, PlotStyle],
@@ -143,7 +157,10 @@ def draw_share(
     figure = Figure(figsize=(9.0, 5.5), dpi=110, layout="constrained")
     axes: Any = figure.subplots()
     quantity, _, unit = label.removesuffix(")").partition(" (")
-    widest = 1.15 * factor * max(bounds)
+    widest = shown_width(
+        [factor * value for group in groups.values() for value in values(group, column)],
+        [factor * bound for bound in bounds],
+    )
     beyond = 0
     for name, group in groups.items():
         sizes = factor * np.array(values(group, column))
@@ -161,9 +178,13 @@ def draw_share(
             linewidth=1.8,
             label=f"{name} ({_runs(len(group))})",
         )
-    for bound in bounds:
+    for line, bound in enumerate(bounds):
+        place = min(factor * bound, widest)
+        farther = " →" if factor * bound > widest else " "
         axes.axvline(factor * bound, color="black", linestyle=":", linewidth=1.2)
-        axes.text(factor * bound, 2.0, f" passes at {factor * bound:g} {unit} ", ha="right", fontsize=9)
+        axes.text(
+            place, 2.0 + 5.0 * line, f" passes at {factor * bound:g} {unit}{farther}", ha="right", fontsize=9
+        )
     axes.set_xlim(0.0, widest)
     axes.set_ylim(0.0, 103.0)
     axes.grid(visible=True, alpha=0.25)
@@ -197,8 +218,11 @@ def draw_touchdowns(
     for place, (name, group) in enumerate(groups.items()):
         axes: Any = figure.add_subplot(panels[divmod(place, columns)])
         bound_m = scenarios[name].pass_bounds.lateral_error_m
-        draw_places(axes, {name: group}, looks, scenarios, pads, CLOSE_BOUNDS * bound_m)
-        axes.set_title(name, fontsize=10)
+        met = [row for row in group if row.touchdown_along_m is not None]
+        farthest = [max(abs(row.touchdown_along_m or 0), abs(row.touchdown_across_m or 0)) for row in met]
+        reach_m = shown_width(farthest, [CLOSE_BOUNDS * bound_m])
+        draw_places(axes, {name: group}, looks, scenarios, pads, reach_m)
+        axes.set_title(f"{name}: passes within {100.0 * bound_m:g} cm", fontsize=10)
         axes.tick_params(labelsize=7)
     handles, labels = whole.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(6, len(groups)), frameon=False)

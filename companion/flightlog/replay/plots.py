@@ -25,6 +25,8 @@ from companion.flightlog.report.plots import ESTIMATE_COLOUR, VEHICLE_COLOUR
 RECORDED_COLOUR: Final = "black"
 COLOURS: Final[dict[Source, str]] = {"recorded": RECORDED_COLOUR, "truth": VEHICLE_COLOUR}
 AXES: Final = ("north", "east", "down")
+BROAD_PT: Final = 3.0
+BROAD_ALPHA: Final = 0.4
 UNITS: Final = {"deg": "°", "m_s": "m/s", "m": "m"}
 
 
@@ -139,7 +141,9 @@ def draw_attitude(figure: Figure, drawing: _Drawing) -> None:
         angles = np.degrees([euler_from_quat(tuple(q)) for q in track.values.tolist()])
         for axes, column in zip(grid, angles.T, strict=False):
             # dots: a line would run across the page where an angle turns over
-            axes.plot(drawing.seconds(track.time_s), column, ".", markersize=1.5, color=colour, label=label)
+            size, alpha = (1.5, 1.0) if label == "replay" else (5.0, BROAD_ALPHA)
+            look = {"markersize": size, "alpha": alpha, "markeredgewidth": 0.0, "color": colour}
+            axes.plot(drawing.seconds(track.time_s), column, ".", label=label, **look)
     for axes, name in zip(grid, ("roll (°)", "pitch (°)", "heading (°)"), strict=False):
         axes.set_ylabel(name)
     for source, comparison in drawing.comparisons.items():
@@ -211,14 +215,14 @@ def draw_refused(figure: Figure, drawing: _Drawing) -> None:
 
 
 def _draw_components(grid: Sequence[Any], drawing: _Drawing, name: TrackName, unit: str) -> None:
-    curves: list[tuple[str, str, RecordedTrack | None]] = [
-        (source, COLOURS[source], drawing.reference(source, name)) for source in drawing.comparisons
-    ]
-    curves.append(("replay", ESTIMATE_COLOUR, drawing.ours.get(name)))
-    for label, colour, track in curves:
+    for source in drawing.comparisons:
+        track = drawing.reference(source, name)
         if track is not None:
             for axes, column in zip(grid, track.values.T, strict=True):
-                _line(axes, drawing.seconds(track.time_s), column, colour, label)
+                _broad(axes, drawing.seconds(track.time_s), column, COLOURS[source], source)
+    if (replayed := drawing.ours.get(name)) is not None:
+        for axes, column in zip(grid, replayed.values.T, strict=True):
+            _line(axes, drawing.seconds(replayed.time_s), column, ESTIMATE_COLOUR, "replay")
     for axes, axis in zip(grid, AXES, strict=True):
         axes.set_ylabel(f"{axis} ({unit})")
 
@@ -227,6 +231,11 @@ def _line(
     axes: Any, times: FloatArray, values: FloatArray, colour: str, label: str, style: str = "-"
 ) -> None:
     axes.plot(times, values, style, linewidth=0.8, color=colour, label=label)
+
+
+def _broad(axes: Any, times: FloatArray, values: FloatArray, colour: str, label: str) -> None:
+    """What the replay is held against: broad and pale, to be seen also where the replay lies on it."""
+    axes.plot(times, values, linewidth=BROAD_PT, alpha=BROAD_ALPHA, color=colour, label=label)
 
 
 def _finish(grid: Sequence[Any], title: str) -> None:

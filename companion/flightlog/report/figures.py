@@ -82,8 +82,34 @@ def path_figure(flight: LoggedFlight, track: TruthTrack | None) -> go.Figure | N
             )
     axes = {axis: {"title": f"{name} (m)"} for axis, name in zip("xyz", ("east", "north", "up"), strict=True)}
     scene = {f"{axis}axis": spec for axis, spec in axes.items()}
-    figure.update_layout(scene={**scene, "aspectmode": "data"}, height=PATH_HEIGHT_PX)
+    figure.update_layout(scene={**scene, **_equal_axes(figure)}, height=PATH_HEIGHT_PX)
     return _plain(figure)
+
+
+def _equal_axes(figure: go.Figure) -> dict[str, Any]:
+    """One scale on all axes, the longest side 1, so that the whole of it is before the camera."""
+    sides = {}
+    for axis in "xyz":
+        values = np.concatenate([np.asarray(trace[axis], dtype=float) for trace in figure.data])
+        sides[axis] = max(float(np.ptp(values)), 1.0)
+    longest = max(sides.values())
+    ratio = {axis: side / longest for axis, side in sides.items()}
+    ranges = {axis: _around(figure, axis, sides[axis]) for axis in "xyz"}
+    # from the south-west, so that north and east rise away from whoever looks
+    camera = {"eye": {"x": -0.95, "y": -1.15, "z": 0.8}}
+    return {
+        "aspectmode": "manual",
+        "aspectratio": ratio,
+        "camera": camera,
+        **{f"{axis}axis_range": span for axis, span in ranges.items()},
+    }
+
+
+def _around(figure: go.Figure, axis: str, side_m: float) -> list[float]:
+    """The range of this length about the middle of what is drawn."""
+    values = np.concatenate([np.asarray(trace[axis], dtype=float) for trace in figure.data])
+    middle = 0.5 * float(values.min() + values.max())
+    return [middle - 0.5 * side_m, middle + 0.5 * side_m]
 
 
 def _true_paths(track: TruthTrack) -> dict[str, FloatArray]:

@@ -21,6 +21,7 @@ LABELS: Final = {
     OUTPUT: "average speed V (m/s)",
 }
 SURFACE_POINTS: Final = 60
+BOX_SHARE: Final = 0.86
 
 
 def draw(rules: FuzzyRules, table: SpeedTable, path: Path) -> None:
@@ -69,4 +70,6 @@ def _draw_surface(axes: Any, table: SpeedTable, acceleration_m_s2: float, highes
     axes.set_zlabel("V (m/s)")
     axes.set_zlim(0.0, highest_m_s)
     axes.view_init(elev=26.0, azim=-128.0)
+    # the layout knows nothing of a 3-D axis's label: without room at its side it is cut off
+    axes.set_box_aspect(None, zoom=BOX_SHARE)
     axes.set_title(f"acceleration {acceleration_m_s2:+.1f} m/s²")

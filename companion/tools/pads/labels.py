@@ -44,7 +44,8 @@ def place_labels(pad: Pad, tiling: Tiling) -> tuple[list[Label], list[Marker]]:
     taken = list(zones)
     for marker, zone in zip(pad.markers, zones, strict=True):
         words = words_of(marker)
-        box = next((b for b in _boxes(zone, words) if _free(b, taken, pad, tiling)), None)
+        near = (b for b in _boxes(zone, words) if tiling.together(extent(zone), extent(b)))
+        box = next((b for b in near if _free(b, taken, pad, tiling)), None)
         if box is None:
             left_out.append(marker)
             continue

@@ -16,6 +16,7 @@ from companion.cli import cli
 from companion.config import ConfigError
 from companion.flightlog.record import FlightLog
 from companion.flightlog.report.command import write_report
+from companion.flightlog.report.figures import figures
 from companion.flightlog.report.logged_flight import SensorRecord, read_flight
 from companion.flightlog.report.page import differences, sensor_rows
 from companion.flightlog.result import build_result
@@ -186,3 +187,15 @@ def test_a_browser_draws_every_plot(tmp_path: Path) -> None:
     for name in PLOTS:
         start = body.index(f'id="plot-{name}"')
         assert "plot-container" in body[start : start + 1000], name
+
+
+def test_the_path_has_one_scale_on_all_axes_and_fits_the_view(tmp_path: Path) -> None:
+    write_flight(tmp_path)
+    scene = figures(read_flight(tmp_path))["path"][1].layout.scene
+    sides = [np.ptp(axis.range) for axis in (scene.xaxis, scene.yaxis, scene.zaxis)]
+    ratio = [scene.aspectratio[axis] for axis in "xyz"]
+    assert max(ratio) == 1.0
+    assert np.divide(ratio, sides) == pytest.approx(1.0 / max(sides))
+    # 10 m to the north, 0.5 m aside, which is shown as a metre at least
+    assert sides[1] == pytest.approx(10.0, abs=0.1)
+    assert sides[0] == 1.0

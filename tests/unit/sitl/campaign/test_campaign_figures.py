@@ -11,7 +11,14 @@ from rich.console import Console
 
 from sitl.campaign.figures import Percentiles, bars, share, spread, worst
 from sitl.campaign.manifest import make_plan
-from sitl.campaign.plots import draw_outcomes, draw_share, draw_touchdowns, looks_of_all, write_plots
+from sitl.campaign.plots import (
+    draw_outcomes,
+    draw_share,
+    draw_touchdowns,
+    looks_of_all,
+    shown_width,
+    write_plots,
+)
 from sitl.campaign.rows import Row
 from sitl.campaign.tables import print_summary
 from sitl.scenario.scenario import PassBounds
@@ -175,3 +182,12 @@ def test_touchdowns_are_drawn_with_the_heading_up_and_those_outside_are_counted(
 def test_many_scenarios_each_look_different() -> None:
     looks = looks_of_all(20)
     assert len({(look.colour, look.line) for look in looks}) == 20
+
+
+def test_a_picture_reaches_as_far_as_there_is_something_to_see() -> None:
+    # all within a third of the bound: they fill the picture, and the bound is named at its edge
+    assert shown_width([1.0, 2.0, 4.0], [15.0]) == pytest.approx(5.0)
+    # near the bound or past it: the bound is in the picture
+    assert shown_width([1.0, 13.0, 200.0], [15.0]) == pytest.approx(1.15 * 15.0)
+    assert shown_width([], [15.0]) == pytest.approx(1.15 * 15.0)
+    assert shown_width([0.0], [15.0]) == pytest.approx(1.15 * 15.0)

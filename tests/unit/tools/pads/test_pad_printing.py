@@ -142,3 +142,13 @@ def test_clipping_keeps_what_is_inside() -> None:
     assert clip([(x + 5.0, y) for x, y in square], window) == []
     inside = [(0.5, 0.5), (1.5, 0.5), (1.0, 1.5)]
     assert clip(inside, window) == inside
+
+
+@pytest.mark.parametrize("name", ["moving_1300", "indoor_400"])
+def test_a_label_is_on_the_sheet_of_its_marker(name: str) -> None:
+    pad = load_pad(name)
+    sheets = tiles(pad, pad.tiling())
+    for label in place_labels(pad, pad.tiling())[0]:
+        (of_label,) = [sheet.number for sheet in sheets if sheet.holds(label.at_pad_m)]
+        (of_marker,) = [sheet.number for sheet in sheets if sheet.holds(label.marker.position_pad_m)]
+        assert of_label == of_marker, label.words
