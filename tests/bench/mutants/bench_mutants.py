@@ -35,7 +35,7 @@ MODULE: Final = "companion.control.limits"
 SOURCE: Final = Path(limits.__file__)
 _ROOT: Final = Path(__file__).resolve().parents[3]
 TESTS: Final = ("tests/unit/control/test_limits_gate.py", "tests/property/test_limits.py")
-PATIENCE_S: Final = 120
+PATIENCE_S: Final = 60
 _QUIET: Final = (
     *("-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", "--no-header"),
     *("--hypothesis-seed=0", "-p", "no:randomly"),
@@ -57,7 +57,7 @@ def in_a_child(work: Callable[[], int]) -> int:
     if child == 0:
         status = 1
         with contextlib.suppress(BaseException):
-            signal.alarm(PATIENCE_S)
+            signal.setitimer(signal.ITIMER_PROF, PATIENCE_S)  # of processor time: the machine may be busy
             quiet = os.open(os.devnull, os.O_WRONLY)
             os.dup2(quiet, 1)
             os.dup2(quiet, 2)
