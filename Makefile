@@ -6,6 +6,7 @@
 # make bench-pad             the pad filter over made-up tracks
 # make bench-obstacles       ways round random obstacles: clearance, what is held before, cost
 # make bench-cpu             what the app costs in a landing, by part, and what blocks its event loop
+# make bench-long-life       an hour of virtual flight in one run: memory and the control step's cost
 # make bench-mpc             what a step of the MPC costs, beside setting it up anew
 # make bench-response PX4=BIN ARDUCOPTER=BIN  how the autopilots answer setpoints, beside what is believed
 # make bench-margins         landings with a response, a delay, stamps and a mass other than believed
@@ -17,6 +18,7 @@
 # make bench-service         the service: start, CPU, memory, ten orders in one run
 # make bench-interruptions   kills, stalls and stops at random moments of a flight in real time
 # make bench-mutations       a million spoilt inputs to drivers, link, settings and scenario files
+# make bench-mutants         small changes to the last gate: which of them would its tests not notice
 # make bench-fuzz            a million wrong MAVLink frames into the simulated vehicle
 # make bench-sitl DATA=DIR   the simulated vehicle beside recordings of PX4 and ArduPilot
 # make bench-sitl-speed      how fast one simulated vehicle runs, without and with its camera
@@ -39,7 +41,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-interruptions bench-mutations bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -98,6 +100,10 @@ bench-obstacles: $(VENV)/.dev
 bench-cpu: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.cpu.bench_cpu --record
 
+# twenty minutes
+bench-long-life: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.cpu.bench_long_life
+
 # an hour on two cores; give it again after an interruption, and it goes on
 bench-margins: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.campaign.bench_margins
@@ -136,6 +142,10 @@ bench-interruptions: $(VENV)/.dev
 
 bench-mutations: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.mutations.bench_mutations --count $(MUTATIONS)
+
+# a quarter of an hour
+bench-mutants: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.mutants.bench_mutants
 
 bench-fuzz: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.mavlink.bench_fuzz

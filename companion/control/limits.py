@@ -164,7 +164,7 @@ def _finite(setpoint: Setpoint) -> bool:
     ]
     if setpoint.attitude is not None:
         size = math.sqrt(sum(part * part for part in setpoint.attitude))
-        numbers += [size, 1.0 / size if size > 1e-6 else math.inf]  # no direction is no number either
+        numbers.append(size if size > 1e-6 else math.inf)  # no direction is no number either
     if setpoint.thrust is not None:
         numbers.append(setpoint.thrust)
     return all(map(math.isfinite, numbers))

@@ -70,9 +70,11 @@ class InProcess:
         range_baud: int = RANGE_BAUD,
         firmware: FirmwareSpec | None = None,
         computer: ComputerFaults | None = None,
+        keep_truth: bool = True,
     ) -> None:
         """Build it; `motion`: it is carried by hand; `link` is the vehicle's end of the MAVLink line.
 
+        Without `keep_truth` nothing is stored for `simulation.report`, which a long flight would fill up.
         A `firmware` flies it in lockstep; `simulation.close` ends that. `computer` takes the faults of the
         companion computer, for a harness that applies them to the app.
 
@@ -95,6 +97,7 @@ class InProcess:
             camera_wanted=lambda: self.wants_frames,
             firmware=firmware,
             computer=computer,
+            keep_truth=keep_truth,
         )
 
     @property

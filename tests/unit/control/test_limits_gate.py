@@ -152,6 +152,55 @@ def test_a_long_pause_does_not_allow_a_long_jump() -> None:
     assert limited.acceleration_ned_m_s2[0] == pytest.approx(-4.0 + 20.0 * LONGEST_STEP_S)
 
 
+def test_a_pause_counts_as_a_fifth_of_a_second() -> None:
+    gate = _gate()
+    gate.apply(_acceleration(-4.0, 0.0, 0.0), 0.0)
+    assert gate.apply(_acceleration(4.0, 0.0, 0.0), 60.0)[0].acceleration_ned_m_s2[0] == pytest.approx(0.0)
+
+
+def test_the_same_time_again_is_no_time_that_runs_backwards() -> None:
+    gate = _gate()
+    gate.apply(_acceleration(1.0, 0.0, 0.0), 10.0)
+    assert gate.apply(_acceleration(1.0, 0.0, 0.0), 10.0)[1] == ()
+
+
+@pytest.mark.parametrize("turn_deg", [4.0, -4.0])
+def test_a_heading_turns_the_short_way_across_south(turn_deg: float) -> None:
+    gate = _gate()
+    start = math.copysign(math.radians(178.0), turn_deg)
+    gate.apply(Setpoint(0.0, heading_rad=start), 1.0)
+    wanted = math.remainder(start + math.radians(turn_deg), math.tau)
+    limited, broken = gate.apply(Setpoint(0.0, heading_rad=wanted), 1.1)
+    assert broken == ()
+    assert limited.heading_rad == pytest.approx(wanted)
+
+
+def test_an_attitude_after_setpoints_without_one_begins_anew() -> None:
+    gate = _gate()
+    gate.apply(_lean(math.radians(-25.0)), 1.0)
+    gate.apply(Setpoint(0.0, heading_rad=0.3), 1.03)
+    wanted = _lean(math.radians(25.0))
+    limited, broken = gate.apply(wanted, 1.06)
+    assert broken == ()
+    assert limited.attitude == pytest.approx(wanted.attitude)
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.5, 1.0, 3.0])
+def test_an_attitude_counts_by_its_direction(size: float) -> None:
+    wanted = _lean(math.radians(20.0), 1.0)
+    assert wanted.attitude is not None
+    w, x, y, z = (size * part for part in wanted.attitude)
+    scaled = Setpoint(0.0, attitude=(w, x, y, z), heading_rad=0.3, thrust=0.5)
+    limited, broken = _gate().apply(scaled, 0.0)
+    assert broken == ()
+    assert limited.attitude == pytest.approx(wanted.attitude, abs=1e-9)
+
+
+def test_an_attitude_without_a_direction_is_none() -> None:
+    none = Setpoint(0.0, attitude=(1e-7, 0.0, 0.0, 0.0), thrust=0.5)
+    assert _gate().apply(none, 0.0)[1] == ("not_finite",)
+
+
 BAD = [math.nan, math.inf, -math.inf]
 
 
@@ -169,6 +218,7 @@ def test_anything_not_finite_is_a_hold_at_the_last_heading(bad: float, field: st
     assert limited.velocity_ned_m_s == limited.acceleration_ned_m_s2 == ZERO3
     assert limited.heading_rad == 0.7
     assert limited.heading_rate_rad_s == 0.0
+    assert (limited.attitude, limited.thrust) == (None, None)
 
 
 @pytest.mark.parametrize("bad", BAD)
