@@ -146,7 +146,10 @@ async def fly(minutes: int, steps_s: list[float]) -> tuple[list[Minute], str]:
         world = asyncio.create_task(vehicle.simulation.run())
         flight = asyncio.create_task(app.run())
         try:
-            made = [minute async for minute in _minutes(minutes, vehicle, frames, flight, steps_s)]
+            made = []
+            async for minute in _minutes(minutes, vehicle, frames, flight, steps_s):
+                made.append(minute)
+                print(f"{len(made)}/{minutes} min: {minute.memory_mb:.1f} MB", flush=True)
         finally:
             for task in (flight, world):
                 task.cancel()
