@@ -90,13 +90,19 @@ def calibrations_left_out(config_path: Path, flown: CompanionConfig) -> list[str
 def vehicle_differs(config: CompanionConfig, trial: Trial) -> str | None:
     """What the app's vehicle says otherwise than the simulated one, in one line; None where they agree.
 
+    None as well where there is no such airframe: the simulator says that.
+
     Errors of the file may be what a flight is to show, so this is told and not refused.
 
     Raises:
         ConfigError: one of the files is wrong.
     """
     ours = load_model(VehicleConfig, find_file("vehicles", config.vehicle)).model_dump()
-    theirs = load_model(VehicleConfig, find_file("vehicles", trial.scenario.airframe)).model_dump()
+    try:
+        file = find_file("vehicles", trial.scenario.airframe)
+    except ConfigError:
+        return None
+    theirs = load_model(VehicleConfig, file).model_dump()
     other = [key for key in ours if key != "name" and ours[key] != theirs[key]]
     if not other:
         return None

@@ -7,6 +7,7 @@ hold, 2 a user error, 130 interrupted (the same command continues).
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -69,11 +70,7 @@ def campaign_command(
     if scheduler is not None and jobs is not None:
         raise ConfigError("--jobs: the cluster has its own; expected it without --scheduler")
     sources = (*(scenarios or ()), *(more or ())) or SCENARIOS
-    for source in sources:
-        if source != ALL:
-            find_file("scenarios", source)
-    if config is not None:
-        must_be_readable(config)
+    _must_exist(sources, config)
     from rich.console import Console  # noqa: PLC0415 - what flies is imported once the files are there
 
     from sitl.campaign.run import Options, run_campaign  # noqa: PLC0415
@@ -92,3 +89,12 @@ def campaign_command(
         firmware=FirmwareSpec.of(firmware, firmware_path, firmware_param or ()),
     )
     raise typer.Exit(run_campaign(options, Console()))
+
+
+def _must_exist(sources: Sequence[str], config: Path | None) -> None:
+    """What is missing is told before anything heavy is imported."""
+    for source in sources:
+        if source != ALL:
+            find_file("scenarios", source)
+    if config is not None:
+        must_be_readable(config)

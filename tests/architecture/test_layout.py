@@ -5,7 +5,7 @@ from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-CODE = ("companion", "sitl", "calibration")
+CODE = ("companion", "sitl", "calibration", "tests")
 MOST_MODULES_IN_A_FOLDER = 15
 MOST_LINES_IN_A_FILE = 350
 MOST_LINES_IN_A_FUNCTION = 60

@@ -158,7 +158,7 @@ def _log_missing(flights: Path, killed_unix_s: float) -> list[str]:
     newest_s = 0.0
     try:
         with logs[0].open("rb") as stream:
-            for record in StreamReader(stream).records:  # type: ignore[no-untyped-call]
+            for record in StreamReader(stream).records:
                 newest_s = max(newest_s, 1e-9 * getattr(record, "log_time", 0))
     except Exception as error:
         # the last record is cut; what came before it is read

@@ -65,9 +65,9 @@ def test_a_px4_vehicle_that_stands_there(tmp_path: Path) -> None:
         )
         wrong_code, mistaken = checked(wrong)
     # how fast things come is this machine's affair
-    fails = {group for group, _ in not_well(findings, "fail")}
-    assert fails <= {"camera", "telemetry"}, findings
-    assert code == bool(fails)
+    groups = {group for group, _ in not_well(findings, "fail")}
+    assert groups <= {"camera", "telemetry"}, findings
+    assert code == bool(groups)
     assert findings["link", "heartbeat"]["told"].startswith("PX4, mode ")
     assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["told"] == "1"
     assert findings["autopilot's parameters", "COM_RC_OVERRIDE"]["state"] == "warning"

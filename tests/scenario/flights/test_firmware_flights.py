@@ -119,16 +119,19 @@ def test_the_command_says_in_one_line_that_the_firmware_ended(
     assert program.is_gone
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(
+    ("number", "code", "words"),
+    [(signal.SIGINT, 130, "companion: interrupted"), (signal.SIGKILL, -9, "")],
+)
 def test_whoever_does_not_wait_for_the_boot_leaves_nothing(
-    number: signal.Signals, code: int, tmp_path: Path
+    number: signal.Signals, code: int, words: str, tmp_path: Path
 ) -> None:
     program = fake("px4", tmp_path, **NEVER_READY)
     with started("--sitl", "--fast", "--no-ui", *options(program)) as process:
         assert soon(lambda: bool(program.instances))
         process.send_signal(number)
         _, said = process.communicate(timeout=20.0)
-    assert (process.returncode, said.strip()) == (code, "")
+    assert (process.returncode, said.strip()) == (code, words)
     assert program.is_gone
 
 

@@ -45,7 +45,7 @@ def test_memory_that_grows_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def leaks(rng: random.Random) -> Iterator[None]:
         while True:
-            kept.append(rng.randbytes(50_000))
+            kept.append(rng.randbytes(500_000))
             yield
 
     monkeypatch.setattr(bench_mutations, "TARGETS", {"x": (leaks, 1.0)})

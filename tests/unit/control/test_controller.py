@@ -2,68 +2,29 @@
 
 import math
 from dataclasses import replace
-from itertools import count
 
 import numpy as np
 import pytest
 
-from companion.base.geometry import (
-    IDENTITY,
-    ZERO3,
-    Vector3,
-    quat_from_euler,
-    tilt_from_quat,
-    yaw_from_quat,
-)
-from companion.base.messages import PadState, Phase, PlanStep, Reference, Setpoint, VehicleState
+from companion.base.geometry import ZERO3, quat_from_euler, tilt_from_quat, yaw_from_quat
 from companion.config import ControlConfig
-from companion.control.attitude import attitude_from_acceleration
-from companion.control.controller import FAILURES_TO_STOP, Controller
+from companion.control.controller import Controller
 from tests.unit.control.control_plants import controller, reference_rows, vehicle_config
-
-PERIOD_S = 1.0 / 30.0
-
-
-def _vehicle(now_s: float, **changes: object) -> VehicleState:
-    state = VehicleState(
-        time_s=now_s,
-        attitude=IDENTITY,
-        rate_body_rad_s=ZERO3,
-        position_ned_m=(10.0, -4.0, -7.0),
-        velocity_ned_m_s=ZERO3,
-        acceleration_ned_m_s2=ZERO3,
-        gyro_bias_rad_s=ZERO3,
-        accel_bias_m_s2=ZERO3,
-        attitude_std_rad=0.01,
-        velocity_std_m_s=0.05,
-        position_std_m=0.5,
-        aligned=True,
-        has_gps=True,
-    )
-    return replace(state, **changes)  # type: ignore[arg-type]
-
-
-def _pad(now_s: float, relative: Vector3 = (0.0, 0.0, 2.0), velocity: Vector3 = ZERO3) -> PadState:
-    return PadState(
-        now_s, relative, velocity, velocity, ZERO3, 0.0, 0.0, 0.01, 0.02, seen_time_s=now_s - 0.07
-    )
-
-
-def _hover(now_s: float, origin: str = "pad", height: float = 2.0, heading_rad: float = 0.0) -> Reference:
-    place = ((0.0, 0.0, -height), ZERO3, ZERO3)
-    return reference_rows(now_s, lambda _t: place, origin=origin, heading_rad=heading_rad)
-
-
-def _plan(now_s: float, reference: Reference | None, *, on_ground: bool = False) -> PlanStep:
-    return PlanStep(now_s, Phase.DESCEND, reference, on_ground=on_ground)
+from tests.unit.control.controller_inputs import (
+    PERIOD_S,
+    hover_reference,
+    pad_state,
+    plan_step,
+    vehicle_state,
+)
 
 
 def test_without_a_reference_nothing_leaves() -> None:
-    assert controller().step(_plan(0.0, None), _vehicle(0.0), _pad(0.0), 0.0) is None
+    assert controller().step(plan_step(0.0, None), vehicle_state(0.0), pad_state(0.0), 0.0) is None
 
 
 def test_straight_above_the_pad_it_stays() -> None:
-    answer = controller().step(_plan(0.0, _hover(0.0)), _vehicle(0.0), _pad(0.0), 0.0)
+    answer = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0), pad_state(0.0), 0.0)
     assert answer is not None
     setpoint, report = answer
     assert report.solved
@@ -79,8 +40,10 @@ def test_it_sets_out_towards_the_pad_whichever_way_the_vehicle_looks(direction_d
     fly = controller(setpoint=kind)
     for k in range(5):
         now = k * PERIOD_S
-        vehicle = _vehicle(now, attitude=quat_from_euler(0.0, 0.0, 1.0))
-        answer = fly.step(_plan(now, _hover(now, heading_rad=1.0)), vehicle, _pad(now, towards), now)
+        vehicle = vehicle_state(now, attitude=quat_from_euler(0.0, 0.0, 1.0))
+        answer = fly.step(
+            plan_step(now, hover_reference(now, heading_rad=1.0)), vehicle, pad_state(now, towards), now
+        )
     assert answer is not None
     acceleration = answer[0].acceleration_ned_m_s2
     assert (
@@ -93,16 +56,18 @@ def test_it_sets_out_towards_the_pad_whichever_way_the_vehicle_looks(direction_d
 
 def test_a_pad_that_moves_is_followed_at_its_speed_at_once() -> None:
     # on station over the pad, and as fast as the pad
-    pad = replace(_pad(0.0, velocity=(1.5, -0.5, 0.0)), relative_velocity_ned_m_s=ZERO3)
-    vehicle = _vehicle(0.0, velocity_ned_m_s=(1.5, -0.5, 0.0))
-    answer = controller().step(_plan(0.0, _hover(0.0)), vehicle, pad, 0.0)
+    pad = replace(pad_state(0.0, velocity=(1.5, -0.5, 0.0)), relative_velocity_ned_m_s=ZERO3)
+    vehicle = vehicle_state(0.0, velocity_ned_m_s=(1.5, -0.5, 0.0))
+    answer = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle, pad, 0.0)
     assert answer is not None
     assert answer[0].velocity_ned_m_s == pytest.approx((1.5, -0.5, 0.0), abs=0.01)
 
 
 def test_setpoints_by_the_pad_tell_the_exposure_and_local_ones_do_not() -> None:
-    by_pad = controller().step(_plan(1.0, _hover(1.0)), _vehicle(1.0), _pad(1.0), 1.0)
-    local = controller().step(_plan(1.0, _hover(1.0, "local")), _vehicle(1.0), _pad(1.0), 1.0)
+    by_pad = controller().step(plan_step(1.0, hover_reference(1.0)), vehicle_state(1.0), pad_state(1.0), 1.0)
+    local = controller().step(
+        plan_step(1.0, hover_reference(1.0, "local")), vehicle_state(1.0), pad_state(1.0), 1.0
+    )
     assert by_pad is not None
     assert local is not None
     assert by_pad[0].exposure_time_s == pytest.approx(0.93)
@@ -112,44 +77,33 @@ def test_setpoints_by_the_pad_tell_the_exposure_and_local_ones_do_not() -> None:
 def test_local_references_go_by_the_vehicles_own_position() -> None:
     place = ((10.0, -4.0, -7.0), ZERO3, ZERO3)
     reference = reference_rows(0.0, lambda _t: place, origin="local")
-    answer = controller().step(_plan(0.0, reference), _vehicle(0.0), None, 0.0)
+    answer = controller().step(plan_step(0.0, reference), vehicle_state(0.0), None, 0.0)
     assert answer is not None
     assert answer[0].velocity_ned_m_s == pytest.approx(ZERO3, abs=2e-3)
     np.testing.assert_allclose(answer[1].predicted_position_m[-1], (10.0, -4.0, -7.0), atol=5e-3)
 
 
-def test_a_reference_by_the_pad_without_a_pad_is_a_stop() -> None:
-    fly, speed, flown = controller(), 1.0, 0.0
-    for k in range(150):
-        now = k * PERIOD_S
-        vehicle = _vehicle(now, velocity_ned_m_s=(speed, 0.0, 0.0), acceleration_ned_m_s2=(flown, 0.0, 0.0))
-        answer = fly.step(_plan(now, _hover(now)), vehicle, None, now)
-        assert answer is not None
-        setpoint = answer[0]
-        assert setpoint.exposure_time_s is None
-        # an autopilot's velocity loop, and the lag of leaning
-        wanted = setpoint.acceleration_ned_m_s2[0] + 2.5 * (setpoint.velocity_ned_m_s[0] - speed)
-        flown += (wanted - flown) * PERIOD_S / 0.2
-        speed += flown * PERIOD_S
-        assert speed < 1.05
-    assert abs(speed) < 0.05
-
-
 def test_on_the_ground_it_goes_along_with_the_pad_and_presses_down() -> None:
-    pad = _pad(0.0, (0.0, 0.0, 0.18), (1.0, 0.5, 0.2))
-    answer = controller().step(_plan(0.0, _hover(0.0), on_ground=True), _vehicle(0.0), pad, 0.0)
+    pad = pad_state(0.0, (0.0, 0.0, 0.18), (1.0, 0.5, 0.2))
+    answer = controller().step(
+        plan_step(0.0, hover_reference(0.0), on_ground=True), vehicle_state(0.0), pad, 0.0
+    )
     assert answer is not None
     assert answer[0].velocity_ned_m_s == (1.0, 0.5, ControlConfig().ground_descent_m_s)
     assert answer[0].acceleration_ned_m_s2[2] >= 0.0
     assert answer[0].attitude is None
-    without = controller().step(_plan(0.0, _hover(0.0), on_ground=True), _vehicle(0.0), None, 0.0)
+    without = controller().step(
+        plan_step(0.0, hover_reference(0.0), on_ground=True), vehicle_state(0.0), None, 0.0
+    )
     assert without is not None
     assert without[0].velocity_ned_m_s == (0.0, 0.0, ControlConfig().ground_descent_m_s)
 
 
 def test_on_the_ground_by_attitude_it_is_level_without_thrust() -> None:
     fly = controller(setpoint="attitude")
-    answer = fly.step(_plan(0.0, _hover(0.0), on_ground=True), _vehicle(0.0), _pad(0.0), 0.0)
+    answer = fly.step(
+        plan_step(0.0, hover_reference(0.0), on_ground=True), vehicle_state(0.0), pad_state(0.0), 0.0
+    )
     assert answer is not None
     assert answer[0].attitude is not None
     assert tilt_from_quat(answer[0].attitude) == pytest.approx(0.0, abs=1e-9)
@@ -161,45 +115,14 @@ def test_taking_off_from_the_ground_again_begins_without_old_commands() -> None:
     fly = controller()
     for k in range(10):
         now = k * PERIOD_S
-        fly.step(_plan(now, _hover(now), on_ground=True), _vehicle(now), _pad(now), now)
+        fly.step(
+            plan_step(now, hover_reference(now), on_ground=True), vehicle_state(now), pad_state(now), now
+        )
     now = 10 * PERIOD_S
-    answer = fly.step(_plan(now, _hover(now)), _vehicle(now), _pad(now), now)
+    answer = fly.step(plan_step(now, hover_reference(now)), vehicle_state(now), pad_state(now), now)
     assert answer is not None
     assert answer[1].solved
     assert answer[1].disturbance_ned_m_s2 == ZERO3
-
-
-@pytest.mark.parametrize("kind", ["velocity", "attitude"])
-def test_an_estimate_that_is_no_number_ends_in_a_hold_and_is_survived(kind: str) -> None:
-    fly = controller(setpoint=kind)
-    broken = _vehicle(0.0, velocity_ned_m_s=(math.nan, 0.0, 0.0), position_ned_m=(math.nan, 0.0, 0.0))
-    lost = replace(_pad(0.0), relative_position_ned_m=(math.nan, math.nan, math.nan))
-    for k in range(40):
-        now = k * PERIOD_S
-        bad = 10 <= k < 20
-        vehicle = replace(broken if bad else _vehicle(now), time_s=now)
-        pad = replace(lost if bad else _pad(now), time_s=now)
-        answer = fly.step(_plan(now, _hover(now)), vehicle, pad, now)
-        assert answer is not None
-        assert _all_finite(answer[0])
-        assert answer[1].solved is not bad
-    assert answer is not None
-    assert np.linalg.norm(answer[0].velocity_ned_m_s) < 0.05
-
-
-def test_after_a_pause_all_begins_anew() -> None:
-    fly, fresh = controller(), controller()
-    for k in range(20):
-        now = k * PERIOD_S
-        fly.step(_plan(now, _hover(now)), _vehicle(now), _pad(now, (1.0, 0.0, 3.0)), now)
-    later = 60.0
-    arguments = (_plan(later, _hover(later)), _vehicle(later), _pad(later, (0.3, 0.0, 2.0)), later)
-    again, first = fly.step(*arguments), fresh.step(*arguments)
-    assert again is not None
-    assert first is not None
-    assert again[0].velocity_ned_m_s == pytest.approx(first[0].velocity_ned_m_s, abs=1e-4)
-    assert again[0].acceleration_ned_m_s2 == pytest.approx(first[0].acceleration_ned_m_s2, abs=1e-3)
-    assert again[1].disturbance_ned_m_s2 == first[1].disturbance_ned_m_s2 == ZERO3
 
 
 def test_the_heading_turns_at_the_allowed_rate_from_where_the_vehicle_looks() -> None:
@@ -207,8 +130,8 @@ def test_the_heading_turns_at_the_allowed_rate_from_where_the_vehicle_looks() ->
     start = 0.8
     for k in range(16):
         now = k * PERIOD_S
-        vehicle = _vehicle(now, attitude=quat_from_euler(0.1, -0.05, start))
-        answer = fly.step(_plan(now, _hover(now, heading_rad=3.0)), vehicle, _pad(now), now)
+        vehicle = vehicle_state(now, attitude=quat_from_euler(0.1, -0.05, start))
+        answer = fly.step(plan_step(now, hover_reference(now, heading_rad=3.0)), vehicle, pad_state(now), now)
         assert answer is not None
         assert answer[0].heading_rad == pytest.approx(start + math.radians(45.0) * now)
     assert answer is not None
@@ -217,8 +140,8 @@ def test_the_heading_turns_at_the_allowed_rate_from_where_the_vehicle_looks() ->
 
 def test_by_attitude_the_heading_is_in_the_attitude() -> None:
     fly = controller(setpoint="attitude")
-    vehicle = _vehicle(0.0, attitude=quat_from_euler(0.0, 0.0, 2.0))
-    answer = fly.step(_plan(0.0, _hover(0.0, heading_rad=2.0)), vehicle, _pad(0.0), 0.0)
+    vehicle = vehicle_state(0.0, attitude=quat_from_euler(0.0, 0.0, 2.0))
+    answer = fly.step(plan_step(0.0, hover_reference(0.0, heading_rad=2.0)), vehicle, pad_state(0.0), 0.0)
     assert answer is not None
     assert answer[0].attitude is not None
     assert yaw_from_quat(answer[0].attitude) == pytest.approx(2.0)
@@ -227,138 +150,35 @@ def test_by_attitude_the_heading_is_in_the_attitude() -> None:
 def test_taking_over_in_wind_by_attitude_keeps_the_lean() -> None:
     fly = controller(setpoint="attitude")
     lean = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
-    answer = fly.step(_plan(0.0, _hover(0.0)), _vehicle(0.0, attitude=lean), _pad(0.0), 0.0)
+    answer = fly.step(
+        plan_step(0.0, hover_reference(0.0)), vehicle_state(0.0, attitude=lean), pad_state(0.0), 0.0
+    )
     assert answer is not None
     assert answer[0].attitude is not None
     assert answer[0].attitude == pytest.approx(lean, abs=5e-3)
 
 
-@pytest.mark.parametrize("kind", ["velocity", "attitude"])
-def test_without_the_imu_it_is_told_not_to_accelerate_until_samples_come_again(kind: str) -> None:
-    fly = controller(setpoint=kind)
-    drifting = (1.0, -0.5, 0.4)
-    silent_from, silent_to = 10, 24
-    for k in range(30):
-        now = k * PERIOD_S
-        silent = silent_from <= k < silent_to
-        vehicle = _vehicle(now, velocity_ned_m_s=drifting, imu_age_s=0.12 if silent else 0.004)
-        answer = fly.step(_plan(now, _hover(now)), vehicle, _pad(now, (3.0, 0.0, 2.0)), now)
-        assert answer is not None
-        setpoint, report = answer
-        assert report.blind is silent
-        if k != silent_to - 1:  # the limits let it come down from what was commanded before
-            continue
-        if kind == "attitude":
-            assert setpoint.attitude is not None
-            assert tilt_from_quat(setpoint.attitude) < math.radians(3.0)
-        else:
-            assert setpoint.velocity_ned_m_s == pytest.approx((1.0, -0.5, 0.0))
-            assert setpoint.acceleration_ned_m_s2 == pytest.approx(ZERO3)
-    assert report.solved
-
-
-def test_without_the_imu_it_goes_on_leaning_against_the_wind() -> None:
-    fly = controller(setpoint="attitude")
-    lean = quat_from_euler(0.0, -0.1, 0.0)  # nose down, and yet no acceleration
-    for k in range(90):
-        now = k * PERIOD_S
-        fly.step(_plan(now, _hover(now)), _vehicle(now, attitude=lean), _pad(now), now)
-    now += PERIOD_S
-    answer = fly.step(_plan(now, _hover(now)), _vehicle(now, attitude=lean, imu_age_s=0.2), _pad(now), now)
-    assert answer is not None
-    assert answer[1].blind
-    assert answer[0].attitude == pytest.approx(lean, abs=0.02)
-
-
-def test_a_stopwatch_times_the_solve_and_none_is_needed() -> None:
-    ticks = count(1.0, 0.25)  # read before and after, and before the search
-    timed = controller(lambda: next(ticks)).step(_plan(0.0, _hover(0.0)), _vehicle(0.0), _pad(0.0), 0.0)
-    untimed = controller().step(_plan(0.0, _hover(0.0)), _vehicle(0.0), _pad(0.0), 0.0)
-    assert timed is not None
-    assert untimed is not None
-    assert timed[1].solve_s == pytest.approx(0.5)
-    assert untimed[1].solve_s == 0.0
-
-
 def test_an_older_estimate_is_carried_forward() -> None:
     # the pad was estimated 0.1 s ago; since then the vehicle came 0.1 m nearer
-    old = replace(_pad(0.0, (0.1, 0.0, 2.0)), relative_velocity_ned_m_s=(-1.0, 0.0, 0.0), time_s=-0.1)
-    new = replace(_pad(0.0, (0.0, 0.0, 2.0)), relative_velocity_ned_m_s=(-1.0, 0.0, 0.0))
-    vehicle = _vehicle(0.0, velocity_ned_m_s=(1.0, 0.0, 0.0))
-    by_old = controller().step(_plan(0.0, _hover(0.0)), vehicle, old, 0.0)
-    by_new = controller().step(_plan(0.0, _hover(0.0)), vehicle, new, 0.0)
+    old = replace(pad_state(0.0, (0.1, 0.0, 2.0)), relative_velocity_ned_m_s=(-1.0, 0.0, 0.0), time_s=-0.1)
+    new = replace(pad_state(0.0, (0.0, 0.0, 2.0)), relative_velocity_ned_m_s=(-1.0, 0.0, 0.0))
+    vehicle = vehicle_state(0.0, velocity_ned_m_s=(1.0, 0.0, 0.0))
+    by_old = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle, old, 0.0)
+    by_new = controller().step(plan_step(0.0, hover_reference(0.0)), vehicle, new, 0.0)
     assert by_old is not None
     assert by_new is not None
     assert by_old[0].velocity_ned_m_s == pytest.approx(by_new[0].velocity_ned_m_s, abs=1e-3)
 
 
-def _all_finite(setpoint: Setpoint) -> bool:
-    numbers = [*setpoint.velocity_ned_m_s, *setpoint.acceleration_ned_m_s2, setpoint.heading_rad]
-    numbers += [*(setpoint.attitude or ()), setpoint.thrust or 0.0]
-    return all(map(math.isfinite, numbers))
-
-
-@pytest.mark.parametrize("kind", ["velocity", "attitude"])
-def test_a_solver_that_is_always_too_late_is_flown_by_its_last_plan_and_then_stopped(kind: str) -> None:
-    seconds, slow = count(0.0, 1.0), [False]
-    fly = controller(lambda: next(seconds) if slow[0] else 0.0, setpoint=kind)
-    reports, setpoints = [], []
-    for k in range(6 + FAILURES_TO_STOP):
-        now_s = k * PERIOD_S
-        slow[0] = k >= 5
-        # what no solver settles in one slice: a reference that jumps, from beyond the limits
-        wild = reference_rows(now_s, _jumping) if slow[0] else _hover(now_s)
-        speed = (7.0 * (-1.0) ** k, 3.0, 2.0) if slow[0] else ZERO3
-        answer = fly.step(_plan(now_s, wild), _vehicle(now_s, velocity_ned_m_s=speed), _pad(now_s), now_s)
-        assert answer is not None
-        setpoints.append(answer[0])
-        reports.append(answer[1])
-    assert all(report.solved and not report.late for report in reports[:5])
-    assert not any(report.solved for report in reports[5:])
-    assert [report.stopped for report in reports] == [False] * (4 + FAILURES_TO_STOP) + [True] * 2
-    assert setpoints[-1].velocity_ned_m_s == ZERO3
-    if kind == "attitude":
-        assert setpoints[-1].thrust == pytest.approx(0.5, rel=0.1)
-
-
-def _jumping(time_s: float) -> tuple[Vector3, Vector3, Vector3]:
-    return (40.0 * round(math.sin(7.0 * time_s)), -40.0 * round(math.cos(5.0 * time_s)), -9.0), ZERO3, ZERO3
-
-
-def test_what_was_no_number_at_the_very_first_is_survived_too() -> None:
-    fly = controller(setpoint="acceleration")
-    for k in range(40):
-        now = k * PERIOD_S
-        vehicle = _vehicle(now, acceleration_ned_m_s2=(math.nan, 0.0, 0.0)) if k < 5 else _vehicle(now)
-        answer = fly.step(_plan(now, _hover(now)), vehicle, _pad(now), now)
-        assert answer is not None
-        assert not answer[1].stopped
-        assert _all_finite(answer[0])
-
-
-@pytest.mark.parametrize("kind", ["acceleration", "attitude"])
-def test_taking_over_keeps_the_lean_however_long_the_setpoints_were_not_obeyed(kind: str) -> None:
-    fly = controller(setpoint=kind)
-    leaning = attitude_from_acceleration((1.5, -0.8, 0.0), 0.0)
-    for k in range(40):
-        now, obeyed = k * PERIOD_S, k >= 30
-        answer = fly.step(
-            _plan(now, _hover(now)), _vehicle(now, attitude=leaning), _pad(now), now, obeyed=obeyed
-        )
-        assert answer is not None
-        assert answer[0].acceleration_ned_m_s2 == pytest.approx((1.5, -0.8, 0.0), abs=0.05)
-        assert answer[1].obeyed is obeyed
-
-
 def test_by_attitude_ardupilot_gets_the_upward_part_alone_since_it_raises_it_itself() -> None:
-    vehicle = _vehicle(0.0, attitude=quat_from_euler(0.0, -0.4, 0.0))
+    vehicle = vehicle_state(0.0, attitude=quat_from_euler(0.0, -0.4, 0.0))
     stay = reference_rows(0.0, lambda _t: (vehicle.position_ned_m, ZERO3, ZERO3), origin="local")
     thrust: dict[str, float] = {}
     for autopilot_kind in ("px4", "ardupilot"):
         flown = Controller(
             ControlConfig(setpoint="attitude"), vehicle_config(), autopilot_kind=autopilot_kind
         )
-        step = flown.step(_plan(0.0, stay), vehicle, None, 0.0)
+        step = flown.step(plan_step(0.0, stay), vehicle, None, 0.0)
         assert step is not None
         assert step[0].thrust is not None
         thrust[autopilot_kind] = step[0].thrust

@@ -13,9 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from companion.base.geometry import ZERO3, Vector3, add, geodetic_from_ned, ned_from_geodetic, quat_from_euler
+from companion.base.geometry import ZERO3, Vector3, add, geodetic_from_ned, quat_from_euler
 from companion.base.messages import (
-    Action,
     ActionKind,
     ActionResult,
     AutopilotState,
@@ -32,8 +31,9 @@ from companion.base.messages import (
 from companion.config import PlanConfig, VehicleConfig
 from companion.plan.planner import PlanInputs, Planner
 from companion.plan.speed.fuzzy_velocity import load_table
+from tests.unit.plan.pad_paths import Heading, Path, derivative
+from tests.unit.plan.plan_autopilot import HOME, FakeAutopilot
 
-HOME = (47.0, 8.0, 400.0)
 ORIGIN_NED_M = (0.8, -1.1, -2.3)  # the EKF's origin from home
 ORIGIN = geodetic_from_ned(ORIGIN_NED_M, HOME)
 LEG_M = 0.18
@@ -49,114 +49,6 @@ VEHICLE = VehicleConfig(
     acceleration_time_constant_s=LAG_S,
     hover_thrust=0.5,
 )
-
-Path = Callable[[float], Vector3]
-Heading = Callable[[float], float]
-
-
-# ---------------------------------------------------------------- pads
-
-
-def still(north: float = 10.6, east: float = 0.8) -> Path:
-    return lambda _t: (north, east, -0.3)
-
-
-def line(speed: float = 1.0, start: float = -15.0) -> Path:
-    return lambda t: (10.0, start + speed * t, -0.3)
-
-
-def circle(speed: float = 1.5, radius: float = 5.0) -> Path:
-    def at(t: float) -> Vector3:
-        angle = speed / radius * t
-        return (10.0 - radius + radius * math.cos(angle), radius * math.sin(angle), -0.3)
-
-    return at
-
-
-def figure_eight(speed: float = 2.0, size: float = 8.0) -> Path:
-    # the fastest point is the crossing: speed = size * w * sqrt(2)
-    w = speed / (size * math.sqrt(2.0))
-
-    def at(t: float) -> Vector3:
-        return (10.0 + size * math.sin(w * t), 0.5 * size * math.sin(2.0 * w * t), -0.3)
-
-    return at
-
-
-def heave(amplitude: float = 0.25, period: float = 6.0) -> Path:
-    return lambda t: (10.5, 0.5, -0.8 + amplitude * math.sin(math.tau / period * t))
-
-
-def derivative(path: Path, t: float) -> tuple[Vector3, Vector3]:
-    """Velocity and acceleration of a path by central differences."""
-    h = 1e-3
-    a, b, c = path(t - h), path(t), path(t + h)
-    velocity = tuple((z - x) / (2.0 * h) for x, z in zip(a, c, strict=True))
-    acceleration = tuple((x - 2.0 * y + z) / (h * h) for x, y, z in zip(a, b, c, strict=True))
-    return (velocity[0], velocity[1], velocity[2]), (acceleration[0], acceleration[1], acceleration[2])
-
-
-# ---------------------------------------------------------------- the autopilot
-
-
-@dataclass
-class FakeAutopilot:
-    """Answers actions; flies the modes that are its own."""
-
-    autopilot_kind: str = "px4"
-    armed: bool = False
-    mode: str = "HOLD"
-    refuse: dict[ActionKind, int] = field(default_factory=dict)
-    silent: set[ActionKind] = field(default_factory=set)
-    target_ned_m: Vector3 = ZERO3
-    landed: LandedState = LandedState.ON_GROUND
-    connected: bool = True
-    heard: list[tuple[float, ActionKind]] = field(default_factory=list)
-    ready_from_s: float = 2.0
-    ekf_ready_from_s: float = 0.0
-    doubts: bool = False  # never finds that it has landed
-    battery_share: float | None = None
-    round_trip_s: float | None = None
-
-    def answer(self, action: Action, position: Vector3, now_s: float) -> ActionResult | None:
-        kind = action.kind
-        self.heard.append((now_s, kind))
-        if kind in self.silent or kind is ActionKind.REQUEST_PAD_POSITION:
-            return None
-        if self.refuse.get(kind, 0) > 0:
-            self.refuse[kind] -= 1
-            return ActionResult(now_s, kind, False, "Denied: not now")
-        return ActionResult(now_s, kind, self._obey(action, position), "")
-
-    def _obey(self, action: Action, position: Vector3) -> bool:
-        kind = action.kind
-        if kind is ActionKind.ARM:
-            self.armed = True
-        elif kind is ActionKind.DISARM:
-            if self.landed is not LandedState.ON_GROUND and not action.force:
-                return False
-            self.armed = False
-        elif kind is ActionKind.TAKE_OFF:
-            self.mode, self.target_ned_m = (
-                self._own_mode("TAKEOFF"),
-                (position[0], position[1], -action.height_m),
-            )
-        elif kind is ActionKind.GO_TO:
-            assert action.position is not None
-            latitude, longitude, height = action.position
-            north, east, _ = ned_from_geodetic(latitude, longitude, HOME[2], HOME)
-            self.mode, self.target_ned_m = self._own_mode("LOITER"), (north, east, -height)
-        elif kind is ActionKind.TAKE_CONTROL:
-            self.mode = self._own_mode("OFFBOARD")
-        elif kind is ActionKind.HOLD:
-            self.mode, self.target_ned_m = "LOITER", position
-        elif kind is ActionKind.LAND:
-            self.mode, self.target_ned_m = "LAND", (position[0], position[1], 5.0)
-        return True
-
-    def _own_mode(self, px4: str) -> str:
-        """ArduPilot flies all of these in GUIDED."""
-        return px4 if self.autopilot_kind == "px4" else "GUIDED"
 
 
 # ---------------------------------------------------------------- the loop

@@ -1,10 +1,9 @@
-"""`calibrate-mount` from its words to its files, on a hand-held vehicle, and the app's use of them."""
+"""`calibrate-mount` from its words to its files, on a hand-held vehicle, and the refusals of its files."""
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,18 +11,15 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.command_line import run
 from calibration.mount import command
-from calibration.mount.command import cli
 from calibration.mount.imu.command import calibrate_accelerometer, faces_from
 from calibration.mount.record.coverage import MotionCoverage, MotionProgress
 from calibration.mount.record.recording import read_recording
-from calibration.mount.report.result import camera_angles_deg, shutter_s
-from calibration.mount.shared import NAME
+from calibration.mount.report.result import shutter_s
 from calibration.mount.solve.solve import solve
 from companion.base.clock import run_in_virtual_time
-from companion.base.geometry import IDENTITY, matrix_from_quat
-from companion.base.messages import Frame, ImuSample, PadSighting
+from companion.base.geometry import matrix_from_quat
+from companion.base.messages import ImuSample
 from companion.config import (
     CameraConfig,
     CompanionConfig,
@@ -38,22 +34,12 @@ from companion.config import (
 )
 from companion.flightlog.record import FlightLog
 from companion.pad import load_pad
-from companion.sense.camera.source import at_exposure
 from companion.sense.vision.pipeline import body_from_camera
-from sitl.camera.mounting import body_from_camera as simulated_body_from_camera
+from tests.unit.calibration.mount.mount_words import calibrate
 from tests.unit.calibration.mount.mount_world import Held, record_sway, scenario_of
 
 MOUNT_DEG = (2.0, -3.0, 1.5)
 STAMP_S = 0.018
-
-
-def calibrate(*words: str | Path) -> int:
-    """Run the program; its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        run(cli, NAME, [str(word) for word in words])
-    code = ended.value.code
-    assert isinstance(code, int)
-    return code
 
 
 @pytest.fixture(scope="module")
@@ -267,28 +253,6 @@ def test_the_order_of_faces_must_fit_the_rests(tmp_path: Path, capsys: pytest.Ca
 # ---------------------------------------------------------------- what the app makes of it
 
 
-@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (5.0, -3.0, 20.0), (-30.0, 20.0, 170.0)])
-def test_the_angles_mean_the_same_to_the_app_and_to_the_simulator(angles: tuple[float, float, float]) -> None:
-    roll, tilt, yaw = angles
-    vehicle = load_model(VehicleConfig, find_file("vehicles", "x500")).model_copy(
-        update={"camera_roll_deg": roll, "camera_tilt_deg": tilt, "camera_yaw_deg": yaw}
-    )
-    ours = matrix_from_quat(body_from_camera(vehicle))
-    theirs = simulated_body_from_camera(math.radians(yaw), math.radians(tilt), math.radians(roll))
-    assert ours == pytest.approx(theirs, abs=1e-12)
-    assert camera_angles_deg(ours) == pytest.approx(angles, abs=1e-9)
-
-
-def test_a_rolled_camera_looks_to_the_left() -> None:
-    assert simulated_body_from_camera(0.0, 0.0, 0.3)[1, 2] < 0.0
-
-
-def test_late_stamps_are_set_back_by_a_negative_offset() -> None:
-    frame = Frame(10.02, 10.05, 1, np.zeros((2, 2), np.uint8))
-    assert at_exposure(frame, -0.02).time_s == pytest.approx(10.0)
-    assert at_exposure(frame, 0.0) is frame
-
-
 def test_another_camera_s_calibration_is_refused(mounted: Path) -> None:
     with pytest.raises(ConfigError, match="is for the camera 'sitl_640x480', expected 'hd_1280x720'"):
         load_vehicle("x500", str(mounted), "hd_1280x720")
@@ -298,56 +262,6 @@ def test_another_camera_s_calibration_is_refused(mounted: Path) -> None:
 
 
 # ---------------------------------------------------------------- what to do next
-
-
-def test_the_coverage_asks_for_what_is_missing() -> None:
-    coverage = MotionCoverage()
-    assert coverage.progress().advice == "waiting for the inertial sensor"
-    coverage.add_imu(ImuSample(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, -9.8), 20.0))
-    assert "pad is not seen" in coverage.progress().advice
-    sighting = PadSighting(
-        0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1
-    )
-    move(coverage, sighting, 0.0, 15.0, (0.0, 0.5, 0.5))
-    assert coverage.progress().advice == "roll it left and right"
-    move(coverage, sighting, 15.0, 36.0, (0.4, 0.0, 0.0))
-    assert coverage.progress().advice == "enough"
-    assert coverage.progress().complete
-
-
-def test_slow_motion_is_not_enough() -> None:
-    coverage = MotionCoverage()
-    sighting = PadSighting(
-        0.0, 1, (0.0, 0.0, 1.0), IDENTITY, np.eye(6), "M", (1,), {"F": 0, "M": 1, "C": 0}, 0.1
-    )
-    move(coverage, sighting, 0.0, 40.0, (0.2, 0.2, 0.2))
-    assert coverage.progress().advice == "the same again, more quickly"
-
-
-def move(
-    coverage: MotionCoverage,
-    sighting: PadSighting,
-    from_s: float,
-    to_s: float,
-    rate: tuple[float, float, float],
-) -> None:
-    for k in range(round(50 * (to_s - from_s))):
-        time_s = from_s + k / 50.0
-        coverage.add_sighting(replace(sighting, time_s=time_s))
-        coverage.add_imu(ImuSample(time_s, rate, (0.0, 0.0, -9.8), 20.0))
-
-
-def test_a_recording_that_lacks_something_when_time_is_up_ends_so(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    async def recorded(*_: object, **__: object) -> MotionProgress:
-        return MotionProgress(9.0, 0, (0.0, 0.0, 0.0), 0.0, "the pad is not seen", complete=False)
-
-    monkeypatch.setattr(command, "record", recorded)
-    assert calibrate("record", tmp_path / "swayed") == 1
-    said = capsys.readouterr()
-    assert "refused: time is up, and it lacks: the pad is not seen" in said.err
-    assert "next:" not in said.out
 
 
 def test_the_output_s_folder_is_looked_for_before_the_work(

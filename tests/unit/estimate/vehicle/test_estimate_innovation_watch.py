@@ -138,6 +138,6 @@ def test_the_estimator_says_that_it_doubts_its_attitude() -> None:
             x = ekf.x.copy()
             x[model.QUATERNION] = quat_normalise(quat_multiply(quat_from_euler(0.0, 0.0, 0.7), ekf.attitude))
             ekf.x = x
-        told += estimator.take_corrections()
+        told += (words for _, words in estimator.take_notices())
     assert any("doubted" in words for words in told)
     assert len(told) <= 2

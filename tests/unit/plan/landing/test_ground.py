@@ -8,7 +8,8 @@ import pytest
 from companion.base.geometry import quat_from_euler
 from companion.base.messages import AutopilotState, RangeSample, VehicleState
 from companion.plan.landing.ground_contact import Ground
-from tests.unit.plan.plan_harness import World, still
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import World
 
 SENSOR_M = (-0.03, 0.0, 0.08)
 SILENT = AutopilotState(0.0)

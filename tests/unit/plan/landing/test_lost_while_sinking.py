@@ -6,7 +6,8 @@ import pytest
 
 from companion.base.messages import ActionKind, Phase
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.plan_harness import LEG_M, World, line, still
+from tests.unit.plan.pad_paths import line, still
+from tests.unit.plan.plan_harness import LEG_M, World
 
 
 def committed(w: World) -> bool:

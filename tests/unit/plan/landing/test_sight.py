@@ -2,7 +2,8 @@ import pytest
 
 from companion.base.messages import PadState
 from companion.plan.landing.relative_state import PadKnowledge, SteadySightings, pad_motion, predicted
-from tests.unit.plan.plan_harness import ORIGIN_NED_M, World, still
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import ORIGIN_NED_M, World
 
 
 def pad(time_s: float = 10.0, seen_s: float = 9.9) -> PadState:

@@ -2,7 +2,8 @@
 
 from companion.base.messages import Phase
 from companion.config import PlanConfig
-from tests.unit.plan.plan_harness import Path, World, circle
+from tests.unit.plan.pad_paths import Path, circle
+from tests.unit.plan.plan_harness import World
 
 GOOD = [
     Phase.CONNECT,

@@ -11,7 +11,9 @@ from companion.config import MissionConfig, PlanConfig
 from companion.plan.mission.bounds import Bounds, stopping_m
 from companion.plan.mission.states import MissionEvent
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.plan_harness import HOME, ORIGIN, ORIGIN_NED_M, World, line, still
+from tests.unit.plan.pad_paths import line, still
+from tests.unit.plan.plan_autopilot import HOME
+from tests.unit.plan.plan_harness import ORIGIN, ORIGIN_NED_M, World
 
 CONFIG = MissionConfig(fence_m=50.0, ceiling_m=20.0)
 

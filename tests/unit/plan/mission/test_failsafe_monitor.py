@@ -9,7 +9,8 @@ from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
 from companion.plan.mission.states import Authority, Circumstances, MissionEvent, State
 from companion.plan.mission.table import FINAL, IN_AIR, follows
-from tests.unit.plan.plan_harness import World, still
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import World
 
 CONFIG = MissionConfig(total_timeout_s=100.0, phases=PhaseTimesConfig(approach_s=30.0))
 FLYING = AutopilotState(0.0, connected=True, autopilot_kind="px4", armed=True, mode="OFFBOARD", offboard=True)

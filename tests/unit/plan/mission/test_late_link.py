@@ -4,7 +4,7 @@ import pytest
 
 from companion.base.messages import ActionKind, Phase
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.plan_harness import still
+from tests.unit.plan.pad_paths import still
 
 
 def test_nobody_takes_off_by_a_late_link() -> None:

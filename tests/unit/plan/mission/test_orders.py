@@ -9,7 +9,8 @@ from companion.base.messages import ActionKind, LandedState, Order, OrderKind, P
 from companion.config import Cylinder, MissionConfig, PlanConfig
 from companion.plan.mission.mode_monitor import TAKES_S
 from companion.plan.planner import Planner
-from tests.unit.plan.plan_harness import TABLE, VEHICLE, World, line, still
+from tests.unit.plan.pad_paths import line, still
+from tests.unit.plan.plan_harness import TABLE, VEHICLE, World
 
 ALLOWED = PlanConfig(mission=MissionConfig(may_arm=True))
 

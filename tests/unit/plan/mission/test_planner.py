@@ -9,20 +9,9 @@ from companion.base.geometry import Vector3, ned_from_geodetic
 from companion.base.messages import ActionKind, Phase, PlanStep
 from companion.config import MissionConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import GOOD, world
-from tests.unit.plan.plan_harness import (
-    HOME,
-    LEG_M,
-    ORIGIN_NED_M,
-    FakeAutopilot,
-    Flight,
-    Path,
-    World,
-    circle,
-    figure_eight,
-    heave,
-    line,
-    still,
-)
+from tests.unit.plan.pad_paths import Path, circle, figure_eight, heave, line, still
+from tests.unit.plan.plan_autopilot import HOME, FakeAutopilot
+from tests.unit.plan.plan_harness import LEG_M, ORIGIN_NED_M, Flight, World
 
 PADS: dict[str, Path] = {
     "still": still(),

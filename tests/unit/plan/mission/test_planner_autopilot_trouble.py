@@ -7,7 +7,8 @@ from companion.base.geometry import Vector3
 from companion.base.messages import Action, ActionKind, ActionResult, Phase, PlanStep
 from companion.config import MissionConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.plan_harness import LEG_M, World, still
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import LEG_M, World
 
 
 def test_refusals_are_waited_out() -> None:

@@ -9,14 +9,9 @@ from companion.base.geometry import Vector3
 from companion.base.messages import Phase, PlanStep, RangeSample
 from companion.config import LandingConfig, PlanConfig
 from tests.unit.plan.mission.planner_world import GOOD, world
-from tests.unit.plan.plan_harness import (
-    HOME,
-    LEG_M,
-    World,
-    circle,
-    line,
-    still,
-)
+from tests.unit.plan.pad_paths import circle, line, still
+from tests.unit.plan.plan_autopilot import HOME
+from tests.unit.plan.plan_harness import LEG_M, World
 
 
 def test_a_pad_that_is_not_at_the_waypoint_is_found_by_its_beacon() -> None:

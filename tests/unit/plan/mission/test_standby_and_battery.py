@@ -6,7 +6,8 @@ from companion.base.messages import ActionKind, Phase
 from companion.config import PlanConfig
 from companion.plan.planner import Planner
 from tests.unit.plan.mission.planner_world import world
-from tests.unit.plan.plan_harness import TABLE, VEHICLE, World, still
+from tests.unit.plan.pad_paths import still
+from tests.unit.plan.plan_harness import TABLE, VEHICLE, World
 
 
 def in_standby() -> World:

@@ -10,7 +10,8 @@ from companion.base.geometry import Vector3
 from companion.base.messages import ActionKind, Phase
 from companion.config import Box, ConfigError, Cylinder, MissionConfig, PhaseTimesConfig, PlanConfig, Shape
 from companion.plan.obstacles.obstacles import Obstacle, clearance_m
-from tests.unit.plan.plan_harness import VEHICLE, World, line, still
+from tests.unit.plan.pad_paths import line, still
+from tests.unit.plan.plan_harness import VEHICLE, World
 
 
 def pole(north: float, east: float, radius: float = 0.3, height: float = 15.0) -> Cylinder:

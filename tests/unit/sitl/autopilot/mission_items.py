@@ -1,0 +1,8 @@
+"""Kinds of mission items, for missions over MAVLink."""
+
+from __future__ import annotations
+
+import pytest
+
+BOTH = pytest.mark.parametrize("autopilot_kind", ["px4", "ardupilot"])
+WAYPOINT, TAKE_OFF, LAND, RETURN = 16, 22, 21, 20

@@ -1,0 +1,13 @@
+"""A flight without a fault, which the flights with one are compared with."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.sitl.devices.sensor_desk import Heard, fly
+from tests.unit.sitl.faults.fault_readings import SECONDS
+
+
+@pytest.fixture(scope="session")
+def healthy() -> Heard:
+    return fly(3, SECONDS)

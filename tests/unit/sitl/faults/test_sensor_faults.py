@@ -1,0 +1,176 @@
+"""Every sensor lost, frozen, aside and with spikes: the drivers read it during the fault and not after."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from companion.base.geometry import ned_from_geodetic
+from companion.base.messages import GpsFix
+from sitl.faults.faults import (
+    AccelBiasStep,
+    AccelSpikes,
+    Fault,
+    GpsFrozen,
+    GpsJump,
+    GpsSpikes,
+    GyroSpikes,
+    ImuFrozen,
+    ImuLost,
+    MagFrozen,
+    MagLost,
+    MagSpikes,
+    RangeBiasStep,
+    RangeLost,
+    RangeStuck,
+)
+from tests.unit.sitl.devices.sensor_desk import Heard, fly
+from tests.unit.sitl.faults.fault_readings import (
+    END_S,
+    SECONDS,
+    START_S,
+    TIMES,
+    during,
+    elsewhere,
+    mean,
+)
+
+EPOCH_S = 0.21  # between two fixes
+
+
+def test_an_imu_that_is_lost_is_told_of_and_comes_back() -> None:
+    heard = fly(3, SECONDS, [ImuLost(kind="imu_lost", **TIMES)])
+    assert len(during(heard.imu)) < 20
+    assert any("Remote I/O error" in problem for problem in heard.problems)
+    assert [sample for sample in heard.imu if sample.time_s > END_S + 1.0]
+
+
+def test_a_frozen_imu_repeats_itself(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [ImuFrozen(kind="imu_frozen", **TIMES)])
+    frozen = {(s.rate_body_rad_s, s.specific_force_body_m_s2) for s in during(heard.imu)}
+    assert len(frozen) == 1
+    # the driver notices in the end, and starts the chip anew
+    assert len(during(heard.imu)) > 100
+    assert len({s.rate_body_rad_s for s in heard.imu if s.time_s > END_S + 1.0}) > 100
+    assert len({s.rate_body_rad_s for s in during(healthy.imu)}) > 100
+
+
+def test_a_step_of_the_accelerometers_zero_adds_to_every_force(healthy: Heard) -> None:
+    fault = AccelBiasStep(kind="accel_bias_step", force_body_m_s2=(0.5, 0.0, -0.3), **TIMES)
+    heard = fly(3, SECONDS, [fault])
+    name = "specific_force_body_m_s2"
+    added = mean(during(heard.imu), name) - mean(during(healthy.imu), name)
+    assert added == pytest.approx((0.5, 0.0, -0.3), abs=0.02)
+    assert mean(during(heard.imu), "rate_body_rad_s") == pytest.approx(
+        mean(during(healthy.imu), "rate_body_rad_s")
+    )
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "least"),
+    [
+        (GyroSpikes(kind="gyro_spikes", share=0.1, size_deg_s=200.0, **TIMES), "rate_body_rad_s", 0.5),
+        (
+            AccelSpikes(kind="accel_spikes", share=0.1, size_m_s2=40.0, **TIMES),
+            "specific_force_body_m_s2",
+            8.0,
+        ),
+    ],
+)
+def test_imu_spikes_are_now_and_then_on_their_own_part(
+    healthy: Heard, fault: Fault, name: str, least: float
+) -> None:
+    heard = fly(3, SECONDS, [fault])
+    off = np.array([getattr(s, name) for s in during(heard.imu)])
+    off -= np.array([getattr(s, name) for s in during(healthy.imu)])
+    # the chip samples between two steps, so that a spike may be halved and shared by two samples
+    spiked = np.abs(off).max(axis=1) > 1e-6
+    assert 0.08 < spiked.mean() < 0.4
+    assert np.abs(off).max() > least
+    other = ({"rate_body_rad_s", "specific_force_body_m_s2"} - {name}).pop()
+    assert [getattr(s, other) for s in heard.imu] == [getattr(s, other) for s in healthy.imu]
+
+
+def test_a_lost_magnetometer_measures_nothing_new(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [MagLost(kind="mag_lost", **TIMES)])
+    assert len({s.field_body_ut for s in during(heard.mag)}) <= 1
+    assert len({s.field_body_ut for s in during(healthy.mag)}) > 50
+
+
+def test_a_frozen_magnetometer_repeats_itself(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [MagFrozen(kind="mag_frozen", **TIMES)])
+    assert len({s.field_body_ut for s in during(heard.mag)}) == 1
+    assert len({s.field_body_ut for s in during(healthy.mag)}) > 50
+    assert len({s.field_body_ut for s in elsewhere(heard.mag)}) > 100
+
+
+def test_magnetometer_spikes_are_a_share(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [MagSpikes(kind="mag_spikes", share=0.2, size_ut=300.0, **TIMES)])
+    pairs = zip(during(heard.mag), during(healthy.mag), strict=True)
+    off = np.array([np.subtract(a.field_body_ut, b.field_body_ut) for a, b in pairs])
+    assert 0.1 < (np.abs(off).max(axis=1) > 1.0).mean() < 0.3
+    assert elsewhere(heard.mag) == elsewhere(healthy.mag)
+
+
+def place(fix: GpsFix) -> tuple[float, float]:
+    """North and east (m) of the home."""
+    north, east, _ = ned_from_geodetic(
+        fix.latitude_deg, fix.longitude_deg, fix.altitude_m, (47.0, 8.0, 400.0)
+    )
+    return north, east
+
+
+def test_a_jump_moves_every_fix_and_is_over_with_the_fault(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [GpsJump(kind="gps_jump", position_ned_m=(6.0, -3.0, 0.0), **TIMES)])
+    for mine, theirs in zip(heard.fixes, healthy.fixes, strict=True):
+        if min(abs(mine.time_s - START_S), abs(mine.time_s - END_S)) < EPOCH_S:
+            continue
+        jumped = START_S < mine.time_s < END_S
+        off = np.subtract(place(mine), place(theirs))
+        assert off == pytest.approx((6.0, -3.0) if jumped else (0.0, 0.0), abs=0.05)
+
+
+def test_a_frozen_gps_repeats_its_place_while_its_time_runs_on(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [GpsFrozen(kind="gps_frozen", **TIMES)])
+    frozen = [fix for fix in heard.fixes if START_S + EPOCH_S < fix.time_s < END_S - EPOCH_S]
+    assert len({(fix.latitude_deg, fix.longitude_deg) for fix in frozen}) == 1
+    assert len({fix.time_s for fix in frozen}) == len(frozen) > 5
+    after = END_S + EPOCH_S
+    assert [f for f in heard.fixes if f.time_s > after] == [f for f in healthy.fixes if f.time_s > after]
+
+
+def test_gps_spikes_are_some_fixes_far_off(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [GpsSpikes(kind="gps_spikes", share=0.5, size_m=50.0, **TIMES)])
+    off = [
+        float(np.abs(np.subtract(place(a), place(b))).max())
+        for a, b in zip(heard.fixes, healthy.fixes, strict=True)
+    ]
+    # one axis in three is the height
+    assert 1 <= sum(distance > 1.0 for distance in off) <= 9
+
+
+@pytest.mark.parametrize("unplugged", [False, True])
+def test_an_ultrasonic_that_is_lost_gives_no_distance(healthy: Heard, unplugged: bool) -> None:
+    heard = fly(3, SECONDS, [RangeLost(kind="range_lost", unplugged=unplugged, **TIMES)])
+    assert [echo for echo in during(heard.echoes) if 0.0 < echo.distance_m < 4.5] == []
+    assert len(during(healthy.echoes)) > 20
+    assert [echo for echo in heard.echoes if echo.time_s > END_S + 0.3]
+
+
+@pytest.mark.parametrize("distance_m", [0.42, None])
+def test_an_ultrasonic_that_is_stuck_shows_one_distance(distance_m: float | None) -> None:
+    heard = fly(3, SECONDS, [RangeStuck(kind="range_stuck", distance_m=distance_m, **TIMES)])
+    shown = {round(echo.distance_m, 3) for echo in during(heard.echoes)}
+    assert len(shown) == 1
+    assert shown == {0.42} if distance_m is not None else 1.0 < shown.pop() < 2.5
+
+
+def test_a_step_of_the_ultrasonics_zero_adds_to_every_echo(healthy: Heard) -> None:
+    heard = fly(3, SECONDS, [RangeBiasStep(kind="range_bias_step", distance_m=0.25, **TIMES)])
+
+    def middle(echoes: list[Any]) -> float:
+        return float(np.median([echo.distance_m for echo in echoes]))
+
+    assert middle(during(heard.echoes)) - middle(during(healthy.echoes)) == pytest.approx(0.25, abs=0.01)
