@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from companion.app.hardware import Hardware
 from companion.app.sensing import Notify, Sensing
-from companion.base.clock import Clock, wall_clock_s
+from companion.base.clock import Clock, unix_time_s
 from companion.base.files import find_file
 from companion.config import (
     CameraConfig,
@@ -58,7 +58,7 @@ def build_stages(
     by_telemetry = config.sense.source == "autopilot"
     key = None
     if config.link.signing_key is not None:
-        key = read_signing_key(config.link.signing_key, wall_clock_s())
+        key = read_signing_key(config.link.signing_key, unix_time_s())
     sense = config.sense if by_telemetry else None
     session = Session(config.link, sense, reads_setup=True, signing_key=key, orders=config.orders)
     estimator = StateEstimator(config.estimate, vehicle, antenna, 0.5 * min(pad.width_m, pad.length_m))

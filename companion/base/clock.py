@@ -113,6 +113,11 @@ def boot_clock_ahead_s() -> float:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
 
+def unix_time_s() -> float:
+    """Seconds since 1970 now, for the stamps of signed frames; never for estimation or control."""
+    return time.time()
+
+
 def start_unix_s(*, virtual: bool) -> float:
     """Seconds since 1970 at loop time 0, for the stamps in logs; never for estimation or control."""
     return time.time() if virtual else time.time() - time.monotonic()

@@ -10,7 +10,7 @@ from companion.base.clock import run_in_virtual_time
 from companion.config import ConfigError
 from companion.link.codec import Codec, mavlink
 from companion.link.transport import UdpTransport, open_transport
-from tests.unit.link.transport_ends import free_port
+from tests.unit.link.transport.transport_ends import free_port
 
 
 def heartbeat_of(system_id: int, component_id: int = 1, autopilot: int = mavlink.MAV_AUTOPILOT_PX4) -> bytes:

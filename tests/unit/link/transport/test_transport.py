@@ -11,7 +11,7 @@ from companion.base.clock import run_in_virtual_time
 from companion.link.codec import Codec, mavlink
 from companion.link.inbox import memory_pair
 from companion.link.transport import backlog_read, open_transport
-from tests.unit.link.transport_ends import free_port
+from tests.unit.link.transport.transport_ends import free_port
 
 # ---------------------------------------------------------------- in process
 
