@@ -69,7 +69,7 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
     standby = latch.begin(unattended=unattended())
     folder = None if output.record is None else next_flight_folder(output.record)
     _make_room(output.record, config)
-    log = new_log(folder, virtual=False)
+    log = new_log(folder, virtual=False, keeps=False)  # nothing on board scores the flight
     try:
         with StatusView(output.console, config.vehicle, live=output.live) as view:
             phase, idle = asyncio.run(_vehicle_flight(config, log, view, standby))
@@ -140,15 +140,15 @@ def _make_room(record: Path | None, config: CompanionConfig) -> None:
         make_room(record, int(1e6 * config.record.total_mb), int(1e6 * config.record.free_mb))
 
 
-def new_log(folder: Path | None, *, virtual: bool) -> FlightLog:
-    """A log in a folder that has none yet.
+def new_log(folder: Path | None, *, virtual: bool, keeps: bool = True) -> FlightLog:
+    """A log in a folder that has none yet; `keeps`: for a score, what that reads stays in memory.
 
     Raises:
         ConfigError: the folder holds a flight already, or cannot be written.
     """
     if folder is not None and (folder / "flight.mcap").exists():
         raise ConfigError(f"--record {folder}: holds a flight already; expected a new or empty folder")
-    return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual), virtual=virtual)
+    return FlightLog(folder, start_unix_s=start_unix_s(virtual=virtual), virtual=virtual, keeps=keeps)
 
 
 def writable(path: Path | None) -> None:

@@ -141,7 +141,7 @@ async def fly(minutes: int, steps_s: list[float]) -> tuple[list[Minute], str]:
         range_port=vehicle.range_port,
     )
     with tempfile.TemporaryDirectory(prefix="bench-long-life-") as folder:
-        log = FlightLog(Path(folder), start_unix_s=0.0)
+        log = FlightLog(Path(folder), start_unix_s=0.0, keeps=False)  # as on board
         app = App(config, hardware, log, make_own_actions)
         world = asyncio.create_task(vehicle.simulation.run())
         flight = asyncio.create_task(app.run())
