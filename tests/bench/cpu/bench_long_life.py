@@ -116,7 +116,7 @@ def timed(steps_s: list[float]) -> Iterator[None]:
         yield
 
 
-async def fly(minutes: int, steps_s: list[float]) -> tuple[list[Minute], str]:
+async def fly(minutes: int, steps_s: list[float], *, logs: bool = True) -> tuple[list[Minute], str]:
     """Fly for so long; returns the minutes, and how the flight ended if it ended before."""
     scenario = load_scenario("circle")
     content = scenario.model_dump(by_alias=True, exclude_unset=True)
@@ -141,7 +141,7 @@ async def fly(minutes: int, steps_s: list[float]) -> tuple[list[Minute], str]:
         range_port=vehicle.range_port,
     )
     with tempfile.TemporaryDirectory(prefix="bench-long-life-") as folder:
-        log = FlightLog(Path(folder), start_unix_s=0.0, keeps=False)  # as on board
+        log = FlightLog(Path(folder) if logs else None, start_unix_s=0.0, keeps=False)  # as on board
         app = App(config, hardware, log, make_own_actions)
         world = asyncio.create_task(vehicle.simulation.run())
         flight = asyncio.create_task(app.run())
@@ -201,11 +201,12 @@ def main(words: Sequence[str] | None = None) -> int:
     """Fly; 0 when the bars hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=int, default=60)
+    parser.add_argument("--without-log", action="store_true", help="no flight log on disk, whose index grows")
     options = parser.parse_args(words)
     prepare_opencv()
     steps_s: list[float] = []
     with timed(steps_s):
-        minutes, ended = run_in_virtual_time(fly(options.minutes, steps_s))
+        minutes, ended = run_in_virtual_time(fly(options.minutes, steps_s, logs=not options.without_log))
     table = Table("minute", "memory", "step p50", "step p99", "tasks", "approaches so far")
     for number, m in enumerate(minutes, 1):
         step = (f"{m.step_p50_ms:.2f} ms", f"{m.step_p99_ms:.2f} ms")
