@@ -42,11 +42,17 @@ _QUIET: Final = (
 )
 
 
+_USERS: Final = ("companion.control", "tests.unit.control", "tests.property")
+
+
 def load(tree: ast.Module, **names: object) -> None:
     """Put a tree in the place of the gate's module, in this process."""
     module = types.ModuleType(MODULE)
     module.__file__ = str(SOURCE)
     module.__dict__.update(names)
+    # whoever was imported before would go on with the module as it is
+    for name in [name for name in sys.modules if name.startswith(_USERS)]:
+        del sys.modules[name]
     sys.modules[MODULE] = module
     exec(compile(ast.fix_missing_locations(tree), str(SOURCE), "exec"), module.__dict__)
 

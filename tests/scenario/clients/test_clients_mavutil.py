@@ -12,7 +12,7 @@ import socket
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -84,11 +84,20 @@ def fly_px4() -> None:
         fly(client, "LOITER", above_sea_level=True)
 
 
+def listening() -> tuple[Any, int]:
+    """A client at a free port; another process may take the one that was found, then there is another."""
+    for _ in range(5):
+        with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = int(probe.getsockname()[1])
+        with suppress(OSError):
+            return mavutil.mavlink_connection(f"udp:127.0.0.1:{port}"), port
+    raise AssertionError("no free port in five tries")
+
+
 def fly_ardupilot(key_file: Path) -> None:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = int(probe.getsockname()[1])
-    with closing(mavutil.mavlink_connection(f"udp:127.0.0.1:{port}")) as client:
+    client, port = listening()
+    with closing(client):
         client.setup_signing(hashlib.sha256(PASSPHRASE).digest())
         with serving("ardupilot", "--gcs-port", port, "--signing-key", key_file) as served:
             stranger_hears_but_is_not_heard(served.tcp_port)
