@@ -25,19 +25,20 @@ INTRODUCTION: Final = """\
 # The state machine
 
 Written by `python -m docs.state_machine` from `companion/plan/mission/table.py`, which alone decides where a
-mission goes. At most one event acts in a control cycle. Of the events that have a row in the present state it is the
-most serious failsafe, else a request that was refused too often, else what the state itself detects.
+mission goes. At most one event acts in a control cycle. Of the events that have a row in the present state
+it is the most serious failsafe, else a request that was refused too often, else what the state itself
+detects.
 
-Control of the vehicle is *none* until the autopilot grants it and says that it obeys setpoints, then *ours*, and
-*released* once it went back to the autopilot or a pilot took it. After that the app requests nothing more in this
-mission.
+Control of the vehicle is *none* until the autopilot grants it and says that it obeys setpoints, then *ours*,
+and *released* once it went back to the autopilot or a pilot took it. After that the app requests nothing
+more in this mission.
 """
 # what one of the failsafes does in any state: the rows of the others are compared with it
 RETURN_CONTROL: Final = next(row.branches for row in ROWS if row.event is MissionEvent.OVERTIME)
 RETURN: Final = "return control"
 IMPOSSIBLE: Final = """\
-An event that stands in neither table for a state cannot occur there. If it occurs all the same, the app reports it,
-asks the autopilot to hold its position (to land, if the vehicle stands) and releases control.
+An event that stands in neither table for a state cannot occur there. If it occurs all the same, the app
+reports it, asks the autopilot to hold its position (to land, if the vehicle stands) and releases control.
 """
 
 
@@ -55,7 +56,8 @@ def page_text() -> str:
             *diagram(),
             "```",
             "",
-            "*in the air* is every state from take off to the last hold; the second table below lists where a failsafe is ignored.",
+            "*in the air* is every state from take off to the last hold. The last table says where a failsafe",
+            "is ignored.",
             "",
             "## Transitions",
             "",
