@@ -11,7 +11,7 @@ from typing import Final
 
 from companion.base.messages import Action, Phase
 from companion.plan.mission.states import Branch, Guard, MissionEvent, State
-from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS
+from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS, TABLE
 
 PAGE: Final = Path(__file__).resolve().parent / "state-machine.md"
 # these may come in any state: drawn once, not from each
@@ -33,8 +33,8 @@ Control of the vehicle is *none* until the autopilot grants it and says that it 
 and *released* once it went back to the autopilot or a pilot took it. After that the app requests nothing
 more in this mission.
 """
-# what one of the failsafes does in any state: the rows of the others are compared with it
-RETURN_CONTROL: Final = next(row.branches for row in ROWS if row.event is MissionEvent.OVERTIME)
+# a search in vain returns control, and does nothing else: other rows that end in the same branches are so told
+RETURN_CONTROL: Final = TABLE[State.SEARCH, MissionEvent.TIMEOUT]
 RETURN: Final = "return control"
 IMPOSSIBLE: Final = """\
 An event that stands in neither table for a state cannot occur there. If it occurs all the same, the app
