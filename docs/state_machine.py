@@ -33,7 +33,7 @@ Control of the vehicle is *none* until the autopilot grants it and says that it 
 and *released* once it went back to the autopilot or a pilot took it. After that the app requests nothing
 more in this mission.
 """
-# a search in vain returns control, and does nothing else: other rows that end in the same branches are so told
+# a search in vain returns control and does nothing else; rows that end in the same branches name it
 RETURN_CONTROL: Final = TABLE[State.SEARCH, MissionEvent.TIMEOUT]
 RETURN: Final = "return control"
 IMPOSSIBLE: Final = """\
