@@ -113,19 +113,18 @@ class TouchdownSequence:
         self._lean_m_s2 = (lx + share * (x - lx), ly + share * (y - ly))
 
     def level_off(self) -> LevelOff | None:
-        """When the vehicle may lean no further than it may at contact; None before that is known.
+        """That the vehicle may lean no further than it may at contact; None until the contact is near.
 
         It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
         for long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late
-        is waited for while that speed is no more than one may start down with.
+        is waited for while that speed is no more than one may start down with. The controller is not told
+        before: it would lean further until then, to be ahead of the pad, and a contact that comes a tenth of
+        a second early meets that lean.
         """
-        if self._level_due_s is None:
+        from_s = self._level_from_s
+        if self._level_due_s is None or from_s is None:
             return None
         tilt_rad = math.radians(self._config.contact_tilt_deg)
-        from_s = self._level_from_s
-        if from_s is None:
-            from_s = self._level_due_s - _LEVEL_BEFORE_S
-            return LevelOff(from_s, from_s + _LEVEL_FOR_S, tilt_rad)
         late_s = max(0.0, self._level_due_s - _LEVEL_BEFORE_S - from_s)
         if self._level_excess_m_s2 > 0.0:
             late_s = min(late_s, self._config.lateral_speed_m_s / self._level_excess_m_s2)
@@ -177,6 +176,8 @@ class TouchdownSequence:
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._level_due_s = now_s  # no lean while contact is confirmed
+            if self._level_from_s is None:
+                self._level_from_s = now_s - _LEVEL_BEFORE_S
             return None
         lost = self._lost(sight, inputs.range, now_s)
         if lost is not None:
