@@ -91,6 +91,7 @@ class PadFilterConfig(StrictModel):
     model_dwell_s: float = Field(default=5.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
     vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.02, gt=0.0, le=5.0)
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
+    lean_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
     heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
     sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
     sighting_noise_floor_m: float = Field(default=0.0002, ge=0.0, le=1.0)
