@@ -19,6 +19,7 @@ from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, Standing, contact_signs
+from companion.plan.landing.level_moment import level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
@@ -142,6 +143,7 @@ class TouchdownSequence:
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
+            and level_at(sight, self._contact_in_s(), tolerance.most_lean_rad(now_s))
             and math.hypot(*self._lean_m_s2) <= tolerance.most_lean_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
@@ -156,9 +158,13 @@ class TouchdownSequence:
 
     def _way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off."""
+        return self._contact_in_s() + self._config.land_after_s
+
+    def _contact_in_s(self) -> float:
+        """How long from here until the feet touch."""
         c = self._config
         sinking_s = (self._wait_height_m - self._vehicle.leg_height_m) / c.contact_speed_m_s
-        return c.settled_s + c.blend_s + sinking_s + c.land_after_s
+        return c.settled_s + c.blend_s + sinking_s
 
     # ------------------------------------------------------------ sink
 
