@@ -28,6 +28,8 @@ from companion.estimate.vehicle.ekf_start import (
 from companion.estimate.vehicle.fix_watch import FixWatch
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
 
+GYRO_SCALE_ERROR: Final = 0.005  # scale and misalignment as a share of the rate, after calibration
+
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
 UNSEEN_RATE_RAD_S: Final = 1.0  # how fast the vehicle may turn in a gap of the IMU's stream
 UNSEEN_ACCELERATION_M_S2: Final = 4.0
@@ -62,7 +64,7 @@ class EkfState:
 
     def __init__(self, config: EkfConfig, start: InitialState) -> None:
         self._config = config
-        self._noise = noise_density(config)
+        self._noise = noise_density()
         self.time_s = start.time_s
         self.x = initial_state(start)
         self.P = initial_covariance(config, start)
@@ -149,7 +151,7 @@ class EkfState:
         config = self._config
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
         x, y, z = u.rate_body_rad_s
-        scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
+        scale_density = GYRO_SCALE_ERROR**2 * (x * x + y * y + z * z)
         turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
         velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)

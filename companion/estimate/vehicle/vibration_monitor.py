@@ -14,6 +14,7 @@ from companion.base.geometry import ZERO3, Vector3, add, dot, scale, subtract
 
 MEMORY_S: Final = 0.2
 LARGEST_ERROR_M_S2: Final = 3.0
+SHARE: Final = 0.5  # of the vibration beyond the bound: so far may the force's mean be off
 _SECOND_DIFFERENCE_VARIANCE: Final = 6.0  # of 1, -2, 1, for white noise
 
 
@@ -35,7 +36,7 @@ class VibrationMonitor:
             k = dt_s / (MEMORY_S + dt_s)
             self._mean_square += k * (dot(swing, swing) / _SECOND_DIFFERENCE_VARIANCE - self._mean_square)
 
-    def error_m_s2(self, bound_m_s2: float, share: float) -> float:
+    def error_m_s2(self, bound_m_s2: float) -> float:
         """By how much the mean may be off: a share of what exceeds the bound."""
         excess = math.sqrt(self._mean_square) - bound_m_s2
-        return min(max(share * excess, 0.0), LARGEST_ERROR_M_S2)
+        return min(max(SHARE * excess, 0.0), LARGEST_ERROR_M_S2)

@@ -181,7 +181,7 @@ def shaken(std_m_s2: float, motion_m_s2: Callable[[float], float]) -> float:
     for k in range(400):
         noise = std_m_s2 * rng.standard_normal(3)
         shaking.add(vector3(noise + np.array([motion_m_s2(0.005 * k), 0.0, -9.8])), 0.005)
-    return shaking.error_m_s2(bound_m_s2=2.0, share=0.5)
+    return shaking.error_m_s2(bound_m_s2=2.0)
 
 
 def test_shaking_beyond_the_bound_is_doubted_by_its_excess() -> None:
