@@ -1,4 +1,4 @@
-"""Settings of the sensors: buses, ports, rates and the eyes."""
+"""Settings of the sensors: buses, ports, rates and vision."""
 
 from __future__ import annotations
 
