@@ -71,8 +71,9 @@ style:
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
+# the tests start our programs many times: what the first compiles, the others take from its cache
 test: lint
-	$(BIN)/python -m pytest
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 
 # fetches Debian roots into DEPLOY and keeps them there; what this machine cannot do is skipped, with the reason
 .PHONY: test-deploy
