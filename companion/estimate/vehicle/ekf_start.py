@@ -15,7 +15,7 @@ from companion.estimate.ahrs.madgwick import align
 from companion.estimate.vehicle import ekf_model as model
 
 # random walks: an MEMS sensor's bias drifts with its temperature, the field with iron and currents nearby
-ACCEL_BIAS_WALK_M_S2_RTS: Final = 0.002
+ACCEL_BIAS_WALK_M_S2_RTS: Final = 0.0005
 GYRO_BIAS_WALK_RAD_S_RTS: Final = 2e-5
 FIELD_WALK_UT_RTS: Final = 0.005
 MAG_BIAS_WALK_UT_RTS: Final = 0.02

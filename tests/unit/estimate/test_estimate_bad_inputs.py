@@ -19,7 +19,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.estimate.vehicle.fix_watch import FixWatch
-from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
+from companion.estimate.vehicle.imu_noise import VibrationMonitor
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
 
 FLOWN = Flight(path=circle(8.0, 4.0), duration_s=36.0)
@@ -181,7 +181,7 @@ def shaken(std_m_s2: float, motion_m_s2: Callable[[float], float]) -> float:
     for k in range(400):
         noise = std_m_s2 * rng.standard_normal(3)
         shaking.add(vector3(noise + np.array([motion_m_s2(0.005 * k), 0.0, -9.8])), 0.005)
-    return shaking.error_m_s2(bound_m_s2=2.0)
+    return shaking.error_m_s2(bound_m_s2=2.0, share=0.5)
 
 
 def test_shaking_beyond_the_bound_is_doubted_by_its_excess() -> None:
