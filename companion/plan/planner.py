@@ -8,6 +8,7 @@ no I/O, no clock. NED, m, s, rad; references are relative to the pad as soon as 
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from companion.base.geometry import ned_from_geodetic
 from companion.base.messages import ActionKind, LandedState, Notice, Phase, PlanStep, Refusal
@@ -25,6 +26,8 @@ from companion.plan.obstacles.avoidance import Avoidance
 from companion.plan.steering import PhaseSteering
 from companion.plan.trajectory.guidance import ReferenceGenerator, SpeedLaw
 from companion.plan.trajectory.waypoints import check_places
+
+SIGHTINGS_WINDOW_S: Final = 0.5  # in which `search.sightings` have to come
 
 __all__ = ["PlanInputs", "Planner"]
 
@@ -55,7 +58,7 @@ class Planner:
         self._fence_m, self._fence_told = mission.fence_m, False
         self._requests = Requests(mission.action_retry_s, mission.action_answer_s, mission.action_attempts)
         self._monitor = FailsafeMonitor(mission, self._machine)
-        self._pad = PadKnowledge(search.sightings, search.sightings_window_s)
+        self._pad = PadKnowledge(search.sightings, SIGHTINGS_WINDOW_S)
         self._ground = Ground(vehicle.range_position_body_m)
         avoidance = Avoidance(config, vehicle.radius_m)
         self._generator = ReferenceGenerator(config.guidance, law, horizon_steps, step_s, avoidance)

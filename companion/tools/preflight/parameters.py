@@ -16,10 +16,10 @@ from companion.config import CompanionConfig, VehicleConfig
 from companion.control.response.fitting import HOVER_DIFFERS
 from companion.control.setpoints import resolved
 from companion.link.parameters import GUIDED_OPTIONS, THRUST_IS_THRUST
-from companion.tools.preflight.findings import Finding, State, Teller
+from companion.tools.preflight.findings import Finding, FindingGroup, State
 
 GROUP: Final = "autopilot's parameters"
-_TELL: Final = Teller(GROUP)
+_GROUP: Final = FindingGroup(GROUP)
 _CENTI: Final = 0.01
 _TERMINATE, _DISARM, _STABILIZED = 6, 7, 2  # of COM_OBL_RC_ACT
 _OVERRIDE_OFFBOARD: Final = 2  # COM_RC_OVERRIDE bit 1
@@ -210,8 +210,8 @@ def judge_parameters(
 
 def _finding(name: str, value: float | None, judge: _Judge, wanted: Wanted) -> Finding:
     if value is None:
-        return _TELL.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
+        return _GROUP.skip(name, "the autopilot does not tell it: another version's name, or a slow link")
     verdict = judge(value, wanted)
     if verdict is None:
-        return _TELL.ok(name, f"{value:g}")
+        return _GROUP.ok(name, f"{value:g}")
     return Finding(GROUP, name, verdict[0], f"{value:g}", verdict[1])
