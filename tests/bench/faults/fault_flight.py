@@ -36,6 +36,8 @@ from tests.bench.faults.witness import FlightRecord, Witness
 HELD_S: Final = 4.0
 AFTERMATH_S: Final = 60.0
 LOOK_S: Final = 0.1
+# what stands on the pad so long with its motors on, nothing disarms: longer than the touchdown's time-out
+STANDS_S: Final = 55.0
 # a pad that has just braked rocks what stands on it
 SETTLES_S: Final = 5.0
 # where no setting says how high the vehicle may fly
@@ -157,10 +159,13 @@ async def _fly(
 
 
 async def _run_app(app: App, limit_s: float, vehicle: InProcess, record: FlightRecord) -> None:
-    """Let it run to its end, to a crash or to the limit; an app that fails is noted."""
+    """Let it run to its end, to a crash, to the limit or to what will not change; a failed app is noted."""
     flight = asyncio.create_task(app.run())
-    world = vehicle.simulation.world
-    while not flight.done() and world.time_s < limit_s and not world.crashed:
+    world, autopilot = vehicle.simulation.world, vehicle.simulation.autopilot
+    moved_s = 0.0
+    while not flight.done() and world.time_s < min(limit_s, moved_s + STANDS_S) and not world.crashed:
+        if not (world.at_rest_on_pad and autopilot.armed):
+            moved_s = world.time_s
         await asyncio.wait([flight], timeout=LOOK_S)
     if flight.done() or world.crashed:
         record.app_ended_s = world.time_s
