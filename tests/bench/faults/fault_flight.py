@@ -16,7 +16,7 @@ from typing import Any, Final
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_own_actions
 from companion.base.clock import run_in_virtual_time
-from companion.config import CONFIG_FOLDER, CompanionConfig
+from companion.config import CONFIG_FOLDER, CompanionConfig, ConfigError
 from companion.flightlog.record import FlightLog
 from companion.link.inbox import memory_pair
 from companion.sense.vision.opencv import prepare_opencv
@@ -42,6 +42,10 @@ STANDS_S: Final = 55.0
 SETTLES_S: Final = 5.0
 # where no setting says how high the vehicle may fly
 DEFAULT_CEILING_M: Final = 40.0
+
+
+# docs/autopilot-parameters.md: what PX4 is to do when setpoints stop, 4 (Land) where one may land anywhere
+SETPOINTS_LOST: Final = ("COM_OBL_RC_ACT", 4.0)
 
 
 def _as_is(_simulation: Simulation) -> None:
@@ -132,6 +136,8 @@ async def _fly(
         computer=faults,
     )
     simulation = vehicle.simulation
+    if not simulation.autopilot.parameters.set(*SETPOINTS_LOST):
+        raise ConfigError(f"{SETPOINTS_LOST[0]}: expected a parameter of the autopilot")
     prepare(simulation)
     witness = Witness(simulation.world, simulation.autopilot)
     simulation.on_step = witness.step
