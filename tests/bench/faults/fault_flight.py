@@ -44,8 +44,8 @@ SETTLES_S: Final = 5.0
 DEFAULT_CEILING_M: Final = 40.0
 
 
-# docs/autopilot-parameters.md: what PX4 is to do when setpoints stop, 4 (Land) where one may land anywhere
-SETPOINTS_LOST: Final = ("COM_OBL_RC_ACT", 4.0)
+# docs/autopilot-parameters.md: what PX4 is to do when setpoints stop, 5: hold
+SETPOINTS_LOST: Final = ("COM_OBL_RC_ACT", 5.0)
 
 
 def _as_is(_simulation: Simulation) -> None:
