@@ -109,8 +109,7 @@ class Simulation:
         self._scenario = scenario
         self._timer = TickTimer(TICK_S)
         self._link = link
-        self._camera_wanted = camera_wanted
-        self._deliver_frame = deliver_frame
+        self._camera_wanted, self._deliver_frame = camera_wanted, deliver_frame
         self._keep_truth = keep_truth
         self._truth: list[Truth] = []
         self._world = world = _world(scenario, seed, motion, hands_wait)
