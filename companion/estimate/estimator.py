@@ -93,11 +93,12 @@ class StateEstimator:
 
     # ------------------------------------------------------------ inputs
 
-    def add_imu(self, sample: ImuSample) -> bool:
-        """Take one sample; they must come in order of time."""
+    def add_imu(self, sample: ImuSample, received_s: float = math.inf) -> bool:
+        """Take one sample; they must come in order of time, and none is of the time after its receipt."""
         rate, force = sample.rate_body_rad_s, sample.specific_force_body_m_s2
         usable = (
             _finite((sample.time_s, *rate, *force))
+            and sample.time_s <= received_s + FUTURE_S
             and max(map(abs, rate)) <= LARGEST_RATE_RAD_S
             and max(map(abs, force)) <= LARGEST_FORCE_M_S2
         )

@@ -18,6 +18,7 @@ from companion.plan.landing.relative_state import PadKnowledge
 from companion.plan.mission.failsafe_monitor import FailsafeMonitor
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.machine import StateMachine
+from companion.plan.mission.mode_monitor import in_land
 from companion.plan.mission.requests import Requests
 from companion.plan.mission.states import Circumstances, DetectedEvent, Effect, MissionEvent, State
 from companion.plan.mission.table import FINAL, impossible
@@ -186,7 +187,9 @@ class Planner:
             on_surface=self._steering.on_pad or landed is LandedState.ON_GROUND,
             airborne=landed is LandedState.IN_AIR,
             disarm_asked=self._requests.asked(ActionKind.DISARM),
-            land_granted=self._requests.granted(ActionKind.LAND),
+            heard=inputs.autopilot.connected,
+            # a request that is asked afresh is not granted yet, while the autopilot lands all the same
+            land_granted=self._requests.granted(ActionKind.LAND) or in_land(inputs.autopilot),
             may_finish=self._battery.finish_descent,
         )
 
