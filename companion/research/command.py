@@ -89,6 +89,26 @@ def profiles_command(
     finish(console, profiles.bars(descents), output)
 
 
+@app.command("table1")
+def table1_command(
+    *,
+    pad: Annotated[str, typer.Option(help="A name in configs/pads, or a file.")] = "moving_1300",
+    camera: Annotated[str, typer.Option(help="A name in configs/cameras, or a file.")] = "hd_1280x720",
+    frames: Annotated[int, typer.Option(min=10, help="From each height.")] = 100,
+    seed: Seed = 0,
+) -> None:
+    """Table 1: several markers against a single one, recall and precision in rendered frames."""
+    find_file("pads", pad)
+    find_file("cameras", camera)
+    from rich.console import Console  # noqa: PLC0415
+
+    from companion.research import table1  # noqa: PLC0415
+
+    console, cells = Console(), table1.look(pad, camera, frames, seed)
+    console.print(table1.table(cells))
+    finish(console, table1.bars(cells))
+
+
 @app.command("pad-recall")
 def pad_recall_command(
     *,
@@ -136,14 +156,15 @@ def tune_command(
     tune_flight_pid.show(pid, console)
 
 
-def finish(console: Console, bars: Mapping[str, bool], output: Path) -> None:
-    """Say which bars hold and where the picture is; the exit status is 0 when all do.
+def finish(console: Console, bars: Mapping[str, bool], output: Path | None = None) -> None:
+    """Say which bars hold and where the picture is, if there is one; the exit status is 0 when all do.
 
     Raises:
         typer.Exit: always.
     """
     words = ", ".join(f"{name} {'holds' if holds else 'FAILS'}" for name, holds in bars.items())
-    console.print(f"picture: {output}", highlight=False, soft_wrap=True, markup=False)
+    if output is not None:
+        console.print(f"picture: {output}", highlight=False, soft_wrap=True, markup=False)
     console.print(f"bars: {words}", highlight=False, soft_wrap=True)
     raise typer.Exit(0 if all(bars.values()) else 1)
 
