@@ -70,6 +70,7 @@ def profiles_command(
     seed: Seed = 0,
     flights: Annotated[int, typer.Option(min=1, help="Of each law in each scenario.")] = 3,
     jobs: Annotated[int, typer.Option(min=1, help="Processes that fly.")] = 1,
+    fixed_speed: Annotated[float, typer.Option(min=0.2, max=3.0, help="Of the fixed law, m/s.")] = 0.9,
     output: Picture = Path("profiles.png"),
 ) -> None:
     """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
@@ -82,7 +83,7 @@ def profiles_command(
     from companion.research import profiles  # noqa: PLC0415
 
     console, count = Console(), len(profiles.LAWS) * len(scenarios) * flights
-    flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs)
+    flown = profiles.fly_all(scenarios, range(seed, seed + flights), jobs, fixed_speed)
     descents = list(track(flown, "flying", total=count, console=console, disable=not console.is_terminal))
     profiles.draw(descents, output)
     console.print(profiles.table(descents))
