@@ -111,7 +111,8 @@ def is_run(words: list[str], page: str) -> bool:
     if page == "tour.md":
         return True
     if words[0] == "companion":
-        runs = "--fast" in words or "--help" in words or words[1:] == ["replay", "flights/circle"]
+        flies = "--fast" in words and "--firmware" not in words
+        runs = flies or "--help" in words or words[1:] == ["replay", "flights/circle"]
         return runs or words[1:3] == ["pad", "indoor_400"]
     if words[0] == "companion-experiments":
         return "--help" in words
