@@ -73,7 +73,7 @@ def profiles_command(
     fixed_speed: Annotated[float, typer.Option(min=0.2, max=3.0, help="Of the fixed law, m/s.")] = 0.9,
     output: Picture = Path("profiles.png"),
 ) -> None:
-    """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
+    """Descents by the fuzzy speed controller, a fixed speed and a log polynomial, in whole flights."""
     for scenario in scenarios:
         find_file("scenarios", scenario)
     writable(output, ".png", "--output")
