@@ -264,6 +264,7 @@ PX4 = AutopilotProfile(
         writes_in_place=False,
         restarts=False,
         partial_lists=False,
+        guided_items=False,
         takes_off_before_mission=True,
         waits_for_start=False,
         uses_yaw_parameter=True,
