@@ -75,6 +75,10 @@ class Field:
             if m.get_type() == "COMMAND_ACK" and m.command == number and m.target_system == GROUND
         ]
 
+    def forget(self) -> None:
+        """Drop what was kept for the story, which would fill up the memory of a long one."""
+        self._tapped.sent.clear()
+
     def commands(self) -> list[int]:
         """The commands that the app sent the autopilot, but for requests of messages."""
         asking = {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
@@ -188,7 +192,12 @@ async def _stand_by(
     app_end, vehicle_end = memory_pair()
     tapped = Tapped(app_end)
     vehicle = InProcess(
-        scenario, 0, link=vehicle_end, gps_baud=config.sense.gps.baud, range_baud=config.sense.range.baud
+        scenario,
+        0,
+        link=vehicle_end,
+        gps_baud=config.sense.gps.baud,
+        range_baud=config.sense.range.baud,
+        keep_truth=False,
     )
     hardware = Hardware(
         tapped,
