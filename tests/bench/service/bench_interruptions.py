@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Final
 
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str],
     """Entry point; returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--trials", type=int, default=TRIALS, help="of each kind")
+    parser.add_argument("--jobs", type=int, default=1, help="so many at once; each takes a core")
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
     parser.add_argument("--out", type=Path, default=OUT)
     chosen = parser.parse_args(arguments)
@@ -64,17 +66,25 @@ def main(arguments: Sequence[str] | None = None, fly: Callable[[Kind, int, str],
     asked = [(kind, seed) for seed in range(chosen.trials) for kind in KINDS]
     done = file.read(code)
     by_s = time.monotonic() + 60.0 * (chosen.minutes or 1e6)
-    for kind, seed in asked:
-        if (kind, seed) in done or time.monotonic() > by_s:
-            continue
+
+    def flown(key: tuple[Kind, int]) -> Trial | None:
+        if time.monotonic() > by_s:
+            return None
         try:
-            trial = (fly or fly_trial)(kind, seed, code)
-        except NotFlown as error:
-            print(f"not flown: {kind} {seed}: {error}", file=sys.stderr, flush=True)
-            continue
-        file.append(trial)
-        done[kind, seed] = trial
-        print(f"{kind} {seed}, {trial.phase}: {_words(trial)}", file=sys.stderr, flush=True)
+            return (fly or fly_trial)(*key, code)
+        except (NotFlown, OSError, RuntimeError) as error:
+            print(f"not flown: {key[0]} {key[1]}: {error}", file=sys.stderr, flush=True)
+            return None
+
+    with ThreadPoolExecutor(chosen.jobs) as pool:
+        trials = [pool.submit(flown, key) for key in asked if key not in done]
+        for future in as_completed(trials):
+            if (trial := future.result()) is not None:
+                file.append(trial)
+                done[trial.kind, trial.seed] = trial
+                print(
+                    f"{trial.kind} {trial.seed}, {trial.phase}: {_words(trial)}", file=sys.stderr, flush=True
+                )
     return report([done[key] for key in asked if key in done], len(asked))
 
 

@@ -61,6 +61,26 @@ def test_each_flight_begins_with_the_minute_before_it(tmp_path: Path) -> None:
         assert "settings" in names
 
 
+def test_the_minute_before_is_written_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[int] = []
+    monkeypatch.setattr("os.fsync", written.append)
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    for second in range(50):
+        tell(log, float(second))
+        log.write_mavlink(b"\xfe\x00\x00\x01\x01\x00\x00\x00", float(second), "in")
+    log.begin()
+    log.end()
+    log.close()
+    assert len(written) == 2  # each file
+    log = FlightsRecorder(tmp_path, 1.7e9)
+    log.begin()
+    until(lambda: log.flight_folder is not None)
+    for second in range(50):
+        tell(log, float(second))
+    log.close()
+    assert len(written) > 50
+
+
 def test_pictures_and_mavlink_of_the_minute_are_there_too(tmp_path: Path) -> None:
     log = FlightsRecorder(tmp_path, 1.7e9)
     image = np.zeros((48, 64), np.uint8)
