@@ -69,6 +69,9 @@ class Witness:
         self._app_side.bind(("127.0.0.1", port))
         self._vehicle_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._vehicle_side.connect(("127.0.0.1", vehicle_port))
+        for side in (self._app_side, self._vehicle_side):
+            # what a socket is ready for may be an error, which the other direction's send takes away
+            side.setblocking(False)
         self.port: int = self._app_side.getsockname()[1]
         self._pilot = Codec(*GROUND_STATION)
         self._ends = False
