@@ -141,10 +141,11 @@ bench-response: $(VENV)/.dev
 bench-faults: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.faults.bench_faults --jobs 2
 
-# need the machine to themselves: real time, two processes
+# needs the machine to itself: real time, two processes
 bench-service: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.service.bench_service
 
+# three quarters of an hour, likewise; give it again after an interruption, and it goes on
 bench-interruptions: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.service.bench_interruptions --trials 20
 

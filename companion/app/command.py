@@ -130,8 +130,9 @@ async def _service(
 
         async with served(socket_path(), report, app.missions.give, clock):
             with stopping_on_signals(app.request_stop):
-                await app.run()
-    return 0 if app.missions.stopped_idle else EXIT_CODES[Outcome.ABORTED]
+                phase = await app.run()
+    done = phase is Phase.LANDED or app.missions.stopped_idle
+    return 0 if done else EXIT_CODES[Outcome.ABORTED]
 
 
 def _make_room(record: Path | None, config: CompanionConfig) -> None:
