@@ -174,7 +174,7 @@ def assert_flight_is_as_documented(folder: Path) -> None:
     told = re.findall(r"^\| (`/[^|]+`) \| ([\w.]+) \|", page, re.MULTILINE)
     assert logged == {topic: kind for topics, kind in told for topic in re.findall(r"`([\w/]+)`", topics)}
     pictures = {path.name for path in (folder / "pictures").iterdir()}
-    assert pictures | {"margins.png", "wiring.svg"} == {
+    assert pictures | {"live-page.png", "margins.png", "wiring.svg"} == {
         path.name for path in (ROOT / "docs" / "images").iterdir()
     }
 
