@@ -5,13 +5,13 @@ python -m docs.state_machine
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 from companion.base.messages import Action, Phase
-from companion.plan.mission.states import Branch, Guard, MissionEvent, State, TableRow
-from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS
+from companion.plan.mission.states import Branch, Guard, MissionEvent, State
+from companion.plan.mission.table import ANYWHERE, FINAL, IN_AIR, LIVE, ROWS, TABLE
 
 PAGE: Final = Path(__file__).resolve().parent / "state-machine.md"
 # these may come in any state: drawn once, not from each
@@ -25,16 +25,20 @@ INTRODUCTION: Final = """\
 # The state machine
 
 Written by `python -m docs.state_machine` from `companion/plan/mission/table.py`, which alone decides where a
-mission goes. At most one event moves it in a cycle: of those that mean something in the present state the
-gravest failsafe, else a request that was refused too often, else what the state itself detects.
+mission goes. At most one event acts in a control cycle. Of the events that have a row in the present state
+it is the most serious failsafe, else a request that was refused too often, else what the state itself
+detects.
 
 Control of the vehicle is *none* until the autopilot grants it and says that it obeys setpoints, then *ours*,
-and *released* once it went back to the autopilot or a pilot took it. Released is for good: nothing is asked
-any more.
+and *released* once it went back to the autopilot or a pilot took it. After that the app requests nothing
+more in this mission.
 """
+# a search in vain returns control and does nothing else; rows that end in the same branches name it
+RETURN_CONTROL: Final = TABLE[State.SEARCH, MissionEvent.TIMEOUT]
+RETURN: Final = "return control"
 IMPOSSIBLE: Final = """\
-What stands in neither table cannot happen. Should it all the same, the app says so and holds: it asks the
-autopilot to hold its position (to land, if it stands) and releases control.
+An event that stands in neither table for a state cannot occur there. If it occurs all the same, the app
+reports it, asks the autopilot to hold its position (to land, if the vehicle stands) and releases control.
 """
 
 
@@ -52,13 +56,20 @@ def page_text() -> str:
             *diagram(),
             "```",
             "",
-            "*in the air* is every state from take off to the last hold; what a failsafe omits stands below.",
+            "*in the air* is every state from take off to the last hold. The last table says where a",
+            "failsafe is ignored.",
             "",
-            "## What follows",
+            "## Transitions",
+            "",
+            f"*{RETURN}* stands for these branches, of which the first that fits is taken:",
+            "",
+            *return_table(),
+            "",
+            "All transitions:",
             "",
             *rows_table(),
             "",
-            "## What means nothing",
+            "## Events that are ignored",
             "",
             *exceptions_table(),
             "",
@@ -109,29 +120,39 @@ def _edges() -> dict[tuple[str, str], list[str]]:
 # ---------------------------------------------------------------- the tables
 
 
+def return_table() -> Iterator[str]:
+    """The branches by which control returns to the autopilot."""
+    yield "| if | then | asked of the autopilot | control | besides |"
+    yield "|---|---|---|---|---|"
+    for branch in RETURN_CONTROL:
+        yield f"| {' | '.join((_condition(RETURN_CONTROL, branch), *_cells(branch)))} |"
+
+
 def rows_table() -> Iterator[str]:
-    """Every row and branch of the table."""
+    """Every row and branch of the table; a return of control is one line."""
     yield "| event | in | if | then | asked of the autopilot | control | besides |"
     yield "|---|---|---|---|---|---|---|"
     for row in ROWS:
-        for branch in row.branches:
-            yield f"| {' | '.join(_cells(row, branch))} |"
+        where = (_words(row.event), _states(row.states))
+        returns = row.branches[-len(RETURN_CONTROL) :] == RETURN_CONTROL
+        own = row.branches[: -len(RETURN_CONTROL)] if returns else row.branches
+        for branch in own:
+            yield f"| {' | '.join((*where, _condition(row.branches, branch), *_cells(branch)))} |"
+        if returns:
+            yield f"| {' | '.join((*where, 'else' if own else '', f'*{RETURN}*', '', '', ''))} |"
 
 
-def _cells(row: TableRow, branch: Branch) -> Iterator[str]:
-    yield _words(row.event)
-    yield _states(row.states)
-    yield _condition(row, branch)
+def _cells(branch: Branch) -> Iterator[str]:
     yield "stays" if branch.to is None else _name(branch.to)
     yield ", ".join(_request(action) for action in branch.actions)
     yield "" if branch.authority is None else branch.authority.value
     yield ", ".join(effect.value for effect in branch.effects)
 
 
-def _condition(row: TableRow, branch: Branch) -> str:
+def _condition(branches: Sequence[Branch], branch: Branch) -> str:
     if branch.guard is not Guard.ALWAYS:
         return branch.guard.value
-    return "else" if len(row.branches) > 1 else ""
+    return "else" if len(branches) > 1 else ""
 
 
 def exceptions_table() -> Iterator[str]:

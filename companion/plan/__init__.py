@@ -1,1 +1,1 @@
-"""Plan: the mission's state machine, the fuzzy pilot's speed and the minimum-jerk reference."""
+"""Plan: the mission's state machine, the fuzzy speed controller and the minimum-jerk reference."""

@@ -72,7 +72,7 @@ def profiles_command(
     jobs: Annotated[int, typer.Option(min=1, help="Processes that fly.")] = 1,
     output: Picture = Path("profiles.png"),
 ) -> None:
-    """Descents by the fuzzy pilot, a fixed speed and a log polynomial of the distance, in whole flights."""
+    """Descents by the fuzzy speed controller, a fixed speed and a log polynomial, in whole flights."""
     for scenario in scenarios:
         find_file("scenarios", scenario)
     writable(output, ".png", "--output")

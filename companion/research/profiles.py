@@ -1,4 +1,4 @@
-"""Descent profiles: the fuzzy pilot against a fixed speed and a log polynomial of the distance.
+"""Descent profiles: the fuzzy speed controller against a fixed speed and a log polynomial of the distance.
 
 Whole flights (app, rendering, estimators, simulated autopilot), the same scenarios and seeds for each law;
 what differs is `plan.speed_law` alone. The laws feed eq. 37 in all phases that fly to something, so what is
@@ -38,8 +38,8 @@ TRUTH_PERIOD_S: Final = 0.04
 SMOOTHED_OVER: Final = 13  # records of truth: half a second
 CENTRED_M: Final = 0.15
 WAITING_HEIGHT_M: Final = 0.6
-# set before the flights: the fuzzy pilot lands always, sets down as softly as the touchdown is made for,
-# and pays for no more jerk than the others with no more time (medians over the flights)
+# set before the flights: the fuzzy speed controller lands always, sets down as softly as the touchdown is
+# made for, and pays for no more jerk than the others with no more time (medians over the flights)
 SOFT_M_S: Final = 0.3
 AS_GOOD: Final = 1.05
 
@@ -184,7 +184,7 @@ def table(descents: Sequence[Descent]) -> Table:
 
 
 def bars(descents: Sequence[Descent]) -> dict[str, bool]:
-    """Which of the bars of the fuzzy pilot hold."""
+    """Which of the bars of the fuzzy speed controller hold."""
     own = of_law(descents, "fuzzy")
     held = {
         "lands always": all(d.landed for d in own),

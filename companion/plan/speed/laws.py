@@ -6,9 +6,10 @@ of Alvika et al. [11] without telling its coefficients:
 
     V(d) = c0 + c1 L + c2 L² + c3 L³,  L = ln(1 + d / 1 m).
 
-Ours are fitted by least squares to the fuzzy pilot at rest over the distances that its table tells apart, so
-that both go from the same speed to the same speed and differ in the closing velocity and acceleration that
-the fuzzy pilot looks at besides. m, m/s, m/s²; closing is positive towards the target.
+Ours are fitted by least squares to the fuzzy speed controller at rest, over the distances that its table
+tells apart. So both go from the same speed to the same speed, and differ in the closing velocity and
+acceleration, which only the fuzzy speed controller uses. m, m/s, m/s²; closing is positive towards the
+target.
 """
 
 from __future__ import annotations

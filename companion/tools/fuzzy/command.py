@@ -10,7 +10,7 @@ import typer
 from companion.base.errors import ConfigError
 from companion.base.files import find_file
 
-HELP: Final = """Show the fuzzy pilot behind eq. 37: its rules, and what its flight table is worth.
+HELP: Final = """Show the fuzzy speed controller behind eq. 37: its rules, and what its flight table is worth.
 
 RULES is a name in configs/fuzzy or a .yaml file; else the shipped landing rules. The table that flies is held
 against scikit-fuzzy at random inputs in and beyond its grid.

@@ -1,4 +1,4 @@
-"""The fuzzy pilot's picture: membership functions (Figs. 7 and 8) and the speed that comes of them."""
+"""The fuzzy speed controller's picture: membership functions (Figs. 7 and 8) and the resulting speed."""
 
 from __future__ import annotations
 
