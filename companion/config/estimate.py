@@ -36,7 +36,7 @@ class EkfConfig(StrictModel):
 
     imu_samples_per_step: int = Field(default=2, ge=1, le=10)
     gyro_noise_rad_s: float = Field(default=0.005, gt=0.0, le=1.0)
-    accel_noise_m_s2: float = Field(default=0.3, gt=0.0, le=20.0)
+    accel_noise_m_s2: float = Field(default=0.05, gt=0.0, le=20.0)
     mag_rate_hz: float = Field(default=25.0, ge=1.0, le=100.0)
     mag_noise_ut: float = Field(default=5.0, gt=0.0, le=20.0)
     mag_dip_noise_ut: float = Field(default=20.0, gt=0.0, le=100.0)  # of the field along its own plane
@@ -54,12 +54,12 @@ class EkfConfig(StrictModel):
     gps_patience_s: float = Field(default=2.0, gt=0.0, le=60.0)  # refused for so long: start again from GPS
     gps_timeout_s: float = Field(default=2.0, gt=0.0, le=60.0)
     remember_s: float = Field(default=0.6, ge=0.1, le=3.0)  # how late a measurement may come
-    gyro_scale_error: float = Field(default=0.005, ge=0.0, le=0.1)  # scale and misalignment, of the rate
+    gyro_scale_error: float = Field(default=0.005, ge=0.0, le=0.1)  # scale and misalignment, of the turn
     shaking_bound_m_s2: float = Field(default=2.0, gt=0.0, le=50.0)  # of the force from sample to sample
     shaking_share: float = Field(default=0.5, ge=0.0, le=5.0)  # of what is more: so far may its mean be off
     unaided_speed_m_s: float = Field(default=1.0, gt=0.0, le=100.0)  # before the first fix; each reading
     accel_bias_std_m_s2: float = Field(default=0.1, gt=0.0, le=2.0)
-    accel_bias_walk_m_s2_rts: float = Field(default=0.002, ge=0.0, le=1.0)
+    accel_bias_walk_m_s2_rts: float = Field(default=0.0005, ge=0.0, le=1.0)
     gyro_bias_walk_rad_s_rts: float = Field(default=2e-5, ge=0.0, le=0.1)
     field_std_ut: float = Field(default=0.3, gt=0.0, le=20.0)
     field_walk_ut_rts: float = Field(default=0.005, ge=0.0, le=5.0)
@@ -91,6 +91,7 @@ class PadFilterConfig(StrictModel):
     model_dwell_s: float = Field(default=5.0, ge=0.1, le=100.0)  # a motion keeps its model so long on average
     vehicle_acceleration_noise_m_s2_rthz: float = Field(default=0.02, gt=0.0, le=5.0)
     heading_acceleration_rad_s2_rthz: float = Field(default=0.3, gt=0.0, le=20.0)
+    lean_acceleration_rad_s2_rthz: float = Field(default=0.1, gt=0.0, le=20.0)
     heading_noise_deg: float = Field(default=0.5, ge=0.0, le=45.0)  # added to what the sighting says
     sighting_noise_scale: float = Field(default=1.0, ge=0.1, le=20.0)
     sighting_noise_floor_m: float = Field(default=0.0002, ge=0.0, le=1.0)

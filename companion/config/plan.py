@@ -129,6 +129,7 @@ class TouchdownConfig(StrictModel):
     gentle_vertical_m_s2: float = Field(default=0.2, gt=0.0, le=5.0)
     contact_tilt_deg: float = Field(default=7.0, ge=1.0, le=30.0)  # levelled off to this as the feet touch
     gentle_lean_m_s2: float = Field(default=1.6, gt=0.0, le=6.0)  # what leaning it takes to go with the pad
+    contact_lean_deg: float = Field(default=5.0, ge=1.0, le=30.0)  # of a deck that swings
     patience_s: float = Field(default=5.0, ge=0.5, le=60.0)
     contact_speed_m_s: float = Field(default=0.19, ge=0.05, le=0.4)
     fastest_contact_m_s: float = Field(default=0.35, ge=0.05, le=1.0)  # sinking faster,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Final, Literal
 
 from pydantic import Field, model_validator
 
@@ -132,6 +132,10 @@ class AutopilotSensorsConfig(StrictModel):
     )
 
 
+# roads and loading areas slope by a few degrees; a deck that rolls by 15 deg from side to side leans up to 13
+_LEAN_STD_DEG: Final = {"fixed": 0.0, "vehicle": 3.0, "ship": 6.0}
+
+
 class VisionConfig(StrictModel):
     """Marker detection and pose."""
 
@@ -148,12 +152,18 @@ class VisionConfig(StrictModel):
     scale_error: float = Field(
         default=0.003, ge=0.0, le=0.1
     )  # of the calibration, as a share of the distance
-    level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of the pad and of our attitude together
+    pad_on: Literal["fixed", "vehicle", "ship"] = "fixed"  # how far the pad may lean
+    level_std_deg: float = Field(default=2.0, gt=0.0, le=30.0)  # of a fixed pad and our attitude together
     relative_speed_std_m_s: float = Field(default=0.5, gt=0.0, le=20.0)  # for a rolling shutter's shear
     relative_climb_std_m_s: float = Field(default=0.2, gt=0.0, le=20.0)  # near the pad, for the same
     turn_rate_std_rad_s: float = Field(default=0.1, gt=0.0, le=10.0)
     vibration_mrad: float = Field(default=0.035, gt=0.0, le=10.0)
     maximum_reprojection_error_px: float = Field(default=2.0, gt=0.0, le=10.0)
+
+    @property
+    def lean_std_deg(self) -> float:
+        """Standard deviation of the pad's lean against our horizon."""
+        return max(self.level_std_deg, _LEAN_STD_DEG[self.pad_on])
 
 
 class SenseConfig(StrictModel):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from companion.base.autopilot_kind import AutopilotKind
-from companion.base.geometry import ZERO3, FloatArray, add, scale, subtract, vector3, yaw_from_quat
+from companion.base.geometry import ZERO3, FloatArray, Vector3, add, scale, subtract, vector3, yaw_from_quat
 from companion.base.messages import (
     AutopilotSetup,
     ControlReport,
@@ -26,6 +26,7 @@ from companion.base.messages import (
 )
 from companion.base.motion import Motion
 from companion.config import ControlConfig, VehicleConfig
+from companion.control.adaptive_feedforward import AdaptiveFeedforward
 from companion.control.limits import LimitsGate
 from companion.control.mpc.target import HeadingReference, make_target, stop_reference, within_reach
 from companion.control.pad_prediction import PadPrediction, origin_at_rest, predict_pad
@@ -44,7 +45,7 @@ from companion.control.setpoints import (
     velocity_setpoint,
 )
 from companion.control.tracker import make_tracker
-from companion.control.tracking import TrackingSolution
+from companion.control.tracking import Target, TrackingSolution, needed_inputs
 
 # a pause after which what was commanded before no longer says anything
 RESTART_AFTER_S = 0.5
@@ -106,6 +107,7 @@ class Controller:
             vehicle, config, autopilot_kind, sideways=config.setpoint == "velocity"
         )
         self._gate = LimitsGate(config.limits, vehicle.hover_thrust)
+        self._feedforward = AdaptiveFeedforward(config.horizontal)
         self._heading = HeadingReference(math.radians(config.limits.heading_rate_deg_s))
         self._nodes_s: FloatArray = config.step_s * np.arange(config.horizon_steps + 1, dtype=np.float64)
         self._stepped_s: float | None = None
@@ -161,6 +163,7 @@ class Controller:
     def _begin(self, vehicle: VehicleState) -> None:
         self._plant.begin(vehicle)
         self._tracker.reset()
+        self._feedforward.reset()
         self._failures = FAILURES_TO_STOP
         self._flying = True
 
@@ -209,13 +212,16 @@ class Controller:
             self._config.vertical_reach_m,
         )
         target = replace(target, hover_thrust=self._plant.hover_thrust)
-        disturbance = self._plant.disturbance_ned_m_s2
+        pad_acceleration = vector3(start.prediction.acceleration_m_s2[0].tolist())
+        missing = self._feedforward.missing_m_s2(pad_acceleration)
+        disturbance = subtract(self._plant.disturbance_ned_m_s2, missing)
         began_s = self._stopwatch()
         solution = self._tracker.solve(
             start.motion, target, disturbance, self._plant.last_input(start.motion)
         )
         solve_s = self._stopwatch() - began_s
         self._failures = 0 if solution.solved else self._failures + 1
+        self._learn(start, target, disturbance, solution)
         setpoint = _seen(self._setpoint(start.motion, solution, now_s), reference, pad)
         boost = self._boost(start.motion, solution)
         setpoint, limited = self._gate.apply(boosted(setpoint, boost), now_s)
@@ -233,6 +239,16 @@ class Controller:
             stopped=self._stopped,
             hover_thrust=self._plant.hover_thrust,
         )
+
+    def _learn(self, start: _Start, target: Target, disturbance: Vector3, solution: TrackingSolution) -> None:
+        """Learn from the feedback what of the pad's acceleration is not flown; not while it is levelled."""
+        if not solution.solved or target.horizontal_bound_m_s2 is not None:
+            return
+        needed = needed_inputs(target, disturbance, self._lags_s, self._config.step_s)[0]
+        effort = vector3((solution.inputs_m_s2[0] - needed).tolist())
+        velocity = vector3(start.prediction.velocity_m_s[0].tolist())
+        acceleration = vector3(start.prediction.acceleration_m_s2[0].tolist())
+        self._feedforward.learn(effort, velocity, acceleration, 1.0 / self._config.rate_hz)
 
     @property
     def _stopped(self) -> bool:

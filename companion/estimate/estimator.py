@@ -219,6 +219,11 @@ class StateEstimator:
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             turn_rate_rad_s=estimate.turn_rate_rad_s,
             models=estimate.models,
+            lean_rad=estimate.lean.lean_rad,
+            lean_rate_rad_s=estimate.lean.rate_rad_s,
+            lean_mean_rad=estimate.lean.mean_rad,
+            lean_swing_rad=estimate.lean.swing_rad,
+            lean_frequency_rad_s=estimate.lean.frequency_rad_s,
         )
 
     def vehicle_covariance(self) -> FloatArray | None:
@@ -284,14 +289,17 @@ class StateEstimator:
         # the calibration's share does not change from frame to frame; what is left has to be a covariance
         slow = min(sighting.common_variance_m2, CALIBRATION_SHARE * float(np.linalg.eigvalsh(covariance)[0]))
         slow = max(slow, 0.0)
-        turn_variance = float((rotation @ sighting.covariance[3:6, 3:6] @ rotation.T)[2, 2])
+        tilt_n, tilt_e, turn = (rotation @ sighting.covariance[3:6, 3:6] @ rotation.T).diagonal().tolist()
+        north, east, _ = quat_rotate(attitude, quat_rotate(sighting.body_from_pad, (0.0, 0.0, 1.0)))
         return PadMeasurement(
             position_ned_m=position,
             covariance_ned_m2=covariance - slow * np.eye(3) + jitter * (lever @ lever.T),
             heading_rad=yaw_from_quat(quat_multiply(attitude, sighting.body_from_pad)),
-            heading_std_rad=math.sqrt(max(turn_variance, 0.0) + jitter),
+            heading_std_rad=math.sqrt(max(turn, 0.0) + jitter),
             vehicle_velocity_ned_m_s=self._vehicle.velocity(sighting.time_s),
             slow_variance_m2=slow,
+            lean_rad=(north, east),
+            lean_std_rad=math.sqrt(max(tilt_n, tilt_e, 0.0) + jitter),
         )
 
     def _covariance(self, estimate: CombinedEstimate) -> FloatArray:

@@ -42,6 +42,10 @@ class PadState:
     position is (0, 0, +height). `covariance`, six rows of six, is that of relative position and velocity,
     the horizon's and the calibration's errors included. `turn_rate_rad_s` is that of the pad's course,
     `models` the probability of each model of its motion.
+
+    The lean is the horizontal part (north, east) of the pad's normal, which points down: its tilt for small
+    angles. It swings about its mean by `lean_swing_rad` (root mean square, both axes together) at
+    `lean_frequency_rad_s`; 0: it does not.
     """
 
     time_s: float
@@ -57,6 +61,11 @@ class PadState:
     covariance: tuple[tuple[float, ...], ...] = field(default=(), metadata={"columns": 6})
     turn_rate_rad_s: float = 0.0
     models: dict[str, float] = field(default_factory=dict)
+    lean_rad: tuple[float, float] = (0.0, 0.0)
+    lean_rate_rad_s: tuple[float, float] = (0.0, 0.0)
+    lean_mean_rad: tuple[float, float] = (0.0, 0.0)
+    lean_swing_rad: float = 0.0
+    lean_frequency_rad_s: float = 0.0
 
     @property
     def height_m(self) -> float:

@@ -158,6 +158,18 @@ def margins(w: FloatArray, L: NDArray[np.complex128]) -> Margins:
     )
 
 
+def while_turning(
+    w: FloatArray, L: NDArray[np.complex128], turn_rad_s: float, learning_s: float
+) -> NDArray[np.complex128]:
+    """The same loop over a pad that turns, with what `AdaptiveFeedforward` learns there.
+
+    The plane is one complex number, so a frequency may be negative, against the turn: a loop of real
+    numbers is mirrored there, and the margins are those of either `turn_rad_s` or its negative.
+    """
+    turned: NDArray[np.complex128] = L * (1.0 + 1.0 / (learning_s * 1j * (w - turn_rad_s)))
+    return turned
+
+
 def _hover(now_s: float) -> PlanStep:
     still = np.zeros((1, 3))
     return PlanStep(now_s, Phase.DESCEND, Reference(now_s, "pad", 1.0, still, still, still, 0.0))

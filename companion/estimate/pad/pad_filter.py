@@ -20,6 +20,7 @@ from companion.config import PadFilterConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate
 from companion.estimate.motion import MotionHistory
 from companion.estimate.pad.heading_filter import HeadingState
+from companion.estimate.pad.lean_filter import LEVEL, LeanState
 from companion.estimate.pad.model_bank import BankState, Blend, ModelBank, ModelTransition, advance, blend
 from companion.estimate.pad.pad_models import (
     HORIZONTAL,
@@ -58,7 +59,7 @@ class PadFilter:
         self._horizontal = ModelBank(np.full(m, 1.0 / m), config.model_dwell_s, 8, seen=2)
         self._vertical = ModelBank(np.full(n, 1.0 / n), config.model_dwell_s, 4, seen=1)
         self._turn = Turn()
-        self._heading = HeadingState()
+        self._heading, self._lean = HeadingState(), LEVEL
         self.time_s = -math.inf
         self.seen_time_s = -math.inf
         self.started = False
@@ -78,13 +79,14 @@ class PadFilter:
             self.gates,
             self.seen_time_s,
             self._slow_share,
+            self._lean,
         )
 
     def restore(self, snapshot: PadSnapshot) -> None:
         """Go on from a snapshot."""
         self.time_s, self.seen_time_s = snapshot.time_s, snapshot.seen_time_s
         self._turn, self.gates, self._slow_share = snapshot.turn, snapshot.gates, snapshot.slow_share
-        self._heading = snapshot.heading
+        self._heading, self._lean = snapshot.heading, snapshot.lean
         self.started = snapshot.horizontal is not None
         if snapshot.horizontal is not None and snapshot.vertical is not None:
             self._horizontal.restore(snapshot.horizontal)
@@ -126,6 +128,9 @@ class PadFilter:
             turn_rate_rad_s=snapshot.turn.rate_rad_s,
             slow_share=snapshot.slow_share,
             models=dict(zip(self._names, map(float, probabilities), strict=True)),
+            lean=snapshot.lean.after(
+                time_s - snapshot.time_s, self._config.lean_acceleration_rad_s2_rthz
+            ).lean,
         )
 
     def _predict(self, time_s: float) -> None:
@@ -136,6 +141,7 @@ class PadFilter:
         self._horizontal.predict(dt_s, plane)
         self._vertical.predict(dt_s, climb)
         self._heading = self._heading.after(dt_s, self._config.heading_acceleration_rad_s2_rthz)
+        self._lean = self._lean.after(dt_s, self._config.lean_acceleration_rad_s2_rthz)
         self.time_s = time_s
 
     def _steps(self, start_s: float, end_s: float, turn: Turn) -> tuple[ModelTransition, ModelTransition]:
@@ -161,6 +167,9 @@ class PadFilter:
             self._horizontal.update(z[:2], R[:2, :2])
             self._vertical.update(z[2:], R[2:, 2:])
             self._take_heading(sample)
+            if sample.lean_rad is not None:
+                since_s = time_s - self.seen_time_s
+                self._lean = self._lean.corrected(sample.lean_rad, sample.lean_std_rad, since_s)
             self._turn = self._turned(sample)
             self._slow_share = sample.slow_share
             self.seen_time_s = time_s
@@ -239,6 +248,9 @@ class PadFilter:
         self.time_s = self.seen_time_s = time_s
         self.started = True
         self._start_heading(sample)
+        self._lean = (
+            LEVEL if sample.lean_rad is None else LeanState.first(sample.lean_rad, sample.lean_std_rad)
+        )
         self._record("sighting", True)
 
     def _start_heading(self, sample: PadMeasurement) -> None:

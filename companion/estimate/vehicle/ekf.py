@@ -72,7 +72,7 @@ class VehicleEkf(EkfState):
             self._take_anchor(item)
             return
         u = model.InertialInput(item.rate_body_rad_s, item.specific_force_body_m_s2)
-        self.predict(time_s, u, item.samples, item.force_error_m_s2, item.span_s)
+        self.predict(time_s, u, item.samples, item.noise, item.span_s)
         self._take_measured(item)
 
     def carried(

@@ -9,15 +9,15 @@ from companion.base.geometry import Quaternion, Vector3, ned_from_geodetic
 from companion.base.messages import GpsFix
 from companion.config import EkfConfig
 from companion.estimate.vehicle.gyro_bias_check import BiasStep
+from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 
 
 @dataclass(frozen=True, slots=True)
 class ImuStep:
     """The mean of a few IMU samples at their mean time, and what else is known at that time.
 
-    `attitude` is the orientation filter's; the noises are of a small rotation (rad). `force_error_m_s2` is
-    by how much the specific force may be off for a second or so. `span_s` is how long it has lasted by the
-    sensor's own clock; None: since the step before.
+    `attitude` is the orientation filter's, `tilt_noise_rad` and `heading_noise_rad` are its own, of a small
+    rotation. `span_s` is how long the step has lasted by the sensor's own clock; None: since the step before.
     """
 
     rate_body_rad_s: Vector3
@@ -29,7 +29,7 @@ class ImuStep:
     heading_noise_rad: float = 0.35
     still: bool = False
     at_rest: bool = False
-    force_error_m_s2: float = 0.0
+    noise: StepNoise = STEADY
     span_s: float | None = None
 
 

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from companion.base.geometry import FloatArray, Quaternion, euler_from_quat, quat_normalise
+from companion.base.geometry import FloatArray, Quaternion, dot, euler_from_quat, quat_normalise
 from companion.config import EkfConfig
 from companion.estimate.gating import CHI_SQUARE_999, Gate, normalised_innovation_squared
 from companion.estimate.vehicle import ekf_model as model
@@ -26,6 +26,7 @@ from companion.estimate.vehicle.ekf_start import (
     noise_density,
 )
 from companion.estimate.vehicle.fix_watch import FixWatch
+from companion.estimate.vehicle.imu_noise import STEADY, StepNoise
 from companion.estimate.vehicle.innovation_watch import InnovationWatch
 
 LONGEST_STEP_S: Final = 0.05  # between two steps of a healthy IMU
@@ -110,7 +111,7 @@ class EkfState:
         time_s: float,
         u: model.InertialInput,
         samples: int = 1,
-        force_error_m_s2: float = 0.0,
+        noise: StepNoise = STEADY,
         span_s: float | None = None,
     ) -> None:
         """x⁻ = f(x⁺, u), P⁻ = A P⁺ Aᵀ + G Q Gᵀ up to time_s; earlier or equal times change nothing.
@@ -127,8 +128,7 @@ class EkfState:
         self.x, A = model.transition(self.x, u, dt_s)
         P[:n] = A @ P[:m]
         P[:, :n] = P[:, :m] @ A.T
-        turn_variance, velocity_variance = self._inertial_noise(u, dt_s, samples)
-        velocity_variance += force_error_m_s2**2 * FORCE_ERROR_S * dt_s
+        turn_variance, velocity_variance = self._inertial_noise(noise, dt_s, samples)
         G = A[:, model.IMU_BIASES] / dt_s
         G[:, :3] *= math.sqrt(velocity_variance)
         G[:, 3:] *= math.sqrt(turn_variance)
@@ -139,19 +139,20 @@ class EkfState:
         self._moved[:n, :m] = A
         self.time_s = time_s
 
-    def _inertial_noise(self, u: model.InertialInput, dt_s: float, samples: int) -> tuple[float, float]:
+    def _inertial_noise(self, noise: StepNoise, dt_s: float, samples: int) -> tuple[float, float]:
         """Variance an axis of the step's turn (rad²) and change of velocity (m²/s²).
 
-        Scale errors and misalignment are proportional to the rate; a motion keeps its direction for about
+        Scale errors and misalignment are proportional to the turn, and a turn keeps its direction for about
         a second. A step longer than any in a healthy stream has seen only its ends: what lies between them
         may differ the more the longer it took.
         """
         config = self._config
         unseen_s = max(dt_s - LONGEST_STEP_S, 0.0)
-        x, y, z = u.rate_body_rad_s
-        scale_density = config.gyro_scale_error**2 * (x * x + y * y + z * z)
-        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples + scale_density * dt_s
+        lasting = noise.lasting_rate_rad_s
+        turn = (config.gyro_noise_rad_s * dt_s) ** 2 / samples
+        turn += config.gyro_scale_error**2 * dot(lasting, lasting) * dt_s
         velocity = (config.accel_noise_m_s2 * dt_s) ** 2 / samples
+        velocity += (noise.force_density_m2_s3 + noise.force_error_m_s2**2 * FORCE_ERROR_S) * dt_s
         rate = min(UNSEEN_RATE_RAD_S, UNSEEN_TURN_RAD_S2 * unseen_s)
         acceleration = min(UNSEEN_ACCELERATION_M_S2, UNSEEN_JERK_M_S3 * unseen_s)
         return turn + (rate * unseen_s) ** 2, velocity + (acceleration * unseen_s) ** 2

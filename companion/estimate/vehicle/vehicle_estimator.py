@@ -50,10 +50,10 @@ from companion.estimate.vehicle.ekf_inputs import AttitudeStep, EkfInput, ImuSte
 from companion.estimate.vehicle.ekf_start import start_state
 from companion.estimate.vehicle.ekf_state import EkfSnapshot
 from companion.estimate.vehicle.gyro_bias_check import SecondGyro
+from companion.estimate.vehicle.imu_noise import ImuNoise
 from companion.estimate.vehicle.inertial_motion import InertialMotion, VectorMean
 from companion.estimate.vehicle.innovation_watch import TroubleReport
 from companion.estimate.vehicle.strapdown import Strapdown
-from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
 
 IMU_TIMEOUT_S = 0.5  # without the IMU for longer there is no state to report
 LOST_S = 2.0  # and after so long it starts again: where it has turned meanwhile is unknown
@@ -81,7 +81,7 @@ class VehicleEstimator:
         self.newest_s = self._leap_s = -math.inf
         self._strapdown, self._fields = Strapdown(), VectorMean()
         self._fields_untrusted = 0  # of the wrong size or dip
-        self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
+        self._second_gyro, self._reset, self._noise = SecondGyro(), AttitudeReset(), ImuNoise(config.ekf)
         self.corrections: tuple[str, ...] = ()  # of the attitude, in words, not yet reported
         self._last_raw: tuple[Vector3, Vector3] | None = None
         self._span_s: float | None = None  # of the samples not yet given to the EKF, by their own clock
@@ -268,11 +268,12 @@ class VehicleEstimator:
         self._settled_s = time_s if found.still else time_s + SETTLING_S
 
     def _start_over(self) -> None:
-        self._detector = StillnessDetector(self._config.alignment)
-        self._aligner = StaticAligner(self._config.alignment)
+        config = self._config.alignment
+        self._detector, self._aligner = StillnessDetector(config), StaticAligner(config)
         self._orientation = self._ekf = self._timeline = self._last_raw = None
         self._strapdown, self._fields, self._span_s = Strapdown(), VectorMean(), None
-        self._second_gyro, self._vibration, self._reset = SecondGyro(), VibrationMonitor(), AttitudeReset()
+        self._second_gyro, self._reset = SecondGyro(), AttitudeReset()
+        self._noise = ImuNoise(self._config.ekf)
 
     @property
     def aligned(self) -> bool:
@@ -292,7 +293,7 @@ class VehicleEstimator:
         mean_force = scale(add(last_force, raw[1]), 0.5)
         self._strapdown.add(dt_s, mean_rate, mean_force)
         self._second_gyro.add_rate(sample.time_s, mean_rate, dt_s)
-        self._vibration.add(raw[1], dt_s)
+        self._noise.add(*raw, dt_s)
         self._inertial.add(sample, dt_s, mean_rate, mean_force, self._orientation)
 
     def _collect(self, sample: ImuSample) -> None:
@@ -309,7 +310,7 @@ class VehicleEstimator:
             rate_body_rad_s=mean.rate_body_rad_s,
             specific_force_body_m_s2=mean.specific_force_body_m_s2,
             samples=mean.samples,
-            force_error_m_s2=self._vibration.error_m_s2(config.shaking_bound_m_s2, config.shaking_share),
+            noise=self._noise.now,
             field_body_ut=self._field_at(time_s),
             attitude=self._orientation_at(time_s) if with_attitude else None,
             tilt_noise_rad=tilt_noise_rad(
@@ -320,8 +321,7 @@ class VehicleEstimator:
             at_rest=self._resting and self._still_block and not self._ekf.has_position,
             span_s=self._span_s,
         )
-        self._span_s = None
-        self._still_block = False
+        self._span_s, self._still_block = None, False
         self._timeline.add(time_s, step)
         self._read_ekf()
 

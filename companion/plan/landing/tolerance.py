@@ -79,6 +79,10 @@ class Tolerance:
         """How much lean (m/s²) can be levelled off; grows with impatience."""
         return self._config.gentle_lean_m_s2 * self._borne(now_s)
 
+    def most_lean_rad(self, now_s: float) -> float:
+        """How far a deck may lean at contact; grows with impatience."""
+        return math.radians(self._config.contact_lean_deg) * self._borne(now_s)
+
     def _farthest_aside_m(self, now_s: float) -> float:
         """Farther aside than this it neither starts down nor goes on."""
         setting_m = self._config.break_off_lateral_m

@@ -19,6 +19,7 @@ from companion.base.motion import Motion
 from companion.config import TouchdownConfig, VehicleConfig
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import FRESH_S, SIGNS_NEEDED, ContactSigns, Standing, contact_signs
+from companion.plan.landing.level_moment import level_at
 from companion.plan.landing.tolerance import Tolerance, aligned, gentle, stopping_m
 from companion.plan.mission.inputs import PlanInputs
 from companion.plan.mission.states import DetectedEvent, MissionEvent, State
@@ -113,19 +114,18 @@ class TouchdownSequence:
         self._lean_m_s2 = (lx + share * (x - lx), ly + share * (y - ly))
 
     def level_off(self) -> LevelOff | None:
-        """When the vehicle may lean no further than it may at contact; None before that is known.
+        """That the vehicle may lean no further than it may at contact; None until the contact is near.
 
         It goes level shortly before the contact is due, whatever the pad and the wind do meanwhile, and not
         for long: what the level vehicle cannot follow becomes speed over the pad. A contact that comes late
-        is waited for while that speed is no more than one may start down with.
+        is waited for while that speed is no more than one may start down with. The controller is not told
+        before: it would lean further until then, to be ahead of the pad, and a contact that comes a tenth of
+        a second early meets that lean.
         """
-        if self._level_due_s is None:
+        from_s = self._level_from_s
+        if self._level_due_s is None or from_s is None:
             return None
         tilt_rad = math.radians(self._config.contact_tilt_deg)
-        from_s = self._level_from_s
-        if from_s is None:
-            from_s = self._level_due_s - _LEVEL_BEFORE_S
-            return LevelOff(from_s, from_s + _LEVEL_FOR_S, tilt_rad)
         late_s = max(0.0, self._level_due_s - _LEVEL_BEFORE_S - from_s)
         if self._level_excess_m_s2 > 0.0:
             late_s = min(late_s, self._config.lateral_speed_m_s / self._level_excess_m_s2)
@@ -143,6 +143,7 @@ class TouchdownSequence:
             aligned(sight, self._wait_height_m, tolerance.slack_by_now(now_s), c)
             and not tolerance.aside(sight, now_s)
             and (tolerance.impatience(now_s) >= 1.0 or gentle(sight, c))
+            and level_at(sight, self._contact_in_s(), tolerance.most_lean_rad(now_s))
             and math.hypot(*self._lean_m_s2) <= tolerance.most_lean_m_s2(now_s)
             and self._generator.stays_clear((0.0, 0.0, -self._vehicle.leg_height_m), self._way_down_s())
         )
@@ -157,9 +158,13 @@ class TouchdownSequence:
 
     def _way_down_s(self) -> float:
         """How long from here until the feet stand and the motors are off."""
+        return self._contact_in_s() + self._config.land_after_s
+
+    def _contact_in_s(self) -> float:
+        """How long from here until the feet touch."""
         c = self._config
         sinking_s = (self._wait_height_m - self._vehicle.leg_height_m) / c.contact_speed_m_s
-        return c.settled_s + c.blend_s + sinking_s + c.land_after_s
+        return c.settled_s + c.blend_s + sinking_s
 
     # ------------------------------------------------------------ sink
 
@@ -177,6 +182,8 @@ class TouchdownSequence:
             return MissionEvent.CONTACT, signs.in_words()
         if touching:
             self._level_due_s = now_s  # no lean while contact is confirmed
+            if self._level_from_s is None:
+                self._level_from_s = now_s - _LEVEL_BEFORE_S
             return None
         lost = self._lost(sight, inputs.range, now_s)
         if lost is not None:

@@ -19,7 +19,7 @@ from companion.base.geometry import (
 )
 from companion.base.messages import GpsFix, ImuSample, MagSample
 from companion.estimate.vehicle.fix_watch import FixWatch
-from companion.estimate.vehicle.vibration_monitor import VibrationMonitor
+from companion.estimate.vehicle.imu_noise import VibrationMonitor
 from tests.unit.estimate.estimate_flight import Flight, circle, feed, new_estimator
 
 FLOWN = Flight(path=circle(8.0, 4.0), duration_s=36.0)

@@ -6,8 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from companion.base.autopilot_kind import AutopilotKind
+from companion.base.geometry import FloatArray
 from companion.config import (
     CONFIG_FOLDER,
     AxisResponse,
@@ -17,6 +19,8 @@ from companion.config import (
     find_file,
     load_model,
 )
+from companion.control.adaptive_feedforward import FASTEST_TURN_SHARE, learning_s
+from companion.control.response.fitting import fitted, loop_rad_s
 from companion.control.response.margins import (
     DOWN,
     SIDEWAYS,
@@ -25,6 +29,7 @@ from companion.control.response.margins import (
     loop_transfer,
     margins,
     respond,
+    while_turning,
 )
 
 VEHICLES = sorted(path.stem for path in (CONFIG_FOLDER / "vehicles").glob("*.yaml"))
@@ -46,8 +51,13 @@ def _case(vehicle: str, autopilot_kind: AutopilotKind, kind: Kind, axis: int) ->
 
 
 @cache
+def _loop(case_of: tuple[str, AutopilotKind, Kind, int]) -> tuple[FloatArray, NDArray[np.complex128]]:
+    return loop_transfer(_case(*case_of))
+
+
+@cache
 def _margins(case_of: tuple[str, AutopilotKind, Kind, int]) -> Margins:
-    return margins(*loop_transfer(_case(*case_of)))
+    return margins(*_loop(case_of))
 
 
 @pytest.mark.parametrize("axis", [SIDEWAYS, DOWN])
@@ -61,6 +71,24 @@ def test_every_shipped_loop_has_margins(
     assert found.phase_deg >= LEAST_PHASE_DEG
     assert found.gain_up >= LEAST_GAIN
     assert found.gain_down >= LEAST_GAIN
+
+
+@pytest.mark.parametrize(("autopilot_kind", "kind"), FLOWN)
+@pytest.mark.parametrize("vehicle", VEHICLES)
+def test_what_is_learnt_over_a_turning_pad_leaves_the_margins(
+    vehicle: str, autopilot_kind: AutopilotKind, kind: Kind
+) -> None:
+    case = _case(vehicle, autopilot_kind, kind, SIDEWAYS)
+    response = case.vehicle.responses.of(autopilot_kind, kind)
+    weights = fitted(case.control, response).horizontal
+    w, L = _loop((vehicle, autopilot_kind, kind, SIDEWAYS))
+    fastest_rad_s = FASTEST_TURN_SHARE * loop_rad_s(weights)
+    for turn_rad_s in np.linspace(-fastest_rad_s, fastest_rad_s, 9).tolist():
+        found = margins(w, while_turning(w, L, turn_rad_s, learning_s(weights)))
+        assert found.delay_s >= LEAST_DELAY_S
+        assert found.phase_deg >= LEAST_PHASE_DEG
+        assert found.gain_up >= LEAST_GAIN
+        assert found.gain_down >= LEAST_GAIN
 
 
 def _late_answer(case: MarginCase) -> float:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from companion.base.geometry import GRAVITY_M_S2, quat_from_euler
-from companion.base.messages import LandedState, LevelOff, PadState, RangeSample
+from companion.base.messages import LandedState, PadState, RangeSample
 from companion.base.motion import Motion
 from companion.plan.debounce import Debounce
 from companion.plan.landing.contact import contact_signs
@@ -178,23 +178,32 @@ def test_next_to_the_pad_the_reference_goes_on_so_that_standing_shows() -> None:
     assert touchdown._generator.at(3.0).position_m[2] > -LEG_M + 0.05
 
 
-def levelling(lean_m_s2: float) -> tuple[Attempt, LevelOff]:
+def levelling(lean_m_s2: float) -> Attempt:
     """A vehicle on its last way down, 0.3 m over the pad at 1 s, that leans so."""
     touchdown = fresh()
     waited(touchdown, 0.0, 0.0, 0.5)
     for now_s in (0.5, 10.0):  # so long that the smoothed lean is there
         touchdown.note_lean(leaning(lean_m_s2), now_s)
     touchdown.step(sight(height=LEG_M + 0.3), None, LandedState.IN_AIR, 1.0)
-    level = touchdown.level_off()
+    return touchdown
+
+
+def test_it_levels_off_shortly_before_the_contact_and_is_not_told_to_earlier() -> None:
+    touchdown = levelling(0.0)
+    sink_m_s, level = CONFIG.contact_speed_m_s, None
+    due_s = 1.0 + (0.3 - 0.02) / sink_m_s  # low on one side
+    for k in range(60):
+        now_s = 1.0 + k * CYCLE_S
+        height_m = LEG_M + 0.3 - sink_m_s * (now_s - 1.0)
+        down = sight(height=height_m, velocity=(0.0, 0.0, sink_m_s))
+        touchdown.step(down, None, LandedState.IN_AIR, now_s)
+        level = touchdown.level_off()
+        assert (level is not None) == (now_s >= due_s - 0.31)
+        if level is not None:
+            break
     assert level is not None
-    return touchdown, level
-
-
-def test_it_levels_off_shortly_before_the_contact_and_no_longer_than_that_takes() -> None:
-    _, level = levelling(0.0)
-    due_s = 1.0 + (0.3 - 0.02) / CONFIG.contact_speed_m_s  # low on one side
-    assert due_s - level.from_s == pytest.approx(0.31)
-    assert level.until_s - level.from_s == pytest.approx(0.42)
+    assert level.from_s == pytest.approx(due_s - 0.31, abs=CYCLE_S)
+    assert level.until_s - level.from_s == pytest.approx(0.42, abs=CYCLE_S)
     assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
 
 
@@ -203,7 +212,7 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
     excess_m_s2: float, longer_s: float
 ) -> None:
     level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(CONFIG.contact_tilt_deg))
-    touchdown, _ = levelling(level_m_s2 + excess_m_s2)
+    touchdown = levelling(level_m_s2 + excess_m_s2)
     near = sight(height=LEG_M + 0.05, velocity=(0.0, 0.0, 0.4))
     now_s = 1.0
     for _ in range(34):  # 5 cm up all the time
@@ -218,7 +227,7 @@ def test_a_contact_that_comes_late_keeps_it_level_while_that_makes_little_speed(
 
 
 def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
-    touchdown, _ = levelling(0.0)
+    touchdown = levelling(0.0)
     for now_s, sink_m_s in ((1.0, CONFIG.contact_speed_m_s), (1.3, 0.1)):
         near = sight(height=LEG_M + 0.06, velocity=(0.0, 0.0, sink_m_s))
         touchdown.step(near, None, LandedState.IN_AIR, now_s)
@@ -229,7 +238,7 @@ def test_a_sink_that_slows_once_it_is_level_is_a_later_contact() -> None:
 
 
 def test_while_contact_is_made_sure_of_it_stays_level() -> None:
-    touchdown, _ = levelling(0.0)
+    touchdown = levelling(0.0)
     down = sight(height=LEG_M)
     for k in range(30):
         now_s = 1.0 + k * CYCLE_S

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -144,6 +145,19 @@ def test_two_markers_that_contradict_each_other_are_both_disbelieved(
     found = detections(pad, camera, camera_from_pad_at(0.0), (0.0, 0.0, 3.0))[:2]
     shifted = Detection(found[1].marker, found[1].corners_pad_m, found[1].corners_px + 40.0, found[1].side_px)
     assert estimate_pose([found[0], shifted], lens, CONFIG, (0.0, 0.0, 1.0)) is None
+
+
+@pytest.mark.parametrize(("pad_on", "most_deg"), [("fixed", 7.0), ("vehicle", 11.0), ("ship", 18.0)])
+def test_how_far_a_pad_may_lean_is_what_it_lies_on(
+    pad: Pad, camera: CameraConfig, lens: Lens, pad_on: Literal["fixed", "vehicle", "ship"], most_deg: float
+) -> None:
+    config, position = VisionConfig(pad_on=pad_on), (0.1, 0.2, 1.5)
+    for lean_deg, seen in ((most_deg, True), (1.5 * most_deg, False)):
+        rotation = camera_from_pad_at(0.3, math.radians(lean_deg))
+        pose = estimate_pose(detections(pad, camera, rotation, position), lens, config, (0.0, 0.0, 1.0))
+        assert (pose is not None) == seen
+        if pose is not None:
+            assert pose.position_camera_m == pytest.approx(position, abs=2e-3)
 
 
 def test_what_leans_far_from_the_level_is_not_our_pad(pad: Pad, camera: CameraConfig, lens: Lens) -> None:

@@ -1,0 +1,101 @@
+"""How the pad leans and how it swings: a deck rolls and pitches, a roof slopes, and both may land a vehicle.
+
+The lean is the horizontal part of the pad's normal (north and east; the normal points down, as the z axis of
+the pad does): for small angles its tilt in rad. Each axis is a Kalman filter of angle and rate; beside them
+run the means over tens of seconds of the lean, of its swing about that, and of its rate. From the last two
+follows how quickly it swings, so that a lean can be predicted through a part of its period. Immutable.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from companion.estimate.pad.heading_filter import HeadingState
+
+SWING_S: Final = 15.0  # memory of mean and swing: two or three periods of a ship's roll
+FIRST_STD_RAD: Final = math.radians(8.0)
+FIRST_RATE_STD_RAD_S: Final = math.radians(10.0)
+JITTER_RAD: Final = math.radians(0.2)  # of our own attitude, from frame to frame
+QUICKEST_RAD_S: Final = math.tau / 2.0  # no deck swings quicker
+SLOWEST_RAD_S: Final = math.tau / 20.0
+STILL_RAD: Final = math.radians(0.5)  # a smaller swing is noise: it has no period
+
+
+class Lean(NamedTuple):
+    """North and east: the lean (rad), its rate (rad/s), its mean (rad); and how it swings about that.
+
+    `swing_rad` is the root mean square of both axes together, `frequency_rad_s` that of the swing, 0 without.
+    """
+
+    lean_rad: tuple[float, float] = (0.0, 0.0)
+    rate_rad_s: tuple[float, float] = (0.0, 0.0)
+    mean_rad: tuple[float, float] = (0.0, 0.0)
+    swing_rad: float = 0.0
+    frequency_rad_s: float = 0.0
+    std_rad: float = math.inf
+
+
+class LeanState(NamedTuple):
+    """Both axes' filters, and fading means: of the lean, of the swing's square and of the rate's square."""
+
+    north: HeadingState = HeadingState()
+    east: HeadingState = HeadingState()
+    mean_rad: tuple[float, float] = (0.0, 0.0)
+    swing_square: float = 0.0
+    rate_square: float = 0.0
+    watched_s: float = 0.0
+
+    @classmethod
+    def first(cls, lean_rad: tuple[float, float], std_rad: float) -> LeanState:
+        """From one sighting."""
+        variance = min(std_rad, FIRST_STD_RAD) ** 2 + JITTER_RAD**2
+        north, east = (HeadingState(angle, 0.0, variance, 0.0, FIRST_RATE_STD_RAD_S**2) for angle in lean_rad)
+        return cls(north, east, lean_rad)
+
+    def after(self, dt_s: float, acceleration_rad_s2_rthz: float) -> LeanState:
+        """The state dt_s later."""
+        return self._replace(
+            north=self.north.after(dt_s, acceleration_rad_s2_rthz),
+            east=self.east.after(dt_s, acceleration_rad_s2_rthz),
+        )
+
+    def corrected(self, lean_rad: tuple[float, float], std_rad: float, since_s: float) -> LeanState:
+        """With a sighting's lean, so long after the one before."""
+        noise = std_rad**2 + JITTER_RAD**2
+        north = self.north.corrected(lean_rad[0] - self.north.heading_rad, noise)
+        east = self.east.corrected(lean_rad[1] - self.east.heading_rad, noise)
+        watched_s = self.watched_s + since_s
+        share = min(1.0, since_s / min(SWING_S, max(watched_s, since_s, 1e-6)))
+        (mn, me), (ln, le) = self.mean_rad, (north.heading_rad, east.heading_rad)
+        mean = (mn + share * (ln - mn), me + share * (le - me))
+        swing = (ln - mean[0]) ** 2 + (le - mean[1]) ** 2
+        rate = north.rate_rad_s**2 + east.rate_rad_s**2
+        return LeanState(
+            north,
+            east,
+            mean,
+            self.swing_square + share * (swing - self.swing_square),
+            self.rate_square + share * (rate - self.rate_square),
+            watched_s,
+        )
+
+    @property
+    def lean(self) -> Lean:
+        """What is known of it."""
+        swing_rad = math.sqrt(self.swing_square)
+        frequency = 0.0
+        if swing_rad > STILL_RAD:
+            frequency = min(QUICKEST_RAD_S, max(SLOWEST_RAD_S, math.sqrt(self.rate_square) / swing_rad))
+        return Lean(
+            (self.north.heading_rad, self.east.heading_rad),
+            (self.north.rate_rad_s, self.east.rate_rad_s),
+            self.mean_rad,
+            swing_rad,
+            frequency,
+            math.sqrt(self.north.heading_variance + self.east.heading_variance),
+        )
+
+
+LEVEL: Final = LeanState()
+NOT_LEANING: Final = Lean()
