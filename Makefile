@@ -16,6 +16,7 @@
 # make bench-firmware PX4=BIN ARDUCOPTER=BIN  landings on the real firmwares, in lockstep
 # make bench-faults          every fault in every phase of a flight: how it ends, and whether it is safe
 # make bench-service         the service: start, CPU, memory, ten orders in one run
+# make bench-page            the live page: from exposure to pixel, CPU, the control loop with three viewers
 # make bench-interruptions   kills, stalls and stops at random moments of a flight in real time
 # make bench-mutations       a million spoilt inputs to drivers, link, settings and scenario files
 # make bench-mutants         small changes to the last gate: which of them would its tests not notice
@@ -41,7 +42,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 BENCH_STATE = $(BIN)/python -m tests.bench.state.bench_state --seeds $(STATE_SEEDS)
 
-.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
+.PHONY: sitl test lint bench bench-cpu bench-long-life bench-experiments bench-state bench-pad bench-obstacles bench-mpc bench-margins bench-response bench-campaign bench-precision bench-landing bench-firmware bench-faults bench-service bench-page bench-interruptions bench-mutations bench-mutants bench-fuzz bench-sitl-speed bench-calibration bench-ahrs bench-vision bench-sitl clean
 
 $(VENV)/.run: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "companion needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -144,6 +145,9 @@ bench-faults: $(VENV)/.dev
 # needs the machine to itself: real time, two processes
 bench-service: $(VENV)/.dev
 	$(BIN)/python -m tests.bench.service.bench_service
+
+bench-page: $(VENV)/.dev
+	$(BIN)/python -m tests.bench.service.bench_page
 
 # three quarters of an hour, likewise; give it again after an interruption, and it goes on
 bench-interruptions: $(VENV)/.dev

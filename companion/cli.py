@@ -59,7 +59,8 @@ COMMANDS: Final = {
         "companion.sim.flights:flights_command", "Fly many in one process, for a campaign.", hidden=True
     ),
 }
-cli = lazy_app(COMMANDS)
+SERVE_ADDRESS: Final = "127.0.0.1:8080"
+cli = lazy_app(COMMANDS, alone={"--serve": SERVE_ADDRESS})
 
 
 @cli.callback(invoke_without_command=True)
@@ -112,6 +113,14 @@ def companion(
     record: Annotated[
         Path | None, typer.Option("--record", help="Leave logs (and plots) in this folder.", metavar="DIR")
     ] = None,
+    serve: Annotated[
+        str | None,
+        typer.Option(
+            "--serve",
+            help=f"Serve the live page there; alone: {SERVE_ADDRESS}.",
+            metavar="[ADDRESS:PORT]",
+        ),
+    ] = None,
     no_ui: Annotated[bool, typer.Option("--no-ui", help="No live status; one line a notice.")] = False,
     version: VersionOption = False,
 ) -> None:
@@ -122,6 +131,8 @@ def companion(
     theirs = {"--autopilot": autopilot, "--connect": connect, "--connect-world": connect_world}
     if sitl and flies:
         raise ConfigError("--fly: is for the vehicle; expected it without --sitl, which flies at once")
+    if fast and serve is not None:
+        raise ConfigError("--serve: shows a flight in real time; expected it without --fast")
     if sitl:
         find_file("scenarios", scenario or "line")
     else:
@@ -138,7 +149,7 @@ def companion(
     must_be_readable(config)
     from companion.app.command import Output, fly_the_vehicle, stand_by  # noqa: PLC0415 - see above
 
-    output = Output.of(record, json_file, live=not no_ui)
+    output = Output.of(record, json_file, live=not no_ui, serve=serve)
     if not sitl:
         raise typer.Exit((fly_the_vehicle if flies else stand_by)(config, output))
     from companion.sim.command import fly_in_sitl, load_trial  # noqa: PLC0415 - see above

@@ -33,6 +33,7 @@ SLOW_S: Final = {
     "unit/tools/check/test_pad_check.py": 30,
     "unit/tools/check/test_pad_check_samples.py": 30,
     "scenario/flights/test_real_time.py": 60,
+    "scenario/page/test_page_live.py": 40,
     "unit/test_docs.py": 100,
     "scenario/commands/test_records.py": 47,
     "unit/estimate/test_estimate_flight.py": 46,

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from companion.app.app import App
 from companion.app.hardware import make_actions, open_hardware
+from companion.app.page.live_page import LivePage
 from companion.app.service.latch import FlightLatch, state_folder, unattended
 from companion.app.service.local_socket import served, socket_path
 from companion.app.service.machine_state import MachineWatch, throttled
@@ -22,7 +23,7 @@ from companion.app.terminal import StatusView
 from companion.base.clock import Clock, start_unix_s
 from companion.base.errors import ConfigError
 from companion.base.messages import Outcome, Phase
-from companion.config import CompanionConfig, load_config
+from companion.config import CompanionConfig, ServeConfig, load_config, merge, validate
 from companion.flightlog.flights import make_room, next_flight_folder
 from companion.flightlog.flights_recorder import FlightsRecorder
 from companion.flightlog.record import FlightLog
@@ -45,11 +46,25 @@ class Output:
     record: Path | None
     json_file: Path | None
     live: bool
+    serve: str | None = None  # the live page's address, over that of the settings
 
     @classmethod
-    def of(cls, record: Path | None, json_file: Path | None, *, live: bool) -> Output:
-        """On standard output, with the files that the options name."""
-        return cls(Console(), record, json_file, live)
+    def of(
+        cls, record: Path | None, json_file: Path | None, *, live: bool, serve: str | None = None
+    ) -> Output:
+        """On standard output, with the files and the address that the options name."""
+        return cls(Console(), record, json_file, live, serve)
+
+    def shown(self, config: CompanionConfig) -> CompanionConfig:
+        """The settings with the live page where the options want it.
+
+        Raises:
+            ConfigError: that is no address.
+        """
+        if self.serve is None:
+            return config
+        page = merge(config.serve.model_dump(), {"address": self.serve})
+        return config.model_copy(update={"serve": validate(ServeConfig, page, "--serve")})
 
 
 def fly_the_vehicle(config_path: Path, output: Output) -> int:
@@ -59,7 +74,7 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
         ConfigError: something the user can correct.
     """
     prepare_opencv()
-    config = load_config(config_path)
+    config = output.shown(load_config(config_path))
     if not config.plan.mission.may_arm:
         raise ConfigError(
             f"--fly: {config_path}: plan.mission.may_arm is false; "
@@ -86,12 +101,14 @@ def fly_the_vehicle(config_path: Path, output: Output) -> int:
 async def _vehicle_flight(
     config: CompanionConfig, log: FlightLog, view: StatusView, latch: FlightLatch, standby: str | None
 ) -> tuple[Phase, bool]:
+    page = LivePage(config, log)
     async with open_hardware(config, waits=True) as hardware:
         app = App(config, hardware, log, make_actions, view, standby=standby)
         if standby is None:
             latch.begin()
-        with stopping_on_signals(app.request_stop):
-            return await app.run(), standby is not None and app.missions.stopped_idle
+        async with page.served(app):
+            with stopping_on_signals(app.request_stop):
+                return await app.run(), standby is not None and app.missions.stopped_idle
 
 
 def stand_by(config_path: Path, output: Output) -> int:
@@ -101,7 +118,7 @@ def stand_by(config_path: Path, output: Output) -> int:
         ConfigError: something the user can correct.
     """
     prepare_opencv()
-    config = load_config(config_path)
+    config = output.shown(load_config(config_path))
     clear = partial(_make_room, output.record, config)
     clear()
     with StatusView(output.console, config.vehicle, live=output.live) as view:
@@ -117,7 +134,7 @@ async def _service(
 ) -> int:
     clock = Clock()
     start_s = clock.now_s()
-    machine = MachineWatch(start_s)
+    machine, page = MachineWatch(start_s), LivePage(config, log)
     async with open_hardware(config, waits=True) as hardware:
         app = App(config, hardware, log, make_actions, view, stays=True)
 
@@ -128,7 +145,7 @@ async def _service(
             state = machine.state(now_s, record, held_back)
             return state_report(app, log.meter, state, recording, now_s, start_s).model_dump_json()
 
-        async with served(socket_path(), report, app.missions.give, clock):
+        async with served(socket_path(), report, app.missions.give, clock), page.served(app):
             with stopping_on_signals(app.request_stop):
                 phase = await app.run()
     done = phase is Phase.LANDED or app.missions.stopped_idle

@@ -61,10 +61,19 @@ def new_app(**options: Any) -> typer.Typer:
     )
 
 
-def lazy_app(commands: Mapping[str, Command], **options: Any) -> typer.Typer:
-    """A Typer application whose `commands` are imported only when they run; others may be added to it."""
+def lazy_app(
+    commands: Mapping[str, Command], *, alone: Mapping[str, str] | None = None, **options: Any
+) -> typer.Typer:
+    """A Typer application whose `commands` are imported only when they run; others may be added to it.
+
+    `alone` gives the values of options that may stand without one.
+    """
+    values = dict(alone or {})
 
     class LazyGroup(TyperGroup):
+        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+            return super().parse_args(ctx, _with_values(args, values, commands))
+
         def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
             name, stub, rest = super().resolve_command(ctx, args)
             lazy = None if name is None else commands.get(name)
@@ -74,6 +83,16 @@ def lazy_app(commands: Mapping[str, Command], **options: Any) -> typer.Typer:
     for name, command in commands.items():
         app.command(name, short_help=command.summary, hidden=command.hidden)(_stands_for_it)
     return app
+
+
+def _with_values(args: list[str], values: Mapping[str, str], commands: Mapping[str, Command]) -> list[str]:
+    """The arguments with a value after each option that stands alone, which Typer does not know."""
+    filled = list[str]()
+    for word, following in zip(args, [*args[1:], None], strict=True):
+        filled.append(word)
+        if word in values and (following is None or following.startswith("-") or following in commands):
+            filled.append(values[word])
+    return filled
 
 
 def _stands_for_it() -> None:

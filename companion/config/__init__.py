@@ -33,7 +33,6 @@ from companion.config.mounting import (
     load_vehicle,
 )
 from companion.config.obstacles import MOST_OBSTACLES, Box, Cylinder, Shape
-from companion.config.orders import OrdersConfig
 from companion.config.plan import (
     GuidanceConfig,
     LandingConfig,
@@ -70,6 +69,7 @@ from companion.config.sense import (
     SenseConfig,
     VisionConfig,
 )
+from companion.config.service import OrdersConfig, ServeConfig
 from companion.config.vehicle import CameraConfig, CaptureConfig, ModelConfig, VehicleConfig
 
 __all__ = [
@@ -119,6 +119,7 @@ __all__ = [
     "Responses",
     "SearchConfig",
     "SenseConfig",
+    "ServeConfig",
     "Shape",
     "StrictModel",
     "TouchdownConfig",
@@ -173,6 +174,7 @@ class CompanionConfig(StrictModel):
     orders: OrdersConfig = OrdersConfig()
     compute: ComputeConfig = ComputeConfig()
     record: RecordConfig = RecordConfig()
+    serve: ServeConfig = ServeConfig()
 
     @model_validator(mode="after")
     def _one_rate(self) -> CompanionConfig:

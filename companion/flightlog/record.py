@@ -18,7 +18,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Final, Literal
+from typing import IO, Any, Final, Literal, Protocol
 
 import yaml
 from mcap.writer import CompressionType, Writer
@@ -58,6 +58,14 @@ MAVLINK2_MAGIC: Final = 0xFD
 MAVLINK1_MAGIC: Final = 0xFE
 
 
+class Tap(Protocol):
+    """Who hears of all that is logged, on the control loop: whatever it does delays control."""
+
+    def know(self, settings: Mapping[str, BaseModel]) -> None: ...
+    def note(self, topic: str, message: Any, time_s: float) -> None: ...
+    def frame(self, frame: Frame) -> None: ...
+
+
 class FlightLog:
     """Takes every message with the time it was written; hands back the kept ones by topic."""
 
@@ -90,6 +98,7 @@ class FlightLog:
         self._made_folder = folder is not None and not folder.exists()
         self._files: _Files | None = None
         self._ended_with: str | None = None
+        self.tap: Tap | None = None
         self.join: Callable[[], None] = lambda: None  # until a log that was closed without waiting is written
         if folder is not None:
             try:
@@ -113,6 +122,8 @@ class FlightLog:
 
     def write(self, topic: str, message: Any, time_s: float) -> None:
         """Log one message (a dataclass of companion.base.messages) under a topic."""
+        if self.tap is not None:
+            self.tap.note(topic, message, time_s)
         if self._keeps and topic in KEPT_TOPICS:
             self.kept[topic].append(message)
         if (files := self._files) is not None:
@@ -124,11 +135,15 @@ class FlightLog:
 
         They also stand in a file of their own, `settings.yaml`.
         """
+        if self.tap is not None:
+            self.tap.know(settings)
         if (files := self._files) is not None:
             files.disk.put(files.write_settings, settings)
 
     def write_frame(self, frame: Frame, time_s: float) -> None:
         """Log a camera frame as a compressed image, at the log's own rate."""
+        if self.tap is not None:
+            self.tap.frame(frame)
         if (files := self._files) is None or time_s < self._next_frame_s:
             return
         self._next_frame_s = time_s + self._frame_period_s

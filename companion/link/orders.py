@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from companion.base.messages import AutopilotState, Order, OrderKind, OrderOutcome, OrderReply
-from companion.config.orders import OrdersConfig
+from companion.config.service import OrdersConfig
 from companion.link.codec import Message, mavlink
 
 SETTLES_S: Final = 3.0

@@ -60,7 +60,7 @@ def fly_in_sitl(config_path: Path, trial: Trial, output: Output, *, fast: bool) 
         ConfigError: something the user can correct.
     """
     prepare_opencv()
-    settings = sitl_settings(config_path, trial, fast=fast)
+    settings = output.shown(sitl_settings(config_path, trial, fast=fast))
     if left_out := calibrations_left_out(config_path, settings):
         output.console.print(f"left out, for the simulated vehicle is another: {', '.join(left_out)}")
     if (differs := vehicle_differs(settings, trial)) is not None:

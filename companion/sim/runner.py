@@ -21,6 +21,7 @@ from typing import Any
 
 from companion.app.app import App
 from companion.app.hardware import Hardware, make_actions, make_own_actions, open_hardware
+from companion.app.page.live_page import LivePage
 from companion.app.signals import stopping_on_signals
 from companion.app.status import Status
 from companion.base.clock import Clock, run_in_virtual_time, wall_clock_s
@@ -155,11 +156,13 @@ async def _fly_against(
     wired = validate(
         CompanionConfig, merge(config.model_dump(), simulator.endpoints), "the simulator's endpoints"
     )
+    page = LivePage(wired, log)
     world = asyncio.create_task(simulator.watch())
     try:
         async with open_hardware(wired) as hardware:
             app = App(wired, hardware, log, make_actions, on_status)
-            phase = await _fly(app, trial.time_limit_s, world)
+            async with page.served(app):
+                phase = await _fly(app, trial.time_limit_s, world)
     finally:
         await _cancel(world)
     report = await simulator.finish(phase)

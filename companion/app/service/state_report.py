@@ -30,11 +30,12 @@ class _Model(BaseModel):
 
 
 class InputReport(_Model):
-    """One input."""
+    """One input; `silent`: for longer than it may be."""
 
     name: str
     rate_hz: float
     age_s: float
+    silent: bool
 
 
 class Latency(_Model):
@@ -94,8 +95,13 @@ def state_report(
         armed=autopilot.armed,
         battery_percent=None if share is None else 100.0 * share,
         inputs=tuple(
-            InputReport(name=name, rate_hz=rates[topic].rate_hz, age_s=rates[topic].age_s)
-            for topic, (name, _) in INPUTS.items()
+            InputReport(
+                name=name,
+                rate_hz=rates[topic].rate_hz,
+                age_s=rates[topic].age_s,
+                silent=rates[topic].age_s > oldest_s,
+            )
+            for topic, (name, oldest_s) in INPUTS.items()
             if topic in rates
         ),
         aligned=vehicle is not None and vehicle.aligned,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -61,6 +61,13 @@ def nothing_seen(exposure_unix_ns: int) -> WellKnown:
     return WellKnown("camera/annotations", "foxglove.ImageAnnotations", message)
 
 
+class Outline(NamedTuple):
+    """Four corners (4, 2) px in the image: a marker's with its id, or the pad's edge without."""
+
+    corners_px: FloatArray
+    marker_id: int | None
+
+
 class Eye:
     """Draws a sighting into its frame: the used markers and the pad's edge, by the pose and the lens."""
 
@@ -72,16 +79,9 @@ class Eye:
     def annotations(self, sighting: PadSighting, exposure_unix_ns: int) -> WellKnown:
         """Outlines and ids for the frame that was exposed then."""
         drawn = nothing_seen(exposure_unix_ns)
-        x, y = 0.5 * self._pad.length_m, 0.5 * self._pad.width_m
-        edge = np.array([(x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0)])
-        used = set(sighting.marker_ids)
-        shown = [m for m in self._pad.markers if m.group == sighting.group and m.id in used]
-        corners = [(edge, PAD_COLOUR, ""), *((m.corners_pad_m(), MARKER_COLOUR, str(m.id)) for m in shown)]
-        for places, tint, text in corners:
-            pixels = self._pixels(sighting, places)
-            if not np.isfinite(pixels).all():
-                continue
-            points = [{"x": float(u), "y": float(v)} for u, v in pixels]
+        for corners_px, marker_id in self.outlines(sighting):
+            tint = PAD_COLOUR if marker_id is None else MARKER_COLOUR
+            points = [{"x": float(u), "y": float(v)} for u, v in corners_px]
             drawn.message["points"].append(
                 {
                     "timestamp": stamp(exposure_unix_ns),
@@ -91,13 +91,37 @@ class Eye:
                     "thickness": LINE_PX,
                 }
             )
-            if text:
-                label = {"timestamp": stamp(exposure_unix_ns), "position": points[0], "text": text}
+            if marker_id is not None:
+                label = {
+                    "timestamp": stamp(exposure_unix_ns),
+                    "position": points[0],
+                    "text": str(marker_id),
+                }
                 drawn.message["texts"].append({**label, "font_size": TEXT_PX, "text_color": tint})
         return drawn
 
-    def _pixels(self, sighting: PadSighting, points_pad_m: FloatArray) -> FloatArray:
-        """Where points (n, 3) of the pad are in the image, (n, 2) px."""
-        turn = matrix_from_quat(sighting.body_from_pad)
-        body = points_pad_m @ turn.T + np.array(sighting.pad_position_body_m)
-        return self._lens.project((body - self._mount) @ self._rotation)[0]
+    def outlines(self, sighting: PadSighting) -> list[Outline]:
+        """The pad's edge and the used markers, where the pose has them; what leaves the lens is left out."""
+        x, y = 0.5 * self._pad.length_m, 0.5 * self._pad.width_m
+        edge = np.array([(x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0), (-x, -y, 0.0)])
+        used = set(sighting.marker_ids)
+        shown = [m for m in self._pad.markers if m.group == sighting.group and m.id in used]
+        turn, place = matrix_from_quat(sighting.body_from_pad), np.array(sighting.pad_position_body_m)
+        found = [
+            Outline(self.pixels(corners_m @ turn.T + place), marker_id)
+            for corners_m, marker_id in [(edge, None), *((m.corners_pad_m(), m.id) for m in shown)]
+        ]
+        return [outline for outline in found if np.isfinite(outline.corners_px).all()]
+
+    def pixels(self, points_body_m: FloatArray) -> FloatArray:
+        """Where points (n, 3) in body axes are in the image: (n, 2) px, NaN where the lens cannot see."""
+        return self._lens.project(self._in_camera(points_body_m))[0]
+
+    def beyond(self, point_body_m: FloatArray) -> FloatArray:
+        """For a point (3,) that the lens cannot see: a place (2,) px outside the image, on the way to it."""
+        across = self._in_camera(point_body_m)[:2]
+        size = np.array(self._lens.size_px)
+        return np.asarray(0.5 * size + size.sum() * across / max(float(np.hypot(*across)), 1e-9))
+
+    def _in_camera(self, points_body_m: FloatArray) -> FloatArray:
+        return np.asarray((points_body_m - self._mount) @ self._rotation)

@@ -29,13 +29,21 @@ def pad_entity(unix_ns: int, pad: Pad) -> Plain:
     return entity(unix_ns, PAD, "pad", cubes=[board])
 
 
+def time_to_touchdown_s(plan: PlanStep) -> float | None:
+    """How long the planned motion takes to the pad; None while nothing leads there."""
+    if plan.reference is None or plan.reference.origin != "pad" or plan.time_to_go_s <= 0.0:
+        return None
+    return plan.time_to_go_s
+
+
 def touchdown_entity(
     unix_ns: int, pad_position_ned_m: Vector3, pad: PadState, plan: PlanStep
 ) -> Plain | None:
     """Where the pad will be when the planned motion ends; None while nothing leads to the pad."""
-    if plan.reference is None or plan.reference.origin != "pad" or plan.time_to_go_s <= 0.0:
+    duration_s = time_to_touchdown_s(plan)
+    if duration_s is None:
         return None
-    place = add(pad_position_ned_m, scale(pad.velocity_ned_m_s, plan.time_to_go_s))
+    place = add(pad_position_ned_m, scale(pad.velocity_ned_m_s, duration_s))
     size = vector((TOUCHDOWN_SIZE_M,) * 3)
     ball = {"pose": pose(place), "size": size, "color": TOUCHDOWN_COLOUR}
     return entity(unix_ns, LOCAL, "predicted touchdown", PREDICTED_FOR_S, spheres=[ball])

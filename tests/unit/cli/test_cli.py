@@ -20,6 +20,7 @@ def test_every_outcome_has_an_exit_code_of_its_own() -> None:
 
 
 HEAVY = {
+    "aiohttp",
     "cv2",
     "numpy",
     "scipy",

@@ -1,0 +1,75 @@
+"""What goes from the app's process to the page's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from companion.base.geometry import Quaternion, Vector3
+from companion.base.messages import Frame, PadSighting
+from companion.config import CameraConfig, VehicleConfig
+from companion.pad import Pad
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What the page's process begins with; the token stands neither in its arguments nor its environment.
+
+    `start_unix_s` is seconds since 1970 at loop time 0, `start_s` the app's start in loop time.
+    """
+
+    host: str
+    port: int
+    token: str | None
+    allow_commands: bool
+    host_names: tuple[str, ...]
+    most_viewers: int
+    camera: CameraConfig
+    vehicle: VehicleConfig
+    pad: Pad
+    start_unix_s: float
+    start_s: float
+
+
+class TrackPoint(NamedTuple):
+    """A point of the plots; over the pad where it is known, and over the EKF's origin (m)."""
+
+    time_s: float
+    height_m: float | None
+    lateral_m: float | None
+    altitude_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One camera frame with what was seen in it; without a camera the frame is None.
+
+    `attitude` is the vehicle's near the exposure. `touchdown_ned_m` is where the pad will be when the planned
+    motion ends, relative to where the vehicle was then, NED axes.
+    """
+
+    point: TrackPoint
+    phase: str
+    frame: Frame | None = None
+    sighting: PadSighting | None = None
+    attitude: Quaternion | None = None
+    touchdown_ned_m: Vector3 | None = None
+    time_to_touchdown_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """JSON for every viewer; the newest of a kind takes the place of older ones that wait."""
+
+    kind: str
+    json: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What became of the order that the page's process numbered so."""
+
+    number: int
+    kind: str
+    outcome: str
+    text: str

@@ -1,0 +1,126 @@
+"""The page's process, as the app sees it: started, talked to, started again when it ends.
+
+It dies with the pipe from us, so it cannot outlive the app. What it says comes from a process that the
+network reaches: one short line of JSON at a time, and nothing in it is believed but what is expected.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import json
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any, Final
+
+from companion.app.page.access import TOKEN_VARIABLE
+from companion.app.page.look import Look, Reply, Start, Text
+from companion.app.page.sender import Sender
+
+LONGEST_LINE: Final = 1024
+# doubled from failure to failure: starting it costs a second of a core
+FIRST_PAUSE_S: Final = 5.0
+LONGEST_PAUSE_S: Final = 60.0
+END_S: Final = 2.0
+# between its lines: however many it writes, the control loop hears few
+LINE_PAUSE_S: Final = 0.01
+# a frame of 640x480 goes into the pipe at once
+PIPE_BYTES: Final = 1 << 20
+# what is ours alone: the service manager's socket, and the token, which goes through the pipe
+_NOT_ITS_OWN: Final = frozenset({"NOTIFY_SOCKET", TOKEN_VARIABLE})
+
+Line = dict[str, Any]
+
+
+class PageProcess:
+    """One process after another, until the task that runs `run` is cancelled."""
+
+    def __init__(
+        self, start: Start, on_line: Callable[[Line], None], on_problem: Callable[[str], None]
+    ) -> None:
+        """`on_line` takes what it says, `on_problem` why it ended; the same problem again is not told."""
+        self._start, self._on_line, self._on_problem = start, on_line, on_problem
+        self._sender: Sender | None = None
+        self._told, self._listened = "", False
+
+    def put(self, message: Look | Text | Reply) -> None:
+        """Send the newest; nothing while there is no process."""
+        if self._sender is not None:
+            self._sender.put(message)
+
+    async def run(self) -> None:
+        """Keep it running."""
+        pause_s = FIRST_PAUSE_S
+        while True:
+            self._listened = False
+            problem = await self._one_life()
+            self._on_line({"viewers": 0})
+            if problem != self._told:
+                self._told = problem
+                self._on_problem(problem)
+            pause_s = FIRST_PAUSE_S if self._listened else min(2.0 * pause_s, LONGEST_PAUSE_S)
+            await asyncio.sleep(pause_s)
+
+    async def _one_life(self) -> str:
+        """Start it and take what it says until it ends; returns why it did."""
+        theirs, ours = Pipe(duplex=False)
+        with suppress(OSError):
+            fcntl.fcntl(ours.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        try:
+            process = await _spawn(theirs)
+        except OSError as error:
+            ours.close()
+            return f"cannot be started: {error.strerror}"
+        finally:
+            theirs.close()
+        self._sender = Sender(ours, self._start)
+        try:
+            return await self._listen(process)
+        finally:
+            self._sender.end()
+            self._sender = None
+            await _end(process)
+
+    async def _listen(self, process: asyncio.subprocess.Process) -> str:
+        assert process.stdout is not None
+        problem = "ended"
+        while True:
+            try:
+                words = await process.stdout.readline()
+                line = json.loads(words) if words else None
+            except ValueError:
+                return "said what nobody understands"
+            if line is None:
+                return problem
+            if not isinstance(line, dict):
+                return "said what nobody understands"
+            problem = str(line.get("problem", problem))
+            self._listened |= "listening" in line
+            self._on_line(line)
+            await asyncio.sleep(LINE_PAUSE_S)
+
+
+async def _spawn(pipe: Connection) -> asyncio.subprocess.Process:
+    return await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "companion.app.page.child", str(pipe.fileno())),
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        pass_fds=(pipe.fileno(),),
+        limit=LONGEST_LINE,
+        env={name: value for name, value in os.environ.items() if name not in _NOT_ITS_OWN},
+        # Ctrl-C is the app's to handle: who looks sees the vehicle handed back
+        start_new_session=True,
+    )
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    """It has lost its pipe, or is about to; one that does not end by itself is killed."""
+    if process.returncode is None:
+        with suppress(ProcessLookupError):
+            process.kill()
+    with suppress(TimeoutError):
+        await asyncio.wait_for(process.wait(), END_S)

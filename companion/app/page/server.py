@@ -1,0 +1,190 @@
+"""The page's server: three files, and a WebSocket for everything else."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from aiohttp import WSCloseCode, WSMsgType, web
+
+from companion.app.page.access import host_is_ours, own_names, same_origin, same_token
+from companion.app.page.look import Reply, Start, Text
+from companion.app.page.viewer import Viewer
+from companion.base.clock import Clock
+
+STATIC: Final = Path(__file__).parent / "static"
+FILES: Final = {
+    "/": ("index.html", "text/html"),
+    "/page.css": ("page.css", "text/css"),
+    "/page.js": ("page.js", "text/javascript"),
+    "/plots.js": ("plots.js", "text/javascript"),
+    "/picture.js": ("picture.js", "text/javascript"),
+}
+LONGEST_MESSAGE: Final = 1024
+MOST_CONNECTIONS: Final = 64
+TOKEN_S: Final = 5.0
+WRONG_TOKEN_S: Final = 1.0
+HEARTBEAT_S: Final = 5.0
+# WebSocket close codes of our own
+WRONG_TOKEN: Final = 4401
+TOO_MANY: Final = 4429
+HEADERS: Final = {
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "no-referrer",
+    "Server": "companion",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; "
+    "connect-src 'self' ws://{host} wss://{host}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+
+Say = Callable[[dict[str, Any]], None]
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class PageServer:
+    """Serves the page; `say` tells the app's process how many look, and what is ordered."""
+
+    def __init__(self, start: Start, say: Say) -> None:
+        self._start, self._say, self._clock = start, say, Clock()
+        self._names = own_names(start.host_names)
+        self._viewers: set[Viewer] = set()
+        self._sockets = 0  # those who have not shown their token yet count too
+        self._orders: dict[int, Viewer] = {}
+        self._ordered = 0
+        self._contents = {path: (STATIC / name).read_bytes() for path, (name, _) in FILES.items()}
+
+    def application(self) -> web.Application:
+        """The routes."""
+        app = web.Application(middlewares=[self._guarded], client_max_size=LONGEST_MESSAGE)
+        app.add_routes([web.get(path, self._file) for path in FILES])
+        app.router.add_get("/live", self._live)
+        return app
+
+    # ------------------------------------------------------------ what the app's process sends
+
+    def picture(self, number: int, data: bytes) -> None:
+        """For everybody."""
+        for viewer in self._viewers:
+            viewer.offer_picture(number, data)
+
+    def text(self, text: Text) -> None:
+        """For everybody."""
+        for viewer in self._viewers:
+            viewer.offer(text.kind, text.json)
+
+    def reply(self, reply: Reply) -> None:
+        """For the one who gave the order."""
+        last = reply.outcome != "in_progress"
+        viewer = self._orders.pop(reply.number, None) if last else self._orders.get(reply.number)
+        if viewer is not None:
+            viewer.unanswered.discard(reply.kind)
+            answer = {"kind": "reply", "order": reply.kind, "outcome": reply.outcome, "text": reply.text}
+            viewer.reply(json.dumps(answer))
+
+    # ------------------------------------------------------------ requests
+
+    @web.middleware
+    async def _guarded(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Answer only who calls us by our address, and tell browsers what the page may do."""
+        if not host_is_ours(request.headers.get("Host"), self._names):
+            return web.Response(status=421, text="this is not the host that you asked for\n")
+        response = await handler(request)
+        if not response.prepared:
+            response.headers.update(HEADERS)
+            response.headers["Content-Security-Policy"] = POLICY.format(host=request.headers["Host"])
+        return response
+
+    async def _file(self, request: web.Request) -> web.Response:
+        return web.Response(
+            body=self._contents[request.path], content_type=FILES[request.path][1], charset="utf-8"
+        )
+
+    async def _live(self, request: web.Request) -> web.StreamResponse:
+        if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
+            return web.Response(status=403, text="opened by a page from elsewhere\n")
+        socket = web.WebSocketResponse(max_msg_size=LONGEST_MESSAGE, heartbeat=HEARTBEAT_S, compress=False)
+        await socket.prepare(request)
+        if self._sockets >= self._start.most_viewers:
+            await socket.close(code=TOO_MANY, message=b"too many viewers")
+            return socket
+        self._sockets += 1
+        try:
+            if await self._admitted(socket):
+                await self._show(socket)
+        finally:
+            self._sockets -= 1
+        return socket
+
+    async def _admitted(self, socket: web.WebSocketResponse) -> bool:
+        """Whether its first message is the token, where there is one."""
+        token = self._start.token
+        if token is None:
+            return True
+        with suppress(TimeoutError, TypeError, ValueError, RecursionError):
+            await socket.send_str('{"kind": "token"}')
+            first = json.loads(await socket.receive_str(timeout=TOKEN_S))
+            if isinstance(first, dict) and same_token(first.get("token"), token):
+                return True
+            await asyncio.sleep(WRONG_TOKEN_S)
+        await socket.close(code=WRONG_TOKEN, message=b"wrong token")
+        return False
+
+    async def _show(self, socket: web.WebSocketResponse) -> None:
+        viewer = Viewer(socket, self._clock)
+        viewer.offer("hello", json.dumps({"kind": "hello", "commands": self._start.allow_commands}))
+        self._viewers.add(viewer)
+        self._say({"viewers": len(self._viewers)})
+        sending = asyncio.create_task(self._send(viewer, socket))
+        try:
+            await self._receive(viewer, socket)
+        finally:
+            sending.cancel()
+            self._viewers.discard(viewer)
+            self._orders = {number: who for number, who in self._orders.items() if who is not viewer}
+            self._say({"viewers": len(self._viewers)})
+
+    async def _send(self, viewer: Viewer, socket: web.WebSocketResponse) -> None:
+        with suppress(OSError, TimeoutError):
+            await viewer.send()
+        # a browser that takes nothing does not take a farewell either
+        if (transport := socket.get_extra_info("transport")) is not None:
+            transport.abort()
+
+    async def _receive(self, viewer: Viewer, socket: web.WebSocketResponse) -> None:
+        """Take what the browser says until it goes, or says what no page of ours does."""
+        async for message in socket:
+            understood = message.type is WSMsgType.TEXT and viewer.may_speak()
+            if not (understood and self._take(viewer, message.data)):
+                await socket.close(code=WSCloseCode.POLICY_VIOLATION, message=b"not understood")
+                return
+
+    def _take(self, viewer: Viewer, text: str) -> bool:
+        """One message; whether it is one of ours."""
+        try:
+            message = json.loads(text)
+        except (ValueError, RecursionError):
+            return False
+        match message:
+            case {"drawn": int(number)}:
+                viewer.drawn(number)
+            case {"order": "land" | "stop" as kind}:
+                self._order(viewer, kind)
+            case _:
+                return False
+        return True
+
+    def _order(self, viewer: Viewer, kind: str) -> None:
+        """Hand an order on, but no second one of a kind before the first has an answer."""
+        if kind in viewer.unanswered:
+            return
+        viewer.unanswered.add(kind)
+        self._ordered += 1
+        self._orders[self._ordered] = viewer
+        self._say({"order": kind, "number": self._ordered})

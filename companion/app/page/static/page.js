@@ -1,0 +1,267 @@
+// The live page: one WebSocket brings everything; what the server says is shown as text, never as markup.
+
+import { Picture } from "/picture.js";
+import { Plots, words } from "/plots.js";
+
+const STALE_MS = 1000, RETRY_MS = 1000, HOLD_MS = 1500, PLOTTED_MS = 180;
+const WRONG_TOKEN = 4401, TOO_MANY = 4429;
+const INPUTS = ["camera", "IMU", "magnetometer", "GPS", "ultrasonic"];
+const at = (id) => document.getElementById(id);
+const picture = new Picture(at("picture")), plots = new Plots(at("plots"));
+
+let socket = null, token = null, heardMs = -Infinity, picturedMs = -Infinity, plottedMs = -Infinity, trouble = "connecting", problems = [], startless = true;
+// what a test or a benchmark reads: from exposure to the pixel, by this machine's clock
+window.companion = { latenciesMs: [], drawn: 0 };
+
+// ------------------------------------------------------------ connection
+
+// the token may come in the address after '#', which no server sees; it does not stay there
+const given = new URLSearchParams(location.hash.slice(1)).get("token");
+if (given) {
+  sessionStorage.setItem("token", given);
+  history.replaceState(null, "", location.pathname);
+}
+token = sessionStorage.getItem("token");
+
+function connect() {
+  if (socket || document.hidden) return;
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = ({ data }) => (typeof data === "string" ? hear(JSON.parse(data)) : look(data));
+  socket.onclose = ({ code }) => {
+    socket = null;
+    startless = true;
+    at("orders").hidden = true;
+    trouble = code === TOO_MANY ? "too many viewers" : code === WRONG_TOKEN ? "wrong token" : "not connected";
+    if (code === WRONG_TOKEN) ask();
+    if (!document.hidden && at("ask").hidden) setTimeout(connect, RETRY_MS);
+    freshness();
+  };
+}
+
+function say(message) {
+  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+function ask() {
+  sessionStorage.removeItem("token");
+  token = null;
+  at("ask").hidden = false;
+  at("token").focus();
+}
+
+at("ask").onsubmit = (event) => {
+  event.preventDefault();
+  token = at("token").value.trim();
+  sessionStorage.setItem("token", token);
+  at("token").value = "";
+  at("ask").hidden = true;
+  connect();
+};
+
+// nobody looks at a page that is hidden
+document.onvisibilitychange = () => {
+  if (document.hidden && socket) socket.close();
+  else connect();
+};
+
+// ------------------------------------------------------------ what comes
+
+function hear(message) {
+  switch (message.kind) {
+    case "token":
+      if (token) say({ token });
+      else { trouble = "needs the token"; ask(); socket.close(); }
+      break;
+    case "hello":
+      startless = false;
+      at("orders").hidden = !message.commands;
+      break;
+    case "track":
+      plots.replace(message.rows);
+      break;
+    case "state":
+      heardMs = performance.now();
+      show(message);
+      break;
+    case "reply":
+      answer(message);
+      break;
+  }
+}
+
+let waiting = null; // the newest picture that is not drawn yet
+
+async function look(data) {
+  const length = new DataView(data).getUint32(0);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  heardMs = performance.now();
+  plots.add([header.time_s, header.height_m, header.lateral_m, header.altitude_m]);
+  if (data.byteLength > 4 + length) {
+    const image = await createImageBitmap(new Blob([new Uint8Array(data, 4 + length)], { type: "image/jpeg" }));
+    picturedMs = performance.now();
+    if (waiting) waiting.image.close();
+    waiting = { image, header };
+  } else if (!waiting) waiting = { image: null, header };
+  requestAnimationFrame(draw);
+}
+
+function draw() {
+  if (!waiting) return;
+  const { image, header } = waiting;
+  waiting = null;
+  if (image) {
+    picture.draw(image, header);
+    image.close();
+  }
+  figures(header);
+  const now = performance.now();
+  if (now - plottedMs > PLOTTED_MS) { plottedMs = now; plots.draw(); }
+  freshness();
+  say({ drawn: header.number });
+  // by the next frame this one is on the screen
+  if (image) requestAnimationFrame(() => {
+    const latencies = window.companion.latenciesMs;
+    latencies.push(Date.now() - header.exposed_unix_ms);
+    window.companion.drawn += 1;
+    if (latencies.length > 2000) latencies.shift();
+  });
+}
+
+// ------------------------------------------------------------ showing
+
+function figures(look) {
+  const overPad = look.height_m !== null;
+  figure("height", metres(overPad ? look.height_m : look.altitude_m));
+  write("height-of", overPad ? "over the pad" : "over the start");
+  figure("lateral", metres(look.lateral_m));
+  figure("touchdown", look.touchdown_in_s === null ? ["–", ""] : [look.touchdown_in_s.toFixed(1), "s"]);
+  at("head").dataset.phase = look.phase;
+  write("phase", words(look.phase) || "starting");
+}
+
+function show(state) {
+  plots.phases = state.phases;
+  problems = state.problems;
+  const battery = state.battery_percent === null ? "" : `battery ${state.battery_percent.toFixed(0)} %`;
+  const mode = state.autopilot ? `${state.mode} · ${state.armed ? "ARMED" : "disarmed"}` : "no autopilot";
+  write("vehicle", [mode, battery].filter(Boolean).join(" · "));
+  lights(state);
+  events(state.events);
+  const m = state.machine, latency = state.latency.setpoint || state.latency.frame;
+  write("machine", [
+    m.cpu_percent === null ? "" : `${m.cpu_percent.toFixed(0)} % of a core`,
+    `${m.memory_mb.toFixed(0)} MB`,
+    m.temperature_deg_c === null ? "" : `${m.temperature_deg_c.toFixed(0)} °C`,
+    m.disk_free_mb === null ? "" : `${(m.disk_free_mb / 1000).toFixed(1)} GB free`,
+    `late cycles ${state.late_cycles_percent.toFixed(1)} %`,
+    latency ? `delay ${latency.p50_ms.toFixed(0)} ms, p99 ${latency.p99_ms.toFixed(0)} ms` : "",
+    state.recording ? `recording ${state.recording}` : "not recording",
+    `up ${duration(state.up_s)}`,
+    `${state.viewers} looking`,
+  ].filter(Boolean).join(" · "));
+}
+
+function lights(state) {
+  const found = new Map(state.inputs.map((input) => [input.name, input]));
+  const rows = [light("autopilot", state.autopilot || "no heartbeat", state.autopilot ? "" : "silent")];
+  for (const name of INPUTS) {
+    const input = found.get(name);
+    const age = input && input.age_s >= 1 ? `, ${duration(input.age_s)} ago` : "";
+    rows.push(input ? light(name, `${input.rate_hz.toFixed(0)} Hz${age}`, input.silent ? "silent" : "") : light(name, "nothing yet", "absent"));
+  }
+  rows.push(light("estimate", state.aligned ? `±${state.attitude_std_deg.toFixed(1)}°, ±${state.velocity_std_m_s.toFixed(2)} m/s` : "not aligned", state.aligned ? "" : "silent"));
+  const seen = state.pad_seen_s;
+  rows.push(light("pad", seen === null ? "not seen" : seen < 1 ? "in sight" : `seen ${duration(seen)} ago`, seen === null ? "absent" : seen < 1 ? "" : "silent"));
+  at("lights").replaceChildren(...rows);
+}
+
+function light(name, words, kind) {
+  const row = element("li", "", kind), small = element("small", words), text = element("div", name);
+  text.append(small);
+  row.append(element("span", "", "light"), text);
+  return row;
+}
+
+function events(list) {
+  at("events").replaceChildren(...[...list].reverse().map((event) => {
+    const row = element("li", "", event.severity);
+    row.append(element("time", `${event.time_s.toFixed(1)} s`), element("span", event.text));
+    return row;
+  }));
+}
+
+function freshness() {
+  const now = performance.now(), silentMs = now - heardMs, stale = startless || silentMs > STALE_MS;
+  document.body.classList.toggle("stale", stale);
+  at("blind").hidden = now - picturedMs < 2 * STALE_MS;
+  for (const button of [at("land"), at("stop")]) button.disabled = stale;
+  const since = Number.isFinite(silentMs) ? `: NO DATA for ${(silentMs / 1000).toFixed(0)} s` : "";
+  const text = startless ? trouble + since : stale ? `the app says nothing${since}` : problems.join("; ");
+  write("alarm", text);
+  at("alarm").hidden = !text;
+}
+
+function element(tag, text, kind = "") {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  if (kind) made.className = kind;
+  return made;
+}
+
+function write(id, text) {
+  const place = at(id);
+  if (place.textContent !== text) place.textContent = text;
+}
+
+function figure(id, [number, unit]) {
+  if (at(id).textContent !== number + unit) at(id).replaceChildren(number, element("small", unit));
+}
+
+function metres(value) {
+  if (value === null) return ["–", ""];
+  return Math.abs(value) < 0.995 ? [`${Math.round(100 * value)}`, "cm"] : [value.toFixed(value < 9.995 ? 2 : value < 99.95 ? 1 : 0), "m"];
+}
+
+function duration(seconds) {
+  return seconds < 120 ? `${seconds.toFixed(0)} s` : seconds < 7200 ? `${(seconds / 60).toFixed(0)} min` : `${(seconds / 3600).toFixed(0)} h`;
+}
+
+// ------------------------------------------------------------ orders
+
+const land = at("land");
+let holding = null;
+land.style.setProperty("--hold", `${HOLD_MS}ms`);
+
+function press(event) {
+  if (holding !== null || land.disabled || (event.type === "keydown" && (event.repeat || ![" ", "Enter"].includes(event.key)))) return;
+  event.preventDefault();
+  land.classList.add("held");
+  holding = setTimeout(() => { release(); order("land"); }, HOLD_MS);
+}
+
+function release() {
+  clearTimeout(holding);
+  holding = null;
+  land.classList.remove("held");
+}
+
+land.addEventListener("pointerdown", press);
+land.addEventListener("keydown", press);
+for (const kind of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) land.addEventListener(kind, release);
+land.addEventListener("contextmenu", (event) => event.preventDefault());
+at("stop").onclick = () => order("stop");
+
+function order(kind) {
+  say({ order: kind });
+  answer({ order: kind, outcome: "sent", text: "" });
+}
+
+function answer({ order: kind, outcome, text }) {
+  write("answer", `${kind}: ${words(outcome)}${text ? `: ${text}` : ""}`);
+  at("answer").className = ["sent", "in_progress", "accepted"].includes(outcome) ? "" : "refused";
+}
+
+window.onresize = () => plots.draw();
+setInterval(freshness, 250);
+connect();
