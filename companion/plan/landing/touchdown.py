@@ -293,21 +293,27 @@ class TouchdownSequence:
         return height_m - self._vehicle.leg_height_m > max(self._config.break_off_above_m, room_m)
 
     def _expect_contact(self, sight: PadState, now_s: float) -> None:
-        """When the feet will touch: by the speed as planned, until it goes level; from then on as seen."""
-        if sight.age_s > FRESH_S:
-            return
+        """When the feet will touch: by the speed as planned, until it goes level; from then on as seen.
+
+        Unseen, what was expected last holds: it goes level by that.
+        """
+        hangs_near = sight.age_s <= FRESH_S and self._see_contact_near(sight, now_s)
+        due_s = self._level_due_s
+        near = hangs_near or (due_s is not None and now_s >= due_s - _LEVEL_BEFORE_S)
+        if self._level_from_s is None and near:
+            self._level_from_s = now_s
+            level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._config.contact_tilt_deg))
+            self._level_excess_m_s2 = max(0.0, math.hypot(*self._lean_m_s2) - level_m_s2)
+
+    def _see_contact_near(self, sight: PadState, now_s: float) -> bool:
+        """Take in when the feet will touch; whether the foot that hangs lower would before the lean falls."""
         planned_m_s = self._config.contact_speed_m_s
         slowest_m_s = planned_m_s if self._level_from_s is None else _SLOWEST_SINK * planned_m_s
         sink_m_s = max(slowest_m_s, sight.sink_m_s)
         over_m = sight.height_m - self._vehicle.leg_height_m
         self._level_due_s = now_s + max(0.0, over_m - _FOOT_DROP_M) / sink_m_s
-        # the foot that hangs lower must not touch before the lean has begun to fall
         hangs_m = self._vehicle.foot_reach_m * math.sin(self._tilt_rad)
-        near = now_s >= self._level_due_s - _LEVEL_BEFORE_S or over_m - hangs_m <= sink_m_s * _LEANS_ON_S
-        if self._level_from_s is None and near:
-            self._level_from_s = now_s
-            level_m_s2 = GRAVITY_M_S2 * math.tan(math.radians(self._config.contact_tilt_deg))
-            self._level_excess_m_s2 = max(0.0, math.hypot(*self._lean_m_s2) - level_m_s2)
+        return over_m - hangs_m <= sink_m_s * _LEANS_ON_S
 
     def _give_way(self, sight: PadState | None, now_s: float) -> None:
         """Let the reference's height follow the vehicle's; not near the pad, where the vehicle may stand."""

@@ -207,6 +207,25 @@ def test_it_levels_off_shortly_before_the_contact_and_is_not_told_to_earlier() -
     assert level.tilt_rad == pytest.approx(math.radians(CONFIG.contact_tilt_deg))
 
 
+@pytest.mark.parametrize("unseen_from_m", [0.25, 0.15, 0.11])
+def test_a_pad_out_of_view_in_the_last_second_is_met_level_when_it_was_due(unseen_from_m: float) -> None:
+    touchdown = levelling(0.0)
+    sink_m_s = CONFIG.contact_speed_m_s
+    due_s, seen_s = 1.0 + (0.3 - 0.02) / sink_m_s, 1.0
+    for k in range(60):
+        now_s = 1.0 + k * CYCLE_S
+        over_m = 0.3 - sink_m_s * (now_s - 1.0)
+        seen_s = now_s if over_m >= unseen_from_m else seen_s
+        down = sight(height=LEG_M + over_m, velocity=(0.0, 0.0, sink_m_s), age=now_s - seen_s)
+        assert touchdown.step(down, None, LandedState.IN_AIR, now_s) is None
+        level = touchdown.level_off()
+        assert (level is not None) == (now_s >= due_s - 0.31)
+        if level is not None:
+            assert level.from_s <= now_s
+            assert level.until_s >= due_s + 0.1
+            return
+
+
 @pytest.mark.parametrize(
     ("lean_deg", "above_m"),
     # level, the contact as seen decides; leaning far, the foot that hangs 0.18 m sin(lean) lower, 0.2 s ahead
