@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from companion.app.command import EXIT_CODES
+from companion.app.missions import LAST_REQUESTS_S, LINGER_S
 from companion.base.messages import Outcome
+from companion.config import CompanionConfig
 
 FOLDER = Path(__file__).resolve().parents[4] / "systemd"
 
@@ -36,6 +38,13 @@ def test_a_stop_in_flight_is_no_failure_and_wrong_settings_are_not_tried_again()
     assert f"SuccessExitStatus={EXIT_CODES[Outcome.ABORTED]}" in unit
     assert "RestartPreventExitStatus=2" in unit
     assert "Restart=always" in unit
+
+
+def test_systemd_waits_until_a_vehicle_that_climbs_clear_of_the_pad_is_handed_back() -> None:
+    unit = (FOLDER / "companion.service").read_text().splitlines()
+    [waits_s] = [float(line.split("=")[1]) for line in unit if line.startswith("TimeoutStopSec=")]
+    climbs_s = CompanionConfig().plan.mission.phases.hold_s
+    assert waits_s >= climbs_s + LAST_REQUESTS_S + LINGER_S + 5.0  # and the log is closed
 
 
 def test_the_install_script_is_sound_bash() -> None:
